@@ -1,0 +1,40 @@
+# Every target sets up what it needs; `setup` alone makes .venv.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: setup demo serve test test-slow lint bench clean
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --upgrade "pip>=25.1"
+	$(BIN)/pip install --quiet --constraint constraints.txt torch==2.13.0
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[fast]" --group dev
+	touch $(STAMP)
+
+demo: setup
+	$(BIN)/adr demo
+
+serve: setup
+	$(BIN)/adr serve
+
+lint: setup
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/lint-imports
+	$(BIN)/pyright
+
+test: lint
+	$(BIN)/pytest -m "not slow"
+
+test-slow: setup
+	$(BIN)/pytest -m slow --timeout 3600
+
+bench: setup
+	$(BIN)/python benchmarks/simulation.py
+
+clean:
+	rm -rf $(VENV) build *.egg-info

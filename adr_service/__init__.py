@@ -1,0 +1,12 @@
+"""Adaptive domain randomization: tasks, methods, and the benchmark protocol.
+
+from adr_service.computation import LocalStages
+from adr_service.runs import run
+from adr_service.specs import RunSpec
+
+spec = RunSpec.model_validate({"task": "arm", "method": "simopt", "preset": "smoke"})
+for event in run(spec, LocalStages()):
+    print(event.key)
+"""
+
+__version__ = "0.1.0"

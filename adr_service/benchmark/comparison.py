@@ -1,0 +1,154 @@
+"""The result table: methods side by side, from the events of their runs."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from adr_service.arrays import Matrix, Vector
+from adr_service.benchmark.statistics import Interval, mean_interval
+from adr_service.distributions import Distribution, distribution_from_json
+from adr_service.events import IterationFinished
+from adr_service.methods import METHODS
+from adr_service.randomness import stream
+from adr_service.specs import RunSpec
+from adr_service.target import estimation_error, true_values
+from adr_service.tasks import get_task, variant_of
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One evaluated iteration of one run."""
+
+    spec: RunSpec
+    iteration: IterationFinished
+
+
+@dataclass(frozen=True)
+class Row:
+    """A method after `iteration` rounds of target data, over all its seeds.
+
+    Returns are undiscounted target returns divided by the task's reward threshold.
+    """
+
+    task: str
+    variant: str
+    method: str
+    iteration: int
+    normalised_return: float
+    low: float  # of the 95 % interval over seeds, policies and episodes
+    high: float
+    seeds: int
+    policies: int
+    episodes: int
+    target_rollouts: int  # per seed, what the method could learn from
+    target_transitions: float  # per seed, mean
+    estimation_error: float | None  # RMS of the mean from the truth in [0, 4]; None for UDR
+    reached_threshold: float  # share of policies that did, on their source distribution
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """A method's belief about one parameter after one iteration of one run."""
+
+    task: str
+    variant: str
+    method: str
+    seed: int
+    iteration: int
+    parameter: str
+    unit: str
+    mean: float
+    std: float
+    truth: float
+
+
+def table(outcomes: Sequence[Outcome]) -> list[Row]:
+    """Rows in the order task, variant, method (as catalogued), iteration."""
+    groups: dict[tuple[str, str, str, int], list[Outcome]] = {}
+    for outcome in outcomes:
+        spec = outcome.spec
+        key = (spec.task, spec.variant, spec.method.name, outcome.iteration.iteration)
+        groups.setdefault(key, []).append(outcome)
+    order = {name: position for position, name in enumerate(METHODS)}
+    keys = sorted(groups, key=lambda k: (k[0], k[1], order[k[2]], k[3]))
+    return [_row(key, sorted(groups[key], key=lambda o: o.spec.seed)) for key in keys]
+
+
+def estimates(outcomes: Sequence[Outcome]) -> list[ParameterEstimate]:
+    """Beliefs of the methods that infer one distribution, parameter by parameter."""
+    found: list[ParameterEstimate] = []
+    for outcome in outcomes:
+        spec = outcome.spec
+        if spec.method.name not in {"simopt", "dropo"}:
+            continue
+        distribution, truth = _decode(outcome)[0], true_values(spec.task, spec.variant)
+        parameters = variant_of(get_task(spec.task), spec.variant).source.space.parameters
+        found.extend(
+            ParameterEstimate(
+                spec.task,
+                spec.variant,
+                spec.method.name,
+                spec.seed,
+                outcome.iteration.iteration,
+                parameter.name,
+                parameter.unit,
+                float(distribution.mean[i]),
+                float(distribution.std[i]),
+                truth[parameter.name],
+            )
+            for i, parameter in enumerate(parameters)
+        )
+    return found
+
+
+def to_csv(rows: Sequence[Row]) -> str:
+    """The table as CSV with a header; numbers exact."""
+    buffer = io.StringIO()
+    names = [f.name for f in fields(Row)]
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows([getattr(row, name) for name in names] for row in rows)
+    return buffer.getvalue()
+
+
+def _row(key: tuple[str, str, str, int], outcomes: Sequence[Outcome]) -> Row:
+    task, variant, method, iteration = key
+    threshold = get_task(task).reward_threshold
+    returns: list[Matrix] = [np.array(o.iteration.returns) / threshold for o in outcomes]
+    interval: Interval = mean_interval(returns, stream("interval", *key))
+    reached = [flag for o in outcomes for flag in o.iteration.reached_threshold]
+    transitions: Vector = np.array([o.iteration.target_transitions for o in outcomes])
+    return Row(
+        task=task,
+        variant=variant,
+        method=method,
+        iteration=iteration,
+        normalised_return=interval.mean,
+        low=interval.low,
+        high=interval.high,
+        seeds=len(outcomes),
+        policies=sum(len(r) for r in returns),
+        episodes=sum(r.size for r in returns),
+        target_rollouts=max(o.iteration.target_rollouts for o in outcomes),
+        target_transitions=float(np.mean(transitions)),
+        estimation_error=_mean_error(outcomes),
+        reached_threshold=float(np.mean(reached)),
+    )
+
+
+def _mean_error(outcomes: Sequence[Outcome]) -> float | None:
+    errors = [
+        estimation_error(o.spec.task, o.spec.variant, _decode(o)[0].mean)
+        for o in outcomes
+        if o.spec.method.name in {"simopt", "dropo", "prior"}
+    ]
+    return float(np.mean(errors)) if errors else None
+
+
+def _decode(outcome: Outcome) -> list[Distribution]:
+    source = variant_of(get_task(outcome.spec.task), outcome.spec.variant).source
+    documents: Sequence[Mapping[str, object]] = outcome.iteration.distributions
+    return [distribution_from_json(source.space, dict(document)) for document in documents]

@@ -1,0 +1,135 @@
+"""What a benchmark will cost, before it runs: shared work counted once."""
+
+import itertools
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adr_service.methods.dropo import DropoSettings
+from adr_service.methods.references import OracleSettings, PriorSettings
+from adr_service.methods.simopt import SimOptSettings
+from adr_service.methods.udr import UdrSettings
+from adr_service.randomness import stream
+from adr_service.simulation.batch import Simulations
+from adr_service.specs import RunSpec
+from adr_service.tasks import get_task, variant_of
+from adr_service.tasks.base import Task
+from adr_service.training.settings import TrainingSettings
+from adr_service.wire import canonical_json
+
+# Seconds of one gradient step with networks of 2x128 and batches of 256 on one core of a server
+# of 2024, and what does not shrink with them; measured with `make bench`'s machine (docs).
+_UPDATE_S = {"sbx": (0.0001, 0.0044), "sb3": (0.0025, 0.0125)}
+_REFERENCE_WORK = 256 * 128**2  # batch size x weights of the hidden layers' product
+_VECTOR_STEP_S = 0.0007  # acting and storing, per step of all environments
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An upper bound: trainings stop at the reward threshold, which nobody knows before."""
+
+    runs: int
+    trainings: int  # distinct; equal ones are shared between runs
+    environment_steps: int
+    target_transitions: int  # distinct, at most
+    core_hours: float
+    cores: int
+    hours: float  # with these cores, all busy
+    disk_mb: float
+    basis: str = (
+        "upper bound if every training uses all its steps; simulation speed measured on this "
+        "machine a moment ago, gradient steps as measured on one server core"
+    )
+
+
+def plan(runs: Sequence[RunSpec], cores: int) -> Plan:
+    """The cost of `runs` on `cores` cores."""
+    trainings = {key: spec.training for spec in runs for key in _trainings(spec)}
+    tasks = {key[1] for key in trainings}
+    rates = {name: _step_rate(get_task(name)) for name in tasks}
+    seconds = sum(_training_s(rates[key[1]], t) for key, t in trainings.items())
+    searches = {key: steps for spec in runs for key, steps in _searches(spec)}
+    seconds += sum(steps / rates[key[1]] for key, steps in searches.items())
+    rollouts = {k: spec.transitions for spec in runs for k in _rollouts(spec)}
+    return Plan(
+        runs=len(runs),
+        trainings=len(trainings),
+        environment_steps=sum(t.max_steps for t in trainings.values()),
+        target_transitions=sum(rollouts.values()),
+        core_hours=seconds / 3600,
+        cores=cores,
+        hours=seconds / 3600 / cores,
+        disk_mb=sum(_policy_mb(key[1], t) for key, t in trainings.items()),
+    )
+
+
+Key = tuple[str, str, str]  # what, task, the rest
+
+
+def _trainings(spec: RunSpec) -> Iterable[Key]:
+    """Names of the distinct trainings of a run, equal where the stages will be."""
+    rest = f"{spec.variant} {spec.seed} {canonical_json(spec.training.model_dump())}"
+    match spec.method:
+        case UdrSettings(policies=count):
+            return [("udr", spec.task, f"{i} {rest}") for i in range(count)]
+        case OracleSettings():
+            return [("oracle", spec.task, rest)]
+        case PriorSettings():
+            return [("prior", spec.task, rest)]
+        case SimOptSettings():
+            own = [(f"simopt {i}", spec.task, rest) for i in range(1, spec.iterations + 1)]
+        case DropoSettings():
+            own = [(f"simopt {i}", spec.task, rest) for i in range(1, spec.iterations)]
+            own += [(f"dropo {i}", spec.task, rest) for i in range(1, spec.iterations + 1)]
+    return [("prior", spec.task, rest), *own]
+
+
+def _searches(spec: RunSpec) -> Iterable[tuple[Key, int]]:
+    """Control steps that the inference of a run simulates."""
+    for iteration in range(1, spec.iterations + 1):
+        match spec.method:
+            case SimOptSettings(updates=updates, samples=samples):
+                steps = updates * samples * spec.transitions
+            case DropoSettings(budget=budget, samples_per_parameter=k):
+                d = len(variant_of(get_task(spec.task), spec.variant).source.space)
+                steps = budget * k * d * spec.transitions * iteration
+            case _:
+                return
+        yield (f"{spec.method.name} {iteration}", spec.task, f"{spec.variant} {spec.seed}"), steps
+
+
+def _rollouts(spec: RunSpec) -> Iterable[tuple[str, str, int, int]]:
+    if isinstance(spec.method, SimOptSettings | DropoSettings):
+        for iteration in range(spec.iterations):
+            yield (spec.task, spec.variant, spec.seed, iteration)
+
+
+def _training_s(rate: float, settings: TrainingSettings) -> float:
+    assert settings.backend is not None
+    fixed, proportional = _UPDATE_S[settings.backend]
+    work = settings.batch_size * np.prod(settings.hidden[:2]) / _REFERENCE_WORK
+    rounds = settings.max_steps / settings.environments
+    update = fixed + proportional * float(work)
+    return settings.max_steps / rate + rounds * (settings.gradient_steps * update + _VECTOR_STEP_S)
+
+
+def _step_rate(task: Task) -> float:
+    """Control steps per second on one core, measured over a twentieth of a second."""
+    source = next(iter(task.variants.values())).source
+    simulations, rng = Simulations(task, source, 12), stream("step rate", task.name)
+    simulations.set_dynamics(np.tile((source.space.low + source.space.high) / 2, (12, 1)))
+    simulations.set_state(task.initial(12, rng))
+    steps, started = 0, time.perf_counter()
+    while (elapsed := time.perf_counter() - started) < 0.05:
+        simulations.step(rng.uniform(task.action_low, task.action_high, (12, len(task.action_low))))
+        steps += 12
+    return steps / elapsed
+
+
+def _policy_mb(task_name: str, settings: TrainingSettings) -> float:
+    task = get_task(task_name)
+    widths = [len(task.columns), *settings.hidden, len(task.action_low)]
+    weights = sum((a + 1) * b for a, b in itertools.pairwise(widths))
+    return 4 * weights / 1e6

@@ -1,0 +1,136 @@
+"""What each kind of stage computes: JSON and bytes in, JSON and bytes out."""
+
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from adr_service.distributions import distribution_from_json
+from adr_service.events import RunEvent, StageFinished
+from adr_service.methods import MethodSettings, offline, online
+from adr_service.methods.base import Evidence, Problem
+from adr_service.progress import Progress, silent
+from adr_service.randomness import stream
+from adr_service.stages import Stage, StageResult
+from adr_service.target import simulate_evaluation, simulate_rollout
+from adr_service.tasks import get_task, variant_of
+from adr_service.training.policy import Policy
+from adr_service.training.settings import TrainingSettings
+from adr_service.transitions import TransitionDataset
+
+Inputs = Mapping[str, Any]
+Blobs = Mapping[str, bytes]
+
+
+def compute(stage: Stage, progress: Progress = silent) -> StageResult:
+    """Run a stage here and now; its random numbers come from its digest."""
+    rng = stream("stage", stage.digest)
+    return _FUNCTIONS[stage.kind](stage.inputs, stage.blobs, rng, progress)
+
+
+class LocalStages:
+    """Runs stages in this process, one after the other, and remembers them by digest."""
+
+    def __init__(self) -> None:
+        self._memory: dict[str, StageResult] = {}
+        self.executed: list[Stage] = []
+
+    def all(self, stages: Sequence[Stage]) -> Generator[RunEvent, None, list[StageResult]]:
+        results: list[StageResult] = []
+        for stage in stages:
+            if stage.digest not in self._memory:
+                self._memory[stage.digest] = compute(stage)
+                self.executed.append(stage)
+            yield StageFinished(kind=stage.kind, digest=stage.digest)
+            results.append(self._memory[stage.digest])
+        return results
+
+    def run(self, stage: Stage) -> Generator[RunEvent, None, StageResult]:
+        return (yield from self.all([stage]))[0]
+
+
+def _train_policy(
+    inputs: Inputs, blobs: Blobs, rng: np.random.Generator, progress: Progress
+) -> StageResult:
+    # importing PyTorch and JAX takes seconds: only who trains pays
+    from adr_service.training.sac import train
+
+    task = get_task(inputs["task"])
+    source = variant_of(task, inputs["variant"]).source
+    training = train(
+        task,
+        source,
+        distribution_from_json(source.space, inputs["distribution"]),
+        TrainingSettings.model_validate(inputs["training"]),
+        rng,
+        progress,
+    )
+    return StageResult(
+        {
+            "steps": training.steps,
+            "source_return": training.best.mean_return,
+            "reached_threshold": training.best.mean_return >= task.reward_threshold,
+            "curve": [asdict(point) for point in training.curve],
+            "adjusted_draws": training.adjusted_draws,
+        },
+        {"policy": training.policy.to_bytes()},
+    )
+
+
+def _infer(
+    inputs: Inputs, blobs: Blobs, rng: np.random.Generator, progress: Progress
+) -> StageResult:
+    task = get_task(inputs["task"])
+    problem = Problem(task, variant_of(task, inputs["variant"]).source)
+    settings = TypeAdapter[MethodSettings](MethodSettings).validate_python(inputs["method"])
+    data = TransitionDataset.from_npz(blobs["data"])
+    if "policy" in blobs:  # an online method is told what its policy did
+        method = online(settings)
+        evidence = Evidence(Policy.from_bytes(blobs["policy"]), data)
+        update = method.tell(problem, inputs["state"], evidence, rng, progress)
+        values = asdict(update)
+        values["distribution"] = method.ask(problem, update.state).to_json()
+    else:
+        estimate = offline(settings).fit(problem, data, rng, progress)
+        values = {
+            "distribution": estimate.distribution.to_json(),
+            "simulated_steps": estimate.simulated_steps,
+            "diagnostics": estimate.diagnostics,
+        }
+    return StageResult(values)
+
+
+def _target_rollout(
+    inputs: Inputs, blobs: Blobs, rng: np.random.Generator, progress: Progress
+) -> StageResult:
+    data = simulate_rollout(
+        get_task(inputs["task"]),
+        inputs["variant"],
+        Policy.from_bytes(blobs["policy"]),
+        inputs["transitions"],
+        rng,
+    )
+    return StageResult({"transitions": len(data)}, {"data": data.to_npz()})
+
+
+def _evaluate(
+    inputs: Inputs, blobs: Blobs, rng: np.random.Generator, progress: Progress
+) -> StageResult:
+    returns = simulate_evaluation(
+        get_task(inputs["task"]),
+        inputs["variant"],
+        Policy.from_bytes(blobs["policy"]),
+        inputs["episodes"],
+        rng,
+    )
+    return StageResult({"returns": returns.tolist()})
+
+
+_FUNCTIONS: dict[str, Callable[[Inputs, Blobs, np.random.Generator, Progress], StageResult]] = {
+    "train_policy": _train_policy,
+    "infer": _infer,
+    "target_rollout": _target_rollout,
+    "evaluate": _evaluate,
+}

@@ -1,0 +1,30 @@
+"""Uniform domain randomisation: the baseline that looks at no data.
+
+Benchmark (Tiboni et al.), Sec. 3.2: the mean over policies trained on uniform bounds drawn at
+random within the search space. How they draw is not stated; here, per parameter, two uniform
+draws, sorted.
+"""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from adr_service.distributions import Uniform
+from adr_service.parameters import ParameterSpace
+from adr_service.wire import Wire
+
+
+class UdrSettings(Wire):
+    name: Literal["udr"] = "udr"
+    policies: int = Field(10, ge=1, le=1000, description="random bounds, one policy each")
+
+
+def random_bounds(
+    space: ParameterSpace, settings: UdrSettings, rng: np.random.Generator
+) -> list[Uniform]:
+    """`settings.policies` boxes inside the search bounds."""
+    corners = np.sort(
+        rng.uniform(space.low, space.high, (settings.policies, 2, len(space))), axis=1
+    )
+    return [Uniform(space, low, high) for low, high in corners]

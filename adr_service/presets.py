@@ -1,0 +1,83 @@
+"""Named budgets, from seconds to weeks. What a spec does not say, its preset does.
+
+- `smoke`: hundreds of steps, for tests. Its numbers mean nothing.
+- `demo`: minutes, for the task `arm`: policies of 40,000 steps.
+- `quick`: one task in under an hour on two cores; fewer updates, smaller searches.
+- `paper`: the benchmark's protocol to the letter (Tiboni et al., Sec. 3.2 and 3.4).
+"""
+
+from typing import Any
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "smoke": {
+        "run": {
+            "iterations": 1,
+            "transitions": 20,
+            "evaluation_episodes": 4,
+            "training": {
+                "max_steps": 600,
+                "hidden": [16, 16],
+                "activation": "relu",
+                "batch_size": 32,
+                "evaluate_every": 300,
+                "evaluation_episodes": 4,
+            },
+        },
+        "methods": {
+            "udr": {"policies": 2},
+            "simopt": {"updates": 2, "samples": 20},
+            "dropo": {"budget": 20, "samples_per_parameter": 3},
+        },
+    },
+    "demo": {
+        "run": {
+            "iterations": 2,
+            "transitions": 200,
+            "evaluation_episodes": 50,
+            "training": {
+                "max_steps": 40_000,
+                "gradient_steps": 6,
+                "hidden": [64, 64],
+                "activation": "relu",
+                "batch_size": 128,
+                "learning_starts": 1000,
+                "evaluate_every": 2500,
+                "evaluation_episodes": 24,
+            },
+        },
+        "methods": {
+            "udr": {"policies": 3},
+            "simopt": {"samples": 500},
+            "dropo": {"budget": 300, "samples_per_parameter": 5},
+        },
+    },
+    "quick": {
+        "run": {
+            "iterations": 2,
+            "transitions": 200,
+            "evaluation_episodes": 50,
+            "training": {
+                "max_steps": 150_000,
+                "gradient_steps": 4,
+                "hidden": [128, 128],
+                "activation": "relu",
+                "evaluate_every": 5000,
+                "evaluation_episodes": 24,
+            },
+        },
+        "methods": {
+            "udr": {"policies": 3},
+            "simopt": {"samples": 300},
+            "dropo": {"budget": 500},
+        },
+    },
+    "paper": {
+        "run": {
+            "iterations": 5,
+            "transitions": 200,
+            "evaluation_episodes": 100,
+            "training": {},  # TrainingSettings' defaults
+        },
+        "methods": {},  # the methods' own defaults
+    },
+}

@@ -1,0 +1,22 @@
+"""Named random streams: the same names give the same numbers, in any order, on any machine.
+
+    rng = stream(stage.digest, "exploration")
+
+Nobody seeds a global generator; a stream is an argument.
+"""
+
+import hashlib
+
+import numpy as np
+
+
+def stream(*names: str | int) -> np.random.Generator:
+    """An independent generator for the path `names`."""
+    path = "\x1f".join(str(name) for name in names)
+    words = np.frombuffer(hashlib.sha256(path.encode()).digest(), dtype=np.uint32)
+    return np.random.default_rng(np.random.SeedSequence(words.tolist()))
+
+
+def integer_seed(rng: np.random.Generator) -> int:
+    """A seed below 2**31 for libraries that take only an integer (SB3, pycma)."""
+    return int(rng.integers(1, 2**31 - 1))

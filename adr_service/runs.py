@@ -1,0 +1,193 @@
+"""A run: the straight-line program that the paper's figure draws, as a generator of events.
+
+    for event in run(spec, LocalStages()):
+        print(event)
+
+offline (UDR, DROPO):  data -> estimate -> train once -> evaluate on the target
+online (SimOpt):       repeat: train -> visit the target -> update the estimate
+
+The same program runs in the service, in tests and in a debugger; `stages` alone differs.
+Offline methods learn from the trajectories that SimOpt collects with the same seed (benchmark,
+Sec. 3.4), by running SimOpt's own stages: whoever comes first computes them for both.
+"""
+
+from collections.abc import Generator, Sequence
+from typing import Any
+
+from adr_service.distributions import Distribution, Gaussian
+from adr_service.events import IterationFinished, RunEvent
+from adr_service.methods import online
+from adr_service.methods.base import Problem
+from adr_service.methods.dropo import DropoSettings
+from adr_service.methods.references import OracleSettings, PriorSettings
+from adr_service.methods.simopt import SimOptSettings
+from adr_service.methods.udr import UdrSettings, random_bounds
+from adr_service.presets import PRESETS
+from adr_service.randomness import stream
+from adr_service.specs import RunSpec
+from adr_service.stages import Stage, StageResult, Stages
+from adr_service.target import Target, Visit, truth_as_distribution
+from adr_service.tasks import get_task, variant_of
+from adr_service.transitions import TransitionDataset
+from adr_service.wire import sha256
+
+Program = Generator[RunEvent, None, None]
+
+
+def run(spec: RunSpec, stages: Stages) -> Program:
+    """Everything that happens in a run, in order; ends when the run has succeeded."""
+    match spec.method:
+        case SimOptSettings():
+            yield from _online(spec, stages)
+        case DropoSettings():
+            yield from _offline(spec, stages)
+        case UdrSettings():
+            rng = stream("udr", spec.task, spec.variant, spec.seed)
+            boxes = random_bounds(_problem(spec).source.space, spec.method, rng)
+            yield from _train_and_report(spec, stages, boxes)
+        case PriorSettings():
+            prior = Gaussian.prior(_problem(spec).source.space)
+            yield from _train_and_report(spec, stages, [prior])
+        case OracleSettings():
+            truth = truth_as_distribution(spec.task, spec.variant)
+            yield from _train_and_report(spec, stages, [truth], variant="vanilla")
+
+
+def _online(spec: RunSpec, stages: Stages) -> Program:
+    loop = _OnlineLoop(spec, stages, Target(spec, stages))
+    for iteration in range(spec.iterations + 1):
+        trained = yield from loop.train()
+        yield from _report(spec, loop.target, iteration, [loop.distribution], [trained], loop.last)
+        if iteration < spec.iterations:
+            yield from loop.visit(trained, iteration)
+            yield from loop.update()
+
+
+def _offline(spec: RunSpec, stages: Stages) -> Program:
+    target = Target(spec, stages)
+    collector = _OnlineLoop(spec.model_copy(update={"method": _collector(spec)}), stages, target)
+    prior = Gaussian.prior(_problem(spec).source.space)
+    trained = yield from stages.run(_training(spec, prior))
+    yield from _report(spec, target, 0, [prior], [trained])
+    visits: list[Visit] = []
+    for iteration in range(1, spec.iterations + 1):
+        if iteration > 1:
+            yield from collector.update()
+        collecting = yield from collector.train()
+        visits.append((yield from collector.visit(collecting, iteration - 1)))
+        data = TransitionDataset.concatenate([TransitionDataset.from_npz(v.data) for v in visits])
+        inferred = yield from stages.run(
+            Stage(
+                "infer",
+                {**_identity(spec), "method": spec.method.model_dump()},
+                {"data": data.to_npz()},
+            )
+        )
+        distribution = _decode(spec, inferred.values["distribution"])
+        trained = yield from stages.run(_training(spec, distribution))
+        yield from _report(spec, target, iteration, [distribution], [trained], inferred)
+
+
+def _train_and_report(
+    spec: RunSpec,
+    stages: Stages,
+    distributions: Sequence[Distribution],
+    variant: str | None = None,
+) -> Program:
+    """For methods without data: one policy per distribution, all at the same time."""
+    trained = yield from stages.all([_training(spec, d, variant) for d in distributions])
+    yield from _report(spec, Target(spec, stages), 0, distributions, trained)
+
+
+class _OnlineLoop:
+    """One online method at work: what it is about to train on, and what it saw last."""
+
+    def __init__(self, spec: RunSpec, stages: Stages, target: Target):
+        self._spec, self._stages, self.target = spec, stages, target
+        self._method, self._problem = online(spec.method), _problem(spec)
+        self._state = self._method.start(self._problem)
+        self._visit: Visit | None = None
+        self.last: StageResult | None = None  # of the latest inference
+
+    @property
+    def distribution(self) -> Distribution:
+        return self._method.ask(self._problem, self._state)
+
+    def train(self) -> Generator[RunEvent, None, StageResult]:
+        return (yield from self._stages.run(_training(self._spec, self.distribution)))
+
+    def visit(self, trained: StageResult, iteration: int) -> Generator[RunEvent, None, Visit]:
+        self._visit = yield from self.target.rollout(trained.blobs["policy"], iteration)
+        return self._visit
+
+    def update(self) -> Program:
+        assert self._visit is not None, "update() follows visit()"
+        self.last = yield from self._stages.run(
+            Stage(
+                "infer",
+                {
+                    **_identity(self._spec),
+                    "method": self._spec.method.model_dump(),
+                    "state": self._state,
+                },
+                {"policy": self._visit.policy, "data": self._visit.data},
+            )
+        )
+        self._state = self.last.values["state"]
+
+
+def _report(
+    spec: RunSpec,
+    target: Target,
+    iteration: int,
+    distributions: Sequence[Distribution],
+    trained: Sequence[StageResult],
+    inferred: StageResult | None = None,
+) -> Program:
+    """Evaluate the trained policies on the target and say how it stands."""
+    policies = [result.blobs["policy"] for result in trained]
+    returns = yield from target.evaluate(policies)
+    yield IterationFinished(
+        iteration=iteration,
+        target_rollouts=target.rollouts,
+        target_transitions=target.transitions,
+        evaluation_episodes=sum(len(episodes) for episodes in returns),
+        distributions=[distribution.to_json() for distribution in distributions],
+        policies=[sha256(policy) for policy in policies],
+        source_returns=[result.values["source_return"] for result in trained],
+        reached_threshold=[result.values["reached_threshold"] for result in trained],
+        training_steps=[result.values["steps"] for result in trained],
+        inference_steps=inferred.values["simulated_steps"] if inferred else 0,
+        returns=returns,
+        diagnostics=inferred.values["diagnostics"] if inferred else {},
+    )
+
+
+def _training(spec: RunSpec, distribution: Distribution, variant: str | None = None) -> Stage:
+    inputs: dict[str, Any] = {
+        **_identity(spec),
+        "variant": variant or spec.variant,
+        "distribution": distribution.to_json(),
+        "training": spec.training.model_dump(),
+    }
+    return Stage("train_policy", inputs)
+
+
+def _identity(spec: RunSpec) -> dict[str, Any]:
+    return {"task": spec.task, "variant": spec.variant, "seed": spec.seed}
+
+
+def _collector(spec: RunSpec) -> SimOptSettings:
+    """The SimOpt whose trajectories offline methods read: the preset's."""
+    return SimOptSettings.model_validate(PRESETS[spec.preset]["methods"].get("simopt", {}))
+
+
+def _problem(spec: RunSpec) -> Problem:
+    task = get_task(spec.task)
+    return Problem(task, variant_of(task, spec.variant).source)
+
+
+def _decode(spec: RunSpec, document: dict[str, Any]) -> Distribution:
+    from adr_service.distributions import distribution_from_json
+
+    return distribution_from_json(_problem(spec).source.space, document)

@@ -1,0 +1,95 @@
+"""Closed-loop rollouts: episodes of a policy in many simulations at once."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from adr_service.arrays import Array3, Indices, Mask, Matrix, Vector
+from adr_service.progress import Progress, silent
+from adr_service.simulation.batch import Simulations
+from adr_service.tasks.base import State, Task
+
+Act = Callable[[Matrix], Matrix]  # observations (n, s) -> actions (n, a)
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """n episodes of at most T steps; rows after an episode's end are NaN."""
+
+    observations: Array3  # (n, T + 1, s), as the policy saw them
+    actions: Array3  # (n, T, a)
+    rewards: Matrix  # (n, T), 0 after the end
+    lengths: Indices  # (n,) steps taken
+    diverged: Mask  # (n,) the simulation stopped being finite
+
+    @property
+    def returns(self) -> Vector:
+        """Undiscounted sums of rewards, (n,)."""
+        return self.rewards.sum(axis=1)
+
+
+def run_episodes(
+    task: Task,
+    simulations: Simulations,
+    act: Act,
+    initial: State,
+    steps: int,
+    noise: Callable[[], Matrix] | None = None,
+) -> Episodes:
+    """One episode of `steps` at most in each simulation, from `initial`.
+
+    `noise` draws what the sensors add to each observation (n, s). Reward and termination use
+    the true state. A diverged simulation ends its episode; its last step earns nothing.
+    """
+    n, width = simulations.n, len(task.columns)
+    observations = np.full((n, steps + 1, width), np.nan)
+    actions = np.full((n, steps, len(task.action_low)), np.nan)
+    rewards = np.zeros((n, steps))
+    alive = np.ones(n, dtype=bool)
+    lengths = np.zeros(n, dtype=np.int64)
+    diverged = np.zeros(n, dtype=bool)
+
+    def seen(state: State) -> Matrix:
+        exact = task.observe(state)
+        return exact if noise is None else exact + noise()
+
+    simulations.set_state(initial)
+    state = simulations.state
+    observations[:, 0] = seen(state)
+    for step in range(steps):
+        chosen = act(np.nan_to_num(observations[:, step]))
+        simulations.step(chosen)
+        before, state = state, simulations.state
+        broken = simulations.diverged & alive
+        with np.errstate(invalid="ignore"):
+            earned = task.reward(before, chosen, state)
+            ended = task.terminated(state) | broken
+        actions[alive, step] = chosen[alive]
+        rewards[alive & ~broken, step] = earned[alive & ~broken]
+        observations[alive, step + 1] = seen(state)[alive]
+        lengths += alive
+        diverged |= broken
+        alive &= ~ended
+        if not alive.any():
+            break
+    return Episodes(observations, actions, rewards, lengths, diverged)
+
+
+def follow(
+    task: Task,
+    simulations: Simulations,
+    act: Act,
+    initial: State,
+    steps: int,
+    progress: Progress = silent,
+) -> Array3:
+    """Closed-loop observations (n, steps + 1, s) that go on after a fall; NaN where diverged."""
+    simulations.set_state(initial)
+    observations = np.empty((simulations.n, steps + 1, len(task.columns)))
+    observations[:, 0] = task.observe(simulations.state)
+    for step in range(steps):
+        simulations.step(act(np.nan_to_num(observations[:, step])))
+        observations[:, step + 1] = task.observe(simulations.state)
+        progress((step + 1) / steps)
+    return observations

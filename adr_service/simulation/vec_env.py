@@ -1,0 +1,102 @@
+"""The training environment: an SB3 `VecEnv` over the batch, new dynamics each episode."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from stable_baselines3.common.vec_env import VecEnv
+
+from adr_service.distributions import Distribution
+from adr_service.simulation.batch import Simulations
+from adr_service.tasks.base import Source, State, Task
+
+
+class RandomizedVecEnv(VecEnv):
+    """n environments stepped by one C++ call; dynamics ~ `distribution` at episode start.
+
+    `adjusted` counts the draws that had to be moved onto a bound of the space.
+    """
+
+    render_mode = None
+
+    def __init__(
+        self,
+        task: Task,
+        source: Source,
+        distribution: Distribution,
+        n: int,
+        rng: np.random.Generator,
+    ):
+        space = gymnasium.spaces
+        super().__init__(
+            n,
+            space.Box(-np.inf, np.inf, (len(task.columns),), np.float32),
+            space.Box(task.action_low.astype(np.float32), task.action_high.astype(np.float32)),
+        )
+        self._task, self._distribution, self._rng = task, distribution, rng
+        self._simulations = Simulations(task, source, n)
+        self._steps = np.zeros(n, dtype=np.int64)
+        self.adjusted = 0
+        self._actions = np.zeros((n, len(task.action_low)))
+
+    def reset(self) -> np.ndarray:
+        self._begin(list(range(self.num_envs)))
+        return self._observe()
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self._actions = np.asarray(actions, dtype=np.float64)
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        task, simulations = self._task, self._simulations
+        before = simulations.state
+        simulations.step(self._actions)
+        after = simulations.state
+        rewards = task.reward(before, self._actions, after)
+        self._steps += 1
+        terminated = task.terminated(after) | simulations.diverged
+        done = terminated | (self._steps >= task.horizon)
+        observations = task.observe(after).astype(np.float32)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if done.any():
+            rows = np.flatnonzero(done).tolist()
+            for row in rows:
+                infos[row] = {
+                    "terminal_observation": np.nan_to_num(observations[row]),
+                    "TimeLimit.truncated": not terminated[row],
+                }
+            self._begin(rows)
+            observations[rows] = self._observe()[rows]
+        return observations, np.nan_to_num(rewards), done, infos
+
+    def _observe(self) -> np.ndarray:
+        return self._task.observe(self._simulations.state).astype(np.float32)
+
+    def _begin(self, rows: list[int]) -> None:
+        """Start episodes in `rows` under freshly drawn dynamics."""
+        draws = self._distribution.sample(len(rows), self._rng)
+        self.adjusted += draws.adjusted
+        self._simulations.set_dynamics(draws.values, rows)
+        fresh: State = self._task.initial(len(rows), self._rng)
+        self._simulations.set_state(fresh, rows)
+        self._steps[rows] = 0
+
+    def close(self) -> None:
+        """Nothing is held outside this process."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        return [getattr(self, attr_name)] * len(self._chosen(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        raise AttributeError(f"environments of a batch have no attribute {attr_name!r} to set")
+
+    def env_method(
+        self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
+    ) -> list[Any]:
+        raise AttributeError(f"environments of a batch have no method {method_name!r}")
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        return [False] * len(self._chosen(indices))
+
+    def _chosen(self, indices: Any) -> Sequence[int]:
+        return list(self._get_indices(indices))

@@ -1,0 +1,137 @@
+"""What to run: the request body, the database row and the program's only argument.
+
+    spec = RunSpec.model_validate({"task": "arm", "method": "simopt", "preset": "smoke"})
+
+A spec is complete: validation fills what was not given from the preset, so a stored spec means
+the same when presets change. What is given wins over the preset, field by field.
+"""
+
+from collections.abc import Iterator
+from itertools import product
+from typing import Any, Literal, Self, cast
+
+from pydantic import Field, field_validator, model_validator
+
+from adr_service.errors import UnknownName
+from adr_service.methods import METHODS, MethodSettings
+from adr_service.presets import PRESETS
+from adr_service.tasks import TASKS, get_task, variant_of
+from adr_service.training.settings import TrainingSettings
+from adr_service.wire import Wire
+
+MAX_RUNS = 5000  # of one benchmark
+
+
+class RunSpec(Wire):
+    """One method on one task variant with one seed."""
+
+    kind: Literal["transfer"] = "transfer"
+    task: str
+    variant: str = "vanilla"
+    method: MethodSettings
+    seed: int = Field(0, ge=0, lt=2**31)
+    preset: str = "quick"
+    iterations: int = Field(ge=1, le=100, description="target rollouts a method may use")
+    transitions: int = Field(ge=1, le=100_000, description="per target rollout, at most")
+    evaluation_episodes: int = Field(ge=2, le=10_000, description="final, seen by no method")
+    training: TrainingSettings
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_from_preset(cls, given: Any) -> Any:
+        if not isinstance(given, dict):
+            return given
+        given = cast(dict[str, Any], given)
+        preset = PRESETS.get(given.get("preset", "quick"))
+        if preset is None:
+            return given  # the field's own validation says what is accepted
+        filled = {"preset": "quick", **preset["run"], **given}
+        if isinstance(training := given.get("training", {}), dict):
+            filled["training"] = {**preset["run"]["training"], **training}
+        if "method" in given:
+            filled["method"] = _fill_method(given["method"], preset["methods"])
+        return filled
+
+    @field_validator("task")
+    @classmethod
+    def _known_task(cls, name: str) -> str:
+        return _known("task", name, TASKS)
+
+    @field_validator("preset")
+    @classmethod
+    def _known_preset(cls, name: str) -> str:
+        return _known("preset", name, PRESETS)
+
+    @model_validator(mode="after")
+    def _known_variant(self) -> Self:
+        try:
+            variant_of(get_task(self.task), self.variant)
+        except UnknownName as error:
+            raise ValueError(str(error)) from error
+        return self
+
+
+class BenchmarkSpec(Wire):
+    """Tasks x variants x methods x seeds under one budget."""
+
+    tasks: list[str] = Field(min_length=1)
+    variants: list[str] = Field(default=["vanilla"], min_length=1)
+    methods: list[str | MethodSettings] = Field(min_length=1)
+    seeds: list[int] = Field(default=[0, 1, 2], min_length=1)
+    references: bool = Field(True, description="also run the prior and the oracle policy")
+    preset: str = "quick"
+    iterations: int | None = None
+    transitions: int | None = None
+    evaluation_episodes: int | None = None
+    training: dict[str, Any] | None = None
+
+    @model_validator(mode="after")
+    def _all_runs_are_valid(self) -> Self:
+        for name in ("tasks", "variants", "methods", "seeds"):
+            values = getattr(self, name)
+            if any(values.count(value) > 1 for value in values):
+                raise ValueError(f"{name} must not repeat a member; given {values}")
+        size = len(self.tasks) * len(self.variants) * len(self.seeds) * len(self._all_methods)
+        if size > MAX_RUNS:
+            raise ValueError(f"a benchmark may have {MAX_RUNS} runs at most; this has {size}")
+        list(self.runs())
+        return self
+
+    @property
+    def _all_methods(self) -> list[Any]:
+        named = [m if isinstance(m, str) else m.name for m in self.methods]
+        references = ["prior", "oracle"] if self.references else []
+        return [*self.methods, *(name for name in references if name not in named)]
+
+    def runs(self) -> Iterator[RunSpec]:
+        """The runs, seeds outermost, so that a stopped benchmark has whole repetitions."""
+        budget = ("iterations", "transitions", "evaluation_episodes", "training")
+        given = {name: getattr(self, name) for name in budget if getattr(self, name) is not None}
+        axes = (self.seeds, self.tasks, self.variants, self._all_methods)
+        for seed, task, variant, method in product(*axes):
+            chosen = method if isinstance(method, str) else method.model_dump()
+            yield RunSpec.model_validate(
+                {
+                    "task": task,
+                    "variant": variant,
+                    "method": chosen,
+                    "seed": seed,
+                    "preset": self.preset,
+                    **given,
+                }
+            )
+
+
+def _fill_method(given: Any, defaults: dict[str, dict[str, Any]]) -> Any:
+    """A method's settings from its name or its partial settings, and the preset's."""
+    if isinstance(given, str):
+        given = {"name": _known("method", given, METHODS)}
+    if isinstance(given, dict) and isinstance(given.get("name"), str):
+        return {**defaults.get(_known("method", given["name"], METHODS), {}), **given}
+    return given
+
+
+def _known(kind: str, name: str, accepted: Any) -> str:
+    if name not in accepted:
+        raise ValueError(str(UnknownName(kind, name, accepted)))
+    return name

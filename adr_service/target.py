@@ -1,0 +1,153 @@
+"""The target domain: the one door to it, and the meter on the door.
+
+    target = Target(spec, stages)
+    visit = yield from target.rollout(policy, iteration=0)     # counted
+    returns = yield from target.evaluate([policy])             # counted apart, for no method
+
+Only this module reads a task's hidden truth. Simulated targets live here too: the functions
+`simulate_rollout` and `simulate_evaluation` are what the target stages compute.
+"""
+
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adr_service.arrays import Matrix, Vector
+from adr_service.distributions import Uniform
+from adr_service.errors import BudgetExceeded
+from adr_service.events import RunEvent
+from adr_service.simulation.batch import Simulations, control_period
+from adr_service.simulation.rollout import Episodes, run_episodes
+from adr_service.specs import RunSpec
+from adr_service.stages import Stage, Stages
+from adr_service.tasks import get_task, variant_of
+from adr_service.tasks.base import Task
+from adr_service.training.policy import Policy
+from adr_service.transitions import TransitionDataset
+
+
+@dataclass(frozen=True)
+class Visit:
+    """One metered rollout: what the target showed of one policy."""
+
+    policy: bytes
+    data: bytes  # a TransitionDataset as .npz
+    transitions: int
+
+
+class Target:
+    """The target of one run. Every rollout and every transition is counted."""
+
+    def __init__(self, spec: RunSpec, stages: Stages):
+        self._spec, self._stages = spec, stages
+        self.rollouts = 0
+        self.transitions = 0
+
+    def rollout(self, policy: bytes, iteration: int) -> Generator[RunEvent, None, Visit]:
+        """One trajectory of `policy`, of at most the spec's transitions."""
+        spec = self._spec
+        allowed = spec.iterations * spec.transitions
+        if self.rollouts + 1 > spec.iterations:
+            raise BudgetExceeded("target rollouts", self.rollouts, 1, spec.iterations)
+        if self.transitions + spec.transitions > allowed:
+            raise BudgetExceeded("target transitions", self.transitions, spec.transitions, allowed)
+        result = yield from self._stages.run(
+            Stage(
+                "target_rollout",
+                {
+                    "task": spec.task,
+                    "variant": spec.variant,
+                    "transitions": spec.transitions,
+                    "iteration": iteration,
+                    "seed": spec.seed,
+                },
+                {"policy": policy},
+            )
+        )
+        taken = int(result.values["transitions"])
+        self.rollouts += 1
+        self.transitions += taken
+        return Visit(policy, result.blobs["data"], taken)
+
+    def evaluate(self, policies: Sequence[bytes]) -> Generator[RunEvent, None, list[list[float]]]:
+        """Final returns of each policy, one per episode. No method may see them."""
+        spec = self._spec
+        results = yield from self._stages.all(
+            [
+                Stage(
+                    "evaluate",
+                    {
+                        "task": spec.task,
+                        "variant": spec.variant,
+                        "episodes": spec.evaluation_episodes,
+                        "seed": spec.seed,
+                    },
+                    {"policy": policy},
+                )
+                for policy in policies
+            ]
+        )
+        return [result.values["returns"] for result in results]
+
+
+def truth_as_distribution(task_name: str, variant: str) -> Uniform:
+    """Certainty about the truth, in the target's own space: what the oracle is trained on."""
+    hidden = variant_of(get_task(task_name), variant).hidden
+    return Uniform.point(hidden.source.space, hidden.values)
+
+
+def estimation_error(task_name: str, variant: str, mean: Vector) -> float:
+    """Root-mean-square distance of an estimate's mean from the truth, in [0, 4] coordinates.
+
+    For reports alone. Over the parameters of the variant's source space.
+    """
+    found = variant_of(get_task(task_name), variant)
+    space, hidden = found.source.space, found.hidden
+    truth = hidden.values[[hidden.source.space.index(name) for name in space.names]]
+    return float(np.sqrt(np.mean((space.normalise(mean) - space.normalise(truth)) ** 2)))
+
+
+def true_values(task_name: str, variant: str) -> dict[str, float]:
+    """The hidden truth by parameter name. For reports alone."""
+    hidden = variant_of(get_task(task_name), variant).hidden
+    return dict(zip(hidden.source.space.names, hidden.values.tolist(), strict=True))
+
+
+def simulate_rollout(
+    task: Task, variant: str, policy: Policy, transitions: int, rng: np.random.Generator
+) -> TransitionDataset:
+    """One episode of the policy on the simulated target, clipped to `transitions`."""
+    steps = min(transitions, task.horizon)
+    episode = _episodes(task, variant, policy, 1, steps, rng)
+    length = int(episode.lengths[0])
+    observations = episode.observations[0, : length + 1]
+    return TransitionDataset(
+        observations=observations[:-1],
+        actions=episode.actions[0, :length],
+        next_observations=observations[1:],
+        episodes=np.zeros(length, dtype=np.int64),
+        dt=control_period(task),
+        columns=task.columns,
+        origin=f"simulated target {task.name} {variant}",
+    )
+
+
+def simulate_evaluation(
+    task: Task, variant: str, policy: Policy, episodes: int, rng: np.random.Generator
+) -> Vector:
+    """Undiscounted returns of full episodes on the simulated target, (episodes,)."""
+    return _episodes(task, variant, policy, episodes, task.horizon, rng).returns
+
+
+def _episodes(
+    task: Task, variant: str, policy: Policy, n: int, steps: int, rng: np.random.Generator
+) -> Episodes:
+    hidden = variant_of(task, variant).hidden
+    simulations = Simulations(task, hidden.source, n)
+    simulations.set_dynamics(np.tile(hidden.values, (n, 1)))
+    deviation, width = np.sqrt(hidden.noise_variance), len(task.columns)
+    noise: Callable[[], Matrix] | None = None
+    if deviation > 0:
+        noise = lambda: deviation * rng.standard_normal((n, width))  # noqa: E731
+    return run_episodes(task, simulations, policy.act, task.initial(n, rng), steps, noise)

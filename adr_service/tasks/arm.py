@@ -1,0 +1,91 @@
+"""Arm: lift the hand to a mark and hold it there, against gravity.
+
+The small task of the demo and the tests: a policy trains in seconds, and needs to know the
+masses it holds up, because it sees no error integral. Our own task, not of the paper.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from adr_service.arrays import Mask, Matrix, Vector, frozen
+from adr_service.parameters import Parameter, ParameterSpace
+from adr_service.tasks.assets import read
+from adr_service.tasks.base import Hidden, Source, State, Variant
+
+_LINK_M = 0.5
+_MARK_M = (0.6, 0.4)  # x, z; as the site in the model
+_REACH_M = 0.3  # distance at which most of the reward is lost
+_LIMIT_RAD = 3.5  # an arm that turns further has lost; the episode ends
+_TRUTH = (1.0, 0.7, 2.0, 1.0)
+_UNMODELED_FACTOR = 0.8  # of the upper arm's mass, in the source of the unmodeled variant
+
+
+def _space() -> ParameterSpace:
+    return ParameterSpace(
+        (
+            Parameter("upper_mass", "body:upper.inertial", "kg", 0.2, 5.0, 0.1),
+            Parameter("fore_mass", "body:fore.inertial", "kg", 0.2, 5.0, 0.1),
+            Parameter("shoulder_friction", "joint:shoulder.damping", "N m s/rad", 0.0, 8.0, 0.0),
+            Parameter("elbow_friction", "joint:elbow.damping", "N m s/rad", 0.0, 8.0, 0.0),
+        )
+    )
+
+
+@dataclass(frozen=True)
+class Arm:
+    name: str = "arm"
+    frame_skip: int = 2
+    columns: tuple[str, ...] = (
+        "shoulder_angle [rad]",
+        "elbow_angle [rad]",
+        "shoulder_velocity [rad/s]",
+        "elbow_velocity [rad/s]",
+    )
+    action_low: Vector = field(default_factory=lambda: frozen([-1.0, -1.0]))
+    action_high: Vector = field(default_factory=lambda: frozen([1.0, 1.0]))
+    horizon: int = 200
+    reward_threshold: float = 165.0
+    learning_rate: float = 1e-3
+
+    @property
+    def xml(self) -> str:
+        return read("arm.xml")
+
+    @property
+    def variants(self) -> Mapping[str, Variant]:
+        source, truth = Source(_space()), frozen(_TRUTH)
+        three = _space().subset(("fore_mass", "shoulder_friction", "elbow_friction"))
+        light = Source(three, {"body:upper.inertial": _UNMODELED_FACTOR * _TRUTH[0]})
+        return {
+            "vanilla": Variant(source, Hidden(source, truth, 0.0)),
+            "noisy": Variant(source, Hidden(source, truth, 1e-4)),
+            "unmodeled": Variant(light, Hidden(source, truth, 0.0)),
+        }
+
+    def initial(self, n: int, rng: np.random.Generator) -> State:
+        """Hanging, nearly at rest."""
+        return State(rng.uniform(-0.3, 0.3, (n, 2)), rng.uniform(-0.1, 0.1, (n, 2)))
+
+    def observe(self, state: State) -> Matrix:
+        return np.concatenate([state.qpos, state.qvel], axis=1)
+
+    def state(self, observations: Matrix) -> State:
+        return State(observations[:, :2], observations[:, 2:])
+
+    def reward(self, before: State, action: Matrix, after: State) -> Vector:
+        """In [0, 1]: mostly for being at the mark, a little for coming nearer."""
+        distance = np.linalg.norm(self.hand(after) - _MARK_M, axis=1)
+        near = np.exp(-((distance / _REACH_M) ** 2))
+        return 0.2 * np.maximum(1 - distance / 1.7, 0) + 0.8 * near
+
+    def terminated(self, state: State) -> Mask:
+        with np.errstate(invalid="ignore"):
+            return ~np.all(np.abs(state.qpos) < _LIMIT_RAD, axis=1)  # also where not finite
+
+    def hand(self, state: State) -> Matrix:
+        """Position of the hand, (n, 2): x and z [m]."""
+        upper, fore = state.qpos[:, 0], state.qpos.sum(axis=1)
+        x = _LINK_M * (np.sin(upper) + np.sin(fore))
+        return np.column_stack([x, -_LINK_M * (np.cos(upper) + np.cos(fore))])

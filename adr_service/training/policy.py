@@ -1,0 +1,87 @@
+"""A trained policy: a deterministic actor that needs NumPy alone.
+
+    policy = Policy.from_bytes(path.read_bytes())
+    actions = policy.act(observations)      # (n, s) -> (n, a)
+
+The bytes are a safetensors file: `layer_i.weight` (out, in) and `layer_i.bias` (out,) in
+float32, and one JSON text under the metadata key `policy`. Never a pickle.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import safetensors.numpy
+from safetensors import SafetensorError
+
+from adr_service.arrays import Matrix, Vector, frozen
+from adr_service.errors import InvalidInput
+
+Layer = tuple[np.ndarray, np.ndarray]  # weight (out, in), bias (out,); float32
+
+
+def _relu(x: np.ndarray) -> np.ndarray:
+    return np.maximum(x, 0)
+
+
+_ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": _relu, "tanh": np.tanh}
+
+
+@dataclass(frozen=True)
+class Policy:
+    """tanh(MLP(observation)), scaled to the action bounds: the mode of a SAC actor."""
+
+    layers: tuple[Layer, ...]
+    activation: str  # between layers: "relu" or "tanh"
+    action_low: Vector  # (a,)
+    action_high: Vector  # (a,)
+
+    def __post_init__(self) -> None:
+        if self.activation not in _ACTIVATIONS:
+            raise InvalidInput(
+                f"activation must be one of {sorted(_ACTIVATIONS)}: {self.activation!r}"
+            )
+        for (before, _), (after, _) in pairwise(self.layers):
+            if after.shape[1] != before.shape[0]:
+                raise InvalidInput(f"layers do not fit: {before.shape} then {after.shape}")
+
+    def act(self, observations: Matrix) -> Matrix:
+        """Actions (n, a) for observations (n, s)."""
+        hidden = observations.astype(np.float32)
+        activate = _ACTIVATIONS[self.activation]
+        for weight, bias in self.layers[:-1]:
+            hidden = activate(hidden @ weight.T + bias)
+        weight, bias = self.layers[-1]
+        unit = np.tanh(hidden @ weight.T + bias).astype(np.float64)
+        return self.action_low + (unit + 1) / 2 * (self.action_high - self.action_low)
+
+    def to_bytes(self) -> bytes:
+        """The same policy always gives the same bytes."""
+        tensors: dict[str, np.ndarray] = {}
+        for i, (weight, bias) in enumerate(self.layers):
+            tensors[f"layer_{i}.weight"] = np.ascontiguousarray(weight)
+            tensors[f"layer_{i}.bias"] = np.ascontiguousarray(bias)
+        about = {
+            "activation": self.activation,
+            "layers": len(self.layers),
+            "action_low": self.action_low.tolist(),
+            "action_high": self.action_high.tolist(),
+        }
+        return safetensors.numpy.save(tensors, {"policy": json.dumps(about, sort_keys=True)})
+
+    @classmethod
+    def from_bytes(cls, content: bytes) -> "Policy":
+        try:
+            tensors = safetensors.numpy.load(content)
+            length = int.from_bytes(content[:8], "little")
+            about = json.loads(json.loads(content[8 : 8 + length])["__metadata__"]["policy"])
+            layers = tuple(
+                (tensors[f"layer_{i}.weight"], tensors[f"layer_{i}.bias"])
+                for i in range(about["layers"])
+            )
+            low, high = frozen(about["action_low"]), frozen(about["action_high"])
+        except (SafetensorError, KeyError, ValueError) as error:
+            raise InvalidInput(f"not the bytes of a policy: {error}") from error
+        return cls(layers, about["activation"], low, high)

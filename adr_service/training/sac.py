@@ -1,0 +1,209 @@
+"""Soft Actor-Critic on randomised dynamics, by Stable-Baselines3 or its JAX twin SBX.
+
+    trained = train(task, source, distribution, settings, rng)
+    trained.policy.act(observations)
+
+Training stops when the mean return over evaluation episodes, drawn from the *source*
+distribution, reaches the task's reward threshold; the best policy of all evaluations is kept.
+Both backends take the same hyperparameters and give the same kind of `Policy`. One training
+per process at a time: SB3's replay buffer draws from NumPy's global generator, which it seeds
+from our stream.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
+
+from adr_service.distributions import Distribution
+from adr_service.errors import InvalidInput
+from adr_service.progress import Progress, silent
+from adr_service.randomness import integer_seed
+from adr_service.simulation.batch import Simulations
+from adr_service.simulation.rollout import run_episodes
+from adr_service.simulation.vec_env import RandomizedVecEnv
+from adr_service.tasks.base import Source, Task
+from adr_service.training.policy import Layer, Policy
+from adr_service.training.settings import TrainingSettings
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One point of the learning curve: source-domain return after `steps` steps."""
+
+    steps: int
+    mean_return: float
+    standard_error: float
+
+
+@dataclass(frozen=True)
+class Training:
+    """A trained policy and how it came about."""
+
+    policy: Policy  # the best of all evaluations
+    curve: tuple[Evaluation, ...]
+    steps: int
+    adjusted_draws: int  # dynamics moved onto a bound, see `Draws`
+
+    @property
+    def best(self) -> Evaluation:
+        return max(self.curve, key=lambda point: point.mean_return)
+
+
+def train(
+    task: Task,
+    source: Source,
+    distribution: Distribution,
+    settings: TrainingSettings,
+    rng: np.random.Generator,
+    progress: Progress = silent,
+) -> Training:
+    """Train a policy for `distribution` on the task's source."""
+    dynamics_rng, evaluation_rng, seed_rng = rng.spawn(3)
+    env = RandomizedVecEnv(task, source, distribution, settings.environments, dynamics_rng)
+    backend: _Backend = _Sbx() if settings.backend == "sbx" else _Sb3()
+    model = backend.build(env, settings, _hyperparameters(task, settings, integer_seed(seed_rng)))
+    stop_at = task.reward_threshold if settings.stop_at_threshold else math.inf
+    judge = _Judge(task, source, distribution, settings, evaluation_rng)
+    monitor = _Monitor(backend, judge, settings, stop_at, progress)
+    model.learn(settings.max_steps, callback=monitor)
+    if not judge.curve or judge.curve[-1].steps < model.num_timesteps:
+        judge.evaluate(backend.policy(model, task, settings.activation), model.num_timesteps)
+    assert judge.best is not None
+    return Training(judge.best, tuple(judge.curve), model.num_timesteps, env.adjusted)
+
+
+class _Judge:
+    """Evaluates policies on fresh draws of the source distribution; keeps the best."""
+
+    def __init__(
+        self,
+        task: Task,
+        source: Source,
+        distribution: Distribution,
+        settings: TrainingSettings,
+        rng: np.random.Generator,
+    ):
+        self.task, self._distribution, self._rng = task, distribution, rng
+        self._simulations = Simulations(task, source, settings.evaluation_episodes)
+        self.curve: list[Evaluation] = []
+        self.best: Policy | None = None
+
+    def evaluate(self, policy: Policy, steps: int) -> Evaluation:
+        n = self._simulations.n
+        self._simulations.set_dynamics(self._distribution.sample(n, self._rng).values)
+        initial = self.task.initial(n, self._rng)
+        episodes = run_episodes(
+            self.task, self._simulations, policy.act, initial, self.task.horizon
+        )
+        error = float(np.std(episodes.returns, ddof=1) / np.sqrt(n)) if n > 1 else 0.0
+        point = Evaluation(steps, float(np.mean(episodes.returns)), error)
+        if self.best is None or point.mean_return > max(p.mean_return for p in self.curve):
+            self.best = policy
+        self.curve.append(point)
+        return point
+
+
+class _Monitor(BaseCallback):
+    """Evaluates on schedule, reports progress, stops at the threshold."""
+
+    def __init__(
+        self,
+        backend: "_Backend",
+        judge: _Judge,
+        settings: TrainingSettings,
+        stop_at: float,
+        progress: Progress,
+    ):
+        super().__init__()
+        self._backend, self._judge, self._settings = backend, judge, settings
+        self._stop_at, self._progress = stop_at, progress
+
+    def _on_step(self) -> bool:
+        done, settings, curve = self.num_timesteps, self._settings, self._judge.curve
+        self._progress(
+            done / settings.max_steps,
+            steps=done,
+            source_return=curve[-1].mean_return if curve else None,
+        )
+        if done // settings.evaluate_every == len(curve):
+            return True
+        policy = self._backend.policy(self.model, self._judge.task, settings.activation)
+        return self._judge.evaluate(policy, done).mean_return < self._stop_at
+
+
+class _Backend(Protocol):
+    """A library that implements SAC with the SB3 interface."""
+
+    def build(self, env: RandomizedVecEnv, settings: TrainingSettings, common: Any) -> Any: ...
+    def policy(self, model: Any, task: Task, activation: str) -> Policy: ...
+
+
+def _hyperparameters(task: Task, settings: TrainingSettings, seed: int) -> dict[str, Any]:
+    return {
+        "learning_rate": settings.learning_rate or task.learning_rate,
+        # no larger than what a training can fill: allocating is not free
+        "buffer_size": min(settings.buffer_size, settings.max_steps + settings.environments),
+        "learning_starts": settings.learning_starts,
+        "batch_size": settings.batch_size,
+        "tau": settings.tau,
+        "gamma": settings.gamma,
+        "train_freq": 1,
+        "gradient_steps": settings.gradient_steps,
+        "seed": seed,
+    }
+
+
+class _Sb3:
+    """Stable-Baselines3 (PyTorch): the reference."""
+
+    def build(self, env: RandomizedVecEnv, settings: TrainingSettings, common: Any) -> Any:
+        import stable_baselines3
+        import torch
+
+        torch.set_num_threads(1)
+        functions = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}
+        kwargs = {"net_arch": settings.hidden, "activation_fn": functions[settings.activation]}
+        return stable_baselines3.SAC("MlpPolicy", env, policy_kwargs=kwargs, device="cpu", **common)
+
+    def policy(self, model: Any, task: Task, activation: str) -> Policy:
+        import torch
+
+        actor = model.policy.actor
+        linear = [m for m in actor.latent_pi if isinstance(m, torch.nn.Linear)] + [actor.mu]
+        layers = tuple(
+            (m.weight.detach().numpy().copy(), m.bias.detach().numpy().copy()) for m in linear
+        )
+        return _actor(task, activation, layers)
+
+
+class _Sbx:
+    """SBX (JAX), by the authors of SB3: the same interface, several times the updates/s."""
+
+    def build(self, env: RandomizedVecEnv, settings: TrainingSettings, common: Any) -> Any:
+        import flax.linen
+        import sbx
+
+        functions = {"relu": flax.linen.relu, "tanh": flax.linen.tanh}
+        kwargs = {"net_arch": settings.hidden, "activation_fn": functions[settings.activation]}
+        return sbx.SAC("MlpPolicy", env, policy_kwargs=kwargs, **common)
+
+    def policy(self, model: Any, task: Task, activation: str) -> Policy:
+        dense = model.policy.actor_state.params["params"]
+        # Dense_0 .. Dense_{k-1} hidden, Dense_k the mean, Dense_{k+1} the log deviation
+        layers = tuple(
+            (
+                np.array(dense[f"Dense_{i}"]["kernel"]).T.copy(),
+                np.array(dense[f"Dense_{i}"]["bias"]),
+            )
+            for i in range(len(dense) - 1)
+        )
+        return _actor(task, activation, layers)
+
+
+def _actor(task: Task, activation: str, layers: tuple[Layer, ...]) -> Policy:
+    if not all(np.isfinite(weight).all() and np.isfinite(bias).all() for weight, bias in layers):
+        raise InvalidInput("training diverged: the actor's weights are not finite")
+    return Policy(layers, activation, task.action_low, task.action_high)

@@ -1,0 +1,41 @@
+"""The hyperparameters of policy training, apart from the libraries that use them."""
+
+import importlib.util
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from adr_service.wire import Wire
+
+
+class TrainingSettings(Wire):
+    """Hyperparameters of one policy training; defaults are the paper's, else SB3's."""
+
+    backend: Literal["sbx", "sb3"] | None = Field(
+        None, description="null: sbx where it is installed, else sb3"
+    )
+    max_steps: int = Field(5_000_000, ge=100, description="environment steps, all environments")
+    environments: int = Field(12, ge=1, le=1024)
+    gradient_steps: int = Field(1, ge=1, description="updates per step of all environments")
+    hidden: list[int] = Field([128, 128], min_length=1, description="units per hidden layer")
+    activation: Literal["relu", "tanh"] = "tanh"
+    learning_rate: float | None = Field(None, gt=0, description="null: the task's own")
+    batch_size: int = Field(256, ge=1)
+    buffer_size: int = Field(1_000_000, ge=1000)
+    learning_starts: int = Field(100, ge=0, description="steps of uniformly random actions")
+    gamma: float = Field(0.99, gt=0, lt=1)
+    tau: float = Field(0.005, gt=0, le=1)
+    evaluate_every: int = Field(40_000, ge=100, description="environment steps")
+    evaluation_episodes: int = Field(50, ge=1)
+    stop_at_threshold: bool = True
+
+    @model_validator(mode="after")
+    def _choose_backend(self) -> Self:
+        installed = importlib.util.find_spec("sbx") is not None
+        if self.backend == "sbx" and not installed:
+            raise ValueError(
+                "backend 'sbx' needs the package sbx-rl (pip install sbx-rl); or 'sb3'"
+            )
+        if self.backend is None:
+            object.__setattr__(self, "backend", "sbx" if installed else "sb3")
+        return self

@@ -1,0 +1,154 @@
+"""Recorded behaviour of a target: transitions of episodes, read-only and finite.
+
+    data = TransitionDataset.from_npz(path.read_bytes())
+    starts = data.windows(1)        # rows from which one step stays inside its episode
+
+The `.npz` keys are DROPO's (`observations`, `next_observations`, `actions`, `terminals`).
+"""
+
+import io
+import itertools
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adr_service.arrays import Indices, Matrix, frozen
+from adr_service.errors import InvalidInput
+
+
+@dataclass(frozen=True)
+class TransitionDataset:
+    """N transitions in recording order; rows of one episode are consecutive."""
+
+    observations: Matrix  # (N, s)
+    actions: Matrix  # (N, a)
+    next_observations: Matrix  # (N, s)
+    episodes: Indices  # (N,) non-decreasing episode ids
+    dt: float  # control period [s]
+    columns: tuple[str, ...]  # observation columns with their units, "thigh_angle [rad]"
+    origin: str  # where the data comes from, in words
+
+    def __post_init__(self) -> None:
+        for name in ("observations", "actions", "next_observations"):
+            values = frozen(getattr(self, name))
+            object.__setattr__(self, name, values)
+            if values.ndim != 2:
+                raise InvalidInput(f"{name} must be a matrix; its shape is {values.shape}")
+            if not np.all(np.isfinite(values)):
+                row, column = np.argwhere(~np.isfinite(values))[0]
+                raise InvalidInput(f"{name} is not finite at row {row}, column {column}")
+        episodes = np.array(self.episodes, dtype=np.int64)
+        episodes.flags.writeable = False
+        object.__setattr__(self, "episodes", episodes)
+        rows = {len(self.observations), len(self.actions), len(self.next_observations)}
+        rows.add(len(episodes))
+        if len(rows) != 1 or self.observations.shape != self.next_observations.shape:
+            raise InvalidInput(
+                f"arrays must have one row per transition; given observations "
+                f"{self.observations.shape}, actions {self.actions.shape}, next_observations "
+                f"{self.next_observations.shape}, episodes {episodes.shape}"
+            )
+        if np.any(np.diff(episodes) < 0):
+            raise InvalidInput("episode ids must not decrease from row to row")
+        if len(self.columns) != self.observations.shape[1]:
+            raise InvalidInput(
+                f"{len(self.columns)} column names for {self.observations.shape[1]} columns"
+            )
+        if not self.dt > 0:
+            raise InvalidInput(f"the control period must be positive; given {self.dt} s")
+
+    def __len__(self) -> int:
+        return len(self.observations)
+
+    def __repr__(self) -> str:
+        s, a = self.observations.shape[1], self.actions.shape[1]
+        count = len(np.unique(self.episodes))
+        return f"TransitionDataset({len(self)} transitions, {count} episodes, s={s}, a={a})"
+
+    def windows(self, length: int) -> Indices:
+        """First rows of consecutive, non-overlapping windows that stay inside an episode."""
+        starts = [
+            row for first, last in self._spans() for row in range(first, last - length + 1, length)
+        ]
+        return np.array(starts, dtype=np.int64)
+
+    def split(self) -> list["TransitionDataset"]:
+        """One dataset per episode, in order."""
+        return [self._rows(slice(first, last)) for first, last in self._spans()]
+
+    def to_npz(self) -> bytes:
+        """Bytes that `from_npz` reads; the same data always gives the same bytes."""
+        terminals = np.append(np.diff(self.episodes) > 0, True)
+        buffer = io.BytesIO()
+        np.savez(
+            buffer,
+            observations=self.observations,
+            actions=self.actions,
+            next_observations=self.next_observations,
+            terminals=terminals,
+            episodes=self.episodes,
+            dt=np.float64(self.dt),
+            columns=np.array(self.columns),
+            origin=np.array(self.origin),
+        )
+        return buffer.getvalue()
+
+    @classmethod
+    def from_npz(cls, content: bytes) -> "TransitionDataset":
+        try:
+            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+                fields = {name: arrays[name] for name in arrays.files}
+        except (ValueError, zipfile.BadZipFile, EOFError) as error:
+            raise InvalidInput(f"not a readable .npz of plain arrays: {error}") from error
+        needed = {"observations", "actions", "next_observations", "episodes", "dt"}
+        if missing := needed - fields.keys():
+            raise InvalidInput(f"the .npz lacks {sorted(missing)}; it has {sorted(fields)}")
+        width = fields["observations"].shape[-1]
+        default_columns = np.array([f"observation_{i}" for i in range(width)])
+        return cls(
+            observations=fields["observations"],
+            actions=fields["actions"],
+            next_observations=fields["next_observations"],
+            episodes=fields["episodes"],
+            dt=float(fields["dt"]),
+            columns=tuple(str(c) for c in fields.get("columns", default_columns)),
+            origin=str(fields.get("origin", "unknown")),
+        )
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["TransitionDataset"]) -> "TransitionDataset":
+        """The parts one after the other; episodes are renumbered so that none merge."""
+        if not parts:
+            raise InvalidInput("cannot concatenate no data")
+        offset, episodes = 0, []
+        for part in parts:
+            _, ids = np.unique(part.episodes, return_inverse=True)
+            episodes.append(ids + offset)
+            offset += int(ids[-1]) + 1
+        return cls(
+            observations=np.concatenate([p.observations for p in parts]),
+            actions=np.concatenate([p.actions for p in parts]),
+            next_observations=np.concatenate([p.next_observations for p in parts]),
+            episodes=np.concatenate(episodes),
+            dt=parts[0].dt,
+            columns=parts[0].columns,
+            origin="; ".join(dict.fromkeys(p.origin for p in parts)),
+        )
+
+    def _spans(self) -> list[tuple[int, int]]:
+        """Half-open row ranges of the episodes."""
+        edges = [0, *(np.flatnonzero(np.diff(self.episodes)) + 1).tolist(), len(self)]
+        return [(a, b) for a, b in itertools.pairwise(edges) if b > a]
+
+    def _rows(self, rows: slice) -> "TransitionDataset":
+        return TransitionDataset(
+            self.observations[rows],
+            self.actions[rows],
+            self.next_observations[rows],
+            self.episodes[rows],
+            self.dt,
+            self.columns,
+            self.origin,
+        )

@@ -1,0 +1,1 @@
+"""The service's face: HTTP, command line, Python client and page."""

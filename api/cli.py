@@ -1,0 +1,221 @@
+"""The command line, `adr`: starts the service, or is its client."""
+
+import json
+import logging
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+import uvicorn
+from rich.console import Console
+from rich.table import Table
+
+from adr_service.errors import AdrError, InvalidInput
+from api import demo as demo_story
+from api.app import create_app
+from api.client import AdrClient
+from api.display import live, results_table
+from api.doctor import check
+from api.settings import DEFAULT_URL, read_settings
+
+app = typer.Typer(
+    help="Benchmark adaptive domain randomization.", no_args_is_help=True, add_completion=False
+)
+console = Console()
+
+Url = Annotated[str, typer.Option(envvar="ADR_URL", help="Address of the service.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the service's JSON.")]
+Id = Annotated[str, typer.Argument(help="Id of a run or a benchmark.")]
+
+
+@app.command()
+def serve(
+    host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port to listen on.")] = None,
+    data_dir: Annotated[Path | None, typer.Option(help="Where results are kept.")] = None,
+    cpus: Annotated[int | None, typer.Option(help="Cores of a local cluster.")] = None,
+    dashboard: Annotated[bool | None, typer.Option(help="Start the Ray dashboard.")] = None,
+) -> None:
+    """Start the service; what was unfinished goes on."""
+    given = {"host": host, "port": port, "data_dir": data_dir, "cpus": cpus, "dashboard": dashboard}
+    settings = read_settings(**{name: v for name, v in given.items() if v is not None})
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no calls home
+    uvicorn.run(create_app(settings), host=settings.host, port=settings.port, log_level="info")
+
+
+@app.command()
+def submit(
+    file: Annotated[Path | None, typer.Argument(help="JSON of a run or a benchmark.")] = None,
+    task: Annotated[str | None, typer.Option(help="arm or hopper.")] = None,
+    method: Annotated[str | None, typer.Option(help="udr, simopt, dropo, prior, oracle.")] = None,
+    variant: Annotated[str, typer.Option(help="vanilla, noisy or unmodeled.")] = "vanilla",
+    seed: Annotated[int, typer.Option()] = 0,
+    preset: Annotated[str, typer.Option(help="smoke, demo, quick or paper.")] = "quick",
+    setting: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="A field of the spec, training.max_steps=1000 or iterations=2."),
+    ] = None,
+    dry_run: Annotated[bool, typer.Option(help="Say what it would cost; start nothing.")] = False,
+    watch: Annotated[bool, typer.Option(help="Follow it to its end.")] = False,
+    url: Url = DEFAULT_URL,
+    as_json: AsJson = False,
+) -> None:
+    """Submit a run (by options) or a run or benchmark (by file)."""
+    if (file is None) == (task is None):
+        raise InvalidInput("give either a JSON file, or --task with --method")
+    if file is not None:
+        spec = _read_json(file)
+    else:
+        spec = {"task": task, "method": method, "variant": variant, "seed": seed, "preset": preset}
+    for assignment in setting or []:
+        _assign(spec, assignment)
+    with _client(url) as client:
+        send = client.submit_benchmark if "tasks" in spec else client.submit_run
+        answer = send(spec, dry_run=dry_run)
+        if as_json or dry_run:
+            console.print_json(data=answer if as_json else {"plan": answer["plan"]})
+        else:
+            console.print(answer["id"])
+        if watch and not dry_run:
+            _follow(client, answer["id"])
+
+
+@app.command("list")
+def list_command(url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
+    """List benchmarks and runs."""
+    with _client(url) as client:
+        benchmarks, runs = client.list_all("benchmarks"), client.list_all("runs")
+    if as_json:
+        console.print_json(data={"benchmarks": benchmarks, "runs": runs})
+        return
+    table = Table("id", "task", "variant", "method", "seed", "preset", "state", box=None)
+    for run in runs:
+        spec = run["spec"]
+        cells = (spec["task"], spec["variant"], spec["method"]["name"], str(spec["seed"]))
+        table.add_row(run["id"], *cells, spec["preset"], run["state"])
+    console.print(table if runs else "no runs yet; `adr demo` makes some")
+    for benchmark in benchmarks:
+        states = ", ".join(f"{count} {state}" for state, count in benchmark["states"].items())
+        console.print(f"{benchmark['id']}: {states}")
+
+
+@app.command()
+def status(id: Id, url: Url = DEFAULT_URL) -> None:
+    """Show everything the service knows of a run or a benchmark, as JSON."""
+    with _client(url) as client:
+        console.print_json(data=client.get(id))
+
+
+@app.command()
+def watch(id: Id, url: Url = DEFAULT_URL) -> None:
+    """Follow a run or a benchmark to its end; exit status 1 if something failed."""
+    with _client(url) as client:
+        _follow(client, id)
+
+
+@app.command()
+def results(
+    id: Id,
+    csv: Annotated[bool, typer.Option("--csv", help="As CSV.")] = False,
+    figure: Annotated[
+        Path | None, typer.Option(help="Write a figure: returns.svg, parameters.png, …")
+    ] = None,
+    policy: Annotated[Path | None, typer.Option(help="Write a run's policy.")] = None,
+    url: Url = DEFAULT_URL,
+    as_json: AsJson = False,
+) -> None:
+    """Show the result table, or write a figure or a policy."""
+    with _client(url) as client:
+        if figure is not None:
+            figure.write_bytes(client.figure(id, figure.name))
+        elif policy is not None:
+            policy.write_bytes(client.policy(id))
+        elif csv:
+            typer.echo(client.results_csv(id), nl=False)
+        elif as_json:
+            console.print_json(data=client.results(id))
+        else:
+            console.print(results_table(client.results(id)))
+
+
+@app.command()
+def cancel(id: Id, url: Url = DEFAULT_URL) -> None:
+    """Ask a run, or all live runs of a benchmark, to stop."""
+    with _client(url) as client:
+        client.cancel(id)
+    console.print(f"{id} is asked to stop; finished stages are kept")
+
+
+@app.command()
+def resume(id: Id, url: Url = DEFAULT_URL) -> None:
+    """Go on with a failed or cancelled run or benchmark."""
+    with _client(url) as client:
+        client.resume(id)
+    console.print(f"{id} goes on")
+
+
+@app.command()
+def demo(
+    data_dir: Annotated[Path, typer.Option(help="Where results are kept.")] = Path("data/demo"),
+    port: Annotated[int, typer.Option(help="0: any free port.")] = 0,
+) -> None:
+    """Run a small benchmark from nothing to its figures, in minutes."""
+    raise typer.Exit(demo_story.tell(console, data_dir, port))
+
+
+@app.command()
+def doctor() -> None:
+    """Check what the service needs on this machine."""
+    raise typer.Exit(check(console))
+
+
+def main() -> None:
+    """The console script: expected errors are messages, not tracebacks."""
+    try:
+        app()
+    except AdrError as error:
+        console.print(f"[red]error:[/red] {error}", highlight=False)
+        raise SystemExit(2) from error
+
+
+def _client(url: str) -> AdrClient:
+    return AdrClient(url, os.environ.get("ADR_TOKEN", ""))
+
+
+def _follow(client: AdrClient, id: str) -> None:
+    final = live(console, client, id)
+    states = final["states"] if "states" in final else {final["state"]: 1}
+    console.print(results_table(client.results(id)))
+    if set(states) != {"succeeded"}:
+        raise typer.Exit(1)
+
+
+def _read_json(file: Path) -> dict[str, Any]:
+    try:
+        spec = json.loads(file.read_text())
+    except (OSError, ValueError) as error:
+        raise InvalidInput(f"{file} is not a readable JSON file: {error}") from error
+    if not isinstance(spec, dict):
+        raise InvalidInput(f"{file} must hold one JSON object")
+    return spec
+
+
+def _assign(spec: dict[str, Any], assignment: str) -> None:
+    """Set `a.b=value` in a spec; the value is JSON, or else text."""
+    path, equals, text = assignment.partition("=")
+    if not equals:
+        raise InvalidInput(f"--set needs name=value; given {assignment!r}")
+    try:
+        value = json.loads(text)
+    except ValueError:
+        value = text
+    *parents, last = path.split(".")
+    inner = spec
+    for name in parents:
+        # a method given by name becomes an object when one of its settings is set
+        if not isinstance(inner.get(name), dict):
+            inner[name] = {"name": inner[name]} if name == "method" and name in inner else {}
+        inner = inner[name]
+    inner[last] = value

@@ -1,0 +1,149 @@
+"""The Python client of the service.
+
+with AdrClient() as client:
+    benchmark = client.submit_benchmark({"tasks": ["arm"], "methods": ["simopt"]})
+    client.results(benchmark["links"]["results"])
+"""
+
+import time
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Any, Self
+
+import httpx2
+
+from adr_service.errors import AdrError
+from api.settings import DEFAULT_URL
+
+Json = dict[str, Any]
+_POLL_S = 1.0
+
+
+class Refused(AdrError):
+    """The service refused a request; the message says why."""
+
+    code = "refused"
+
+
+class Unreachable(AdrError):
+    """No service answers at the address."""
+
+    code = "unreachable"
+
+
+class AdrClient:
+    """A connection to a running service. All answers are the service's JSON."""
+
+    def __init__(self, url: str = DEFAULT_URL, token: str = ""):
+        headers = {"Authorization": f"Bearer {token}"} if token else {}
+        self.url = url.rstrip("/")
+        self._http = httpx2.Client(base_url=self.url, headers=headers, timeout=60.0)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._http.close()
+
+    def submit_run(self, spec: Json, *, dry_run: bool = False) -> Json:
+        return self._json("POST", "/v1/runs", json=spec, params=_dry(dry_run))
+
+    def submit_benchmark(self, spec: Json, *, dry_run: bool = False) -> Json:
+        return self._json("POST", "/v1/benchmarks", json=spec, params=_dry(dry_run))
+
+    def get(self, id: str) -> Json:
+        """A run or a benchmark, by its id."""
+        return self._json("GET", _path(id))
+
+    def list_all(self, collection: str, **filters: str) -> list[Json]:
+        """All members of "runs" or "benchmarks", page after page."""
+        items: list[Json] = []
+        params: dict[str, str] = dict(filters)
+        while True:
+            page = self._json("GET", f"/v1/{collection}", params=params)
+            items += page["items"]
+            if page["next_page_token"] is None:
+                return items
+            params["page_token"] = page["next_page_token"]
+
+    def cancel(self, id: str) -> Json:
+        return self._json("POST", f"{_path(id)}/cancel")
+
+    def resume(self, id: str) -> Json:
+        return self._json("POST", f"{_path(id)}/resume")
+
+    def results(self, id: str) -> Json:
+        return self._json("GET", f"{_path(id)}/results")
+
+    def results_csv(self, id: str) -> str:
+        return self.content(f"{_path(id)}/results?format=csv").decode()
+
+    def figure(self, id: str, name: str) -> bytes:
+        """A figure by file name, "returns.svg" or "parameters.png"."""
+        return self.content(f"{_path(id)}/figures/{name}")
+
+    def policy(self, run_id: str) -> bytes:
+        """The run's latest policy as safetensors."""
+        return self.content(f"{_path(run_id)}/policy")
+
+    def ready(self) -> Json:
+        return self._json("GET", "/readyz")
+
+    def watch(self, id: str) -> Iterator[Json]:
+        """The run or benchmark again and again, until it has finished."""
+        while True:
+            seen = self.get(id)
+            yield seen
+            if is_finished(seen):
+                return
+            time.sleep(_POLL_S)
+
+    def content(self, path: str) -> bytes:
+        return self._request("GET", path).content
+
+    def _json(self, method: str, path: str, **more: Any) -> Json:
+        answer: Json = self._request(method, path, **more).json()
+        return answer
+
+    def _request(self, method: str, path: str, **more: Any) -> httpx2.Response:
+        try:
+            response = self._http.request(method, path, **more)
+        except httpx2.TransportError as error:
+            raise Unreachable(
+                f"no service answers at {self.url} ({error}); start one with `adr serve`, "
+                "or name another with ADR_URL"
+            ) from error
+        if response.is_error:
+            raise Refused(_explain(response))
+        return response
+
+
+def is_finished(seen: Json) -> bool:
+    if "is_finished" in seen:
+        return bool(seen["is_finished"])
+    return seen["state"] in {"succeeded", "failed", "cancelled"}
+
+
+def _path(id: str) -> str:
+    return f"/v1/benchmarks/{id}" if id.startswith("bench_") else f"/v1/runs/{id}"
+
+
+def _dry(dry_run: bool) -> dict[str, str]:
+    return {"validate_only": "true"} if dry_run else {}
+
+
+def _explain(response: httpx2.Response) -> str:
+    try:
+        problem: Json = response.json()
+    except ValueError:
+        return f"{response.status_code} {response.text[:200]}"
+    details = [
+        f"{error['pointer']}: {error['detail']} (given: {error['given']})"
+        for error in problem.get("errors", [])
+    ]
+    return "\n  ".join([problem.get("detail", str(problem)), *details])

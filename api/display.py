@@ -1,0 +1,104 @@
+"""Progress and results on a terminal."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from api.client import AdrClient, Json, is_finished
+
+_REPORT_EVERY = 20  # looks, where the output is not a terminal
+
+
+def live(console: Console, client: AdrClient, id: str) -> Json:
+    """Show progress until the run or benchmark has finished; its last state."""
+    seen: Json = {}
+    if not console.is_terminal:
+        for look, seen in enumerate(client.watch(id)):
+            if look % _REPORT_EVERY == 0 or is_finished(seen):
+                console.print(_headline(seen), highlight=False, soft_wrap=True)
+        return seen
+    with Live(console=console, refresh_per_second=4) as screen:
+        for seen in client.watch(id):
+            screen.update(_progress(seen))
+    return seen
+
+
+def results_table(results: Json) -> RenderableType:
+    """The result table with its intervals."""
+    table = Table("task", "variant", "method", "iteration", box=None, padding=(0, 2, 0, 0))
+    for heading in ("target return", "95 % interval", "seeds", "episodes"):
+        table.add_column(heading, justify="right")
+    table.add_column("target transitions", justify="right")
+    table.add_column("distance from truth", justify="right")
+    for row in results["rows"]:
+        error = row["estimation_error"]
+        table.add_row(
+            row["task"],
+            row["variant"],
+            row["method"],
+            str(row["iteration"]),
+            f"{row['normalised_return']:.2f}",
+            f"[{row['low']:.2f}, {row['high']:.2f}]".replace("[", r"\["),
+            str(row["seeds"]),
+            str(row["episodes"]),
+            f"{row['target_transitions']:.0f}",
+            "–" if error is None else f"{error:.2f}",
+        )
+    if not results["rows"]:
+        return Text("no iteration has finished yet")
+    return Group(table, Text(results["note"], style="dim"))
+
+
+def _runs(seen: Json) -> list[Json]:
+    return seen.get("runs", [seen])
+
+
+def _headline(seen: Json) -> str:
+    runs = _runs(seen)
+    finished = sum(run["state"] == "succeeded" for run in runs)
+    stages = _stages(runs)
+    running = [
+        f"{run['spec']['method']['name']}/{run['spec']['seed']} {stage['kind']} "
+        f"{stage['fraction']:.0%}"
+        for run, stage in stages
+        if stage["state"] == "running"
+    ]
+    waiting = sum(stage["state"] == "waiting" for _, stage in stages)
+    broken = {run["state"] for run in runs} & {"failed", "cancelled"}
+    return (
+        f"{finished}/{len(runs)} runs done"
+        + (f" ({', '.join(sorted(broken))} ones too)" if broken else "")
+        + (f"; now {', '.join(running)}" if running else "")
+        + (f"; {waiting} stages wait for a core" if waiting else "")
+    )
+
+
+def _progress(seen: Json) -> RenderableType:
+    table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)
+    for run, stage in _stages(_runs(seen)):
+        if stage["state"] != "running":
+            continue
+        spec, facts = run["spec"], stage["facts"]
+        score = facts.get("source_return")
+        table.add_row(
+            f"{spec['method']['name']} seed {spec['seed']}",
+            stage["kind"],
+            ProgressBar(total=1.0, completed=stage["fraction"], width=24),
+            f"{stage['seconds']:.0f} s",
+            "" if score is None else f"return in simulation {score:.0f}",
+        )
+    return Group(Text(_headline(seen)), table)
+
+
+def _stages(runs: Iterable[Json]) -> list[tuple[Json, dict[str, Any]]]:
+    """(run, stage) of what is in the works; a stage that runs share is told once."""
+    told: dict[str, tuple[Json, dict[str, Any]]] = {}
+    for run in runs:
+        for stage in run["progress"]:
+            told.setdefault(stage["digest"], (run, stage))
+    return list(told.values())

@@ -1,0 +1,73 @@
+"""Errors as problem documents (RFC 9457): what was given, and what is accepted."""
+
+import logging
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+
+from adr_service.errors import AdrError
+
+log = logging.getLogger(__name__)
+_STATUS = {
+    "not_found": 404,
+    "unknown_name": 404,
+    "conflict": 409,
+    "invalid_input": 422,
+    "cluster_unavailable": 503,
+}
+_LONGEST = 200  # characters of what was given that a problem repeats
+
+
+def install(app: FastAPI) -> None:
+    app.add_exception_handler(AdrError, _adr_error)
+    app.add_exception_handler(RequestValidationError, _validation_error)
+    app.add_exception_handler(HTTPException, _http_error)
+    app.add_exception_handler(Exception, _defect)
+
+
+def problem(status: int, code: str, detail: str, **more: Any) -> JSONResponse:
+    body = {
+        "type": f"/problems/{code}",
+        "title": code.replace("_", " "),
+        "status": status,
+        "detail": detail,
+        **more,
+    }
+    return JSONResponse(body, status, media_type="application/problem+json")
+
+
+async def _adr_error(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, AdrError)
+    return problem(_STATUS.get(error.code, 500), error.code, str(error))
+
+
+async def _validation_error(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, RequestValidationError)
+    errors = [
+        {
+            "pointer": "/" + "/".join(str(part) for part in found["loc"]),
+            "detail": found["msg"].removeprefix("Value error, "),
+            "given": _shorten(repr(found.get("input"))),
+        }
+        for found in error.errors()
+    ]
+    return problem(422, "invalid_input", "the request is not valid", errors=errors)
+
+
+async def _http_error(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, HTTPException)
+    response = problem(error.status_code, "http_error", str(error.detail))
+    response.headers.update(error.headers or {})
+    return response
+
+
+async def _defect(request: Request, error: Exception) -> JSONResponse:
+    log.exception("%s %s", request.method, request.url.path, exc_info=error)
+    return problem(500, "internal", "the service has a defect; its log says more")
+
+
+def _shorten(text: str) -> str:
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"

@@ -1,0 +1,97 @@
+"""/v1/benchmarks: grids of runs, their results and figures."""
+
+from dataclasses import asdict
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Body, Query, Response, status
+
+from adr_service.benchmark.comparison import table, to_csv
+from adr_service.benchmark.figures import Format, draw
+from adr_service.specs import BenchmarkSpec
+from api.routes.runs import MEDIA, PageSize, plan_here
+from api.service import Service, ServiceDependency
+from api.views import BenchmarkView, Page, ResultsView, benchmark_view, results_view, run_view
+from db import runs as store
+from db.runs import BenchmarkRecord
+
+router = APIRouter(prefix="/v1/benchmarks", tags=["benchmarks"])
+
+
+@router.post("", status_code=status.HTTP_202_ACCEPTED, response_model=None)
+def submit(
+    spec: Annotated[BenchmarkSpec, Body()],
+    service: ServiceDependency,
+    response: Response,
+    validate_only: bool = False,
+) -> BenchmarkView | dict[str, Any]:
+    """Store a benchmark and start its runs; with `validate_only`, say what it would cost."""
+    if validate_only:
+        response.status_code = status.HTTP_200_OK
+        runs = list(spec.runs())
+        return {"spec": spec, "runs": runs, "plan": asdict(plan_here(service, runs))}
+    record = store.create_benchmark(service.database, spec)
+    for run in store.runs_of(service.database, record.id):
+        service.orchestrator.submit(run)
+    response.headers["Location"] = f"/v1/benchmarks/{record.id}"
+    return view(service, record)
+
+
+@router.get("")
+def list_benchmarks(
+    service: ServiceDependency,
+    page_size: PageSize = 100,
+    page_token: Annotated[int, Query(ge=0, lt=2**63)] = 0,
+) -> Page[BenchmarkView]:
+    """Benchmarks in order of submission."""
+    found = store.list_benchmarks(service.database, after=page_token, limit=page_size + 1)
+    shown = found[:page_size]
+    token = str(shown[-1].number) if len(found) > page_size else None
+    return Page(items=[view(service, record) for record in shown], next_page_token=token)
+
+
+@router.get("/{benchmark_id}")
+def get_benchmark(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
+    return view(service, store.get_benchmark(service.database, benchmark_id))
+
+
+@router.post("/{benchmark_id}/cancel", status_code=status.HTTP_202_ACCEPTED)
+def cancel(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
+    """Ask every live run to stop."""
+    for run in store.runs_of(service.database, benchmark_id):
+        if not run.is_finished:
+            store.request_cancel(service.database, run.id)
+            service.orchestrator.cancel(run.id)
+    return get_benchmark(benchmark_id, service)
+
+
+@router.post("/{benchmark_id}/resume", status_code=status.HTTP_202_ACCEPTED)
+def resume(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
+    """Go on with every failed or cancelled run."""
+    for run in store.runs_of(service.database, benchmark_id):
+        if run.state in {"failed", "cancelled"}:
+            service.orchestrator.submit(store.resubmit(service.database, run.id))
+    return get_benchmark(benchmark_id, service)
+
+
+@router.get("/{benchmark_id}/results", response_model=None)
+def results(
+    benchmark_id: str, service: ServiceDependency, format: Literal["json", "csv"] = "json"
+) -> ResultsView | Response:
+    outcomes = service.outcomes(store.runs_of(service.database, benchmark_id))
+    if format == "csv":
+        return Response(to_csv(table(outcomes)), media_type="text/csv")
+    return results_view(outcomes)
+
+
+@router.get("/{benchmark_id}/figures/{name}.{file_format}", response_class=Response)
+def figure(
+    benchmark_id: str, name: str, file_format: Format, service: ServiceDependency
+) -> Response:
+    outcomes = service.outcomes(store.runs_of(service.database, benchmark_id))
+    return Response(draw(name, outcomes, file_format), media_type=MEDIA[file_format])
+
+
+def view(service: Service, record: BenchmarkRecord) -> BenchmarkView:
+    records = store.runs_of(service.database, record.id)
+    runs = [run_view(run, service.orchestrator.activities(run.id)) for run in records]
+    return benchmark_view(record, runs, records)

@@ -1,0 +1,80 @@
+"""What there is to choose from, and how the service does."""
+
+from typing import Any
+
+from fastapi import APIRouter, Response
+from pydantic import TypeAdapter
+
+import adr_service
+from adr_service.methods import MethodSettings
+from adr_service.presets import PRESETS
+from adr_service.tasks import TASKS
+from api.errors import problem
+from api.routes.runs import artifact_response
+from api.service import ServiceDependency
+
+router = APIRouter(tags=["catalogue"])
+
+
+@router.get("/v1/tasks")
+def tasks() -> list[dict[str, Any]]:
+    """Tasks, their variants, and the parameters that methods may infer."""
+    return [
+        {
+            "name": task.name,
+            "observation_columns": task.columns,
+            "actions": len(task.action_low),
+            "horizon": task.horizon,
+            "reward_threshold": task.reward_threshold,
+            "variants": {
+                name: [
+                    {"name": p.name, "unit": p.unit, "low": p.low, "high": p.high}
+                    for p in variant.source.space.parameters
+                ]
+                for name, variant in task.variants.items()
+            },
+        }
+        for task in TASKS.values()
+    ]
+
+
+@router.get("/v1/methods")
+def methods() -> dict[str, Any]:
+    """The JSON schema of every method's settings."""
+    return TypeAdapter(MethodSettings).json_schema()
+
+
+@router.get("/v1/presets")
+def presets() -> dict[str, dict[str, Any]]:
+    return PRESETS
+
+
+@router.get("/v1/artifacts/{digest}", response_class=Response)
+def artifact(digest: str, service: ServiceDependency) -> Response:
+    """Any stored bytes by their SHA-256."""
+    return artifact_response(service, digest, digest)
+
+
+@router.get("/healthz")
+def healthz() -> dict[str, str]:
+    """The process answers."""
+    return {"status": "ok"}
+
+
+@router.get("/readyz", response_model=None)
+def readyz(service: ServiceDependency) -> dict[str, Any] | Response:
+    """The database can be written and Ray is reachable."""
+    with service.database.write():
+        pass
+    if not service.orchestrator.is_alive:
+        return problem(503, "cluster_unavailable", "Ray has stopped; restart the service")
+    return {
+        "status": "ready",
+        "cores": service.orchestrator.cores,
+        "dashboard": service.orchestrator.dashboard_url,
+    }
+
+
+@router.get("/version")
+def version() -> dict[str, str]:
+    return {"version": adr_service.__version__}

@@ -1,0 +1,152 @@
+"""/v1/runs: submit, watch, stop, resume and read single runs."""
+
+from dataclasses import asdict
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Body, Query, Response, status
+
+from adr_service.benchmark.comparison import table, to_csv
+from adr_service.benchmark.figures import Format, draw
+from adr_service.benchmark.protocol import Plan, plan
+from adr_service.events import RunState
+from adr_service.specs import RunSpec
+from api.service import Service, ServiceDependency
+from api.views import EventView, Page, ResultsView, RunView, event_view, results_view, run_view
+from db import runs as store
+from db import stages as stage_store
+from db.runs import NotFound, RunRecord
+
+router = APIRouter(prefix="/v1/runs", tags=["runs"])
+PageSize = Annotated[int, Query(ge=1, le=1000)]
+MEDIA = {"svg": "image/svg+xml", "png": "image/png"}
+
+
+@router.post("", status_code=status.HTTP_202_ACCEPTED, response_model=None)
+def submit(
+    spec: Annotated[RunSpec, Body()],
+    service: ServiceDependency,
+    response: Response,
+    validate_only: bool = False,
+) -> RunView | dict[str, Any]:
+    """Store a run and start it; with `validate_only`, say what it would cost instead."""
+    if validate_only:
+        response.status_code = status.HTTP_200_OK
+        return {"spec": spec, "plan": asdict(plan_here(service, [spec]))}
+    record = store.create_run(service.database, spec)
+    service.orchestrator.submit(record)
+    response.headers["Location"] = f"/v1/runs/{record.id}"
+    return _view(service, record)
+
+
+@router.get("")
+def list_runs(
+    service: ServiceDependency,
+    state: RunState | None = None,
+    method: str | None = None,
+    task: str | None = None,
+    benchmark_id: str | None = None,
+    page_size: PageSize = 100,
+    page_token: Annotated[int, Query(ge=0, lt=2**63)] = 0,
+) -> Page[RunView]:
+    """Runs in order of submission."""
+    records = store.list_runs(
+        service.database,
+        state=state,
+        method=method,
+        task=task,
+        benchmark_id=benchmark_id,
+        after=page_token,
+        limit=page_size + 1,
+    )
+    shown = records[:page_size]
+    token = str(shown[-1].number) if len(records) > page_size else None
+    return Page(items=[_view(service, record) for record in shown], next_page_token=token)
+
+
+@router.get("/{run_id}")
+def get_run(run_id: str, service: ServiceDependency) -> RunView:
+    return _view(service, store.get_run(service.database, run_id))
+
+
+@router.post("/{run_id}/cancel", status_code=status.HTTP_202_ACCEPTED)
+def cancel(run_id: str, service: ServiceDependency) -> RunView:
+    """Ask a run to stop; what its stages have finished is kept."""
+    record = store.request_cancel(service.database, run_id)
+    service.orchestrator.cancel(run_id)
+    return _view(service, record)
+
+
+@router.post("/{run_id}/resume", status_code=status.HTTP_202_ACCEPTED)
+def resume(run_id: str, service: ServiceDependency) -> RunView:
+    """Go on with a failed or cancelled run from its last finished stage."""
+    record = store.resubmit(service.database, run_id)
+    service.orchestrator.submit(record)
+    return _view(service, record)
+
+
+@router.delete("/{run_id}", status_code=status.HTTP_204_NO_CONTENT)
+def delete(run_id: str, service: ServiceDependency) -> None:
+    """Delete a finished run and what only it refers to."""
+    store.delete_run(service.database, run_id)
+
+
+@router.get("/{run_id}/events")
+def events(
+    run_id: str,
+    service: ServiceDependency,
+    after: Annotated[int, Query(ge=0, lt=2**63)] = 0,
+    limit: PageSize = 100,
+) -> Page[EventView]:
+    """Events with a sequence number above `after`."""
+    found = store.events_of(service.database, run_id, after=after, limit=limit + 1)
+    shown = found[:limit]
+    token = str(shown[-1].seq) if len(found) > limit else None
+    return Page(items=[event_view(record) for record in shown], next_page_token=token)
+
+
+@router.get("/{run_id}/results", response_model=None)
+def results(
+    run_id: str, service: ServiceDependency, format: Literal["json", "csv"] = "json"
+) -> ResultsView | Response:
+    outcomes = service.outcomes([store.get_run(service.database, run_id)])
+    if format == "csv":
+        return Response(to_csv(table(outcomes)), media_type="text/csv")
+    return results_view(outcomes)
+
+
+@router.get("/{run_id}/figures/{name}.{file_format}", response_class=Response)
+def figure(run_id: str, name: str, file_format: Format, service: ServiceDependency) -> Response:
+    outcomes = service.outcomes([store.get_run(service.database, run_id)])
+    return Response(draw(name, outcomes, file_format), media_type=MEDIA[file_format])
+
+
+@router.get("/{run_id}/policy", response_class=Response)
+def policy(run_id: str, service: ServiceDependency) -> Response:
+    """The latest evaluated policy (of several, the first), as safetensors."""
+    outcomes = service.outcomes([store.get_run(service.database, run_id)])
+    if not outcomes:
+        raise NotFound("evaluated policy of run", run_id)
+    digest = outcomes[-1].iteration.policies[0]
+    return artifact_response(service, digest, f"{run_id}.safetensors")
+
+
+def artifact_response(service: Service, digest: str, filename: str) -> Response:
+    content = stage_store.artifact(service.database, digest)
+    if content is None:
+        raise NotFound("artifact", digest)
+    return Response(
+        content,
+        media_type="application/octet-stream",
+        headers={
+            "ETag": f'"{digest}"',
+            "Content-Disposition": f'attachment; filename="{filename}"',
+        },
+    )
+
+
+def plan_here(service: Service, specs: list[RunSpec]) -> Plan:
+    return plan(specs, service.orchestrator.cores)
+
+
+def _view(service: Service, record: RunRecord) -> RunView:
+    return run_view(record, service.orchestrator.activities(record.id))

@@ -1,0 +1,71 @@
+"""What the routes work with: one database and one orchestrator."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import Depends, Request
+
+from adr_service.benchmark.comparison import Outcome
+from adr_service.events import IterationFinished
+from api.settings import Settings
+from db import runs as store
+from db.runs import RunRecord
+from db.session import Database, open_database
+from workers.dispatcher import RayOptions
+from workers.orchestrator import Orchestrator
+
+
+@dataclass(frozen=True)
+class Service:
+    settings: Settings
+    database: Database
+    orchestrator: Orchestrator
+
+    def outcomes(self, records: Sequence[RunRecord]) -> list[Outcome]:
+        """Everything that the runs have found so far."""
+        return [
+            Outcome(record.spec, found.event)
+            for record in records
+            for found in store.events_of(self.database, record.id, type="iteration_finished")
+            if isinstance(found.event, IterationFinished)
+        ]
+
+    def close(self) -> None:
+        self.orchestrator.close()
+        self.database.close()
+
+
+def open_service(settings: Settings) -> Service:
+    """Open the database, start Ray, and go on with what is unfinished."""
+    settings.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+    database = open_database(settings.database)
+    try:
+        orchestrator = Orchestrator(database, _ray_options(settings))
+        orchestrator.start()
+    except BaseException:
+        database.close()
+        raise
+    return Service(settings, database, orchestrator)
+
+
+def _ray_options(settings: Settings) -> RayOptions:
+    return RayOptions(
+        address=settings.ray_address,
+        cpus=settings.cpus,
+        dashboard=settings.dashboard,
+        compile_cache=_compile_cache(settings.data_dir),
+    )
+
+
+def _compile_cache(data_dir: Path) -> Path:
+    return data_dir.absolute() / "compile_cache"
+
+
+def _service(request: Request) -> Service:
+    service: Service = request.app.state.service
+    return service
+
+
+ServiceDependency = Annotated[Service, Depends(_service)]

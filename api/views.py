@@ -1,0 +1,137 @@
+"""What the API answers: domain values with their links."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import datetime
+from typing import Any, Generic, TypeVar
+
+from pydantic import BaseModel
+
+from adr_service.benchmark.comparison import Outcome, table
+from adr_service.events import RunEvent, RunState
+from adr_service.specs import BenchmarkSpec, RunSpec
+from db.runs import BenchmarkRecord, EventRecord, RunRecord, states_of
+from workers.dispatcher import Activity
+
+Item = TypeVar("Item")
+
+
+class RunError(BaseModel):
+    code: str
+    message: str
+
+
+class ActivityView(BaseModel):
+    """A stage in the works."""
+
+    kind: str
+    digest: str
+    state: str
+    attempt: int
+    seconds: float
+    fraction: float
+    facts: dict[str, Any]
+    actor: str | None
+    started_by: str
+
+
+class RunView(BaseModel):
+    id: str
+    benchmark_id: str | None
+    state: RunState
+    cancel_requested: bool
+    submission: int
+    created_at: datetime
+    updated_at: datetime
+    error: RunError | None
+    progress: list[ActivityView]
+    spec: RunSpec
+    links: dict[str, str]
+
+
+class BenchmarkView(BaseModel):
+    id: str
+    created_at: datetime
+    states: dict[str, int]
+    is_finished: bool
+    spec: BenchmarkSpec
+    runs: list[RunView]
+    links: dict[str, str]
+
+
+class EventView(BaseModel):
+    seq: int
+    created_at: datetime
+    event: RunEvent
+
+
+class Page(BaseModel, Generic[Item]):
+    """A page of a list; `next_page_token` is null on the last."""
+
+    items: list[Item]
+    next_page_token: str | None
+
+
+class ResultsView(BaseModel):
+    """The result table; `note` says what a reader must know of it."""
+
+    note: str
+    rows: list[dict[str, Any]]
+
+
+def run_view(record: RunRecord, activities: Sequence[Activity]) -> RunView:
+    here = f"/v1/runs/{record.id}"
+    error = None
+    if record.error_code is not None:
+        error = RunError(code=record.error_code, message=record.error_message or "")
+    return RunView(
+        id=record.id,
+        benchmark_id=record.benchmark_id,
+        state=record.state,
+        cancel_requested=record.cancel_requested,
+        submission=record.submission,
+        created_at=record.created_at,
+        updated_at=record.updated_at,
+        error=error,
+        progress=[ActivityView(**asdict(activity)) for activity in activities],
+        spec=record.spec,
+        links={
+            "self": here,
+            "events": f"{here}/events",
+            "results": f"{here}/results",
+            "policy": f"{here}/policy",
+        },
+    )
+
+
+def benchmark_view(
+    record: BenchmarkRecord, runs: Sequence[RunView], records: Sequence[RunRecord]
+) -> BenchmarkView:
+    here = f"/v1/benchmarks/{record.id}"
+    return BenchmarkView(
+        id=record.id,
+        created_at=record.created_at,
+        states=states_of(records),
+        is_finished=all(run.is_finished for run in records),
+        spec=record.spec,
+        runs=list(runs),
+        links={
+            "self": here,
+            "page": f"/benchmarks/{record.id}",
+            "results": f"{here}/results",
+            "csv": f"{here}/results?format=csv",
+            "returns_figure": f"{here}/figures/returns.svg",
+            "parameters_figure": f"{here}/figures/parameters.svg",
+        },
+    )
+
+
+def event_view(record: EventRecord) -> EventView:
+    return EventView(seq=record.seq, created_at=record.created_at, event=record.event)
+
+
+def results_view(outcomes: Sequence[Outcome]) -> ResultsView:
+    note = "undiscounted target return / reward threshold; 95 % bootstrap interval"
+    if any(outcome.spec.preset == "smoke" for outcome in outcomes):
+        note = "preset 'smoke': a few hundred training steps; these numbers mean nothing"
+    return ResultsView(note=note, rows=[asdict(row) for row in table(outcomes)])

@@ -1,0 +1,138 @@
+"""The tables. Constraints forbid rows that could not have happened."""
+
+from datetime import UTC, datetime
+
+from sqlalchemy import (
+    CheckConstraint,
+    DateTime,
+    ForeignKey,
+    Index,
+    LargeBinary,
+    MetaData,
+    String,
+    Text,
+    UniqueConstraint,
+)
+from sqlalchemy.engine import Dialect
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy.types import TypeDecorator
+
+STATES = "'queued', 'running', 'succeeded', 'failed', 'cancelled'"
+
+
+class Utc(TypeDecorator[datetime]):
+    """Timezone-aware UTC times; SQLite itself forgets the zone."""
+
+    impl = DateTime(timezone=True)
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        return value.astimezone(UTC) if value else None
+
+    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        return value.replace(tzinfo=UTC) if value else None
+
+
+class Base(DeclarativeBase):
+    metadata = MetaData(
+        naming_convention={
+            "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+            "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+            "ck": "ck_%(table_name)s_%(constraint_name)s",
+            "fk": "fk_%(table_name)s_%(column_0_N_name)s",
+            "pk": "pk_%(table_name)s",
+        }
+    )
+
+
+class BenchmarkRow(Base):
+    """A submitted benchmark; its runs point here."""
+
+    __tablename__ = "benchmarks"
+
+    number: Mapped[int] = mapped_column(primary_key=True)  # order of submission
+    id: Mapped[str] = mapped_column(String(40), unique=True)
+    created_at: Mapped[datetime] = mapped_column(Utc)
+    spec: Mapped[str] = mapped_column(Text)
+
+
+class RunRow(Base):
+    """A submitted run. `state` is the fold of its events, written with them."""
+
+    __tablename__ = "runs"
+    __table_args__ = (
+        CheckConstraint(f"state IN ({STATES})", name="state"),
+        CheckConstraint("submission >= 1", name="submission"),
+        CheckConstraint("(state = 'failed') = (error_code IS NOT NULL)", name="error_iff_failed"),
+        Index(None, "state"),
+        Index(None, "benchmark_id"),
+    )
+
+    number: Mapped[int] = mapped_column(primary_key=True)  # order of submission
+    id: Mapped[str] = mapped_column(String(40), unique=True)
+    benchmark_id: Mapped[str | None] = mapped_column(ForeignKey("benchmarks.id"))
+    created_at: Mapped[datetime] = mapped_column(Utc)
+    updated_at: Mapped[datetime] = mapped_column(Utc)
+    task: Mapped[str] = mapped_column(String(80))
+    variant: Mapped[str] = mapped_column(String(80))
+    method: Mapped[str] = mapped_column(String(80))
+    seed: Mapped[int]
+    spec: Mapped[str] = mapped_column(Text)
+    state: Mapped[str] = mapped_column(String(20))
+    submission: Mapped[int]  # times it was submitted: 1 + resumes
+    cancel_requested: Mapped[bool]
+    error_code: Mapped[str | None] = mapped_column(String(80))
+    error_message: Mapped[str | None] = mapped_column(Text)
+
+
+class EventRow(Base):
+    """One event of a run, written once."""
+
+    __tablename__ = "events"
+    __table_args__ = (UniqueConstraint("run_id", "key"), Index(None, "key"))
+
+    run_id: Mapped[str] = mapped_column(ForeignKey("runs.id", ondelete="CASCADE"), primary_key=True)
+    seq: Mapped[int] = mapped_column(primary_key=True)  # 1, 2, … within the run
+    key: Mapped[str] = mapped_column(String(120))
+    type: Mapped[str] = mapped_column(String(40))
+    body: Mapped[str] = mapped_column(Text)
+    created_at: Mapped[datetime] = mapped_column(Utc)
+
+
+class StageRow(Base):
+    """A stage that has a result. There is no row for one that has none."""
+
+    __tablename__ = "stages"
+    __table_args__ = (CheckConstraint("attempt >= 1", name="attempt"),)
+
+    digest: Mapped[str] = mapped_column(String(64), primary_key=True)
+    kind: Mapped[str] = mapped_column(String(40))
+    document: Mapped[str] = mapped_column(Text)  # what was digested
+    result: Mapped[str] = mapped_column(Text)  # its JSON values
+    attempt: Mapped[int]
+    started_by: Mapped[str] = mapped_column(String(40))  # run id; the run may be deleted since
+    seconds: Mapped[float]
+    provenance: Mapped[str] = mapped_column(Text)
+    created_at: Mapped[datetime] = mapped_column(Utc)
+
+
+class ArtifactRow(Base):
+    """Immutable bytes by their SHA-256."""
+
+    __tablename__ = "artifacts"
+
+    sha256: Mapped[str] = mapped_column(String(64), primary_key=True)
+    size: Mapped[int]
+    content: Mapped[bytes] = mapped_column(LargeBinary)
+
+
+class StageArtifactRow(Base):
+    """A named binary result of a stage."""
+
+    __tablename__ = "stage_artifacts"
+
+    digest: Mapped[str] = mapped_column(
+        ForeignKey("stages.digest", ondelete="CASCADE"), primary_key=True
+    )
+    name: Mapped[str] = mapped_column(String(80), primary_key=True)
+    sha256: Mapped[str] = mapped_column(ForeignKey("artifacts.sha256"), index=True)

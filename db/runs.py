@@ -1,0 +1,291 @@
+"""Runs, benchmarks and their events; one function per transaction."""
+
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from sqlalchemy import delete, func, select
+from sqlalchemy.orm import Session
+
+from adr_service.errors import AdrError
+from adr_service.events import (
+    FINISHED,
+    RunEvent,
+    RunFailed,
+    RunQueued,
+    RunState,
+    event_from_json,
+    next_state,
+)
+from adr_service.specs import BenchmarkSpec, RunSpec
+from db.models import BenchmarkRow, EventRow, RunRow
+from db.session import Database
+from db.stages import delete_unreferenced
+
+
+class NotFound(AdrError):
+    """There is no such thing in the database."""
+
+    code = "not_found"
+
+    def __init__(self, kind: str, given: str):
+        super().__init__(f"there is no {kind} {given!r}")
+
+
+class NotPossible(AdrError):
+    """The thing exists, but its state does not allow this."""
+
+    code = "conflict"
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    number: int
+    id: str
+    benchmark_id: str | None
+    created_at: datetime
+    updated_at: datetime
+    spec: RunSpec
+    state: RunState
+    submission: int
+    cancel_requested: bool
+    error_code: str | None
+    error_message: str | None
+
+    @property
+    def is_finished(self) -> bool:
+        return self.state in FINISHED
+
+
+@dataclass(frozen=True)
+class BenchmarkRecord:
+    number: int
+    id: str
+    created_at: datetime
+    spec: BenchmarkSpec
+
+
+@dataclass(frozen=True)
+class EventRecord:
+    seq: int
+    created_at: datetime
+    event: RunEvent
+
+
+def create_run(database: Database, spec: RunSpec) -> RunRecord:
+    """Store a run; when this returns it is on disk."""
+    with database.write() as session:
+        return _record(_insert_run(session, spec, None))
+
+
+def create_benchmark(database: Database, spec: BenchmarkSpec) -> BenchmarkRecord:
+    """Store a benchmark and all its runs, or nothing."""
+    with database.write() as session:
+        row = BenchmarkRow(id=_new_id("bench"), created_at=_now(), spec=spec.model_dump_json())
+        session.add(row)
+        session.flush()
+        for run in spec.runs():
+            _insert_run(session, run, row.id)
+        return _benchmark(row)
+
+
+def get_run(database: Database, run_id: str) -> RunRecord:
+    with database.read() as session:
+        return _record(_row(session, run_id))
+
+
+def list_runs(
+    database: Database,
+    *,
+    state: str | None = None,
+    method: str | None = None,
+    task: str | None = None,
+    benchmark_id: str | None = None,
+    after: int = 0,
+    limit: int = 100,
+) -> list[RunRecord]:
+    """Runs in order of submission, those numbered above `after`."""
+    query = select(RunRow).where(RunRow.number > after).order_by(RunRow.number).limit(limit)
+    filters = {"state": state, "method": method, "task": task, "benchmark_id": benchmark_id}
+    for column, value in filters.items():
+        if value is not None:
+            query = query.where(getattr(RunRow, column) == value)
+    with database.read() as session:
+        return [_record(row) for row in session.scalars(query)]
+
+
+def runs_of(database: Database, benchmark_id: str) -> list[RunRecord]:
+    """All runs of a benchmark, in order."""
+    get_benchmark(database, benchmark_id)
+    return list_runs(database, benchmark_id=benchmark_id, limit=-1)
+
+
+def unfinished_runs(database: Database) -> list[RunRecord]:
+    query = select(RunRow).where(RunRow.state.not_in(FINISHED)).order_by(RunRow.number)
+    with database.read() as session:
+        return [_record(row) for row in session.scalars(query)]
+
+
+def get_benchmark(database: Database, benchmark_id: str) -> BenchmarkRecord:
+    with database.read() as session:
+        row = session.scalar(select(BenchmarkRow).where(BenchmarkRow.id == benchmark_id))
+        if row is None:
+            raise NotFound("benchmark", benchmark_id)
+        return _benchmark(row)
+
+
+def list_benchmarks(
+    database: Database, *, after: int = 0, limit: int = 100
+) -> list[BenchmarkRecord]:
+    query = select(BenchmarkRow).where(BenchmarkRow.number > after)
+    with database.read() as session:
+        rows = session.scalars(query.order_by(BenchmarkRow.number).limit(limit))
+        return [_benchmark(row) for row in rows]
+
+
+def append_event(database: Database, run_id: str, event: RunEvent) -> bool:
+    """Write an event and the state it leads to; False where its key was written before."""
+    with database.write() as session:
+        return append(session, run_id, event)
+
+
+def append(session: Session, run_id: str, event: RunEvent) -> bool:
+    """`append_event` inside a transaction."""
+    mine = EventRow.run_id == run_id
+    if session.scalar(select(EventRow.seq).where(mine, EventRow.key == event.key)) is not None:
+        return False
+    row = _row(session, run_id)
+    last = session.scalar(select(func.max(EventRow.seq)).where(mine)) or 0
+    session.add(
+        EventRow(
+            run_id=run_id,
+            seq=last + 1,
+            key=event.key,
+            type=event.type,
+            body=event.model_dump_json(),
+            created_at=_now(),
+        )
+    )
+    row.state = next_state(_state(row), event)
+    failed = isinstance(event, RunFailed)
+    row.error_code = event.code if failed else None if row.state != "failed" else row.error_code
+    row.error_message = event.message if failed else row.error_message
+    row.updated_at = _now()
+    return True
+
+
+def events_of(
+    database: Database, run_id: str, *, after: int = 0, limit: int = -1, type: str | None = None
+) -> list[EventRecord]:
+    """Events of a run with `seq` above `after`, in order."""
+    query = select(EventRow).where(EventRow.run_id == run_id, EventRow.seq > after)
+    if type is not None:
+        query = query.where(EventRow.type == type)
+    with database.read() as session:
+        _row(session, run_id)
+        rows = session.scalars(query.order_by(EventRow.seq).limit(limit))
+        return [EventRecord(r.seq, r.created_at, event_from_json(r.body)) for r in rows]
+
+
+def request_cancel(database: Database, run_id: str) -> RunRecord:
+    """Ask a run to stop. Asking again changes nothing."""
+    with database.write() as session:
+        row = _row(session, run_id)
+        if row.state in {"succeeded", "failed"}:
+            raise NotPossible(f"run {run_id} has {row.state}; only a live run can be cancelled")
+        row.cancel_requested = True
+        return _record(row)
+
+
+def resubmit(database: Database, run_id: str) -> RunRecord:
+    """Queue a failed or cancelled run again; its finished stages answer at once."""
+    with database.write() as session:
+        row = _row(session, run_id)
+        if row.state not in {"failed", "cancelled"}:
+            raise NotPossible(
+                f"run {run_id} is {row.state}; only a failed or cancelled run can be resumed"
+            )
+        row.submission += 1
+        row.cancel_requested = False
+        append(session, run_id, RunQueued(submission=row.submission))
+        return _record(row)
+
+
+def delete_run(database: Database, run_id: str) -> None:
+    """Delete a finished run, and the stages and artifacts that no other run refers to."""
+    with database.write() as session:
+        row = _row(session, run_id)
+        if row.state not in FINISHED:
+            raise NotPossible(f"run {run_id} is {row.state}; cancel it before deleting it")
+        session.execute(delete(RunRow).where(RunRow.id == run_id))
+        delete_unreferenced(session)
+
+
+def _insert_run(session: Session, spec: RunSpec, benchmark_id: str | None) -> RunRow:
+    row = RunRow(
+        id=_new_id("run"),
+        benchmark_id=benchmark_id,
+        created_at=_now(),
+        updated_at=_now(),
+        task=spec.task,
+        variant=spec.variant,
+        method=spec.method.name,
+        seed=spec.seed,
+        spec=spec.model_dump_json(),
+        state="queued",
+        submission=1,
+        cancel_requested=False,
+    )
+    session.add(row)
+    session.flush()
+    append(session, row.id, RunQueued(submission=1))
+    return row
+
+
+def _row(session: Session, run_id: str) -> RunRow:
+    row = session.scalar(select(RunRow).where(RunRow.id == run_id))
+    if row is None:
+        raise NotFound("run", run_id)
+    return row
+
+
+def _record(row: RunRow) -> RunRecord:
+    return RunRecord(
+        row.number,
+        row.id,
+        row.benchmark_id,
+        row.created_at,
+        row.updated_at,
+        RunSpec.model_validate_json(row.spec),
+        _state(row),
+        row.submission,
+        row.cancel_requested,
+        row.error_code,
+        row.error_message,
+    )
+
+
+def _benchmark(row: BenchmarkRow) -> BenchmarkRecord:
+    spec = BenchmarkSpec.model_validate_json(row.spec)
+    return BenchmarkRecord(row.number, row.id, row.created_at, spec)
+
+
+def _state(row: RunRow) -> RunState:
+    return row.state  # type: ignore[return-value]  # the CHECK constraint holds these values
+
+
+def _new_id(prefix: str) -> str:
+    return f"{prefix}_{secrets.token_hex(8)}"
+
+
+def _now() -> datetime:
+    return datetime.now(UTC)
+
+
+def states_of(records: Sequence[RunRecord]) -> dict[str, int]:
+    """How many of the runs are in each state."""
+    counts: dict[str, int] = {}
+    for record in records:
+        counts[record.state] = counts.get(record.state, 0) + 1
+    return counts

@@ -1,0 +1,112 @@
+"""One database, one writer.
+
+SQLite's write-ahead log with full synchronisation: what a transaction committed is on disk.
+Writes go through one connection that begins IMMEDIATE, reads through connections that cannot
+write. A lock file keeps a second service away from an SQLite file.
+"""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import RLock
+from typing import Any
+
+from alembic import command
+from alembic.config import Config
+from filelock import FileLock, Timeout
+from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy.orm import Session
+
+from adr_service.errors import AdrError
+
+_BUSY_TIMEOUT_MS = 30_000  # for other processes, such as a backup
+
+
+class DatabaseInUse(AdrError):
+    """Another service holds the database."""
+
+    code = "database_in_use"
+
+
+class Database:
+    """Sessions on one database. Open it once, in the process that owns it."""
+
+    def __init__(self, url: str):
+        self.url = url
+        self._write_lock = RLock()
+        self._file_lock = _lock_file(url)
+        self._writer = _engine(url, read_only=False)
+        self._reader = _engine(url, read_only=True)
+
+    @contextmanager
+    def write(self) -> Generator[Session]:
+        """A transaction that commits when the block ends, and rolls back when it raises."""
+        with self._write_lock, Session(self._writer) as session, session.begin():
+            yield session
+
+    @contextmanager
+    def read(self) -> Generator[Session]:
+        with Session(self._reader) as session:
+            yield session
+
+    def close(self) -> None:
+        self._reader.dispose()
+        self._writer.dispose()
+        if self._file_lock:
+            self._file_lock.release()
+
+
+def open_database(url: str) -> Database:
+    """The database at `url`, created or upgraded to the present tables, and locked."""
+    database = Database(url)
+    try:
+        command.upgrade(alembic_config(url), "head")
+    except BaseException:
+        database.close()
+        raise
+    return database
+
+
+def alembic_config(url: str) -> Config:
+    config = Config()
+    config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
+    config.set_main_option("sqlalchemy.url", url.replace("%", "%%"))
+    return config
+
+
+def _lock_file(url: str) -> FileLock | None:
+    parsed = make_url(url)
+    if parsed.get_backend_name() != "sqlite" or not parsed.database:
+        return None
+    path = Path(parsed.database)
+    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    lock = FileLock(f"{path}.lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise DatabaseInUse(
+            f"{path} is in use by another service; stop it, or give this one another --data-dir"
+        ) from None
+    return lock
+
+
+def _engine(url: str, *, read_only: bool) -> Engine:
+    if make_url(url).get_backend_name() != "sqlite":
+        return create_engine(url)
+    engine = create_engine(url, **({} if read_only else {"pool_size": 1, "max_overflow": 0}))
+
+    @event.listens_for(engine, "connect")
+    def prepare(connection: Any, record: Any) -> None:
+        connection.isolation_level = None  # the driver must not begin transactions itself
+        pragmas = ["journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"]
+        pragmas.append(f"busy_timeout={_BUSY_TIMEOUT_MS}")
+        if read_only:
+            pragmas.append("query_only=ON")
+        for pragma in pragmas:
+            connection.execute(f"PRAGMA {pragma}")
+
+    @event.listens_for(engine, "begin")
+    def begin(connection: Connection) -> None:
+        connection.exec_driver_sql("BEGIN" if read_only else "BEGIN IMMEDIATE")
+
+    return engine

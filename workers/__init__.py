@@ -1,0 +1,1 @@
+"""Ray: where stages run. The only package that imports it."""

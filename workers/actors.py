@@ -1,0 +1,145 @@
+"""What runs inside Ray's processes: stages, and their sign of life.
+
+Nothing here opens a database or draws an unnamed random number. An ending is a value
+(`Finished`, `Failed`, `Stopped`), so that an exception from Ray always means a lost process.
+"""
+
+import importlib.metadata
+import os
+import platform
+import threading
+import time
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import ray
+
+from adr_service.computation import compute
+from adr_service.errors import AdrError
+from adr_service.progress import StageCancelled
+from adr_service.stages import Stage, StageResult
+
+SIGN_OF_LIFE_S = 1.0
+_PROVENANCE_PACKAGES = ("adr-service", "mujoco", "numpy", "scipy", "stable-baselines3", "torch")
+
+
+@dataclass(frozen=True)
+class Finished:
+    result: StageResult
+    seconds: float
+    provenance: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Failed:
+    """The stage itself went wrong; trying again would end the same."""
+
+    code: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Stopped:
+    """Nobody wanted the result any more."""
+
+
+Ending = Finished | Failed | Stopped
+
+
+@dataclass(frozen=True)
+class SignOfLife:
+    """The latest word from inside a running stage."""
+
+    digest: str
+    fraction: float
+    facts: dict[str, Any]
+    pid: int
+
+
+class Board:
+    """Where running stages report, and read whether to stop. Needs no CPU of its own."""
+
+    def __init__(self) -> None:
+        self._latest: dict[str, SignOfLife] = {}
+        self._unwanted: set[str] = set()
+
+    def report(self, sign: SignOfLife) -> bool:
+        """Note a sign of life; True tells the stage to stop."""
+        self._latest[sign.digest] = sign
+        return sign.digest in self._unwanted
+
+    def signs(self) -> list[SignOfLife]:
+        """Everything reported since the last call."""
+        signs, self._latest = list(self._latest.values()), {}
+        return signs
+
+    def set_unwanted(self, digest: str, unwanted: bool) -> None:
+        (self._unwanted.add if unwanted else self._unwanted.discard)(digest)
+
+
+class StageActor:
+    """A process that computes stages of one run and one role, and stays warm between them."""
+
+    def compute(self, stage: Stage, board: Any) -> Ending:
+        return compute_with_signs_of_life(stage, board)
+
+
+def compute_with_signs_of_life(stage: Stage, board: Any) -> Ending:
+    """Compute a stage, reporting at least every `SIGN_OF_LIFE_S`."""
+    reporter = _Reporter(stage.digest, board)
+    started = time.perf_counter()
+    try:
+        with reporter:
+            result = compute(stage, reporter.progress)
+    except StageCancelled:
+        return Stopped()
+    except AdrError as error:
+        return Failed(error.code, str(error))
+    except Exception as error:  # noqa: BLE001 - a defect must reach the run as its failure
+        trace = "".join(traceback.format_exception(error)[-4:])
+        return Failed("internal", f"{type(error).__name__}: {error}\n{trace}")
+    return Finished(result, time.perf_counter() - started, _provenance())
+
+
+class _Reporter:
+    """Sends the latest progress from a thread, so that compiling code shows life as well."""
+
+    def __init__(self, digest: str, board: Any):
+        self._digest, self._board = digest, board
+        self._latest: tuple[float, dict[str, Any]] = (0.0, {})
+        self._unwanted, self._done = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._report, daemon=True)
+
+    def __enter__(self) -> "_Reporter":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def progress(self, fraction: float, **facts: Any) -> None:
+        if self._unwanted.is_set():
+            raise StageCancelled
+        self._latest = (fraction, facts)
+
+    def _report(self) -> None:
+        while not self._done.is_set():
+            sign = SignOfLife(self._digest, *self._latest, os.getpid())
+            if ray.get(self._board.report.remote(sign)):
+                self._unwanted.set()
+            self._done.wait(SIGN_OF_LIFE_S)
+
+
+def _provenance() -> dict[str, Any]:
+    versions = {name: importlib.metadata.version(name) for name in _PROVENANCE_PACKAGES}
+    return {"python": platform.python_version(), "cpu": _cpu_model(), **versions}
+
+
+def _cpu_model() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models else platform.processor()

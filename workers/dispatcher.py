@@ -1,0 +1,393 @@
+"""Decides which stage runs where and when; the one thread that talks to Ray.
+
+Every core is a slot. A training or an inference takes a slot for an actor of its run and role,
+which stays warm for the run's next stage of that role until another run needs the slot; a
+visit to a simulated target takes a slot for a Ray task. Equal stages are computed once: who
+asks later waits for the same result. A lost process means another attempt, three at most.
+
+`ray.init` and everything after it happen on one thread that lives as long as the service: Ray's
+processes die with the thread that started them, and on the main thread Ray would steal signals.
+"""
+
+import logging
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import ray
+from ray.exceptions import RayError, RayTaskError
+
+from adr_service.errors import AdrError, RunCancelled, StageFailed
+from adr_service.stages import KINDS, Role, Stage, StageResult
+from workers.actors import (
+    Board,
+    Ending,
+    Failed,
+    Finished,
+    SignOfLife,
+    StageActor,
+    Stopped,
+    compute_with_signs_of_life,
+)
+
+log = logging.getLogger(__name__)
+MAX_ATTEMPTS = 3
+_TICK_S = 0.05
+_READ_BOARD_S = 0.5
+# light stages first: they are short, and trainings wait for them
+_PRIORITY: dict[Role, int] = {"target": 0, "inference": 1, "trainer": 2}
+
+
+class ClusterUnavailable(AdrError):
+    """Ray could not be started or joined."""
+
+    code = "cluster_unavailable"
+
+
+@dataclass(frozen=True)
+class RayOptions:
+    """How to start or join a cluster."""
+
+    address: str = "local"  # "local" starts one; else an address, or "auto"
+    cpus: int | None = None  # of a local cluster; None: all
+    dashboard: bool = True
+    compile_cache: Path = Path.home() / ".cache" / "adr_service" / "jax"
+    token_file: Path | None = None
+    temp_dir: Path | None = None
+
+
+@dataclass
+class _Job:
+    """A stage that somebody waits for."""
+
+    stage: Stage
+    number: int
+    started_by: str
+    waiters: dict[str, Future[StageResult]] = field(default_factory=dict[str, Future[StageResult]])
+    attempt: int = 0
+    ref: Any = None  # of the running call
+    actor: "_Actor | None" = None
+    sign: SignOfLife | None = None
+    since: float = field(default_factory=time.monotonic)
+
+    @property
+    def role(self) -> Role:
+        return KINDS[self.stage.kind].role
+
+
+@dataclass
+class _Actor:
+    name: str
+    run_id: str
+    role: Role
+    handle: Any  # of a StageActor
+    used: float = field(default_factory=time.monotonic)
+    busy: bool = False
+
+
+@dataclass(frozen=True)
+class Activity:
+    """A stage in the works, for those who watch."""
+
+    kind: str
+    digest: str
+    state: str  # "waiting" or "running"
+    attempt: int
+    seconds: float  # since it was asked for or started
+    fraction: float
+    facts: dict[str, Any]
+    actor: str | None
+    started_by: str
+
+
+Find = Callable[[str], StageResult | None]
+Commit = Callable[[Stage, Finished, int, str, list[str]], None]
+
+
+class Dispatcher:
+    """Runs stages for many runs at once. `submit` and `withdraw` may be called by any thread."""
+
+    def __init__(self, options: RayOptions, find: Find, commit: Commit):
+        self._options, self._find, self._commit = options, find, commit
+        self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._jobs: dict[str, _Job] = {}
+        self._actors: list[_Actor] = []
+        self._numbers = 0
+        self._stop = threading.Event()
+        self._ready: Future[None] = Future()
+        self._thread = threading.Thread(target=self._main, name="ray", daemon=True)
+        self.dashboard_url: str | None = None
+        self.cores = 0  # of the whole cluster, as last seen
+
+    def start(self) -> None:
+        """Start or join Ray; raises ClusterUnavailable with the reason."""
+        self._thread.start()
+        self._ready.result()
+
+    def close(self) -> None:
+        """Stop everything; what was running will run again when asked for again."""
+        self._stop.set()
+        self._thread.join()
+
+    @property
+    def is_alive(self) -> bool:
+        return self._thread.is_alive() and self._ready.done() and not self._stop.is_set()
+
+    def submit(self, stage: Stage, run_id: str) -> Future[StageResult]:
+        """The result to come of a stage, for a run."""
+        if self._stop.is_set():
+            raise ClusterUnavailable("the dispatcher has stopped; restart the service")
+        future: Future[StageResult] = Future()
+        self._inbox.put(lambda: self._accept(stage, run_id, future))
+        return future
+
+    def withdraw(self, run_id: str) -> None:
+        """The run wants nothing any more: its waiting stages go, its actors with them."""
+        self._inbox.put(lambda: self._withdraw(run_id))
+
+    def activities(self, run_id: str) -> list[Activity]:
+        """What is in the works for a run, running stages first."""
+        now = time.monotonic()
+        mine = [job for job in list(self._jobs.values()) if run_id in job.waiters]
+        return [
+            Activity(
+                kind=job.stage.kind,
+                digest=job.stage.digest,
+                state="running" if job.ref is not None else "waiting",
+                attempt=job.attempt,
+                seconds=now - job.since,
+                fraction=job.sign.fraction if job.sign else 0.0,
+                facts=job.sign.facts if job.sign else {},
+                actor=job.actor.name if job.actor else None,
+                started_by=job.started_by,
+            )
+            for job in sorted(mine, key=lambda job: (job.ref is None, job.number))
+        ]
+
+    # everything below runs on the dispatcher's own thread
+
+    def _main(self) -> None:
+        try:
+            self._start_ray()
+        except Exception as error:  # noqa: BLE001 - whatever Ray raises, the service must hear it
+            self._ready.set_exception(ClusterUnavailable(f"Ray did not start: {error}"))
+            return
+        self._ready.set_result(None)
+        ending: AdrError = RunCancelled("the service is stopping")
+        try:
+            self._loop()
+        except Exception as cause:  # runs must end, and /readyz must tell
+            log.exception("the dispatcher stopped")
+            ending = ClusterUnavailable(f"the dispatcher stopped: {cause}")
+        self._stop.set()
+        for job in self._jobs.values():
+            _fail(job, ending)
+        ray.shutdown()
+
+    def _start_ray(self) -> None:
+        options = self._options
+        if options.token_file is not None:
+            os.environ["RAY_AUTH_MODE"] = "token"
+            os.environ["RAY_AUTH_TOKEN_PATH"] = str(options.token_file)
+        local = options.address == "local"
+        arguments: dict[str, Any] = {"log_to_driver": False, "configure_logging": False}
+        if local:
+            arguments["num_cpus"] = options.cpus
+            arguments["include_dashboard"] = options.dashboard
+            arguments["object_store_memory"] = 200_000_000
+            if options.temp_dir is not None:
+                arguments["_temp_dir"] = str(options.temp_dir)
+        context = ray.init(
+            address=options.address,
+            namespace="adr",
+            runtime_env={"env_vars": _worker_environment(options.compile_cache)},
+            **arguments,
+        )
+        if url := context.dashboard_url:
+            self.dashboard_url = f"http://{url}"
+        self.cores = _cores()
+        self._board: Any = ray.remote(Board).options(num_cpus=0).remote()
+        self._board_ref: Any = None
+        self._board_read = 0.0
+
+    def _loop(self) -> None:
+        while not self._stop.is_set():
+            self._read_inbox()
+            self._schedule()
+            running = {job.ref: job for job in self._jobs.values() if job.ref is not None}
+            if running:
+                done, _ = ray.wait(list(running), num_returns=len(running), timeout=_TICK_S)
+                for ref in done:
+                    self._finish(running[ref])
+            self._read_board()
+
+    def _read_inbox(self) -> None:
+        """Carry out what other threads asked for; sleep a tick when nothing runs either."""
+        idle = not any(job.ref is not None for job in self._jobs.values())
+        try:
+            self._inbox.get(timeout=_TICK_S if idle else 0.001)()
+            while True:
+                self._inbox.get_nowait()()
+        except queue.Empty:
+            return
+
+    def _accept(self, stage: Stage, run_id: str, future: Future[StageResult]) -> None:
+        job = self._jobs.get(stage.digest)
+        if job is None:
+            if (stored := self._find(stage.digest)) is not None:
+                future.set_result(stored)
+                return
+            self._numbers += 1
+            job = self._jobs[stage.digest] = _Job(stage, self._numbers, run_id)
+        if not job.waiters:
+            self._board.set_unwanted.remote(stage.digest, False)
+        job.waiters[run_id] = future
+
+    def _withdraw(self, run_id: str) -> None:
+        for digest, job in list(self._jobs.items()):
+            if job.waiters.pop(run_id, None) is None or job.waiters:
+                continue
+            if job.ref is None:
+                del self._jobs[digest]
+            else:
+                self._board.set_unwanted.remote(digest, True)
+        for actor in [a for a in self._actors if a.run_id == run_id and not a.busy]:
+            self._end(actor)
+
+    def _schedule(self) -> None:
+        waiting = [job for job in self._jobs.values() if job.ref is None and job.waiters]
+        for job in sorted(waiting, key=lambda job: (_PRIORITY[job.role], job.number)):
+            if not self._place(job):
+                return
+
+    def _place(self, job: _Job) -> bool:
+        """Start a job if a slot can be had for it."""
+        warm = self._warm(job)
+        if warm is None and not self._free_slot():
+            return False
+        job.attempt += 1
+        job.since = time.monotonic()
+        name = f"adr:{job.started_by}:{job.role}"
+        if job.role == "target":
+            remote = ray.remote(compute_with_signs_of_life)
+            options = remote.options(name=name, num_cpus=1, max_retries=0)
+            job.ref = options.remote(job.stage, self._board)
+            return True
+        if warm is None:
+            warm = self._start_actor(name, job)
+        warm.busy, warm.used = True, time.monotonic()
+        job.actor = warm
+        job.ref = warm.handle.compute.remote(job.stage, self._board)
+        return True
+
+    def _warm(self, job: _Job) -> _Actor | None:
+        matching = (a for a in self._actors if not a.busy and a.role == job.role)
+        return next((a for a in matching if a.run_id == job.started_by), None)
+
+    def _free_slot(self) -> bool:
+        """Whether there is a free core, after ending the idlest actor if need be."""
+        tasks = [j for j in self._jobs.values() if j.ref is not None and j.actor is None]
+        if len(self._actors) + len(tasks) < self.cores:
+            return True
+        idle = [actor for actor in self._actors if not actor.busy]
+        if not idle:
+            return False
+        self._end(min(idle, key=lambda actor: actor.used))
+        return True
+
+    def _start_actor(self, name: str, job: _Job) -> _Actor:
+        taken = {actor.name for actor in self._actors}
+        unique = next(n for i in range(1, 10_000) if (n := f"{name}:{i}") not in taken)
+        handle = (
+            ray.remote(StageActor)
+            .options(name=unique, num_cpus=1, max_restarts=0, max_task_retries=0)
+            .remote()
+        )
+        actor = _Actor(unique, job.started_by, job.role, handle)
+        self._actors.append(actor)
+        return actor
+
+    def _end(self, actor: _Actor) -> None:
+        self._actors.remove(actor)
+        ray.kill(actor.handle)
+
+    def _finish(self, job: _Job) -> None:
+        ref, actor = job.ref, job.actor
+        job.ref, job.actor, job.sign = None, None, None
+        try:
+            ending = cast(Ending, ray.get(ref))
+        except RayTaskError as error:  # it raised where only a defect of ours can
+            ending: Ending = Failed("internal", str(error))
+        except RayError as error:
+            self._lost(job, actor, error)
+            return
+        if actor is not None:
+            actor.busy = False
+        match ending:
+            case Finished():
+                del self._jobs[job.stage.digest]
+                run_ids = list(job.waiters)
+                self._commit(job.stage, ending, job.attempt, job.started_by, run_ids)
+                for future in job.waiters.values():
+                    future.set_result(ending.result)
+            case Failed(code, message):
+                del self._jobs[job.stage.digest]
+                _fail(job, StageFailed(job.stage.kind, code, message))
+            case Stopped():
+                if not job.waiters:
+                    del self._jobs[job.stage.digest]
+                # else it was wanted again while it was stopping, and waits for its turn
+
+    def _lost(self, job: _Job, actor: _Actor | None, error: RayError) -> None:
+        """A process died under a job: another attempt, or the end."""
+        log.warning("%s: lost attempt %d: %s", job.stage.kind, job.attempt, error)
+        if actor is not None:
+            self._actors.remove(actor)
+        if job.attempt >= MAX_ATTEMPTS:
+            del self._jobs[job.stage.digest]
+            detail = f"its process was lost {MAX_ATTEMPTS} times; last: {error}"
+            _fail(job, StageFailed(job.stage.kind, "worker_lost", detail))
+
+    def _read_board(self) -> None:
+        """Ask the board for news now and then, never waiting for it."""
+        if self._board_ref is not None:
+            done, _ = ray.wait([self._board_ref], timeout=0)
+            if not done:
+                return
+            for sign in ray.get(self._board_ref):
+                if (job := self._jobs.get(sign.digest)) is not None:
+                    job.sign = sign
+            self._board_ref = None
+        if time.monotonic() - self._board_read > _READ_BOARD_S:
+            self._board_read = time.monotonic()
+            self._board_ref = self._board.signs.remote()
+            self.cores = _cores()
+
+
+def _fail(job: _Job, error: AdrError) -> None:
+    for future in job.waiters.values():
+        if not future.done():
+            future.set_exception(error)
+
+
+def _cores() -> int:
+    return int(ray.cluster_resources().get("CPU", 0))
+
+
+def _worker_environment(compile_cache: Path) -> dict[str, str]:
+    """One thread per process, and compiled programs kept between processes."""
+    single = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    return {
+        **dict.fromkeys(single, "1"),
+        "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+        "JAX_PLATFORMS": "cpu",
+        "JAX_COMPILATION_CACHE_DIR": str(compile_cache),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    }

@@ -1,0 +1,132 @@
+"""Keeps every unfinished run going: one thread per run, iterating its program.
+
+Resuming is running the program again; finished stages answer at once from the database. So a
+service that starts simply runs whatever is unfinished, whether it was stopped or killed.
+"""
+
+import logging
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+from sqlalchemy.orm import Session
+
+from adr_service.errors import AdrError, RunCancelled, StageFailed
+from adr_service.events import (
+    RunEvent,
+    RunFailed,
+    RunStarted,
+    RunStopped,
+    RunSucceeded,
+    StageFinished,
+)
+from adr_service.runs import run
+from adr_service.stages import Stage
+from db import runs as run_store
+from db import stages as stage_store
+from db.runs import RunRecord
+from db.session import Database
+from workers.actors import Finished
+from workers.dispatcher import Activity, Dispatcher, RayOptions
+from workers.stages import RayStages
+
+log = logging.getLogger(__name__)
+_RUNS_AT_ONCE = 64  # threads that mostly wait; the cores are shared out by the dispatcher
+
+
+class Orchestrator:
+    """Runs the runs of one database on one cluster."""
+
+    def __init__(self, database: Database, options: RayOptions):
+        self._database = database
+        self._dispatcher = Dispatcher(
+            options, lambda digest: stage_store.find_result(database, digest), self._commit
+        )
+        self._pool = ThreadPoolExecutor(_RUNS_AT_ONCE, thread_name_prefix="run")
+        self._cancelled: dict[str, threading.Event] = {}
+        self._closing = threading.Event()
+
+    def start(self) -> None:
+        """Start Ray, and go on with every unfinished run."""
+        self._dispatcher.start()
+        for record in run_store.unfinished_runs(self._database):
+            self.submit(record)
+
+    def close(self) -> None:
+        """Stop without a trace in the runs: they go on when the service starts again."""
+        self._closing.set()
+        self._dispatcher.close()
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def submit(self, record: RunRecord) -> None:
+        """Run a stored run; it may have begun before."""
+        flag = self._cancelled[record.id] = threading.Event()
+        if record.cancel_requested:
+            flag.set()
+        self._pool.submit(self._guard, record, flag)
+
+    def cancel(self, run_id: str) -> None:
+        if flag := self._cancelled.get(run_id):
+            flag.set()
+
+    @property
+    def is_alive(self) -> bool:
+        return self._dispatcher.is_alive
+
+    @property
+    def cores(self) -> int:
+        return self._dispatcher.cores
+
+    @property
+    def dashboard_url(self) -> str | None:
+        return self._dispatcher.dashboard_url
+
+    def activities(self, run_id: str) -> list[Activity]:
+        return self._dispatcher.activities(run_id)
+
+    def _guard(self, record: RunRecord, flag: threading.Event) -> None:
+        """Iterate a run's program to an end that is on record, whatever happens."""
+        try:
+            self._record(record, RunStarted(submission=record.submission))
+            stages = RayStages(
+                record.id, self._dispatcher, lambda: flag.is_set() or self._closing.is_set()
+            )
+            for event in run(record.spec, stages):
+                self._record(record, event)
+            ending: RunEvent = RunSucceeded()
+        except RunCancelled:
+            if self._closing.is_set():
+                return
+            ending = RunStopped(submission=record.submission)
+        except StageFailed as error:
+            ending = _failure(record, error.cause, str(error))
+        except AdrError as error:
+            ending = _failure(record, error.code, str(error))
+        except Exception as error:  # the last place that can put a defect on the run's record
+            log.exception("run %s failed", record.id)
+            ending = _failure(record, "internal", f"{type(error).__name__}: {error}")
+        self._dispatcher.withdraw(record.id)
+        self._record(record, ending)
+
+    def _record(self, record: RunRecord, event: RunEvent) -> None:
+        run_store.append_event(self._database, record.id, event)
+
+    def _commit(
+        self, stage: Stage, finished: Finished, attempt: int, started_by: str, run_ids: list[str]
+    ) -> None:
+        event = StageFinished(kind=stage.kind, digest=stage.digest)
+
+        def append_to_all(session: Session) -> None:
+            for run_id in run_ids:
+                run_store.append(session, run_id, event)
+
+        stage_store.commit_result(
+            self._database,
+            stage,
+            finished.result,
+            stage_store.Execution(attempt, started_by, finished.seconds, finished.provenance),
+            append_to_all,
+        )
+
+
+def _failure(record: RunRecord, code: str, message: str) -> RunFailed:
+    return RunFailed(submission=record.submission, code=code, message=message)

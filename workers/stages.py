@@ -1,0 +1,38 @@
+"""Stages that run on Ray and are remembered in the database."""
+
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+
+from adr_service.errors import RunCancelled
+from adr_service.events import RunEvent, StageFinished
+from adr_service.stages import Stage, StageResult
+from workers.dispatcher import ClusterUnavailable, Dispatcher
+
+_POLL_S = 0.2
+
+
+class RayStages:
+    """The `Stages` of one run in the service."""
+
+    def __init__(self, run_id: str, dispatcher: Dispatcher, is_cancelled: Callable[[], bool]):
+        self._run_id, self._dispatcher = run_id, dispatcher
+        self._is_cancelled = is_cancelled
+
+    def all(self, stages: Sequence[Stage]) -> Generator[RunEvent, None, list[StageResult]]:
+        asked: dict[Future[StageResult], Stage] = {}
+        futures = [self._dispatcher.submit(stage, self._run_id) for stage in stages]
+        asked.update(zip(futures, stages, strict=True))
+        while asked:
+            if self._is_cancelled():
+                raise RunCancelled("the run was asked to stop")
+            if not self._dispatcher.is_alive:
+                raise ClusterUnavailable("the cluster has stopped; restart the service")
+            done, _ = wait(asked, timeout=_POLL_S, return_when=FIRST_COMPLETED)
+            for future in [f for f in futures if f in done]:
+                stage = asked.pop(future)
+                future.result()  # raises what went wrong
+                yield StageFinished(kind=stage.kind, digest=stage.digest)
+        return [future.result() for future in futures]
+
+    def run(self, stage: Stage) -> Generator[RunEvent, None, StageResult]:
+        return (yield from self.all([stage]))[0]
