@@ -15,6 +15,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "transitions": 20,
             "evaluation_episodes": 4,
             "training": {
+                "backend": "sb3",  # compiles nothing, so it starts soonest
                 "max_steps": 600,
                 "hidden": [16, 16],
                 "activation": "relu",

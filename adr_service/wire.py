@@ -2,15 +2,27 @@
 
 import hashlib
 import json
-from typing import Any
+from typing import Any, cast
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, model_validator
+
+from adr_service.errors import UnknownName
 
 
 class Wire(BaseModel):
     """A value with a JSON form; unknown fields, wrong types, NaN and infinity are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_fields(cls, given: Any) -> Any:
+        """Pydantic refuses unknown fields too, but does not say which there are."""
+        if isinstance(given, dict):
+            for name in cast(dict[Any, Any], given):
+                if name not in cls.model_fields:
+                    raise ValueError(str(UnknownName("field", str(name), cls.model_fields)))
+        return given
 
 
 def canonical_json(value: Any) -> str:

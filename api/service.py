@@ -1,5 +1,6 @@
 """What the routes work with: one database and one orchestrator."""
 
+import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,12 +56,18 @@ def _ray_options(settings: Settings) -> RayOptions:
         address=settings.ray_address,
         cpus=settings.cpus,
         dashboard=settings.dashboard,
-        compile_cache=_compile_cache(settings.data_dir),
+        compile_cache=settings.data_dir.absolute() / "compile_cache",
+        token_file=_ray_token(settings.data_dir) if settings.ray_address == "local" else None,
     )
 
 
-def _compile_cache(data_dir: Path) -> Path:
-    return data_dir.absolute() / "compile_cache"
+def _ray_token(data_dir: Path) -> Path:
+    """The secret of our own Ray cluster, readable by nobody else (Ray's own is, by all)."""
+    path = data_dir.absolute() / "ray_token"
+    if not path.exists():
+        path.touch(mode=0o600)
+        path.write_text(secrets.token_hex(32))
+    return path
 
 
 def _service(request: Request) -> Service:

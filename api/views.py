@@ -32,6 +32,7 @@ class ActivityView(BaseModel):
     fraction: float
     facts: dict[str, Any]
     actor: str | None
+    pid: int | None
     started_by: str
 
 

@@ -36,7 +36,7 @@ def find_result(database: Database, digest: str) -> StageResult | None:
             .join(ArtifactRow, ArtifactRow.sha256 == StageArtifactRow.sha256)
             .where(StageArtifactRow.digest == digest)
         )
-        return StageResult(json.loads(row.result), dict(blobs.tuples().all()))
+        return StageResult(json.loads(row.result), {row.name: row.content for row in blobs})
 
 
 def commit_result(

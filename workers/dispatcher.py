@@ -103,6 +103,7 @@ class Activity:
     fraction: float
     facts: dict[str, Any]
     actor: str | None
+    pid: int | None
     started_by: str
 
 
@@ -119,6 +120,7 @@ class Dispatcher:
         self._jobs: dict[str, _Job] = {}
         self._actors: list[_Actor] = []
         self._numbers = 0
+        self._actors_started = 0
         self._stop = threading.Event()
         self._ready: Future[None] = Future()
         self._thread = threading.Thread(target=self._main, name="ray", daemon=True)
@@ -165,6 +167,7 @@ class Dispatcher:
                 fraction=job.sign.fraction if job.sign else 0.0,
                 facts=job.sign.facts if job.sign else {},
                 actor=job.actor.name if job.actor else None,
+                pid=job.sign.pid if job.sign else None,
                 started_by=job.started_by,
             )
             for job in sorted(mine, key=lambda job: (job.ref is None, job.number))
@@ -193,7 +196,7 @@ class Dispatcher:
     def _start_ray(self) -> None:
         options = self._options
         if options.token_file is not None:
-            os.environ["RAY_AUTH_MODE"] = "token"
+            # the mode stays unset: Ray turns it on for a local cluster, and notices
             os.environ["RAY_AUTH_TOKEN_PATH"] = str(options.token_file)
         local = options.address == "local"
         arguments: dict[str, Any] = {"log_to_driver": False, "configure_logging": False}
@@ -274,6 +277,7 @@ class Dispatcher:
         job.attempt += 1
         job.since = time.monotonic()
         name = f"adr:{job.started_by}:{job.role}"
+        log.info("stage %s %s: attempt %d", job.stage.kind, job.stage.digest, job.attempt)
         if job.role == "target":
             remote = ray.remote(compute_with_signs_of_life)
             options = remote.options(name=name, num_cpus=1, max_retries=0)
@@ -302,8 +306,8 @@ class Dispatcher:
         return True
 
     def _start_actor(self, name: str, job: _Job) -> _Actor:
-        taken = {actor.name for actor in self._actors}
-        unique = next(n for i in range(1, 10_000) if (n := f"{name}:{i}") not in taken)
+        self._actors_started += 1  # Ray frees the name of a dead actor late, if at all
+        unique = f"{name}:{self._actors_started}"
         handle = (
             ray.remote(StageActor)
             .options(name=unique, num_cpus=1, max_restarts=0, max_task_retries=0)

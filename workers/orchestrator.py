@@ -105,6 +105,7 @@ class Orchestrator:
             log.exception("run %s failed", record.id)
             ending = _failure(record, "internal", f"{type(error).__name__}: {error}")
         self._dispatcher.withdraw(record.id)
+        self._cancelled.pop(record.id, None)
         self._record(record, ending)
 
     def _record(self, record: RunRecord, event: RunEvent) -> None:

@@ -118,7 +118,7 @@ def _row(key: tuple[str, str, str, int], outcomes: Sequence[Outcome]) -> Row:
     task, variant, method, iteration = key
     threshold = get_task(task).reward_threshold
     returns: list[Matrix] = [np.array(o.iteration.returns) / threshold for o in outcomes]
-    interval: Interval = mean_interval(returns, stream("interval", *key))
+    interval: Interval = mean_interval(returns, stream("interval"))  # equal data, equal interval
     reached = [flag for o in outcomes for flag in o.iteration.reached_threshold]
     transitions: Vector = np.array([o.iteration.target_transitions for o in outcomes])
     return Row(

@@ -45,12 +45,13 @@ def _returns(outcomes: Sequence[Outcome]) -> Figure:
     """Normalised target return over iterations, a panel per task and variant."""
     rows = table(outcomes)
     panels = list(dict.fromkeys((row.task, row.variant) for row in rows))
-    figure = Figure(figsize=(1.2 + 4.2 * len(panels), 3.4), layout="constrained")
+    figure = Figure(figsize=(2 + 4.2 * len(panels), 3.4), layout="constrained")
     axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axis, panel in zip(axes, panels, strict=True):
         _returns_panel(axis, [row for row in rows if (row.task, row.variant) == panel])
         axis.set_title(f"{panel[0]}, {panel[1]}")
     axes[0].set_ylabel("target return / reward threshold")
+    axes[-1].legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
     seeds = sorted({row.seeds for row in rows})
     figure.supxlabel(
         f"bands: 95 % bootstrap intervals over {'–'.join(map(str, seeds))} seeds and episodes",
@@ -76,7 +77,6 @@ def _returns_panel(axis: Axes, rows: Sequence[Row]) -> None:
     axis.axhline(1.0, color="black", linewidth=0.5)
     axis.set_xlabel("iteration (target trajectories seen)")
     axis.set_xticks(range(last + 1))
-    axis.legend(frameon=False, fontsize=7)
 
 
 def _parameters(outcomes: Sequence[Outcome]) -> Figure:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adr_service.arrays import Matrix, Vector
+from adr_service.arrays import Matrix
 from adr_service.errors import InvalidInput
 
 _RESAMPLES = 2000
@@ -30,17 +30,21 @@ def mean_interval(seeds: Sequence[Matrix], rng: np.random.Generator) -> Interval
     """
     if not seeds or any(returns.size == 0 for returns in seeds):
         raise InvalidInput("an interval needs at least one return of at least one seed")
-    means: Vector = np.array([float(np.mean(returns)) for returns in seeds])
-    resampled = np.empty(_RESAMPLES)
-    for i in range(_RESAMPLES):
-        chosen = rng.integers(len(seeds), size=len(seeds))
-        resampled[i] = np.mean([_resampled_mean(seeds[k], rng) for k in chosen])
+    count = len(seeds)
+    # (resamples, count): the resampled mean of the seed that was chosen for each place
+    chosen = rng.integers(count, size=(_RESAMPLES, count))
+    means = np.zeros((_RESAMPLES, count))
+    for index, returns in enumerate(seeds):
+        means += np.where(chosen == index, _resampled_means(returns, (_RESAMPLES, count), rng), 0)
     tail = 100 * (1 - _LEVEL) / 2
-    low, high = np.percentile(resampled, [tail, 100 - tail])
-    return Interval(float(np.mean(means)), float(low), float(high))
+    low, high = np.percentile(means.mean(axis=1), [tail, 100 - tail])
+    mean = float(np.mean([float(np.mean(returns)) for returns in seeds]))
+    return Interval(mean, float(low), float(high))
 
 
-def _resampled_mean(returns: Matrix, rng: np.random.Generator) -> float:
+def _resampled_means(returns: Matrix, shape: tuple[int, int], rng: np.random.Generator) -> Matrix:
+    """Means of `shape` resamples of policies and their episodes."""
     policies, episodes = returns.shape
-    rows = rng.integers(policies, size=(policies, 1))
-    return float(np.mean(returns[rows, rng.integers(episodes, size=(policies, episodes))]))
+    rows = rng.integers(policies, size=(*shape, policies, 1))
+    columns = rng.integers(episodes, size=(*shape, policies, episodes))
+    return returns[rows, columns].mean(axis=(2, 3))

@@ -53,6 +53,14 @@ class Simulations:
         """(n,) whether a simulation is no longer finite."""
         return ~np.isfinite(self._qpos.sum(axis=1) + self._qvel.sum(axis=1))
 
+    def model_field(self, name: str) -> Matrix:
+        """A copy of a field of MjModel in every simulation, (n, ...)."""
+        expanded = self._batch.expanded(name)
+        if expanded is not None:
+            return expanded.copy()
+        shared = getattr(self._batch.model, name)
+        return np.broadcast_to(shared, (self.n, *shared.shape)).copy()
+
     def set_dynamics(self, values: Matrix, rows: list[int] | None = None) -> None:
         """Give simulations (`rows`, or all) their parameters, (n, d) in SI units.
 

@@ -7,6 +7,7 @@ import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
+from adr_service.arrays import Matrix
 from adr_service.distributions import Distribution
 from adr_service.simulation.batch import Simulations
 from adr_service.tasks.base import Source, State, Task
@@ -39,6 +40,11 @@ class RandomizedVecEnv(VecEnv):
         self._steps = np.zeros(n, dtype=np.int64)
         self.adjusted = 0
         self._actions = np.zeros((n, len(task.action_low)))
+
+    @property
+    def dynamics(self) -> Matrix:
+        """The dynamics of each environment's episode, (n, d) in SI units."""
+        return self._simulations.dynamics.copy()
 
     def reset(self) -> np.ndarray:
         self._begin(list(range(self.num_envs)))

@@ -1,0 +1,45 @@
+"""Fixtures: the published data, a database, and a service of our own."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from adr_service.transitions import TransitionDataset
+from db.session import Database, open_database
+from tests.published import load_hopper
+from tests.service import RunningService, start_service
+
+
+@pytest.fixture(scope="session")
+def datasets() -> Path:
+    """The folder of published data sets; see docs/datasets.md."""
+    folder = Path(os.environ.get("ADR_DATASETS", ""))
+    if not os.environ.get("ADR_DATASETS") or not folder.is_dir():
+        pytest.skip("ADR_DATASETS names no folder with the published data sets (docs/datasets.md)")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def hopper_clean(datasets: Path) -> TransitionDataset:
+    return load_hopper(datasets / "dropo_hopper/hopper10000", "hoppermass_n10000")
+
+
+@pytest.fixture(scope="session")
+def hopper_noisy(datasets: Path) -> TransitionDataset:
+    return load_hopper(datasets / "dropo_hopper/hoppernoisy1e-510000", "hopper_n10000")
+
+
+@pytest.fixture
+def database(tmp_path: Path) -> Iterator[Database]:
+    opened = open_database(f"sqlite:///{tmp_path / 'adr.sqlite'}")
+    yield opened
+    opened.close()
+
+
+@pytest.fixture(scope="session")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
+    """One service with Ray on two cores for all tests that only add to it."""
+    with start_service(tmp_path_factory.mktemp("service"), cpus=2) as running:
+        yield running

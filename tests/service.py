@@ -1,0 +1,95 @@
+"""A real service in another process, for tests that talk to it or kill it."""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from api.client import AdrClient, Unreachable
+
+START_TIMEOUT_S = 120
+
+
+@dataclass
+class RunningService:
+    process: subprocess.Popen[bytes]
+    client: AdrClient
+    data_dir: Path
+    log: Path
+
+    def kill(self) -> None:
+        """SIGKILL, as a crash would."""
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait(timeout=30)
+
+    @property
+    def started_stages(self) -> list[str]:
+        """Digests of the stages this process has started, in order, from its log."""
+        return re.findall(r"stage \w+ (\w{64}): attempt", self.log.read_text())
+
+    @property
+    def children(self) -> dict[int, str]:
+        """Pids and titles of the Ray workers under this process."""
+        found: dict[int, str] = {}
+        pending = [self.process.pid]
+        while pending:
+            pid = pending.pop()
+            for path in Path(f"/proc/{pid}/task").glob("*/children"):
+                for child in map(int, path.read_text().split()):
+                    title = Path(f"/proc/{child}/cmdline").read_bytes()
+                    found[child] = title.decode(errors="replace").replace("\0", " ").strip()
+                    pending.append(child)
+        return found
+
+
+@contextmanager
+def start_service(data_dir: Path, *, cpus: int) -> Generator[RunningService]:
+    """A service on a free port; terminated by pid when the block ends."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    log = data_dir / f"service-{port}.log"
+    command = [sys.executable, "-m", "api", "serve", "--port", str(port)]
+    command += ["--data-dir", str(data_dir), "--cpus", str(cpus)]
+    # Ray's default folder is shared by everyone on the machine; ours must be short for sockets
+    environment = {**os.environ, "HOME": str(data_dir)}
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            command, stdout=output, stderr=subprocess.STDOUT, env=environment
+        )
+    try:
+        with AdrClient(f"http://127.0.0.1:{port}") as client:
+            _wait(client, process, log)
+            yield RunningService(process, client, data_dir, log)
+    finally:
+        if process.poll() is None:
+            process.terminate()
+            process.wait(timeout=60)
+
+
+def wait_until_finished(client: AdrClient, id: str, timeout_s: float) -> dict[str, object]:
+    deadline = time.monotonic() + timeout_s
+    for seen in client.watch(id):
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{id} did not finish in {timeout_s} s: {seen}")
+        last = seen
+    return last
+
+
+def _wait(client: AdrClient, process: subprocess.Popen[bytes], log: Path) -> None:
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while time.monotonic() < deadline and process.poll() is None:
+        try:
+            client.ready()
+        except Unreachable:
+            time.sleep(0.1)  # a process that starts can only be asked again
+        else:
+            return
+    raise RuntimeError(f"the service did not start:\n{log.read_text()[-3000:]}")

@@ -1,0 +1,232 @@
+"""The service over HTTP, as a user meets it: a real process with Ray and SQLite."""
+
+import csv
+import io
+import json
+import stat
+import subprocess
+import sys
+
+import httpx2
+import pytest
+
+from adr_service.training.policy import Policy
+from api.client import AdrClient, Refused, Unreachable
+from tests.service import RunningService, wait_until_finished
+
+pytestmark = pytest.mark.ray
+SMOKE = {"task": "arm", "method": "simopt", "preset": "smoke"}
+
+
+@pytest.fixture(scope="module")
+def http(service: RunningService):
+    with httpx2.Client(base_url=service.client.url, timeout=60) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def finished(service: RunningService):
+    """A SimOpt run that has succeeded."""
+    run = service.client.submit_run(SMOKE)
+    assert wait_until_finished(service.client, run["id"], 120)["state"] == "succeeded"
+    return run["id"]
+
+
+@pytest.fixture(scope="module")
+def benchmark(service: RunningService):
+    spec = {"tasks": ["arm"], "methods": ["dropo"], "seeds": [0], "preset": "smoke"}
+    submitted = service.client.submit_benchmark(spec)
+    assert wait_until_finished(service.client, submitted["id"], 120)["states"] == {"succeeded": 3}
+    return submitted["id"]
+
+
+class TestRuns:
+    def test_submitting_is_accepted_and_says_where_to_look(self, http):
+        response = http.post("/v1/runs", json={**SMOKE, "method": "prior"})
+        assert response.status_code == 202
+        assert http.get(response.headers["Location"]).json()["id"] == response.json()["id"]
+
+    def test_a_finished_run_has_its_story_results_and_policy(self, service, http, finished):
+        events = http.get(f"/v1/runs/{finished}/events").json()["items"]
+        assert [e["seq"] for e in events] == list(range(1, len(events) + 1))
+        assert events[0]["event"]["type"] == "run_queued"
+        assert events[-1]["event"]["type"] == "run_succeeded"
+        rows = service.client.results(finished)["rows"]
+        assert [row["target_transitions"] for row in rows] == [0, 20]
+        assert "mean nothing" in service.client.results(finished)["note"]
+        policy = Policy.from_bytes(service.client.policy(finished))
+        assert policy.action_low.tolist() == [-1, -1]
+
+    def test_events_are_paged(self, http, finished):
+        whole = http.get(f"/v1/runs/{finished}/events").json()["items"]
+        first = http.get(f"/v1/runs/{finished}/events?limit=2").json()
+        rest = http.get(f"/v1/runs/{finished}/events?after={first['next_page_token']}").json()
+        assert first["items"] + rest["items"] == whole
+
+    def test_runs_are_listed_by_filter_and_page(self, service, http, finished):
+        every = service.client.list_all("runs", page_size="1")
+        assert finished in {run["id"] for run in every}
+        found = http.get("/v1/runs", params={"method": "simopt", "state": "succeeded"}).json()
+        assert {run["spec"]["method"]["name"] for run in found["items"]} == {"simopt"}
+
+    def test_a_dry_run_tells_the_cost_and_starts_nothing(self, service, http):
+        before = len(service.client.list_all("runs"))
+        answer = http.post("/v1/runs?validate_only=true", json=SMOKE)
+        assert answer.status_code == 200
+        body = answer.json()
+        assert body["plan"]["trainings"] == 2
+        assert body["plan"]["cores"] == 2
+        assert body["spec"]["training"]["max_steps"] == 600
+        assert len(service.client.list_all("runs")) == before
+
+    def test_a_run_is_cancelled_resumed_and_deleted(self, service, http):
+        long = {**SMOKE, "seed": 77, "training": {"max_steps": 20_000, "evaluate_every": 20_000}}
+        id = service.client.submit_run(long)["id"]
+        assert http.delete(f"/v1/runs/{id}").status_code == 409
+        service.client.cancel(id)
+        assert wait_until_finished(service.client, id, 60)["state"] == "cancelled"
+        assert http.post(f"/v1/runs/{id}/resume").status_code == 202
+        assert service.client.get(id)["submission"] == 2
+        assert http.post(f"/v1/runs/{id}/resume").status_code == 409
+        service.client.cancel(id)
+        wait_until_finished(service.client, id, 60)
+        assert http.delete(f"/v1/runs/{id}").status_code == 204
+        assert http.get(f"/v1/runs/{id}").status_code == 404
+
+
+class TestBenchmarks:
+    def test_results_come_as_json_csv_and_figures(self, service, http, benchmark):
+        rows = service.client.results(benchmark)["rows"]
+        assert [row["method"] for row in rows] == ["dropo", "dropo", "prior", "oracle"]
+        table = list(csv.DictReader(io.StringIO(service.client.results_csv(benchmark))))
+        assert [float(r["normalised_return"]) for r in table] == [
+            row["normalised_return"] for row in rows
+        ]
+        for name in ("returns", "parameters"):
+            assert service.client.figure(benchmark, f"{name}.png").startswith(b"\x89PNG")
+            assert b"<svg" in service.client.figure(benchmark, f"{name}.svg")
+
+    def test_the_page_shows_them(self, http, benchmark):
+        page = http.get(f"/benchmarks/{benchmark}").text
+        assert "dropo" in page
+        assert f"/v1/benchmarks/{benchmark}/figures/returns.svg" in page
+        assert "these numbers mean nothing" in page
+        assert benchmark in http.get("/").text
+
+    def test_a_dry_run_counts_shared_trainings_once(self, http):
+        spec = {"tasks": ["arm"], "methods": ["udr", "simopt", "dropo"], "seeds": [0, 1]}
+        body = http.post("/v1/benchmarks?validate_only=true", json={**spec, "preset": "smoke"})
+        # per seed: prior, oracle, 2 of UDR, 1 of SimOpt, 1 of DROPO
+        assert body.json()["plan"]["trainings"] == 12
+
+
+class TestBadInput:
+    """422 with what was given and what is accepted; nothing is stored."""
+
+    @pytest.mark.parametrize(
+        ("body", "given", "accepted"),
+        [
+            ({**SMOKE, "method": "magic"}, "magic", "udr, simopt, dropo"),
+            ({**SMOKE, "task": "hoper"}, "hoper", "arm, hopper"),
+            ({**SMOKE, "variant": "windy"}, "windy", "vanilla, noisy, unmodeled"),
+            ({**SMOKE, "iterations": -1}, "-1", "greater than or equal to 1"),
+            ({**SMOKE, "seed": "0"}, "'0'", "valid integer"),
+            ({**SMOKE, "sed": 0}, "sed", "did you mean 'seed'"),
+            ({**SMOKE, "method": {"name": "dropo", "budget": -5}}, "-5", "greater than"),
+            ([], "[]", "dictionary"),
+            ({}, "{}", "Field required"),
+        ],
+        ids=str,
+    )
+    def test_it_is_refused(self, service, http, body, given, accepted):
+        self.refused(service, http, json.dumps(body), given, accepted)
+
+    @pytest.mark.parametrize("number", ["NaN", "Infinity", "1e999"])
+    def test_numbers_that_are_none_are_refused(self, service, http, number):
+        body = json.dumps(SMOKE)[:-1] + f', "training": {{"gamma": {number}}}}}'
+        self.refused(service, http, body, "nan" if number == "NaN" else "inf", "finite")
+
+    def test_broken_json_is_refused(self, service, http):
+        self.refused(service, http, '{"task": ', "", "JSON")
+
+    def test_a_bad_benchmark_stores_no_run(self, service, http):
+        body = json.dumps({"tasks": ["arm", "leg"], "methods": ["udr"], "preset": "smoke"})
+        self.refused(service, http, body, "leg", "arm, hopper", path="/v1/benchmarks")
+
+    def refused(self, service, http, body, given, accepted, path="/v1/runs"):
+        before = len(service.client.list_all("runs"))
+        headers = {"Content-Type": "application/json"}
+        response = http.post(path, content=body, headers=headers)
+        assert response.status_code == 422
+        assert response.headers["Content-Type"] == "application/problem+json"
+        (first, *_) = response.json()["errors"]
+        assert given in first["given"] + first["detail"]
+        assert accepted in first["detail"]
+        assert len(service.client.list_all("runs")) == before
+
+    @pytest.mark.parametrize(
+        "path",
+        [
+            "/v1/runs/run_x",
+            "/v1/runs/run_x/events",
+            "/v1/runs/run_x/policy",
+            "/v1/benchmarks/bench_x",
+            "/v1/benchmarks/bench_x/results",
+            "/v1/artifacts/abc",
+            "/benchmarks/bench_x",
+            "/nowhere",
+        ],
+    )
+    def test_what_is_not_there_is_a_404_problem(self, http, path):
+        response = http.get(path)
+        assert response.status_code == 404
+        assert response.headers["Content-Type"] == "application/problem+json"
+
+    def test_an_unknown_figure_is_refused_with_the_list(self, http, finished):
+        response = http.get(f"/v1/runs/{finished}/figures/curve.svg")
+        assert response.status_code == 404
+        assert "returns, parameters" in response.json()["detail"]
+
+    def test_a_body_of_megabytes_is_refused(self, http):
+        response = http.post("/v1/runs", content=b"[" + b"1," * 1_000_000 + b"1]")
+        assert response.status_code in {413, 422}
+
+
+class TestService:
+    def test_it_says_that_it_is_well(self, http):
+        assert http.get("/healthz").json() == {"status": "ok"}
+        ready = http.get("/readyz").json()
+        assert ready["status"] == "ready"
+        assert ready["cores"] == 2
+
+    def test_the_catalogue_lists_tasks_methods_and_presets(self, http):
+        assert {task["name"] for task in http.get("/v1/tasks").json()} == {"arm", "hopper"}
+        assert "DropoSettings" in json.dumps(http.get("/v1/methods").json())
+        assert list(http.get("/v1/presets").json()) == ["smoke", "demo", "quick", "paper"]
+
+    def test_tasks_do_not_tell_the_truth(self, http):
+        """What simulated targets hide is nowhere in the catalogue."""
+        assert "3.534" not in http.get("/v1/tasks").text
+
+    def test_secrets_are_for_the_owner_alone(self, service):
+        mode = (service.data_dir / "ray_token").stat().st_mode
+        assert stat.S_IMODE(mode) == 0o600
+        token = (service.data_dir / "ray_token").read_text()
+        assert token not in service.log.read_text()
+
+    def test_it_listens_for_everyone_only_with_a_token(self, tmp_path):
+        command = [sys.executable, "-m", "api", "serve", "--host", "0.0.0.0"]  # noqa: S104
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=60, cwd=tmp_path, check=False
+        )
+        assert done.returncode == 2
+        assert "set ADR_TOKEN" in done.stdout
+
+    def test_the_client_explains_a_refusal_and_an_absence(self, service):
+        with pytest.raises(Refused, match="did you mean 'arm'"):
+            service.client.submit_run({**SMOKE, "task": "arn"})
+        with (
+            AdrClient("http://127.0.0.1:9") as nobody,
+            pytest.raises(Unreachable, match="adr serve"),
+        ):
+            nobody.ready()

@@ -1,0 +1,215 @@
+"""The database: transactions, constraints, migrations, and one writer."""
+
+import sqlite3
+import threading
+
+import pytest
+from alembic import command
+from sqlalchemy import inspect, text
+from sqlalchemy.exc import IntegrityError, OperationalError
+
+from adr_service.events import (
+    RunFailed,
+    RunQueued,
+    RunStarted,
+    RunStopped,
+    RunSucceeded,
+    StageFinished,
+    state_after,
+)
+from adr_service.specs import BenchmarkSpec, RunSpec
+from adr_service.stages import Stage, StageResult
+from db import runs, stages
+from db.models import RunRow
+from db.runs import NotFound, NotPossible
+from db.session import DatabaseInUse, alembic_config, open_database
+
+SPEC = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})
+STAGE = Stage("evaluate", {"x": 1})
+EXECUTION = stages.Execution(1, "run_a", 0.5, {"python": "3.11"})
+
+
+def commit(database, stage, result, *run_ids):
+    event = StageFinished(kind=stage.kind, digest=stage.digest)
+    stages.commit_result(
+        database,
+        stage,
+        result,
+        EXECUTION,
+        lambda session: [runs.append(session, run_id, event) for run_id in run_ids],
+    )
+
+
+def count(database, table):
+    with database.read() as session:
+        return session.scalar(text(f"select count(*) from {table}"))  # noqa: S608 - our own names
+
+
+class TestRuns:
+    def test_a_stored_run_comes_back_whole_and_queued(self, database):
+        record = runs.create_run(database, SPEC)
+        assert runs.get_run(database, record.id) == record
+        assert (record.spec, record.state, record.submission) == (SPEC, "queued", 1)
+        assert record.created_at.tzinfo is not None
+
+    def test_an_event_is_written_once(self, database):
+        run = runs.create_run(database, SPEC)
+        assert runs.append_event(database, run.id, RunStarted(submission=1))
+        assert not runs.append_event(database, run.id, RunStarted(submission=1))
+        assert [e.seq for e in runs.events_of(database, run.id)] == [1, 2]
+
+    def test_the_state_is_the_fold_of_the_events(self, database):
+        run = runs.create_run(database, SPEC)
+        failed = RunFailed(submission=1, code="worker_lost", message="gone")
+        story = [RunStarted(submission=1), failed, RunQueued(submission=2)]
+        story += [RunStarted(submission=2), RunStopped(submission=2), RunSucceeded()]
+        for event in story:
+            runs.append_event(database, run.id, event)
+            found = [e.event for e in runs.events_of(database, run.id)]
+            assert runs.get_run(database, run.id).state == state_after(found)
+
+    def test_a_failure_has_its_error_until_the_run_goes_on(self, database):
+        run = runs.create_run(database, SPEC)
+        runs.append_event(database, run.id, RunFailed(submission=1, code="x", message="why"))
+        record = runs.get_run(database, run.id)
+        assert (record.error_code, record.error_message) == ("x", "why")
+        again = runs.resubmit(database, run.id)
+        assert (again.state, again.submission, again.error_code) == ("queued", 2, None)
+
+    def test_impossible_rows_are_refused_by_the_database_itself(self, database):
+        run = runs.create_run(database, SPEC)
+        for change in ("state = 'sleeping'", "state = 'failed'", "submission = 0"):
+            with pytest.raises(IntegrityError), database.write() as session:
+                session.execute(text(f"update runs set {change} where id = '{run.id}'"))  # noqa: S608
+
+    def test_pages_follow_the_order_of_submission(self, database):
+        ids = [runs.create_run(database, SPEC).id for _ in range(5)]
+        first = runs.list_runs(database, limit=2)
+        rest = runs.list_runs(database, after=first[-1].number)
+        assert [r.id for r in first + rest] == ids
+
+    def test_a_benchmark_is_stored_with_all_its_runs(self, database):
+        spec = BenchmarkSpec.model_validate(
+            {"tasks": ["arm"], "methods": ["simopt"], "seeds": [0, 1], "preset": "smoke"}
+        )
+        record = runs.create_benchmark(database, spec)
+        assert runs.get_benchmark(database, record.id) == record
+        assert [r.spec for r in runs.runs_of(database, record.id)] == list(spec.runs())
+
+    def test_what_is_not_there_is_said_so(self, database):
+        with pytest.raises(NotFound, match="no run 'run_x'"):
+            runs.get_run(database, "run_x")
+        with pytest.raises(NotFound, match="no benchmark 'b'"):
+            runs.runs_of(database, "b")
+
+    def test_only_live_runs_are_cancelled_and_only_ended_ones_resumed_or_deleted(self, database):
+        run = runs.create_run(database, SPEC)
+        with pytest.raises(NotPossible, match="only a failed or cancelled run"):
+            runs.resubmit(database, run.id)
+        with pytest.raises(NotPossible, match="cancel it before"):
+            runs.delete_run(database, run.id)
+        assert runs.request_cancel(database, run.id).cancel_requested
+        runs.append_event(database, run.id, RunSucceeded())
+        with pytest.raises(NotPossible, match="only a live run"):
+            runs.request_cancel(database, run.id)
+
+
+class TestStages:
+    result = StageResult({"returns": [0.1, 1 / 3]}, {"policy": b"\0bytes", "data": b""})
+
+    def test_a_result_comes_back_to_the_last_digit(self, database):
+        run = runs.create_run(database, SPEC)
+        assert stages.find_result(database, STAGE.digest) is None
+        commit(database, STAGE, self.result, run.id)
+        assert stages.find_result(database, STAGE.digest) == self.result
+
+    def test_a_stage_is_committed_once_and_tells_every_run(self, database):
+        first, second = (runs.create_run(database, SPEC) for _ in range(2))
+        commit(database, STAGE, self.result, first.id)
+        commit(database, STAGE, StageResult({"other": 1}), first.id, second.id)
+        assert stages.find_result(database, STAGE.digest) == self.result
+        for run in (first, second):
+            assert len(runs.events_of(database, run.id, type="stage_finished")) == 1
+
+    def test_nothing_of_a_commit_stays_when_a_part_of_it_fails(self, database):
+        with pytest.raises(NotFound):
+            commit(database, STAGE, self.result, "run_that_is_not_there")
+        assert [count(database, t) for t in ("stages", "artifacts", "events")] == [0, 0, 0]
+
+    def test_equal_bytes_are_stored_once(self, database):
+        run = runs.create_run(database, SPEC)
+        for x in (1, 2):
+            commit(database, Stage("evaluate", {"x": x}), StageResult({}, {"p": b"same"}), run.id)
+        assert count(database, "artifacts") == 1
+
+    def test_deleting_a_run_frees_what_only_it_refers_to(self, database):
+        first, second = (runs.create_run(database, SPEC) for _ in range(2))
+        commit(database, STAGE, self.result, first.id, second.id)
+        own = Stage("evaluate", {"x": 2})
+        commit(database, own, StageResult({}, {"p": b"own"}), first.id)
+        for run in (first, second):
+            runs.append_event(database, run.id, RunSucceeded())
+        runs.delete_run(database, first.id)
+        assert stages.find_result(database, own.digest) is None
+        assert stages.find_result(database, STAGE.digest) == self.result
+        runs.delete_run(database, second.id)
+        tables = ("runs", "events", "stages", "artifacts", "stage_artifacts")
+        assert [count(database, table) for table in tables] == [0] * 5
+
+
+class TestSession:
+    def test_what_is_committed_is_on_disk_for_any_other_reader(self, database, tmp_path):
+        run = runs.create_run(database, SPEC)
+        with sqlite3.connect(tmp_path / "adr.sqlite") as other:
+            assert other.execute("select id from runs").fetchall() == [(run.id,)]
+        other.close()
+
+    def test_the_writer_waits_for_the_disk_and_the_reader_cannot_write(self, database):
+        with database.write() as session:
+            assert session.scalar(text("pragma journal_mode")) == "wal"
+            assert session.scalar(text("pragma synchronous")) == 2  # FULL
+            assert session.scalar(text("pragma foreign_keys")) == 1
+        with pytest.raises(OperationalError, match="readonly"), database.read() as session:
+            session.execute(text("delete from runs"))
+
+    def test_no_update_is_lost_between_threads(self, database):
+        run = runs.create_run(database, SPEC)
+
+        def increment():
+            for _ in range(50):
+                with database.write() as session:
+                    row = session.query(RunRow).filter_by(id=run.id).one()
+                    row.seed = row.seed + 1
+
+        threads = [threading.Thread(target=increment) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        with database.read() as session:
+            assert session.query(RunRow).filter_by(id=run.id).one().seed == 200
+
+    def test_a_second_service_on_the_same_file_is_refused(self, database):
+        with pytest.raises(DatabaseInUse, match="in use by another service"):
+            open_database(database.url)
+
+    def test_after_closing_the_file_is_free(self, database):
+        database.close()
+        open_database(database.url).close()
+
+
+class TestMigrations:
+    def test_they_lead_to_the_tables_of_the_models(self, database):
+        """`alembic check` finds nothing to add."""
+        database.close()
+        command.check(alembic_config(database.url))
+
+    def test_they_go_down_to_nothing_and_up_again(self, database):
+        config = alembic_config(database.url)
+        database.close()
+        command.downgrade(config, "base")
+        command.upgrade(config, "head")
+        reopened = open_database(database.url)
+        with reopened.read() as session:
+            assert "runs" in inspect(session.connection()).get_table_names()
+        reopened.close()

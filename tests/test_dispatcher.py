@@ -1,0 +1,216 @@
+"""Ray itself: sharing, cancelling, losing processes; one core or two, the same bytes."""
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from adr_service.computation import compute
+from adr_service.errors import RunCancelled, StageFailed
+from adr_service.runs import run
+from adr_service.specs import RunSpec
+from adr_service.stages import Stage
+from workers.dispatcher import Dispatcher, RayOptions
+from workers.stages import RayStages
+
+pytestmark = [
+    pytest.mark.ray,
+    # Ray and its own libraries
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+    pytest.mark.filterwarnings("ignore::FutureWarning"),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+
+POINT = {"kind": "uniform", "low": [1.0, 0.7, 2.0, 1.0], "high": [1.0, 0.7, 2.0, 1.0]}
+
+
+def training(seed, **changes):
+    settings = RunSpec.model_validate(
+        {"task": "arm", "method": "prior", "preset": "smoke", "training": changes}
+    ).training
+    return Stage(
+        "train_policy",
+        {
+            "task": "arm",
+            "variant": "vanilla",
+            "seed": seed,
+            "distribution": POINT,
+            "training": settings.model_dump(),
+        },
+    )
+
+
+def long_training(seed):
+    return training(seed, max_steps=10_000_000, evaluate_every=10_000_000)
+
+
+class Store:
+    """A memory in place of the database."""
+
+    def __init__(self):
+        self.results, self.commits = {}, []
+
+    def find(self, digest):
+        return self.results.get(digest)
+
+    def commit(self, stage, finished, attempt, started_by, run_ids):
+        self.results[stage.digest] = finished.result
+        self.commits.append((stage.digest, attempt, started_by, sorted(run_ids)))
+
+
+@pytest.fixture(scope="module")
+def started(tmp_path_factory):
+    """A dispatcher on two cores, and its store."""
+    store = Store()
+    folder = tmp_path_factory.mktemp("ray")
+    token = folder / "token"
+    token.write_text("t" * 40)
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    options = RayOptions(cpus=2, dashboard=False, compile_cache=folder / "jax", token_file=token)
+    dispatcher = Dispatcher(options, store.find, store.commit)
+    dispatcher.start()
+    yield dispatcher, store
+    dispatcher.close()
+
+
+def until(condition, seconds=60):
+    """Wait for something that another process does."""
+    deadline = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.05)
+    return found
+
+
+def running(dispatcher, run_id):
+    return [a for a in dispatcher.activities(run_id) if a.state == "running"]
+
+
+def test_a_stage_gives_the_same_on_ray_as_here(started):
+    dispatcher, _ = started
+    stage = training(1)
+    assert dispatcher.submit(stage, "run_a").result(60) == compute(stage)
+
+
+def test_equal_stages_are_computed_once_for_all_who_ask(started):
+    dispatcher, store = started
+    stage = training(2)
+    futures = [dispatcher.submit(stage, f"run_{i}") for i in range(5)]
+    assert len({future.result(60).blobs["policy"] for future in futures}) == 1
+    found = [c for c in store.commits if c[0] == stage.digest]
+    assert found == [(stage.digest, 1, "run_0", [f"run_{i}" for i in range(5)])]
+    assert dispatcher.submit(stage, "run_later").result(5) == store.results[stage.digest]
+
+
+def test_actors_carry_the_run_that_started_them_and_stay_warm_for_it(started):
+    dispatcher, _ = started
+    names = set()
+    for seed in (10, 11):
+        future = dispatcher.submit(training(seed, max_steps=6_000), "run_named")
+        names |= {a.actor for a in until(lambda: running(dispatcher, "run_named"))}
+        future.result(60)
+    assert len(names) == 1
+    assert names.pop().startswith("adr:run_named:trainer:")
+
+
+def test_a_running_stage_shows_life(started):
+    """Its progress grows within five seconds."""
+    dispatcher, _ = started
+    dispatcher.submit(long_training(20), "run_live")
+    first = until(lambda: [a for a in running(dispatcher, "run_live") if a.facts])[0]
+    later = until(
+        lambda: [a for a in running(dispatcher, "run_live") if a.fraction > first.fraction], 5
+    )[0]
+    assert later.facts["steps"] > first.facts["steps"]
+    dispatcher.withdraw("run_live")
+    until(lambda: not dispatcher.activities("run_live"))
+
+
+def test_a_stage_is_stopped_only_when_nobody_wants_it(started):
+    dispatcher, store = started
+    stage = training(30, max_steps=15_000, evaluate_every=15_000)
+    dispatcher.submit(stage, "run_gone")
+    wanted = dispatcher.submit(stage, "run_stays")
+    until(lambda: running(dispatcher, "run_stays"))
+    dispatcher.withdraw("run_gone")
+    assert wanted.result(120).values["steps"] >= 15_000
+    assert store.commits[-1][3] == ["run_stays"]
+
+
+def test_a_withdrawn_stage_stops_and_frees_its_core(started):
+    dispatcher, store = started
+    for seed in (40, 41):
+        dispatcher.submit(long_training(seed), "run_withdrawn")
+    until(lambda: len(running(dispatcher, "run_withdrawn")) == 2)
+    dispatcher.withdraw("run_withdrawn")
+    assert dispatcher.submit(training(42), "run_next").result(60)
+    assert long_training(40).digest not in store.results
+
+
+def test_a_lost_process_means_another_attempt_with_the_same_bytes(started):
+    dispatcher, store = started
+    stage = training(50, max_steps=15_000, evaluate_every=15_000)
+    future = dispatcher.submit(stage, "run_lost")
+    pid = until(lambda: _pid(dispatcher, "run_lost"))
+    os.kill(pid, signal.SIGKILL)
+    result = future.result(180)
+    assert [c[1] for c in store.commits if c[0] == stage.digest] == [2]
+    assert result.blobs == compute(stage).blobs
+
+
+def test_a_process_lost_three_times_fails_the_stage(started):
+    dispatcher, _ = started
+    future = dispatcher.submit(long_training(60), "run_doomed")
+    killed = set()
+    while len(killed) < 3:
+        pid = until(lambda: _pid(dispatcher, "run_doomed"))
+        if pid not in killed:
+            os.kill(pid, signal.SIGKILL)
+            killed.add(pid)
+    with pytest.raises(StageFailed, match="lost 3 times") as failed:
+        future.result(120)
+    assert failed.value.cause == "worker_lost"
+
+
+def test_a_stage_that_goes_wrong_says_how_and_is_not_remembered(started):
+    dispatcher, store = started
+    stage = Stage("evaluate", {"task": "nothing"}, {"policy": b""})
+    with pytest.raises(StageFailed, match="there is no task 'nothing'") as failed:
+        dispatcher.submit(stage, "run_wrong").result(60)
+    assert failed.value.cause == "unknown_name"
+    assert stage.digest not in store.results
+    defect = Stage("evaluate", {}, {})
+    with pytest.raises(StageFailed, match="KeyError") as failed:
+        dispatcher.submit(defect, "run_wrong").result(60)
+    assert failed.value.cause == "internal"
+
+
+def test_a_run_on_two_cores_tells_the_same_as_in_this_process(started):
+    """Events may come in another order where stages run at the same time."""
+    from adr_service.computation import LocalStages
+
+    dispatcher, _ = started
+    spec = RunSpec.model_validate({"task": "arm", "method": "udr", "preset": "smoke"})
+    there = list(run(spec, RayStages("run_whole", dispatcher, lambda: False)))
+    here = list(run(spec, LocalStages()))
+    assert sorted(e.model_dump_json() for e in there) == sorted(e.model_dump_json() for e in here)
+
+
+def test_a_cancelled_run_stops_at_its_next_stage(started):
+    dispatcher, _ = started
+    flag = threading.Event()
+    spec = RunSpec.model_validate({"task": "arm", "method": "simopt", "preset": "smoke", "seed": 9})
+    program = run(spec, RayStages("run_cancelled", dispatcher, flag.is_set))
+    next(program)
+    flag.set()
+    with pytest.raises(RunCancelled):
+        list(program)
+
+
+def _pid(dispatcher, run_id):
+    """The process that works for a run and has computed for a while."""
+    signs = [a for a in running(dispatcher, run_id) if a.facts.get("steps", 0) > 0]
+    return signs[0].pid if signs else None

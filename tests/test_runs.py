@@ -1,0 +1,190 @@
+"""Whole runs in this process, on the smoke preset."""
+
+import itertools
+
+import pytest
+
+from adr_service.benchmark.comparison import Outcome, estimates, table, to_csv
+from adr_service.benchmark.figures import FIGURES, draw
+from adr_service.benchmark.protocol import plan
+from adr_service.computation import LocalStages
+from adr_service.errors import BudgetExceeded, InvalidInput, UnknownName
+from adr_service.events import IterationFinished
+from adr_service.runs import run
+from adr_service.specs import BenchmarkSpec, RunSpec
+from adr_service.target import Target
+
+METHODS = ["udr", "simopt", "dropo"]
+
+
+def smoke(method, **changes):
+    return RunSpec.model_validate({"task": "arm", "method": method, "preset": "smoke", **changes})
+
+
+def iterations(spec, stages):
+    return [event for event in run(spec, stages) if isinstance(event, IterationFinished)]
+
+
+@pytest.fixture(scope="module")
+def benchmark():
+    """(spec, stages, outcomes) of one benchmark of all methods with references."""
+    spec = BenchmarkSpec.model_validate(
+        {"tasks": ["arm"], "methods": METHODS, "seeds": [0, 1], "preset": "smoke"}
+    )
+    stages = LocalStages()
+    outcomes = [Outcome(r, event) for r in spec.runs() for event in iterations(r, stages)]
+    return spec, stages, outcomes
+
+
+def test_the_prior_policy_of_a_seed_is_trained_once_for_all_methods(benchmark):
+    spec, stages, _ = benchmark
+    trainings = [s for s in stages.executed if s.kind == "train_policy"]
+    digests = [s.digest for s in trainings]
+    assert len(set(digests)) == len(digests)
+    priors = [
+        s
+        for s in trainings
+        if s.inputs["distribution"]["kind"] == "gaussian"
+        and set(s.inputs["distribution"]["location"]) == {2.0}
+    ]
+    assert len(priors) == len(spec.seeds)
+
+
+def test_the_plan_counts_the_trainings_that_happen(benchmark):
+    spec, stages, _ = benchmark
+    planned = plan(list(spec.runs()), cores=2)
+    executed = [s for s in stages.executed if s.kind == "train_policy"]
+    rollouts = [s for s in stages.executed if s.kind == "target_rollout"]
+    assert planned.trainings == len(executed)
+    assert planned.target_transitions == sum(s.inputs["transitions"] for s in rollouts)
+    assert planned.environment_steps >= sum(s.inputs["training"]["max_steps"] for s in executed)
+    assert planned.hours == pytest.approx(planned.core_hours / 2)
+
+
+def test_offline_methods_read_what_simopt_collected(benchmark):
+    """DROPO adds no rollout of its own."""
+    _, stages, _ = benchmark
+    rollouts = [s.digest for s in stages.executed if s.kind == "target_rollout"]
+    alone = LocalStages()
+    iterations(smoke("simopt"), alone)
+    simopts = [s.digest for s in alone.executed if s.kind == "target_rollout"]
+    assert rollouts[: len(simopts)] == simopts
+    assert len(rollouts) == 2 * len(simopts)  # two seeds
+
+
+def test_a_run_repeats_to_the_last_digit():
+    first, second = (list(run(smoke("dropo"), LocalStages())) for _ in range(2))
+    assert first == second
+
+
+def test_running_again_over_finished_stages_computes_nothing_and_says_the_same():
+    stages = LocalStages()
+    first = list(run(smoke("simopt"), stages))
+    count = len(stages.executed)
+    assert list(run(smoke("simopt"), stages)) == first
+    assert len(stages.executed) == count
+
+
+def test_a_run_interrupted_anywhere_ends_the_same():
+    whole = list(run(smoke("simopt"), LocalStages()))
+    for cut in range(1, len(whole)):
+        stages = LocalStages()
+        began = list(itertools.islice(run(smoke("simopt"), stages), cut))
+        assert began == whole[:cut]
+        assert list(run(smoke("simopt"), stages)) == whole
+
+
+def test_seeds_differ():
+    zero, one = (iterations(smoke("prior", seed=seed), LocalStages()) for seed in (0, 1))
+    assert zero[0].returns != one[0].returns
+
+
+@pytest.mark.parametrize("variant", ["noisy", "unmodeled"])
+@pytest.mark.parametrize("method", ["simopt", "dropo", "oracle"])
+def test_every_variant_runs(variant, method):
+    found = iterations(smoke(method, variant=variant), LocalStages())
+    assert found[-1].target_rollouts == (0 if method == "oracle" else 1)
+
+
+def test_the_target_counts_and_refuses_what_is_over_the_budget():
+    spec, stages = smoke("simopt"), LocalStages()
+    policies = list(_policies(stages))
+    target = Target(spec, stages)
+    _drain(target.rollout(policies[0], 0))
+    assert (target.rollouts, target.transitions) == (1, 20)
+    with pytest.raises(BudgetExceeded, match="1 used and 1 more asked for, but the budget is 1"):
+        _drain(target.rollout(policies[0], 1))
+    assert len([s for s in stages.executed if s.kind == "target_rollout"]) == 1
+
+
+def test_transitions_are_metered_over_iterations():
+    found = iterations(smoke("simopt", iterations=2), LocalStages())
+    assert [event.target_transitions for event in found] == [0, 20, 40]
+    assert [event.iteration for event in found] == [0, 1, 2]
+
+
+class TestResults:
+    def test_the_table_has_every_method_with_its_interval_and_counts(self, benchmark):
+        rows = table(benchmark[2])
+        assert [row.method for row in rows] == [
+            "udr",
+            "simopt",
+            "simopt",
+            "dropo",
+            "dropo",
+            "prior",
+            "oracle",
+        ]
+        for row in rows:
+            assert row.low <= row.normalised_return <= row.high
+            assert (row.seeds, row.episodes) == (2, 4 * row.policies)
+        assert [row.target_transitions for row in rows if row.method == "simopt"] == [0, 20]
+
+    def test_the_prior_is_iteration_zero_of_every_method(self, benchmark):
+        rows = table(benchmark[2])
+        prior = next(row for row in rows if row.method == "prior")
+        for row in rows:
+            if row.method in {"simopt", "dropo"} and row.iteration == 0:
+                assert row.normalised_return == prior.normalised_return
+
+    def test_outcomes_in_any_order_give_the_same_csv(self, benchmark):
+        outcomes = benchmark[2]
+        assert to_csv(table(outcomes)) == to_csv(table(outcomes[::-1]))
+
+    def test_estimates_name_every_parameter_with_its_truth(self, benchmark):
+        found = estimates(benchmark[2])
+        assert {(e.parameter, e.truth) for e in found} == {
+            ("upper_mass", 1.0),
+            ("fore_mass", 0.7),
+            ("shoulder_friction", 2.0),
+            ("elbow_friction", 1.0),
+        }
+
+    @pytest.mark.parametrize("name", FIGURES)
+    def test_figures_repeat_byte_for_byte(self, benchmark, name):
+        svg = draw(name, benchmark[2], "svg")
+        assert svg == draw(name, benchmark[2], "svg")
+        assert b"</svg>" in svg
+        assert draw(name, benchmark[2], "png").startswith(b"\x89PNG")
+
+    def test_a_figure_of_nothing_or_of_no_such_name_is_refused(self, benchmark):
+        with pytest.raises(InvalidInput, match="nothing to draw"):
+            draw("returns", [], "svg")
+        with pytest.raises(UnknownName, match="returns, parameters"):
+            draw("return", benchmark[2], "svg")
+
+
+def _drain(program):
+    while True:
+        try:
+            next(program)
+        except StopIteration as stop:
+            return stop.value
+
+
+def _policies(stages):
+    """The bytes of a policy trained for a moment."""
+    from adr_service.runs import _OnlineLoop
+
+    spec = smoke("simopt")
+    yield _drain(_OnlineLoop(spec, stages, Target(spec, stages)).train()).blobs["policy"]

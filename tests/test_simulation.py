@@ -1,0 +1,207 @@
+import mujoco
+import numpy as np
+import pytest
+
+from adr_service.errors import InvalidInput, UnknownName
+from adr_service.simulation.batch import Simulations, compiled
+from adr_service.simulation.model import resolve
+from adr_service.simulation.replay import Replay
+from adr_service.simulation.rollout import follow, run_episodes
+from adr_service.tasks import TASKS, State, get_task
+from adr_service.transitions import TransitionDataset
+from tests.published import HOPPER_MASSES_KG
+
+
+@pytest.fixture(params=TASKS.values(), ids=TASKS.keys())
+def task(request):
+    return request.param
+
+
+def recording(task, steps=200):
+    """Dynamics, initial state and actions of 5 simulations."""
+    rng = np.random.default_rng(0)
+    space = task.variants["vanilla"].source.space
+    dynamics = rng.uniform(space.low, space.high, (5, len(space)))
+    actions = rng.uniform(task.action_low, task.action_high, (steps, 5, len(task.action_low)))
+    return dynamics, task.initial(5, rng), actions
+
+
+def in_batch(task, dynamics, initial, actions, threads=1):
+    simulations = Simulations(task, task.variants["vanilla"].source, 5, threads=threads)
+    simulations.set_dynamics(dynamics)
+    simulations.set_state(initial)
+    states = []
+    for chosen in actions:
+        simulations.step(chosen)
+        states.append(np.concatenate(simulations.state, axis=1))
+    return np.array(states)
+
+
+def one_by_one(task, dynamics, initial, actions):
+    """The same with plain MjData, a loop, and mj_setConst."""
+    space, states = task.variants["vanilla"].source.space, []
+    for i in range(5):
+        model = mujoco.MjModel.from_xml_string(task.xml)
+        for parameter, value in zip(space.parameters, dynamics[i], strict=True):
+            slot = resolve(model, parameter.address)
+            if slot.scaled is not None:
+                nominal = getattr(model, slot.field)[slot.index]
+                getattr(model, slot.scaled)[slot.index] *= value / nominal
+            getattr(model, slot.field)[slot.index] = value
+        data = mujoco.MjData(model)
+        mujoco.mj_setConst(model, data)
+        data.qpos[:], data.qvel[:] = initial.qpos[i], initial.qvel[i]
+        rows = []
+        for chosen in actions:
+            data.ctrl[:] = chosen[i]
+            for _ in range(task.frame_skip):
+                mujoco.mj_step(model, data)
+            rows.append(np.concatenate([data.qpos, data.qvel]))
+        states.append(rows)
+    return np.array(states).swapaxes(0, 1)
+
+
+def test_the_batch_equals_a_plain_loop_bit_for_bit(task):
+    np.testing.assert_array_equal(
+        in_batch(task, *recording(task)), one_by_one(task, *recording(task))
+    )
+
+
+def test_the_number_of_threads_changes_nothing(task):
+    np.testing.assert_array_equal(
+        in_batch(task, *recording(task)), in_batch(task, *recording(task), threads=3)
+    )
+
+
+def test_a_diverged_simulation_is_nan_and_stays_so_and_the_others_are_unharmed(task):
+    dynamics, initial, actions = recording(task, steps=20)
+    qvel = initial.qvel.copy()
+    qvel[2] = np.nan
+    with_one_broken = in_batch(task, dynamics, State(initial.qpos, qvel), actions)
+    whole = in_batch(task, dynamics, initial, actions)
+    assert np.isnan(with_one_broken[-1, 2]).any()
+    others = [0, 1, 3, 4]
+    np.testing.assert_array_equal(with_one_broken[:, others], whole[:, others])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_dynamics_that_are_not_finite_are_refused(bad):
+    simulations = Simulations(get_task("arm"), get_task("arm").variants["vanilla"].source, 1)
+    with pytest.raises(InvalidInput, match="finite"):
+        simulations.set_dynamics(np.array([[1.0, bad, 1.0, 1.0]]))
+
+
+@pytest.mark.parametrize(
+    ("address", "message"),
+    [
+        ("body:toso.mass", "did you mean 'torso'"),
+        ("body:torso.colour", "accepted: body:….mass"),
+        ("torso mass", "kind:name.attribute"),
+    ],
+)
+def test_an_address_that_leads_nowhere_is_explained(address, message):
+    with pytest.raises((UnknownName, InvalidInput), match=message):
+        resolve(compiled(get_task("hopper").xml), address)
+
+
+class TestReplayOfPublishedData:
+    """DROPO's Hopper recordings, made with MuJoCo 2.1.0, replayed with the present one."""
+
+    task = get_task("hopper")
+
+    def error(self, data, masses):
+        replay = Replay(self.task, self.task.variants["vanilla"].source, data, 1, 1)
+        return replay.mean_squared_error(np.array([masses]))[0]
+
+    @property
+    def truth(self):
+        return self.task.variants["vanilla"].hidden.values
+
+    def test_the_true_masses_are_the_published_ones(self):
+        np.testing.assert_allclose(self.truth, HOPPER_MASSES_KG, atol=5e-9)
+
+    def test_clean_data_are_reproduced_to_rounding(self, hopper_clean):
+        assert self.error(hopper_clean, self.truth) < 1e-20
+
+    def test_noisy_data_are_reproduced_to_their_noise(self, hopper_noisy):
+        """11 columns of variance 1e-5; the mean square of 10,000 x 11 draws errs by 0.43 %."""
+        expected, sampling = 11e-5, np.sqrt(2 / (10_000 * 11))
+        assert self.error(hopper_noisy, self.truth) == pytest.approx(expected, rel=4 * sampling)
+
+    def test_masses_wrong_by_a_tenth_are_seen(self, hopper_clean):
+        assert self.error(hopper_clean, 1.1 * self.truth) > 1e-4
+
+    def test_a_whole_episode_replays_from_its_first_state(self, hopper_clean):
+        first = hopper_clean.split()[0]
+        replay = Replay(self.task, self.task.variants["vanilla"].source, first, 1, 500)
+        assert replay.mean_squared_error(self.truth[None])[0] < 1e-15
+
+
+class TestEpisodes:
+    task = get_task("arm")
+
+    def simulations(self, n):
+        source = self.task.variants["vanilla"].source
+        simulations = Simulations(self.task, source, n)
+        simulations.set_dynamics(np.tile(self.task.variants["vanilla"].hidden.values, (n, 1)))
+        return simulations
+
+    def test_nothing_is_earned_or_recorded_after_the_end(self):
+        """Full power swings the arm over its limit."""
+        initial = self.task.initial(3, np.random.default_rng(0))
+        episodes = run_episodes(
+            self.task, self.simulations(3), lambda o: np.ones((3, 2)), initial, 200
+        )
+        for row, length in enumerate(episodes.lengths):
+            assert 0 < length < 200
+            assert np.all(episodes.rewards[row, length:] == 0)
+            assert np.isnan(episodes.actions[row, length:]).all()
+            assert np.isfinite(episodes.observations[row, : length + 1]).all()
+            assert np.isnan(episodes.observations[row, length + 1 :]).all()
+
+    def test_rows_do_not_depend_on_who_stands_beside_them(self):
+        initial = self.task.initial(4, np.random.default_rng(0))
+        act = lambda o: np.sin(3 * o[:, :2])  # noqa: E731
+        together = run_episodes(self.task, self.simulations(4), act, initial, 50)
+        alone = run_episodes(
+            self.task, self.simulations(1), act, State(initial.qpos[2:3], initial.qvel[2:3]), 50
+        )
+        np.testing.assert_array_equal(together.observations[2], alone.observations[0])
+
+    def test_noise_is_seen_by_the_policy_and_does_not_move_the_arm(self):
+        initial = self.task.initial(2, np.random.default_rng(0))
+        still = lambda o: np.zeros((2, 2))  # noqa: E731
+        clean = run_episodes(self.task, self.simulations(2), still, initial, 30)
+        noisy = run_episodes(
+            self.task, self.simulations(2), still, initial, 30, lambda: np.full((2, 4), 0.5)
+        )
+        np.testing.assert_allclose(noisy.observations, clean.observations + 0.5)
+        np.testing.assert_array_equal(noisy.rewards, clean.rewards)
+
+    def test_following_goes_on_after_a_fall(self):
+        initial = self.task.initial(3, np.random.default_rng(0))
+        seen = follow(self.task, self.simulations(3), lambda o: np.ones((3, 2)), initial, 200)
+        assert seen.shape == (3, 201, 4)
+        assert np.isfinite(seen).all()
+
+
+def test_replay_predicts_what_a_rollout_recorded():
+    """Closed loop, then open loop with the same actions and dynamics: nothing differs."""
+    task, variant = get_task("hopper"), get_task("hopper").variants["vanilla"]
+    dynamics = np.array([[3.0, 4.0, 2.0, 6.0]])
+    simulations = Simulations(task, variant.source, 1)
+    simulations.set_dynamics(dynamics)
+    act = lambda o: np.sin(10 * o[:, :3])  # noqa: E731
+    episode = run_episodes(task, simulations, act, task.initial(1, np.random.default_rng(0)), 40)
+    n = int(episode.lengths[0])
+    data = TransitionDataset(
+        episode.observations[0, :n],
+        episode.actions[0, :n],
+        episode.observations[0, 1 : n + 1],
+        np.zeros(n, dtype=np.int64),
+        0.008,
+        task.columns,
+        "test",
+    )
+    replay = Replay(task, variant.source, data, 1, 1)
+    assert replay.mean_squared_error(dynamics)[0] < 1e-25  # x is put to 0, which rounds
