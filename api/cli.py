@@ -7,16 +7,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-import uvicorn
 from rich.console import Console
 from rich.table import Table
 
 from adr_service.errors import AdrError, InvalidInput
 from api import demo as demo_story
-from api.app import create_app
 from api.client import AdrClient
 from api.display import live, results_table
-from api.doctor import check
 from api.settings import DEFAULT_URL, read_settings
 
 app = typer.Typer(
@@ -38,6 +35,11 @@ def serve(
     dashboard: Annotated[bool | None, typer.Option(help="Start the Ray dashboard.")] = None,
 ) -> None:
     """Start the service; what was unfinished goes on."""
+    # only the service needs Ray, MuJoCo and PyTorch, whose imports take seconds
+    import uvicorn
+
+    from api.app import create_app
+
     given = {"host": host, "port": port, "data_dir": data_dir, "cpus": cpus, "dashboard": dashboard}
     settings = read_settings(**{name: v for name, v in given.items() if v is not None})
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
@@ -168,6 +170,8 @@ def demo(
 @app.command()
 def doctor() -> None:
     """Check what the service needs on this machine."""
+    from api.doctor import check
+
     raise typer.Exit(check(console))
 
 

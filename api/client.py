@@ -62,14 +62,11 @@ class AdrClient:
 
     def list_all(self, collection: str, **filters: str) -> list[Json]:
         """All members of "runs" or "benchmarks", page after page."""
-        items: list[Json] = []
-        params: dict[str, str] = dict(filters)
-        while True:
-            page = self._json("GET", f"/v1/{collection}", params=params)
-            items += page["items"]
-            if page["next_page_token"] is None:
-                return items
-            params["page_token"] = page["next_page_token"]
+        return self._pages(f"/v1/{collection}", "page_token", **filters)
+
+    def get_events(self, run_id: str) -> list[Json]:
+        """All events of a run so far."""
+        return self._pages(f"{_path(run_id)}/events", "after")
 
     def cancel(self, id: str) -> Json:
         return self._json("POST", f"{_path(id)}/cancel")
@@ -105,6 +102,15 @@ class AdrClient:
 
     def content(self, path: str) -> bytes:
         return self._request("GET", path).content
+
+    def _pages(self, path: str, token_name: str, **params: str) -> list[Json]:
+        items: list[Json] = []
+        while True:
+            page = self._json("GET", path, params=params)
+            items += page["items"]
+            if page["next_page_token"] is None:
+                return items
+            params[token_name] = page["next_page_token"]
 
     def _json(self, method: str, path: str, **more: Any) -> Json:
         answer: Json = self._request(method, path, **more).json()

@@ -50,7 +50,7 @@ async def _validation_error(request: Request, error: Exception) -> JSONResponse:
         {
             "pointer": "/" + "/".join(str(part) for part in found["loc"]),
             "detail": found["msg"].removeprefix("Value error, "),
-            "given": _shorten(repr(found.get("input"))),
+            "given": "nothing" if found["type"] == "missing" else _shorten(repr(found["input"])),
         }
         for found in error.errors()
     ]

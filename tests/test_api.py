@@ -134,7 +134,7 @@ class TestBadInput:
             ({**SMOKE, "sed": 0}, "sed", "did you mean 'seed'"),
             ({**SMOKE, "method": {"name": "dropo", "budget": -5}}, "-5", "greater than"),
             ([], "[]", "dictionary"),
-            ({}, "{}", "Field required"),
+            ({}, "nothing", "Field required"),
         ],
         ids=str,
     )

@@ -1,0 +1,89 @@
+"""kill -9 in the middle of a benchmark, a new service, and the same bytes in the end."""
+
+import time
+
+import pytest
+
+from api.client import AdrClient
+from tests.service import RunningService, start_service, wait_until_finished
+
+pytestmark = pytest.mark.ray
+BENCHMARK = {
+    "tasks": ["arm"],
+    "methods": ["simopt", "dropo"],
+    "seeds": [0],
+    "preset": "smoke",
+    "training": {"max_steps": 1800, "evaluate_every": 900},
+}
+SLOW = [pytest.param(n, marks=pytest.mark.slow) for n in (2, 3, 5, 6, 7, 8, 10)]
+KILL_AFTER = [1, 4, 9, *SLOW]  # finished stages, of twelve
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory) -> tuple[str, int]:
+    """The result table, and the number of stages, of a benchmark that nobody disturbs."""
+    with start_service(tmp_path_factory.mktemp("whole"), cpus=2) as running:
+        id = running.client.submit_benchmark(BENCHMARK)["id"]
+        wait_until_finished(running.client, id, 180)
+        return running.client.results_csv(id), len(running.started_stages)
+
+
+@pytest.mark.parametrize("after", KILL_AFTER)
+def test_a_killed_service_goes_on_where_it_was(tmp_path, uninterrupted, after):
+    table, stages = uninterrupted
+    with start_service(tmp_path, cpus=2) as running:
+        id = running.client.submit_benchmark(BENCHMARK)["id"]
+        wait_for_stages(running.client, id, after)
+        before = finished_stages(running.client, id)
+        running.kill()
+        first_log = running.started_stages
+    with start_service(tmp_path, cpus=2) as running:
+        final = wait_until_finished(running.client, id, 180)
+        assert final["states"] == {"succeeded": 4}
+        assert running.client.results_csv(id) == table
+        second_log = running.started_stages
+    assert len(before) >= after
+    assert not before & set(second_log), "a finished stage ran twice"
+    assert len(set(first_log) | set(second_log)) == stages
+
+
+def test_one_core_gives_the_same_bytes_as_two(tmp_path, uninterrupted):
+    with start_service(tmp_path, cpus=1) as running:
+        id = running.client.submit_benchmark(BENCHMARK)["id"]
+        wait_until_finished(running.client, id, 240)
+        assert running.client.results_csv(id) == uninterrupted[0]
+        assert len(running.started_stages) == uninterrupted[1]
+
+
+@pytest.mark.slow
+def test_a_service_that_is_stopped_in_good_order_goes_on_as_well(tmp_path, uninterrupted):
+    with start_service(tmp_path, cpus=2) as running:
+        id = running.client.submit_benchmark(BENCHMARK)["id"]
+        wait_for_stages(running.client, id, 2)
+        stop(running)
+    with start_service(tmp_path, cpus=2) as running:
+        assert wait_until_finished(running.client, id, 180)["states"] == {"succeeded": 4}
+        assert running.client.results_csv(id) == uninterrupted[0]
+
+
+def stop(running: RunningService) -> None:
+    """SIGTERM; the process must end by itself."""
+    running.process.terminate()
+    assert running.process.wait(timeout=60) is not None
+
+
+def finished_stages(client: AdrClient, id: str) -> set[str]:
+    """Digests of the stages that some run of the benchmark has a result of."""
+    return {
+        item["event"]["digest"]
+        for run in client.get(id)["runs"]
+        for item in client.get_events(run["id"])
+        if item["event"]["type"] == "stage_finished"
+    }
+
+
+def wait_for_stages(client: AdrClient, id: str, count: int) -> None:
+    deadline = time.monotonic() + 120
+    while len(finished_stages(client, id)) < count:
+        assert time.monotonic() < deadline, "the benchmark does not move"
+        time.sleep(0.05)

@@ -1,0 +1,98 @@
+"""The files around the code: what they promise is checked by reading them."""
+
+import os
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture(scope="module")
+def compose():
+    return yaml.safe_load((ROOT / "docker-compose.yml").read_text())
+
+
+class TestCompose:
+    def test_one_image_serves_head_workers_and_api(self, compose):
+        services = compose["services"]
+        assert set(services) == {"head", "worker", "api"}
+        assert len({service["image"] for service in services.values()}) == 1
+        assert [name for name, service in services.items() if "build" in service] == ["head"]
+
+    def test_only_this_machine_reaches_the_api_and_the_dashboard(self, compose):
+        ports = {name: service.get("ports", []) for name, service in compose["services"].items()}
+        assert ports == {
+            "head": ["127.0.0.1:8265:8265"],
+            "worker": [],
+            "api": ["127.0.0.1:8000:8000"],
+        }
+        assert compose["networks"]["cluster"]["internal"] is True
+
+    def test_every_node_needs_the_clusters_token(self, compose):
+        for service in compose["services"].values():
+            assert service["environment"]["RAY_AUTH_MODE"] == "token"
+            assert ":?" in service["environment"]["RAY_AUTH_TOKEN"]
+        assert ":?" in compose["services"]["api"]["environment"]["ADR_TOKEN"]
+
+    def test_every_node_has_room_for_objects_and_a_health_check(self, compose):
+        for service in compose["services"].values():
+            assert service["shm_size"] == "1gb"
+            assert service["healthcheck"]["test"][0] == "CMD"
+
+    def test_workers_can_be_scaled(self, compose):
+        worker = compose["services"]["worker"]
+        assert "container_name" not in worker
+        assert not worker.get("ports")
+
+    def test_results_live_in_a_volume_of_the_api_alone(self, compose):
+        mounted = [name for name, s in compose["services"].items() if "volumes" in s]
+        assert mounted == ["api"]
+
+
+def test_the_image_copies_every_package_and_the_pinned_versions():
+    dockerfile = (ROOT / "Dockerfile").read_text()
+    for package in ("adr_service", "workers", "db", "api"):
+        assert f"COPY {package} {package}" in dockerfile
+    assert dockerfile.count("--constraint constraints.txt") == 2
+
+
+def test_every_dependency_is_pinned():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    wanted = project["project"]["dependencies"] + project["dependency-groups"]["dev"]
+    wanted += project["project"]["optional-dependencies"]["fast"]
+    names = {re.match(r"[\w-]+", line).group().lower().replace("_", "-") for line in wanted}
+    pinned = {
+        line.partition("==")[0].lower().replace("_", "-")
+        for line in (ROOT / "constraints.txt").read_text().splitlines()
+        if "==" in line
+    }
+    assert names <= pinned, names - pinned
+
+
+def test_continuous_integration_runs_the_readmes_test_command():
+    assert "make test" in (ROOT / "README.md").read_text()
+    commands = (ROOT / ".ci/run").read_text().splitlines()
+    assert commands[-1] == "make test"
+
+
+@pytest.mark.parametrize("target", ["setup", "demo", "serve", "test", "test-slow", "lint", "bench"])
+def test_every_make_target_knows_what_to_do(target):
+    done = subprocess.run(
+        ["make", "--dry-run", target],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"PATH": os.environ["PATH"]},
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_changelog_speaks_of_this_version():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert f"## {project['version']}" in (ROOT / "CHANGELOG.md").read_text()
