@@ -58,7 +58,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "transitions": 200,
             "evaluation_episodes": 50,
             "training": {
-                "max_steps": 150_000,
+                "max_steps": 100_000,
                 "gradient_steps": 4,
                 "hidden": [128, 128],
                 "activation": "relu",
@@ -69,7 +69,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "methods": {
             "udr": {"policies": 3},
             "simopt": {"samples": 300},
-            "dropo": {"budget": 500},
+            "dropo": {"budget": 300},
         },
     },
     "paper": {

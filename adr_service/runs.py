@@ -14,7 +14,7 @@ Sec. 3.4), by running SimOpt's own stages: whoever comes first computes them for
 from collections.abc import Generator, Sequence
 from typing import Any
 
-from adr_service.distributions import Distribution, Gaussian
+from adr_service.distributions import Distribution, Gaussian, distribution_from_json
 from adr_service.events import IterationFinished, RunEvent
 from adr_service.methods import online
 from adr_service.methods.base import Problem
@@ -188,6 +188,4 @@ def _problem(spec: RunSpec) -> Problem:
 
 
 def _decode(spec: RunSpec, document: dict[str, Any]) -> Distribution:
-    from adr_service.distributions import distribution_from_json
-
     return distribution_from_json(_problem(spec).source.space, document)

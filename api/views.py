@@ -1,6 +1,6 @@
 """What the API answers: domain values with their links."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from typing import Any, Generic, TypeVar
@@ -14,6 +14,7 @@ from db.runs import BenchmarkRecord, EventRecord, RunRecord, states_of
 from workers.dispatcher import Activity
 
 Item = TypeVar("Item")
+Record = TypeVar("Record")
 
 
 class RunError(BaseModel):
@@ -125,6 +126,18 @@ def benchmark_view(
             "parameters_figure": f"{here}/figures/parameters.svg",
         },
     )
+
+
+def page_of(
+    found: Sequence[Record],
+    size: int,
+    render: Callable[[Record], Item],
+    position: Callable[[Record], int],
+) -> Page[Item]:
+    """A page of `size` items, from a query that asked for one more."""
+    shown = found[:size]
+    token = str(position(shown[-1])) if len(found) > size else None
+    return Page(items=[render(record) for record in shown], next_page_token=token)
 
 
 def event_view(record: EventRecord) -> EventView:

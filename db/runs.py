@@ -168,9 +168,10 @@ def append(session: Session, run_id: str, event: RunEvent) -> bool:
         )
     )
     row.state = next_state(_state(row), event)
-    failed = isinstance(event, RunFailed)
-    row.error_code = event.code if failed else None if row.state != "failed" else row.error_code
-    row.error_message = event.message if failed else row.error_message
+    if isinstance(event, RunFailed):
+        row.error_code, row.error_message = event.code, event.message
+    elif row.state != "failed":
+        row.error_code, row.error_message = None, None
     row.updated_at = _now()
     return True
 

@@ -78,19 +78,6 @@ def artifact(database: Database, digest: str) -> bytes | None:
         return None if row is None else row.content
 
 
-def executions(database: Database) -> list[tuple[str, str, Execution]]:
-    """(digest, kind, execution) of every stored stage, in order of completion."""
-    with database.read() as session:
-        return [
-            (
-                r.digest,
-                r.kind,
-                Execution(r.attempt, r.started_by, r.seconds, json.loads(r.provenance)),
-            )
-            for r in session.scalars(select(StageRow).order_by(StageRow.created_at))
-        ]
-
-
 def delete_unreferenced(session: Session) -> None:
     """Delete stages that no run's events mention, then artifacts that no stage has."""
     mentioned = exists().where(EventRow.key == "stage_finished:" + StageRow.digest)

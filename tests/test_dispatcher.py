@@ -105,6 +105,12 @@ def test_equal_stages_are_computed_once_for_all_who_ask(started):
     assert dispatcher.submit(stage, "run_later").result(5) == store.results[stage.digest]
 
 
+def test_a_run_may_ask_for_the_same_stage_twice_at_once(started):
+    dispatcher, _ = started
+    first, second = (dispatcher.submit(training(3), "run_twice") for _ in range(2))
+    assert first.result(60) == second.result(60)
+
+
 def test_actors_carry_the_run_that_started_them_and_stay_warm_for_it(started):
     dispatcher, _ = started
     names = set()

@@ -58,8 +58,15 @@ class RayOptions:
     cpus: int | None = None  # of a local cluster; None: all
     dashboard: bool = True
     compile_cache: Path = Path.home() / ".cache" / "adr_service" / "jax"
-    token_file: Path | None = None
-    temp_dir: Path | None = None
+    token_file: Path | None = None  # of a local cluster; None: Ray's own
+
+
+@dataclass(frozen=True)
+class _Waiter:
+    """Who waits for a result; a run may ask for the same stage twice."""
+
+    run_id: str
+    future: Future[StageResult]
 
 
 @dataclass
@@ -69,7 +76,7 @@ class _Job:
     stage: Stage
     number: int
     started_by: str
-    waiters: dict[str, Future[StageResult]] = field(default_factory=dict[str, Future[StageResult]])
+    waiters: list[_Waiter] = field(default_factory=list[_Waiter])
     attempt: int = 0
     ref: Any = None  # of the running call
     actor: "_Actor | None" = None
@@ -79,6 +86,9 @@ class _Job:
     @property
     def role(self) -> Role:
         return KINDS[self.stage.kind].role
+
+    def is_wanted_by(self, run_id: str) -> bool:
+        return any(waiter.run_id == run_id for waiter in self.waiters)
 
 
 @dataclass
@@ -156,7 +166,7 @@ class Dispatcher:
     def activities(self, run_id: str) -> list[Activity]:
         """What is in the works for a run, running stages first."""
         now = time.monotonic()
-        mine = [job for job in list(self._jobs.values()) if run_id in job.waiters]
+        mine = [job for job in list(self._jobs.values()) if job.is_wanted_by(run_id)]
         return [
             Activity(
                 kind=job.stage.kind,
@@ -204,8 +214,6 @@ class Dispatcher:
             arguments["num_cpus"] = options.cpus
             arguments["include_dashboard"] = options.dashboard
             arguments["object_store_memory"] = 200_000_000
-            if options.temp_dir is not None:
-                arguments["_temp_dir"] = str(options.temp_dir)
         context = ray.init(
             address=options.address,
             namespace="adr",
@@ -250,11 +258,14 @@ class Dispatcher:
             job = self._jobs[stage.digest] = _Job(stage, self._numbers, run_id)
         if not job.waiters:
             self._board.set_unwanted.remote(stage.digest, False)
-        job.waiters[run_id] = future
+        job.waiters.append(_Waiter(run_id, future))
 
     def _withdraw(self, run_id: str) -> None:
         for digest, job in list(self._jobs.items()):
-            if job.waiters.pop(run_id, None) is None or job.waiters:
+            if not job.is_wanted_by(run_id):
+                continue
+            job.waiters = [waiter for waiter in job.waiters if waiter.run_id != run_id]
+            if job.waiters:
                 continue
             if job.ref is None:
                 del self._jobs[digest]
@@ -336,10 +347,10 @@ class Dispatcher:
         match ending:
             case Finished():
                 del self._jobs[job.stage.digest]
-                run_ids = list(job.waiters)
+                run_ids = list(dict.fromkeys(waiter.run_id for waiter in job.waiters))
                 self._commit(job.stage, ending, job.attempt, job.started_by, run_ids)
-                for future in job.waiters.values():
-                    future.set_result(ending.result)
+                for waiter in job.waiters:
+                    waiter.future.set_result(ending.result)
             case Failed(code, message):
                 del self._jobs[job.stage.digest]
                 _fail(job, StageFailed(job.stage.kind, code, message))
@@ -375,9 +386,9 @@ class Dispatcher:
 
 
 def _fail(job: _Job, error: AdrError) -> None:
-    for future in job.waiters.values():
-        if not future.done():
-            future.set_exception(error)
+    for waiter in job.waiters:
+        if not waiter.future.done():
+            waiter.future.set_exception(error)
 
 
 def _cores() -> int:

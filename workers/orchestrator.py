@@ -94,8 +94,6 @@ class Orchestrator:
                 self._record(record, event)
             ending: RunEvent = RunSucceeded()
         except RunCancelled:
-            if self._closing.is_set():
-                return
             ending = RunStopped(submission=record.submission)
         except StageFailed as error:
             ending = _failure(record, error.cause, str(error))
@@ -104,6 +102,8 @@ class Orchestrator:
         except Exception as error:  # the last place that can put a defect on the run's record
             log.exception("run %s failed", record.id)
             ending = _failure(record, "internal", f"{type(error).__name__}: {error}")
+        if self._closing.is_set() and not isinstance(ending, RunSucceeded):
+            return  # the service stops, not the run: it goes on when the service starts again
         self._dispatcher.withdraw(record.id)
         self._cancelled.pop(record.id, None)
         self._record(record, ending)

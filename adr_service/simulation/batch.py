@@ -39,11 +39,6 @@ class Simulations:
         self.dynamics = np.full((n, len(self._slots)), np.nan)  # (n, d), NaN until set
 
     @property
-    def dt(self) -> float:
-        """Control period [s]."""
-        return control_period(self._task)
-
-    @property
     def state(self) -> State:
         """A copy of the states of all simulations."""
         return State(self._qpos.copy(), self._qvel.copy())

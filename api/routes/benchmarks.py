@@ -1,6 +1,7 @@
 """/v1/benchmarks: grids of runs, their results and figures."""
 
 from dataclasses import asdict
+from functools import partial
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Body, Query, Response, status
@@ -10,7 +11,15 @@ from adr_service.benchmark.figures import Format, draw
 from adr_service.specs import BenchmarkSpec
 from api.routes.runs import MEDIA, PageSize, plan_here
 from api.service import Service, ServiceDependency
-from api.views import BenchmarkView, Page, ResultsView, benchmark_view, results_view, run_view
+from api.views import (
+    BenchmarkView,
+    Page,
+    ResultsView,
+    benchmark_view,
+    page_of,
+    results_view,
+    run_view,
+)
 from db import runs as store
 from db.runs import BenchmarkRecord
 
@@ -44,9 +53,7 @@ def list_benchmarks(
 ) -> Page[BenchmarkView]:
     """Benchmarks in order of submission."""
     found = store.list_benchmarks(service.database, after=page_token, limit=page_size + 1)
-    shown = found[:page_size]
-    token = str(shown[-1].number) if len(found) > page_size else None
-    return Page(items=[view(service, record) for record in shown], next_page_token=token)
+    return page_of(found, page_size, partial(view, service), lambda record: record.number)
 
 
 @router.get("/{benchmark_id}")

@@ -1,6 +1,7 @@
 """/v1/runs: submit, watch, stop, resume and read single runs."""
 
 from dataclasses import asdict
+from functools import partial
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Body, Query, Response, status
@@ -11,7 +12,16 @@ from adr_service.benchmark.protocol import Plan, plan
 from adr_service.events import RunState
 from adr_service.specs import RunSpec
 from api.service import Service, ServiceDependency
-from api.views import EventView, Page, ResultsView, RunView, event_view, results_view, run_view
+from api.views import (
+    EventView,
+    Page,
+    ResultsView,
+    RunView,
+    event_view,
+    page_of,
+    results_view,
+    run_view,
+)
 from db import runs as store
 from db import stages as stage_store
 from db.runs import NotFound, RunRecord
@@ -58,9 +68,7 @@ def list_runs(
         after=page_token,
         limit=page_size + 1,
     )
-    shown = records[:page_size]
-    token = str(shown[-1].number) if len(records) > page_size else None
-    return Page(items=[_view(service, record) for record in shown], next_page_token=token)
+    return page_of(records, page_size, partial(_view, service), lambda record: record.number)
 
 
 @router.get("/{run_id}")
@@ -99,9 +107,7 @@ def events(
 ) -> Page[EventView]:
     """Events with a sequence number above `after`."""
     found = store.events_of(service.database, run_id, after=after, limit=limit + 1)
-    shown = found[:limit]
-    token = str(shown[-1].seq) if len(found) > limit else None
-    return Page(items=[event_view(record) for record in shown], next_page_token=token)
+    return page_of(found, limit, event_view, lambda record: record.seq)
 
 
 @router.get("/{run_id}/results", response_model=None)
