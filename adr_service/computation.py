@@ -15,7 +15,7 @@ from adr_service.progress import Progress, silent
 from adr_service.randomness import stream
 from adr_service.stages import Stage, StageResult
 from adr_service.target import simulate_evaluation, simulate_rollout
-from adr_service.tasks import get_task, variant_of
+from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.training.policy import Policy
 from adr_service.training.settings import TrainingSettings
 from adr_service.transitions import TransitionDataset
@@ -58,7 +58,7 @@ def _train_policy(
     from adr_service.training.sac import train
 
     task = get_task(inputs["task"])
-    source = variant_of(task, inputs["variant"]).source
+    source = source_of(task.name, inputs["variant"])
     training = train(
         task,
         source,
@@ -74,6 +74,7 @@ def _train_policy(
             "reached_threshold": training.best.mean_return >= task.reward_threshold,
             "curve": [asdict(point) for point in training.curve],
             "adjusted_draws": training.adjusted_draws,
+            "diverged_episodes": training.diverged_episodes,
         },
         {"policy": training.policy.to_bytes()},
     )
@@ -83,7 +84,7 @@ def _infer(
     inputs: Inputs, blobs: Blobs, rng: np.random.Generator, progress: Progress
 ) -> StageResult:
     task = get_task(inputs["task"])
-    problem = Problem(task, variant_of(task, inputs["variant"]).source)
+    problem = Problem(task, source_of(task.name, inputs["variant"]))
     settings = TypeAdapter[MethodSettings](MethodSettings).validate_python(inputs["method"])
     data = TransitionDataset.from_npz(blobs["data"])
     if "policy" in blobs:  # an online method is told what its policy did

@@ -27,7 +27,7 @@ from adr_service.randomness import stream
 from adr_service.specs import RunSpec
 from adr_service.stages import Stage, StageResult, Stages
 from adr_service.target import Target, Visit, truth_as_distribution
-from adr_service.tasks import get_task, variant_of
+from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.transitions import TransitionDataset
 from adr_service.wire import sha256
 
@@ -184,7 +184,7 @@ def _collector(spec: RunSpec) -> SimOptSettings:
 
 def _problem(spec: RunSpec) -> Problem:
     task = get_task(spec.task)
-    return Problem(task, variant_of(task, spec.variant).source)
+    return Problem(task, source_of(task.name, spec.variant))
 
 
 def _decode(spec: RunSpec, document: dict[str, Any]) -> Distribution:

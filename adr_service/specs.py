@@ -2,8 +2,8 @@
 
     spec = RunSpec.model_validate({"task": "arm", "method": "simopt", "preset": "smoke"})
 
-A spec is complete: validation fills what was not given from the preset, so a stored spec means
-the same when presets change. What is given wins over the preset, field by field.
+A run's spec is complete: validation fills what was not given from the preset, so that a stored
+one means the same when presets change. What is given wins over the preset, field by field.
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from pydantic import Field, field_validator, model_validator
 from adr_service.errors import UnknownName
 from adr_service.methods import METHODS, MethodSettings
 from adr_service.presets import PRESETS
-from adr_service.tasks import TASKS, get_task, variant_of
+from adr_service.tasks.catalogue import TASKS, get_task, source_of
 from adr_service.training.settings import TrainingSettings
 from adr_service.wire import Wire
 
@@ -63,11 +63,17 @@ class RunSpec(Wire):
         return _known("preset", name, PRESETS)
 
     @model_validator(mode="after")
-    def _known_variant(self) -> Self:
+    def _possible_on_the_task(self) -> Self:
         try:
-            variant_of(get_task(self.task), self.variant)
+            source_of(self.task, self.variant)
         except UnknownName as error:
             raise ValueError(str(error)) from error
+        horizon = get_task(self.task).horizon
+        if self.transitions > horizon:
+            raise ValueError(
+                f"transitions: {self.transitions} given, but an episode of {self.task} has "
+                f"{horizon} steps at most"
+            )
         return self
 
 
@@ -91,6 +97,9 @@ class BenchmarkSpec(Wire):
             values = getattr(self, name)
             if any(values.count(value) > 1 for value in values):
                 raise ValueError(f"{name} must not repeat a member; given {values}")
+        names = [m if isinstance(m, str) else m.name for m in self.methods]
+        if len(set(names)) < len(names):
+            raise ValueError(f"methods must not repeat a name; given {', '.join(names)}")
         size = len(self.tasks) * len(self.variants) * len(self.seeds) * len(self._all_methods)
         if size > MAX_RUNS:
             raise ValueError(f"a benchmark may have {MAX_RUNS} runs at most; this has {size}")
@@ -109,7 +118,8 @@ class BenchmarkSpec(Wire):
         given = {name: getattr(self, name) for name in budget if getattr(self, name) is not None}
         axes = (self.seeds, self.tasks, self.variants, self._all_methods)
         for seed, task, variant, method in product(*axes):
-            chosen = method if isinstance(method, str) else method.model_dump()
+            # what was not given of a method's settings is the preset's, not the class's default
+            chosen = method if isinstance(method, str) else method.model_dump(exclude_unset=True)
             yield RunSpec.model_validate(
                 {
                     "task": task,

@@ -15,14 +15,14 @@ import numpy as np
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.distributions import Uniform
-from adr_service.errors import BudgetExceeded
+from adr_service.errors import BudgetExceeded, InvalidInput
 from adr_service.events import RunEvent
 from adr_service.simulation.batch import Simulations, control_period
 from adr_service.simulation.rollout import Episodes, run_episodes
 from adr_service.specs import RunSpec
 from adr_service.stages import Stage, Stages
-from adr_service.tasks import get_task, variant_of
 from adr_service.tasks.base import Task
+from adr_service.tasks.catalogue import hidden_of, source_of
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
 
@@ -37,7 +37,10 @@ class Visit:
 
 
 class Target:
-    """The target of one run. Every rollout and every transition is counted."""
+    """The target of one run. Every rollout and every transition is counted.
+
+    The budget is the spec's rollouts, each of at most the spec's transitions.
+    """
 
     def __init__(self, spec: RunSpec, stages: Stages):
         self._spec, self._stages = spec, stages
@@ -47,11 +50,8 @@ class Target:
     def rollout(self, policy: bytes, iteration: int) -> Generator[RunEvent, None, Visit]:
         """One trajectory of `policy`, of at most the spec's transitions."""
         spec = self._spec
-        allowed = spec.iterations * spec.transitions
         if self.rollouts + 1 > spec.iterations:
             raise BudgetExceeded("target rollouts", self.rollouts, 1, spec.iterations)
-        if self.transitions + spec.transitions > allowed:
-            raise BudgetExceeded("target transitions", self.transitions, spec.transitions, allowed)
         result = yield from self._stages.run(
             Stage(
                 "target_rollout",
@@ -93,7 +93,7 @@ class Target:
 
 def truth_as_distribution(task_name: str, variant: str) -> Uniform:
     """Certainty about the truth, in the target's own space: what the oracle is trained on."""
-    hidden = variant_of(get_task(task_name), variant).hidden
+    hidden = hidden_of(task_name, variant)
     return Uniform.point(hidden.source.space, hidden.values)
 
 
@@ -102,15 +102,14 @@ def estimation_error(task_name: str, variant: str, mean: Vector) -> float:
 
     For reports alone. Over the parameters of the variant's source space.
     """
-    found = variant_of(get_task(task_name), variant)
-    space, hidden = found.source.space, found.hidden
+    space, hidden = source_of(task_name, variant).space, hidden_of(task_name, variant)
     truth = hidden.values[[hidden.source.space.index(name) for name in space.names]]
     return float(np.sqrt(np.mean((space.normalise(mean) - space.normalise(truth)) ** 2)))
 
 
 def true_values(task_name: str, variant: str) -> dict[str, float]:
     """The hidden truth by parameter name. For reports alone."""
-    hidden = variant_of(get_task(task_name), variant).hidden
+    hidden = hidden_of(task_name, variant)
     return dict(zip(hidden.source.space.names, hidden.values.tolist(), strict=True))
 
 
@@ -118,9 +117,10 @@ def simulate_rollout(
     task: Task, variant: str, policy: Policy, transitions: int, rng: np.random.Generator
 ) -> TransitionDataset:
     """One episode of the policy on the simulated target, clipped to `transitions`."""
-    steps = min(transitions, task.horizon)
-    episode = _episodes(task, variant, policy, 1, steps, rng)
+    episode = _episodes(task, variant, policy, 1, transitions, rng)
     length = int(episode.lengths[0])
+    if episode.diverged[0]:
+        raise InvalidInput(f"the simulated target {task.name} diverged at step {length}")
     observations = episode.observations[0, : length + 1]
     return TransitionDataset(
         observations=observations[:-1],
@@ -143,7 +143,7 @@ def simulate_evaluation(
 def _episodes(
     task: Task, variant: str, policy: Policy, n: int, steps: int, rng: np.random.Generator
 ) -> Episodes:
-    hidden = variant_of(task, variant).hidden
+    hidden = hidden_of(task.name, variant)
     simulations = Simulations(task, hidden.source, n)
     simulations.set_dynamics(np.tile(hidden.values, (n, 1)))
     deviation, width = np.sqrt(hidden.noise_variance), len(task.columns)

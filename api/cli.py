@@ -3,6 +3,7 @@
 import json
 import logging
 import os
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +20,8 @@ from api.settings import DEFAULT_URL, read_settings
 app = typer.Typer(
     help="Benchmark adaptive domain randomization.", no_args_is_help=True, add_completion=False
 )
-console = Console()
+# a table needs its width where no terminal tells one
+console = Console(width=None if sys.stdout.isatty() else 120)
 
 Url = Annotated[str, typer.Option(envvar="ADR_URL", help="Address of the service.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the service's JSON.")]

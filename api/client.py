@@ -74,6 +74,10 @@ class AdrClient:
     def resume(self, id: str) -> Json:
         return self._json("POST", f"{_path(id)}/resume")
 
+    def delete(self, id: str) -> None:
+        """Delete a finished run or benchmark, and what only it refers to."""
+        self._request("DELETE", _path(id))
+
     def results(self, id: str) -> Json:
         return self._json("GET", f"{_path(id)}/results")
 

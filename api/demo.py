@@ -45,6 +45,12 @@ def tell(console: Console, data_dir: Path, port: int) -> int:
         final = live(console, client, benchmark["id"])
         results = client.results(benchmark["id"])
         console.print(results_table(results))
+        failures = [run for run in final["runs"] if run["state"] != "succeeded"]
+        for run in failures:
+            why = run["error"]["message"] if run["error"] else run["state"]
+            console.print(f"{run['spec']['method']['name']} did not succeed: {why}")
+        if failures:
+            return 1
         for name in ("returns.png", "parameters.png"):
             figure = data_dir / name
             figure.write_bytes(client.figure(benchmark["id"], name))
@@ -55,10 +61,7 @@ def tell(console: Console, data_dir: Path, port: int) -> int:
         f"The results stay in {data_dir}. To look at them again: adr serve --data-dir {data_dir}, "
         f"then http://127.0.0.1:8000{benchmark['links']['page']}"
     )
-    for run in final["runs"]:
-        if run["error"]:
-            console.print(f"{run['spec']['method']['name']} failed: {run['error']['message']}")
-    return 0 if set(final["states"]) == {"succeeded"} else 1
+    return 0
 
 
 @contextmanager

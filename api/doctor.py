@@ -12,7 +12,7 @@ from rich.console import Console
 
 from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import compiled
-from adr_service.tasks import TASKS
+from adr_service.tasks.catalogue import TASKS
 from api.settings import read_settings
 
 _LEAST_DISK_GB = 2.0

@@ -17,7 +17,7 @@ class Settings(BaseSettings):
     model_config = SettingsConfigDict(env_prefix="ADR_", frozen=True, extra="ignore")
 
     data_dir: Path = Path("data")
-    database_url: str = Field("", description="default: SQLite in data_dir")
+    database_url: str = Field("", description="an SQLite file; default: in data_dir")
     host: str = "127.0.0.1"
     port: int = Field(8000, ge=0, le=65535)
     token: str = Field("", description="needed to listen on other addresses than loopback")

@@ -19,8 +19,8 @@ from adr_service.distributions import Uniform
 from adr_service.simulation.batch import Simulations, compiled
 from adr_service.simulation.rollout import run_episodes
 from adr_service.simulation.vec_env import RandomizedVecEnv
-from adr_service.tasks import TASKS
 from adr_service.tasks.base import Task
+from adr_service.tasks.catalogue import TASKS, VARIANTS
 from adr_service.training.policy import Policy
 
 ROUNDS, STEPS = 5, 60
@@ -64,7 +64,7 @@ def limit(task: Task, n: int) -> float:
 
 def rollout(task: Task, n: int) -> float:
     """Closed loop with a network of 2x128."""
-    hidden = task.variants["vanilla"].hidden
+    hidden = VARIANTS[task.name]["vanilla"].hidden
     simulations = Simulations(task, hidden.source, n)
     simulations.set_dynamics(np.tile(hidden.values, (n, 1)))
     start = task.initial(n, np.random.default_rng(0))
@@ -73,7 +73,7 @@ def rollout(task: Task, n: int) -> float:
 
 
 def vec_env(task: Task, n: int) -> float:
-    hidden = task.variants["vanilla"].hidden
+    hidden = VARIANTS[task.name]["vanilla"].hidden
     truth = Uniform.point(hidden.source.space, hidden.values)
     env = RandomizedVecEnv(task, hidden.source, truth, n, np.random.default_rng(0))
     actions = policy(task).act(env.reset())

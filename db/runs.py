@@ -82,7 +82,9 @@ def create_run(database: Database, spec: RunSpec) -> RunRecord:
 def create_benchmark(database: Database, spec: BenchmarkSpec) -> BenchmarkRecord:
     """Store a benchmark and all its runs, or nothing."""
     with database.write() as session:
-        row = BenchmarkRow(id=_new_id("bench"), created_at=_now(), spec=spec.model_dump_json())
+        # as it was given: its runs are stored complete, and mean the same when presets change
+        given = spec.model_dump_json(exclude_unset=True)
+        row = BenchmarkRow(id=_new_id("bench"), created_at=_now(), spec=given)
         session.add(row)
         session.flush()
         for run in spec.runs():
@@ -142,6 +144,20 @@ def list_benchmarks(
     with database.read() as session:
         rows = session.scalars(query.order_by(BenchmarkRow.number).limit(limit))
         return [_benchmark(row) for row in rows]
+
+
+def latest(database: Database, limit: int) -> tuple[list[BenchmarkRecord], list[RunRecord]]:
+    """The newest benchmarks, and the newest runs that belong to none; newest first."""
+    benchmarks = select(BenchmarkRow).order_by(BenchmarkRow.number.desc()).limit(limit)
+    single = select(RunRow).where(RunRow.benchmark_id.is_(None))
+    with database.read() as session:
+        return (
+            [_benchmark(row) for row in session.scalars(benchmarks)],
+            [
+                _record(row)
+                for row in session.scalars(single.order_by(RunRow.number.desc()).limit(limit))
+            ],
+        )
 
 
 def append_event(database: Database, run_id: str, event: RunEvent) -> bool:
@@ -219,8 +235,32 @@ def delete_run(database: Database, run_id: str) -> None:
         row = _row(session, run_id)
         if row.state not in FINISHED:
             raise NotPossible(f"run {run_id} is {row.state}; cancel it before deleting it")
+        if row.benchmark_id is not None:
+            raise NotPossible(
+                f"run {run_id} is part of benchmark {row.benchmark_id}, whose table needs it; "
+                "delete the benchmark"
+            )
         session.execute(delete(RunRow).where(RunRow.id == run_id))
         delete_unreferenced(session)
+
+
+def delete_benchmark(database: Database, benchmark_id: str) -> None:
+    """Delete a finished benchmark with its runs and what only they refer to."""
+    with database.write() as session:
+        row = session.scalar(select(BenchmarkRow).where(BenchmarkRow.id == benchmark_id))
+        if row is None:
+            raise NotFound("benchmark", benchmark_id)
+        mine = RunRow.benchmark_id == benchmark_id
+        if session.scalar(select(RunRow.id).where(mine, RunRow.state.not_in(FINISHED)).limit(1)):
+            raise NotPossible(f"benchmark {benchmark_id} is not finished; cancel it first")
+        session.execute(delete(RunRow).where(mine))
+        session.delete(row)
+        session.flush()
+        delete_unreferenced(session)
+
+
+def exists(session: Session, run_id: str) -> bool:
+    return session.scalar(select(RunRow.id).where(RunRow.id == run_id)) is not None
 
 
 def _insert_run(session: Session, spec: RunSpec, benchmark_id: str | None) -> RunRow:

@@ -17,7 +17,7 @@ from filelock import FileLock, Timeout
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
 from sqlalchemy.orm import Session
 
-from adr_service.errors import AdrError
+from adr_service.errors import AdrError, InvalidInput
 
 _BUSY_TIMEOUT_MS = 30_000  # for other processes, such as a backup
 
@@ -52,8 +52,7 @@ class Database:
     def close(self) -> None:
         self._reader.dispose()
         self._writer.dispose()
-        if self._file_lock:
-            self._file_lock.release()
+        self._file_lock.release()
 
 
 def open_database(url: str) -> Database:
@@ -74,11 +73,11 @@ def alembic_config(url: str) -> Config:
     return config
 
 
-def _lock_file(url: str) -> FileLock | None:
+def _lock_file(url: str) -> FileLock:
     parsed = make_url(url)
-    if parsed.get_backend_name() != "sqlite" or not parsed.database:
-        return None
-    path = Path(parsed.database)
+    if parsed.get_backend_name() != "sqlite" or parsed.database in {None, "", ":memory:"}:
+        raise InvalidInput(f"the database must be an SQLite file, sqlite:///PATH; given {url!r}")
+    path = Path(str(parsed.database))
     path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     lock = FileLock(f"{path}.lock")
     try:
@@ -91,8 +90,6 @@ def _lock_file(url: str) -> FileLock | None:
 
 
 def _engine(url: str, *, read_only: bool) -> Engine:
-    if make_url(url).get_backend_name() != "sqlite":
-        return create_engine(url)
     engine = create_engine(url, **({} if read_only else {"pool_size": 1, "max_overflow": 0}))
 
     @event.listens_for(engine, "connect")

@@ -25,18 +25,17 @@ class Execution:
     provenance: dict[str, Any]  # package versions, CPU
 
 
-def find_result(database: Database, digest: str) -> StageResult | None:
-    """The stored result of a stage, whole."""
-    with database.read() as session:
-        row = session.get(StageRow, digest)
-        if row is None:
-            return None
-        blobs = session.execute(
-            select(StageArtifactRow.name, ArtifactRow.content)
-            .join(ArtifactRow, ArtifactRow.sha256 == StageArtifactRow.sha256)
-            .where(StageArtifactRow.digest == digest)
-        )
-        return StageResult(json.loads(row.result), {row.name: row.content for row in blobs})
+def find_result(session: Session, digest: str) -> StageResult | None:
+    """The stored result of a stage, whole; inside a transaction."""
+    row = session.get(StageRow, digest)
+    if row is None:
+        return None
+    blobs = session.execute(
+        select(StageArtifactRow.name, ArtifactRow.content)
+        .join(ArtifactRow, ArtifactRow.sha256 == StageArtifactRow.sha256)
+        .where(StageArtifactRow.digest == digest)
+    )
+    return StageResult(json.loads(row.result), {row.name: row.content for row in blobs})
 
 
 def commit_result(

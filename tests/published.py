@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adr_service.tasks import get_task
+from adr_service.tasks.catalogue import get_task
 from adr_service.transitions import TransitionDataset
 
 HOPPER_MASSES_KG = (3.53429174, 3.92699082, 2.71433605, 5.0893801)  # the authors' README

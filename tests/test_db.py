@@ -8,6 +8,7 @@ from alembic import command
 from sqlalchemy import inspect, text
 from sqlalchemy.exc import IntegrityError, OperationalError
 
+from adr_service.errors import InvalidInput
 from adr_service.events import (
     RunFailed,
     RunQueued,
@@ -45,6 +46,11 @@ def count(database, table):
         return session.scalar(text(f"select count(*) from {table}"))  # noqa: S608 - our own names
 
 
+def found(database, digest):
+    with database.read() as session:
+        return stages.find_result(session, digest)
+
+
 class TestRuns:
     def test_a_stored_run_comes_back_whole_and_queued(self, database):
         record = runs.create_run(database, SPEC)
@@ -65,8 +71,8 @@ class TestRuns:
         story += [RunStarted(submission=2), RunStopped(submission=2), RunSucceeded()]
         for event in story:
             runs.append_event(database, run.id, event)
-            found = [e.event for e in runs.events_of(database, run.id)]
-            assert runs.get_run(database, run.id).state == state_after(found)
+            events = [e.event for e in runs.events_of(database, run.id)]
+            assert runs.get_run(database, run.id).state == state_after(events)
 
     def test_a_failure_has_its_error_until_the_run_goes_on(self, database):
         run = runs.create_run(database, SPEC)
@@ -96,6 +102,24 @@ class TestRuns:
         assert runs.get_benchmark(database, record.id) == record
         assert [r.spec for r in runs.runs_of(database, record.id)] == list(spec.runs())
 
+    def test_a_benchmark_is_deleted_whole_and_only_when_finished(self, database):
+        spec = BenchmarkSpec.model_validate(
+            {"tasks": ["arm"], "methods": ["simopt"], "seeds": [0], "preset": "smoke"}
+        )
+        benchmark = runs.create_benchmark(database, spec)
+        with pytest.raises(NotPossible, match="not finished"):
+            runs.delete_benchmark(database, benchmark.id)
+        for run in runs.runs_of(database, benchmark.id):
+            runs.append_event(database, run.id, RunSucceeded())
+            with pytest.raises(NotPossible, match="delete the benchmark"):
+                runs.delete_run(database, run.id)
+        runs.delete_benchmark(database, benchmark.id)
+        assert [count(database, t) for t in ("benchmarks", "runs", "events")] == [0, 0, 0]
+
+    def test_the_latest_come_first(self, database):
+        ids = [runs.create_run(database, SPEC).id for _ in range(3)]
+        assert [run.id for run in runs.latest(database, 2)[1]] == ids[:0:-1]
+
     def test_what_is_not_there_is_said_so(self, database):
         with pytest.raises(NotFound, match="no run 'run_x'"):
             runs.get_run(database, "run_x")
@@ -119,15 +143,15 @@ class TestStages:
 
     def test_a_result_comes_back_to_the_last_digit(self, database):
         run = runs.create_run(database, SPEC)
-        assert stages.find_result(database, STAGE.digest) is None
+        assert found(database, STAGE.digest) is None
         commit(database, STAGE, self.result, run.id)
-        assert stages.find_result(database, STAGE.digest) == self.result
+        assert found(database, STAGE.digest) == self.result
 
     def test_a_stage_is_committed_once_and_tells_every_run(self, database):
         first, second = (runs.create_run(database, SPEC) for _ in range(2))
         commit(database, STAGE, self.result, first.id)
         commit(database, STAGE, StageResult({"other": 1}), first.id, second.id)
-        assert stages.find_result(database, STAGE.digest) == self.result
+        assert found(database, STAGE.digest) == self.result
         for run in (first, second):
             assert len(runs.events_of(database, run.id, type="stage_finished")) == 1
 
@@ -150,8 +174,8 @@ class TestStages:
         for run in (first, second):
             runs.append_event(database, run.id, RunSucceeded())
         runs.delete_run(database, first.id)
-        assert stages.find_result(database, own.digest) is None
-        assert stages.find_result(database, STAGE.digest) == self.result
+        assert found(database, own.digest) is None
+        assert found(database, STAGE.digest) == self.result
         runs.delete_run(database, second.id)
         tables = ("runs", "events", "stages", "artifacts", "stage_artifacts")
         assert [count(database, table) for table in tables] == [0] * 5
@@ -192,6 +216,11 @@ class TestSession:
     def test_a_second_service_on_the_same_file_is_refused(self, database):
         with pytest.raises(DatabaseInUse, match="in use by another service"):
             open_database(database.url)
+
+    @pytest.mark.parametrize("url", ["sqlite://", "sqlite:///:memory:", "postgresql://a/b"])
+    def test_anything_but_an_sqlite_file_is_refused(self, url):
+        with pytest.raises(InvalidInput, match="must be an SQLite file"):
+            open_database(url)
 
     def test_after_closing_the_file_is_free(self, database):
         database.close()

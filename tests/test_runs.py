@@ -53,6 +53,7 @@ def test_the_prior_policy_of_a_seed_is_trained_once_for_all_methods(benchmark):
 def test_the_plan_counts_the_trainings_that_happen(benchmark):
     spec, stages, _ = benchmark
     planned = plan(list(spec.runs()), cores=2)
+    assert plan(list(spec.runs()), cores=0).hours is None
     executed = [s for s in stages.executed if s.kind == "train_policy"]
     rollouts = [s for s in stages.executed if s.kind == "target_rollout"]
     assert planned.trainings == len(executed)
@@ -118,9 +119,13 @@ def test_the_target_counts_and_refuses_what_is_over_the_budget():
 
 
 def test_transitions_are_metered_over_iterations():
-    found = iterations(smoke("simopt", iterations=2), LocalStages())
-    assert [event.target_transitions for event in found] == [0, 20, 40]
-    assert [event.iteration for event in found] == [0, 1, 2]
+    stages = LocalStages()
+    for method in ("simopt", "dropo"):
+        found = iterations(smoke(method, iterations=2), stages)
+        assert [event.target_transitions for event in found] == [0, 20, 40]
+        assert [event.iteration for event in found] == [0, 1, 2]
+    rollouts = [s for s in stages.executed if s.kind == "target_rollout"]
+    assert len(rollouts) == 2  # DROPO read SimOpt's
 
 
 class TestResults:

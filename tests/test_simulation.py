@@ -7,7 +7,8 @@ from adr_service.simulation.batch import Simulations, compiled
 from adr_service.simulation.model import resolve
 from adr_service.simulation.replay import Replay
 from adr_service.simulation.rollout import follow, run_episodes
-from adr_service.tasks import TASKS, State, get_task
+from adr_service.tasks.base import State
+from adr_service.tasks.catalogue import TASKS, VARIANTS, get_task
 from adr_service.transitions import TransitionDataset
 from tests.published import HOPPER_MASSES_KG
 
@@ -20,14 +21,14 @@ def task(request):
 def recording(task, steps=200):
     """Dynamics, initial state and actions of 5 simulations."""
     rng = np.random.default_rng(0)
-    space = task.variants["vanilla"].source.space
+    space = VARIANTS[task.name]["vanilla"].source.space
     dynamics = rng.uniform(space.low, space.high, (5, len(space)))
     actions = rng.uniform(task.action_low, task.action_high, (steps, 5, len(task.action_low)))
     return dynamics, task.initial(5, rng), actions
 
 
 def in_batch(task, dynamics, initial, actions, threads=1):
-    simulations = Simulations(task, task.variants["vanilla"].source, 5, threads=threads)
+    simulations = Simulations(task, VARIANTS[task.name]["vanilla"].source, 5, threads=threads)
     simulations.set_dynamics(dynamics)
     simulations.set_state(initial)
     states = []
@@ -39,7 +40,7 @@ def in_batch(task, dynamics, initial, actions, threads=1):
 
 def one_by_one(task, dynamics, initial, actions):
     """The same with plain MjData, a loop, and mj_setConst."""
-    space, states = task.variants["vanilla"].source.space, []
+    space, states = VARIANTS[task.name]["vanilla"].source.space, []
     for i in range(5):
         model = mujoco.MjModel.from_xml_string(task.xml)
         for parameter, value in zip(space.parameters, dynamics[i], strict=True):
@@ -86,7 +87,7 @@ def test_a_diverged_simulation_is_nan_and_stays_so_and_the_others_are_unharmed(t
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_dynamics_that_are_not_finite_are_refused(bad):
-    simulations = Simulations(get_task("arm"), get_task("arm").variants["vanilla"].source, 1)
+    simulations = Simulations(get_task("arm"), VARIANTS["arm"]["vanilla"].source, 1)
     with pytest.raises(InvalidInput, match="finite"):
         simulations.set_dynamics(np.array([[1.0, bad, 1.0, 1.0]]))
 
@@ -110,12 +111,12 @@ class TestReplayOfPublishedData:
     task = get_task("hopper")
 
     def error(self, data, masses):
-        replay = Replay(self.task, self.task.variants["vanilla"].source, data, 1, 1)
+        replay = Replay(self.task, VARIANTS[self.task.name]["vanilla"].source, data, 1, 1)
         return replay.mean_squared_error(np.array([masses]))[0]
 
     @property
     def truth(self):
-        return self.task.variants["vanilla"].hidden.values
+        return VARIANTS[self.task.name]["vanilla"].hidden.values
 
     def test_the_true_masses_are_the_published_ones(self):
         np.testing.assert_allclose(self.truth, HOPPER_MASSES_KG, atol=5e-9)
@@ -133,7 +134,7 @@ class TestReplayOfPublishedData:
 
     def test_a_whole_episode_replays_from_its_first_state(self, hopper_clean):
         first = hopper_clean.split()[0]
-        replay = Replay(self.task, self.task.variants["vanilla"].source, first, 1, 500)
+        replay = Replay(self.task, VARIANTS[self.task.name]["vanilla"].source, first, 1, 500)
         assert replay.mean_squared_error(self.truth[None])[0] < 1e-15
 
 
@@ -141,9 +142,9 @@ class TestEpisodes:
     task = get_task("arm")
 
     def simulations(self, n):
-        source = self.task.variants["vanilla"].source
+        source = VARIANTS[self.task.name]["vanilla"].source
         simulations = Simulations(self.task, source, n)
-        simulations.set_dynamics(np.tile(self.task.variants["vanilla"].hidden.values, (n, 1)))
+        simulations.set_dynamics(np.tile(VARIANTS[self.task.name]["vanilla"].hidden.values, (n, 1)))
         return simulations
 
     def test_nothing_is_earned_or_recorded_after_the_end(self):
@@ -187,7 +188,7 @@ class TestEpisodes:
 
 def test_replay_predicts_what_a_rollout_recorded():
     """Closed loop, then open loop with the same actions and dynamics: nothing differs."""
-    task, variant = get_task("hopper"), get_task("hopper").variants["vanilla"]
+    task, variant = get_task("hopper"), VARIANTS["hopper"]["vanilla"]
     dynamics = np.array([[3.0, 4.0, 2.0, 6.0]])
     simulations = Simulations(task, variant.source, 1)
     simulations.set_dynamics(dynamics)

@@ -49,9 +49,9 @@ def test_the_paper_preset_is_the_papers_protocol():
 
 def test_what_is_given_wins_over_the_preset_field_by_field():
     spec = RunSpec.model_validate(
-        {**GOOD, "method": {"name": "simopt", "samples": 7}, "training": {"max_steps": 500}}
+        {**GOOD, "method": {"name": "simopt", "samples": 17}, "training": {"max_steps": 500}}
     )
-    assert (spec.method.samples, spec.method.updates) == (7, 2)
+    assert (spec.method.samples, spec.method.updates) == (17, 2)
     assert (spec.training.max_steps, spec.training.batch_size) == (500, 32)
 
 
@@ -76,6 +76,8 @@ def test_what_is_given_wins_over_the_preset_field_by_field():
         ({"method": {"name": "simopt", "budget": 3}}, "there is no field 'budget'"),
         ({"method": 3}, "method"),
         ({"training": 3}, "training"),
+        ({"training": {"hidden": [0]}}, "greater than or equal to 1"),
+        ({"transitions": 201}, "an episode of arm has 200 steps at most"),
         ({"task": None}, "valid string"),
     ],
     ids=str,
@@ -98,6 +100,15 @@ class TestBenchmark:
         assert {run.method.name for run in runs} == {"udr", "simopt", "prior", "oracle"}
         assert len(list(self.spec(references=False, seeds=[0]).runs())) == 2
 
+    def test_a_methods_other_settings_stay_the_presets(self):
+        spec = self.spec(methods=[{"name": "simopt", "updates": 1}], references=False, seeds=[0])
+        for known in (
+            spec,
+            BenchmarkSpec.model_validate_json(spec.model_dump_json(exclude_unset=True)),
+        ):
+            (run,) = known.runs()
+            assert (run.method.updates, run.method.samples) == (1, 20)
+
     def test_overrides_reach_every_run(self):
         for run in self.spec(iterations=3, training={"max_steps": 700}).runs():
             assert (run.iterations, run.training.max_steps) == (3, 700)
@@ -108,6 +119,7 @@ class TestBenchmark:
             ({"seeds": []}, "at least 1 item"),
             ({"seeds": [0, 0]}, "must not repeat"),
             ({"seeds": [-1]}, "greater than or equal to 0"),
+            ({"methods": ["udr", {"name": "udr", "policies": 3}]}, "must not repeat a name"),
             ({"methods": ["magic"]}, "there is no method 'magic'"),
             ({"tasks": ["arm", "leg"]}, "there is no task 'leg'"),
             ({"seeds": list(range(5000))}, "5000 runs at most; this has 20000"),

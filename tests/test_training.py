@@ -11,13 +11,14 @@ from adr_service.errors import InvalidInput
 from adr_service.progress import StageCancelled
 from adr_service.randomness import stream
 from adr_service.simulation.vec_env import RandomizedVecEnv
-from adr_service.tasks import get_task
+from adr_service.tasks.catalogue import VARIANTS, get_task
 from adr_service.training.policy import Policy
+from adr_service.training.sac import BACKENDS as BACKENDS_BY_NAME
 from adr_service.training.sac import train
 from adr_service.training.settings import TrainingSettings
 
 ARM = get_task("arm")
-VANILLA = ARM.variants["vanilla"]
+VANILLA = VARIANTS[ARM.name]["vanilla"]
 TRUTH = Uniform.point(VANILLA.source.space, VANILLA.hidden.values)
 PRIOR = Gaussian.prior(VANILLA.source.space)
 TINY = {
@@ -159,6 +160,18 @@ class TestSac:
         easy = type(ARM)(reward_threshold=0.1)
         training = train(easy, VANILLA.source, PRIOR, settings, stream("test", 1))
         assert training.steps == 240
+
+    def test_the_policy_does_what_the_librarys_own_does(self, backend):
+        """The weights are in the right layers: equal to float32's rounding."""
+        settings = TrainingSettings.model_validate({**TINY, "backend": backend})
+        env = RandomizedVecEnv(ARM, VANILLA.source, PRIOR, 4, np.random.default_rng(0))
+        library = BACKENDS_BY_NAME[backend]
+        model = library.build(env, settings, {"seed": 1, "learning_starts": 0, "batch_size": 16})
+        model.learn(64)
+        observations = np.random.default_rng(1).normal(size=(50, 4)).astype(np.float32)
+        expected, _ = model.predict(observations, deterministic=True)
+        policy = library.policy(model, ARM, settings.activation)
+        np.testing.assert_allclose(policy.act(observations), expected, atol=2e-6)
 
     def test_it_can_be_cancelled_from_inside(self, backend):
         def stop(fraction, **facts):

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import ray
+from ray.exceptions import RayError
 
 from adr_service.computation import compute
 from adr_service.errors import AdrError
@@ -22,7 +23,10 @@ from adr_service.progress import StageCancelled
 from adr_service.stages import Stage, StageResult
 
 SIGN_OF_LIFE_S = 1.0
-_PROVENANCE_PACKAGES = ("adr-service", "mujoco", "numpy", "scipy", "stable-baselines3", "torch")
+_PROVENANCE_PACKAGES = (
+    *("adr-service", "mujoco", "numpy", "scipy", "cma"),
+    *("stable-baselines3", "torch", "sbx-rl", "jax"),
+)
 
 
 @dataclass(frozen=True)
@@ -128,13 +132,17 @@ class _Reporter:
     def _report(self) -> None:
         while not self._done.is_set():
             sign = SignOfLife(self._digest, *self._latest, os.getpid())
-            if ray.get(self._board.report.remote(sign)):
-                self._unwanted.set()
+            try:
+                if ray.get(self._board.report.remote(sign)):
+                    self._unwanted.set()
+            except RayError:
+                pass  # the board is starting again; the next sign reaches it
             self._done.wait(SIGN_OF_LIFE_S)
 
 
 def _provenance() -> dict[str, Any]:
-    versions = {name: importlib.metadata.version(name) for name in _PROVENANCE_PACKAGES}
+    installed = {d.name: d.version for d in importlib.metadata.distributions()}
+    versions = {name: installed[name] for name in _PROVENANCE_PACKAGES if name in installed}
     return {"python": platform.python_version(), "cpu": _cpu_model(), **versions}
 
 

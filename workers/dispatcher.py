@@ -22,6 +22,7 @@ from typing import Any, cast
 
 import ray
 from ray.exceptions import RayError, RayTaskError
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from adr_service.errors import AdrError, RunCancelled, StageFailed
 from adr_service.stages import KINDS, Role, Stage, StageResult
@@ -78,6 +79,7 @@ class _Job:
     started_by: str
     waiters: list[_Waiter] = field(default_factory=list[_Waiter])
     attempt: int = 0
+    losses: int = 0  # attempts whose process was lost
     ref: Any = None  # of the running call
     actor: "_Actor | None" = None
     sign: SignOfLife | None = None
@@ -117,7 +119,7 @@ class Activity:
     started_by: str
 
 
-Find = Callable[[str], StageResult | None]
+Find = Callable[[Stage, str], StageResult | None]  # (stage, run id)
 Commit = Callable[[Stage, Finished, int, str, list[str]], None]
 
 
@@ -160,28 +162,15 @@ class Dispatcher:
         return future
 
     def withdraw(self, run_id: str) -> None:
-        """The run wants nothing any more: its waiting stages go, its actors with them."""
+        """The run wants nothing any more: its waiting stages and idle actors go."""
         self._inbox.put(lambda: self._withdraw(run_id))
 
     def activities(self, run_id: str) -> list[Activity]:
         """What is in the works for a run, running stages first."""
         now = time.monotonic()
         mine = [job for job in list(self._jobs.values()) if job.is_wanted_by(run_id)]
-        return [
-            Activity(
-                kind=job.stage.kind,
-                digest=job.stage.digest,
-                state="running" if job.ref is not None else "waiting",
-                attempt=job.attempt,
-                seconds=now - job.since,
-                fraction=job.sign.fraction if job.sign else 0.0,
-                facts=job.sign.facts if job.sign else {},
-                actor=job.actor.name if job.actor else None,
-                pid=job.sign.pid if job.sign else None,
-                started_by=job.started_by,
-            )
-            for job in sorted(mine, key=lambda job: (job.ref is None, job.number))
-        ]
+        found = [_activity(job, now) for job in sorted(mine, key=lambda job: job.number)]
+        return sorted(found, key=lambda activity: activity.state)  # "running" before "waiting"
 
     # everything below runs on the dispatcher's own thread
 
@@ -223,7 +212,9 @@ class Dispatcher:
         if url := context.dashboard_url:
             self.dashboard_url = f"http://{url}"
         self.cores = _cores()
-        self._board: Any = ray.remote(Board).options(num_cpus=0).remote()
+        here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=True)
+        board = ray.remote(Board).options(num_cpus=0, max_restarts=-1, scheduling_strategy=here)
+        self._board: Any = board.remote()
         self._board_ref: Any = None
         self._board_read = 0.0
 
@@ -251,7 +242,13 @@ class Dispatcher:
     def _accept(self, stage: Stage, run_id: str, future: Future[StageResult]) -> None:
         job = self._jobs.get(stage.digest)
         if job is None:
-            if (stored := self._find(stage.digest)) is not None:
+            try:
+                stored = self._find(stage, run_id)
+            except Exception as error:  # the database's trouble must not stop other runs
+                log.exception("stage %s could not be looked up", stage.digest)
+                future.set_exception(_not_stored(stage, error))
+                return
+            if stored is not None:
                 future.set_result(stored)
                 return
             self._numbers += 1
@@ -347,10 +344,7 @@ class Dispatcher:
         match ending:
             case Finished():
                 del self._jobs[job.stage.digest]
-                run_ids = list(dict.fromkeys(waiter.run_id for waiter in job.waiters))
-                self._commit(job.stage, ending, job.attempt, job.started_by, run_ids)
-                for waiter in job.waiters:
-                    waiter.future.set_result(ending.result)
+                self._deliver(job, ending)
             case Failed(code, message):
                 del self._jobs[job.stage.digest]
                 _fail(job, StageFailed(job.stage.kind, code, message))
@@ -359,12 +353,27 @@ class Dispatcher:
                     del self._jobs[job.stage.digest]
                 # else it was wanted again while it was stopping, and waits for its turn
 
+    def _deliver(self, job: _Job, ending: Finished) -> None:
+        """Commit a result, then hand it to those who wait."""
+        run_ids = list(dict.fromkeys(waiter.run_id for waiter in job.waiters))
+        try:
+            self._commit(job.stage, ending, job.attempt, job.started_by, run_ids)
+        except Exception as error:  # the database's trouble must not stop other runs
+            log.exception("stage %s could not be stored", job.stage.digest)
+            _fail(job, _not_stored(job.stage, error))
+            return
+        for waiter in job.waiters:
+            waiter.future.set_result(ending.result)
+
     def _lost(self, job: _Job, actor: _Actor | None, error: RayError) -> None:
         """A process died under a job: another attempt, or the end."""
         log.warning("%s: lost attempt %d: %s", job.stage.kind, job.attempt, error)
         if actor is not None:
             self._actors.remove(actor)
-        if job.attempt >= MAX_ATTEMPTS:
+        job.losses += 1
+        if not job.waiters:
+            del self._jobs[job.stage.digest]
+        elif job.losses >= MAX_ATTEMPTS:
             del self._jobs[job.stage.digest]
             detail = f"its process was lost {MAX_ATTEMPTS} times; last: {error}"
             _fail(job, StageFailed(job.stage.kind, "worker_lost", detail))
@@ -375,20 +384,46 @@ class Dispatcher:
             done, _ = ray.wait([self._board_ref], timeout=0)
             if not done:
                 return
-            for sign in ray.get(self._board_ref):
+            reference, self._board_ref = self._board_ref, None
+            try:
+                signs = ray.get(reference)
+            except RayError as error:  # its process was lost; Ray starts another
+                log.warning("the board was lost: %s", error)
+                return
+            for sign in signs:
                 if (job := self._jobs.get(sign.digest)) is not None:
                     job.sign = sign
-            self._board_ref = None
         if time.monotonic() - self._board_read > _READ_BOARD_S:
             self._board_read = time.monotonic()
             self._board_ref = self._board.signs.remote()
             self.cores = _cores()
 
 
+def _activity(job: _Job, now: float) -> Activity:
+    # the dispatcher may change the job meanwhile: each field is read once
+    sign, actor, ref = job.sign, job.actor, job.ref
+    return Activity(
+        kind=job.stage.kind,
+        digest=job.stage.digest,
+        state="waiting" if ref is None else "running",
+        attempt=job.attempt,
+        seconds=now - job.since,
+        fraction=sign.fraction if sign else 0.0,
+        facts=sign.facts if sign else {},
+        actor=actor.name if actor else None,
+        pid=sign.pid if sign else None,
+        started_by=job.started_by,
+    )
+
+
 def _fail(job: _Job, error: AdrError) -> None:
     for waiter in job.waiters:
         if not waiter.future.done():
             waiter.future.set_exception(error)
+
+
+def _not_stored(stage: Stage, error: Exception) -> StageFailed:
+    return StageFailed(stage.kind, "not_stored", f"the database refused: {error}")
 
 
 def _cores() -> int:

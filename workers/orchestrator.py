@@ -6,7 +6,7 @@ service that starts simply runs whatever is unfinished, whether it was stopped o
 
 import logging
 import threading
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 
 from sqlalchemy.orm import Session
 
@@ -20,13 +20,13 @@ from adr_service.events import (
     StageFinished,
 )
 from adr_service.runs import run
-from adr_service.stages import Stage
+from adr_service.stages import Stage, StageResult
 from db import runs as run_store
 from db import stages as stage_store
 from db.runs import RunRecord
 from db.session import Database
 from workers.actors import Finished
-from workers.dispatcher import Activity, Dispatcher, RayOptions
+from workers.dispatcher import Activity, ClusterUnavailable, Dispatcher, RayOptions
 from workers.stages import RayStages
 
 log = logging.getLogger(__name__)
@@ -38,11 +38,10 @@ class Orchestrator:
 
     def __init__(self, database: Database, options: RayOptions):
         self._database = database
-        self._dispatcher = Dispatcher(
-            options, lambda digest: stage_store.find_result(database, digest), self._commit
-        )
+        self._dispatcher = Dispatcher(options, self._find, self._commit)
         self._pool = ThreadPoolExecutor(_RUNS_AT_ONCE, thread_name_prefix="run")
         self._cancelled: dict[str, threading.Event] = {}
+        self._waiting: dict[str, Future[None]] = {}
         self._closing = threading.Event()
 
     def start(self) -> None:
@@ -60,13 +59,18 @@ class Orchestrator:
     def submit(self, record: RunRecord) -> None:
         """Run a stored run; it may have begun before."""
         flag = self._cancelled[record.id] = threading.Event()
-        if record.cancel_requested:
-            flag.set()
-        self._pool.submit(self._guard, record, flag)
+        if run_store.get_run(self._database, record.id).cancel_requested:
+            flag.set()  # it may have come since the record was read
+        self._waiting[record.id] = self._pool.submit(self._guard, record, flag)
 
-    def cancel(self, run_id: str) -> None:
-        if flag := self._cancelled.get(run_id):
+    def cancel(self, record: RunRecord) -> None:
+        """Stop a run at its next stage, or at once where it has no thread yet."""
+        if flag := self._cancelled.get(record.id):
             flag.set()
+        waiting = self._waiting.get(record.id)
+        if waiting is not None and waiting.cancel():
+            del self._cancelled[record.id], self._waiting[record.id]
+            self._record(record, RunStopped(submission=record.submission))
 
     @property
     def is_alive(self) -> bool:
@@ -97,6 +101,9 @@ class Orchestrator:
             ending = RunStopped(submission=record.submission)
         except StageFailed as error:
             ending = _failure(record, error.cause, str(error))
+        except ClusterUnavailable:
+            log.exception("run %s waits for the service to be restarted", record.id)
+            return
         except AdrError as error:
             ending = _failure(record, error.code, str(error))
         except Exception as error:  # the last place that can put a defect on the run's record
@@ -106,10 +113,20 @@ class Orchestrator:
             return  # the service stops, not the run: it goes on when the service starts again
         self._dispatcher.withdraw(record.id)
         self._cancelled.pop(record.id, None)
+        self._waiting.pop(record.id, None)
         self._record(record, ending)
 
     def _record(self, record: RunRecord, event: RunEvent) -> None:
         run_store.append_event(self._database, record.id, event)
+
+    def _find(self, stage: Stage, run_id: str) -> StageResult | None:
+        """A stored result, which from now on this run refers to as well."""
+        event = StageFinished(kind=stage.kind, digest=stage.digest)
+        with self._database.write() as session:
+            result = stage_store.find_result(session, stage.digest)
+            if result is not None:
+                run_store.append(session, run_id, event)
+            return result
 
     def _commit(
         self, stage: Stage, finished: Finished, attempt: int, started_by: str, run_ids: list[str]
@@ -118,7 +135,8 @@ class Orchestrator:
 
         def append_to_all(session: Session) -> None:
             for run_id in run_ids:
-                run_store.append(session, run_id, event)
+                if run_store.exists(session, run_id):  # it may have been deleted meanwhile
+                    run_store.append(session, run_id, event)
 
         stage_store.commit_result(
             self._database,

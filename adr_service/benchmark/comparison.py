@@ -15,7 +15,7 @@ from adr_service.methods import METHODS
 from adr_service.randomness import stream
 from adr_service.specs import RunSpec
 from adr_service.target import estimation_error, true_values
-from adr_service.tasks import get_task, variant_of
+from adr_service.tasks.catalogue import get_task, source_of
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Row:
     episodes: int
     target_rollouts: int  # per seed, what the method could learn from
     target_transitions: float  # per seed, mean
-    estimation_error: float | None  # RMS of the mean from the truth in [0, 4]; None for UDR
+    estimation_error: float | None  # RMS of the mean from the truth in [0, 4]; None for UDR, oracle
     reached_threshold: float  # share of policies that did, on their source distribution
 
 
@@ -85,7 +85,7 @@ def estimates(outcomes: Sequence[Outcome]) -> list[ParameterEstimate]:
         if spec.method.name not in {"simopt", "dropo"}:
             continue
         distribution, truth = _decode(outcome)[0], true_values(spec.task, spec.variant)
-        parameters = variant_of(get_task(spec.task), spec.variant).source.space.parameters
+        parameters = source_of(spec.task, spec.variant).space.parameters
         found.extend(
             ParameterEstimate(
                 spec.task,
@@ -149,6 +149,6 @@ def _mean_error(outcomes: Sequence[Outcome]) -> float | None:
 
 
 def _decode(outcome: Outcome) -> list[Distribution]:
-    source = variant_of(get_task(outcome.spec.task), outcome.spec.variant).source
+    source = source_of(outcome.spec.task, outcome.spec.variant)
     documents: Sequence[Mapping[str, object]] = outcome.iteration.distributions
     return [distribution_from_json(source.space, dict(document)) for document in documents]

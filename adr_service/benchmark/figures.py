@@ -1,6 +1,7 @@
 """The figures of a benchmark, as SVG or PNG; the same outcomes give the same bytes."""
 
 import io
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
@@ -23,6 +24,7 @@ COLOURS = {
     "oracle": "#009E73",
 }
 LABELS = {"udr": "UDR", "simopt": "SimOpt", "dropo": "DROPO", "prior": "prior", "oracle": "oracle"}
+_DRAWING = threading.Lock()  # Matplotlib's settings belong to the process; requests to threads
 _REFERENCES = ("udr", "prior", "oracle")  # no iterations: drawn as levels
 
 
@@ -33,7 +35,7 @@ def draw(name: str, outcomes: Sequence[Outcome], file_format: Format) -> bytes:
     if not outcomes:
         raise InvalidInput("there is nothing to draw yet: no iteration has finished")
     # the salt names the elements of an SVG; without it they differ from time to time
-    with mpl.rc_context({"svg.hashsalt": "adr", "svg.fonttype": "none", "font.size": 9}):
+    with _DRAWING, mpl.rc_context({"svg.hashsalt": "adr", "svg.fonttype": "none", "font.size": 9}):
         figure = FIGURES[name](outcomes)
         buffer = io.BytesIO()
         metadata = {"Date": None} if file_format == "svg" else {"Software": None}

@@ -14,13 +14,13 @@ from adr_service.methods.udr import UdrSettings
 from adr_service.randomness import stream
 from adr_service.simulation.batch import Simulations
 from adr_service.specs import RunSpec
-from adr_service.tasks import get_task, variant_of
 from adr_service.tasks.base import Task
+from adr_service.tasks.catalogue import VARIANTS, get_task, source_of
 from adr_service.training.settings import TrainingSettings
 from adr_service.wire import canonical_json
 
-# Seconds of one gradient step with networks of 2x128 and batches of 256 on one core of a server
-# of 2024, and what does not shrink with them; measured with `make bench`'s machine (docs).
+# Seconds of one gradient step on one core of an AMD EPYC: what does not shrink with the networks,
+# and what grows with them, for 2x128 and batches of 256. From trainings of `arm` and `hopper`.
 _UPDATE_S = {"sbx": (0.0001, 0.0044), "sb3": (0.0025, 0.0125)}
 _REFERENCE_WORK = 256 * 128**2  # batch size x weights of the hidden layers' product
 _VECTOR_STEP_S = 0.0007  # acting and storing, per step of all environments
@@ -28,7 +28,10 @@ _VECTOR_STEP_S = 0.0007  # acting and storing, per step of all environments
 
 @dataclass(frozen=True)
 class Plan:
-    """An upper bound: trainings stop at the reward threshold, which nobody knows before."""
+    """An estimate from the cost of its trainings, their evaluations, and the inferences.
+
+    Trainings may stop earlier, at the reward threshold, which nobody knows before.
+    """
 
     runs: int
     trainings: int  # distinct; equal ones are shared between runs
@@ -36,10 +39,10 @@ class Plan:
     target_transitions: int  # distinct, at most
     core_hours: float
     cores: int
-    hours: float  # with these cores, all busy
-    disk_mb: float
+    hours: float | None  # with these cores, all busy; None without cores
+    policies_mb: float
     basis: str = (
-        "upper bound if every training uses all its steps; simulation speed measured on this "
+        "estimate, if every training uses all its steps; simulation speed measured on this "
         "machine a moment ago, gradient steps as measured on one server core"
     )
 
@@ -49,7 +52,7 @@ def plan(runs: Sequence[RunSpec], cores: int) -> Plan:
     trainings = {key: spec.training for spec in runs for key in _trainings(spec)}
     tasks = {key[1] for key in trainings}
     rates = {name: _step_rate(get_task(name)) for name in tasks}
-    seconds = sum(_training_s(rates[key[1]], t) for key, t in trainings.items())
+    seconds = sum(_training_s(key[1], rates[key[1]], t) for key, t in trainings.items())
     searches = {key: steps for spec in runs for key, steps in _searches(spec)}
     seconds += sum(steps / rates[key[1]] for key, steps in searches.items())
     rollouts = {k: spec.transitions for spec in runs for k in _rollouts(spec)}
@@ -60,8 +63,8 @@ def plan(runs: Sequence[RunSpec], cores: int) -> Plan:
         target_transitions=sum(rollouts.values()),
         core_hours=seconds / 3600,
         cores=cores,
-        hours=seconds / 3600 / cores,
-        disk_mb=sum(_policy_mb(key[1], t) for key, t in trainings.items()),
+        hours=seconds / 3600 / cores if cores else None,
+        policies_mb=sum(_policy_mb(key[1], t) for key, t in trainings.items()),
     )
 
 
@@ -75,7 +78,8 @@ def _trainings(spec: RunSpec) -> Iterable[Key]:
         case UdrSettings(policies=count):
             return [("udr", spec.task, f"{i} {rest}") for i in range(count)]
         case OracleSettings():
-            return [("oracle", spec.task, rest)]
+            # trained on the vanilla variant, whatever the run's is
+            return [("oracle", spec.task, rest.removeprefix(spec.variant))]
         case PriorSettings():
             return [("prior", spec.task, rest)]
         case SimOptSettings():
@@ -93,7 +97,7 @@ def _searches(spec: RunSpec) -> Iterable[tuple[Key, int]]:
             case SimOptSettings(updates=updates, samples=samples):
                 steps = updates * samples * spec.transitions
             case DropoSettings(budget=budget, samples_per_parameter=k):
-                d = len(variant_of(get_task(spec.task), spec.variant).source.space)
+                d = len(source_of(spec.task, spec.variant).space)
                 steps = budget * k * d * spec.transitions * iteration
             case _:
                 return
@@ -106,18 +110,21 @@ def _rollouts(spec: RunSpec) -> Iterable[tuple[str, str, int, int]]:
             yield (spec.task, spec.variant, spec.seed, iteration)
 
 
-def _training_s(rate: float, settings: TrainingSettings) -> float:
+def _training_s(task_name: str, rate: float, settings: TrainingSettings) -> float:
     assert settings.backend is not None
     fixed, proportional = _UPDATE_S[settings.backend]
     work = settings.batch_size * np.prod(settings.hidden[:2]) / _REFERENCE_WORK
     rounds = settings.max_steps / settings.environments
     update = fixed + proportional * float(work)
-    return settings.max_steps / rate + rounds * (settings.gradient_steps * update + _VECTOR_STEP_S)
+    evaluations = -(-settings.max_steps // settings.evaluate_every)
+    judged = evaluations * settings.evaluation_episodes * get_task(task_name).horizon
+    updating = rounds * (settings.gradient_steps * update + _VECTOR_STEP_S)
+    return (settings.max_steps + judged) / rate + updating
 
 
 def _step_rate(task: Task) -> float:
     """Control steps per second on one core, measured over a twentieth of a second."""
-    source = next(iter(task.variants.values())).source
+    source = next(iter(VARIANTS[task.name].values())).source
     simulations, rng = Simulations(task, source, 12), stream("step rate", task.name)
     simulations.set_dynamics(np.tile((source.space.low + source.space.high) / 2, (12, 1)))
     simulations.set_state(task.initial(12, rng))

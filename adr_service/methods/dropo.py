@@ -6,6 +6,9 @@ arXiv 2201.08434, with the settings of the benchmark (sample size 10 per paramet
 Where we differ from the published code, and why:
 - One set of random numbers (a Latin hypercube) serves all candidates, so the objective is a
   deterministic function of the distribution and its best evaluation is not a lucky one.
+- Every recorded transition counts, the last of an episode too: its next observation is recorded.
+- One diverged draw makes a candidate the worst; how many did is in the diagnostics.
+- Bounds are pycma's transformation, not the 'bouncing' of the library they used.
 - Draws below the feasible bound are excluded by inversion, not clamped after 20 redraws.
 - pycma with full covariance and an initial step of 1 in [0, 4], which is what "identity
   starting covariance" in the paper was under the optimiser library of its time.
@@ -21,6 +24,7 @@ from scipy.stats import qmc
 
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.distributions import TruncatedGaussian
+from adr_service.errors import InvalidInput
 from adr_service.methods.base import Estimate, Problem
 from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
@@ -33,8 +37,10 @@ _WORST = 1e12  # loss of a candidate whose simulation diverged; CMA-ES compares 
 
 class DropoSettings(Wire):
     name: Literal["dropo"] = "dropo"
-    budget: int = Field(5000, ge=1, description="likelihood evaluations")
-    samples_per_parameter: int = Field(10, ge=2, description="draws per evaluation and parameter")
+    budget: int = Field(5000, ge=1, le=1_000_000, description="likelihood evaluations")
+    samples_per_parameter: int = Field(
+        10, ge=2, le=1000, description="draws per evaluation and parameter"
+    )
     epsilon: float = Field(1e-4, gt=0, description="variance added to every observed column")
     steps: int = Field(1, ge=1, description="control steps per replayed window (lambda)")
 
@@ -54,6 +60,11 @@ class Dropo:
         k = settings.samples_per_parameter * len(space)
         levels = qmc.LatinHypercube(len(space), rng=rng).random(k)
         replay = Replay(problem.task, problem.source, data, k, settings.steps)
+        if not len(replay.targets):
+            raise InvalidInput(
+                f"no episode has the {settings.steps} consecutive transitions that one window "
+                f"needs; the data are {data!r}"
+            )
         diverged = 0
 
         def loss(x: Vector) -> float:
@@ -65,6 +76,8 @@ class Dropo:
             return -log_likelihood(predictions, replay.targets, settings.epsilon)
 
         x, best, evaluations = self._search(loss, 2 * len(space), rng, progress)
+        if best >= _WORST:
+            raise InvalidInput(f"all {evaluations} candidates diverged in simulation")
         return Estimate(
             decode(space, x),
             simulated_steps=evaluations * k * len(replay.targets) * settings.steps,

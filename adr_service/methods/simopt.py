@@ -10,7 +10,8 @@ Where we differ, and why:
   trajectories do not count more (as in SimuRLacra).
 - Simulations run for the whole recorded length, falling or not, so that nothing is gained by
   dying early; a diverged one costs as much as the worst that did not.
-- Costs are scaled to [0, 1] before REPS, so that the minimum temperature has no unit.
+- Costs are divided by the distance of their 90th percentile from the best before REPS, so that
+  the minimum temperature has no unit and an outlier does not decide it.
 """
 
 from typing import Any, Literal
@@ -29,11 +30,15 @@ from adr_service.simulation.rollout import follow
 from adr_service.tasks.base import State
 from adr_service.wire import Wire
 
+_LEAST_RATIO = 1e-12  # of the new variance to the old, below which the fit is singular
+
 
 class SimOptSettings(Wire):
     name: Literal["simopt"] = "simopt"
-    updates: int = Field(5, ge=1, description="REPS updates per target trajectory")
-    samples: int = Field(1000, ge=2, description="simulated parameter samples per update")
+    updates: int = Field(5, ge=1, le=1000, description="REPS updates per target trajectory")
+    samples: int = Field(
+        1000, ge=10, le=100_000, description="simulated parameter samples per update"
+    )
     kl_threshold: float = Field(1.0, gt=0, description="trust region of one update [nat]")
     covariance_damping: float = Field(2.0, gt=0)
     min_temperature: float = Field(1e-3, gt=0)
@@ -137,11 +142,12 @@ def reps(
 ) -> tuple[Vector, Matrix, float]:
     """One REPS step: the new mean (d,), covariance (d, d), and the temperature.
 
-    Samples (n, d) were drawn from a Gaussian of `covariance`. The step of guided policy
-    search's `TrajOptPI2`, which the benchmark cites: dual in the temperature, weighted maximum
-    likelihood, and a covariance that keeps its shape and is scaled by the damped average change.
+    Samples (n, d) were drawn from a Gaussian of `covariance` and clipped to the search box. The
+    step of guided policy search's `TrajOptPI2`, which the benchmark cites: dual in the
+    temperature, weighted maximum likelihood, and a covariance that keeps its shape and is scaled
+    by the damped average change.
     """
-    spread = np.ptp(costs)
+    spread = np.percentile(costs, 90) - costs.min()
     scaled = (costs - costs.min()) / (spread if spread > 0 else 1.0)
 
     def dual(eta: Vector) -> float:
@@ -150,10 +156,13 @@ def reps(
 
     solution = minimize(dual, [1.0], method="L-BFGS-B", bounds=[(settings.min_temperature, None)])
     eta = float(solution.x[0])
-    weights = np.exp(-scaled / eta)
-    weights /= weights.sum()
-    mean = weights @ samples
-    centred = samples - mean
-    likely = (weights[:, None] * centred).T @ centred
-    ratio = np.trace(np.linalg.solve(covariance, likely)) / len(mean)
-    return mean, ratio ** (1 / settings.covariance_damping) * covariance, eta
+    while True:
+        weights = np.exp(-scaled / eta)
+        weights /= weights.sum()
+        mean = weights @ samples
+        centred = samples - mean
+        likely = (weights[:, None] * centred).T @ centred
+        ratio = np.trace(np.linalg.solve(covariance, likely)) / len(mean)
+        if ratio > _LEAST_RATIO:
+            return mean, ratio ** (1 / settings.covariance_damping) * covariance, eta
+        eta *= 2  # as TrajOptPI2 does: one sample has all the weight, there is no spread to fit

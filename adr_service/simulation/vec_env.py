@@ -16,7 +16,8 @@ from adr_service.tasks.base import Source, State, Task
 class RandomizedVecEnv(VecEnv):
     """n environments stepped by one C++ call; dynamics ~ `distribution` at episode start.
 
-    `adjusted` counts the draws that had to be moved onto a bound of the space.
+    `adjusted` counts the draws that had to be moved onto a bound of the space, `diverged` the
+    episodes whose simulation stopped being finite: their last step earns nothing, from zeros.
     """
 
     render_mode = None
@@ -39,6 +40,7 @@ class RandomizedVecEnv(VecEnv):
         self._simulations = Simulations(task, source, n)
         self._steps = np.zeros(n, dtype=np.int64)
         self.adjusted = 0
+        self.diverged = 0
         self._actions = np.zeros((n, len(task.action_low)))
 
     @property
@@ -60,20 +62,23 @@ class RandomizedVecEnv(VecEnv):
         after = simulations.state
         rewards = task.reward(before, self._actions, after)
         self._steps += 1
-        terminated = task.terminated(after) | simulations.diverged
+        broken = simulations.diverged
+        self.diverged += int(broken.sum())
+        terminated = task.terminated(after) | broken
         done = terminated | (self._steps >= task.horizon)
         observations = task.observe(after).astype(np.float32)
+        observations[broken], rewards[broken] = 0.0, 0.0
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if done.any():
             rows = np.flatnonzero(done).tolist()
             for row in rows:
                 infos[row] = {
-                    "terminal_observation": np.nan_to_num(observations[row]),
+                    "terminal_observation": observations[row].copy(),
                     "TimeLimit.truncated": not terminated[row],
                 }
             self._begin(rows)
             observations[rows] = self._observe()[rows]
-        return observations, np.nan_to_num(rewards), done, infos
+        return observations, rewards, done, infos
 
     def _observe(self) -> np.ndarray:
         return self._task.observe(self._simulations.state).astype(np.float32)

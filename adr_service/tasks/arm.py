@@ -33,6 +33,17 @@ def _space() -> ParameterSpace:
     )
 
 
+def variants() -> Mapping[str, Variant]:
+    source, truth = Source(_space()), frozen(_TRUTH)
+    three = _space().subset(("fore_mass", "shoulder_friction", "elbow_friction"))
+    light = Source(three, {"body:upper.inertial": _UNMODELED_FACTOR * _TRUTH[0]})
+    return {
+        "vanilla": Variant(source, Hidden(source, truth, 0.0)),
+        "noisy": Variant(source, Hidden(source, truth, 1e-4)),
+        "unmodeled": Variant(light, Hidden(source, truth, 0.0)),
+    }
+
+
 @dataclass(frozen=True)
 class Arm:
     name: str = "arm"
@@ -52,17 +63,6 @@ class Arm:
     @property
     def xml(self) -> str:
         return read("arm.xml")
-
-    @property
-    def variants(self) -> Mapping[str, Variant]:
-        source, truth = Source(_space()), frozen(_TRUTH)
-        three = _space().subset(("fore_mass", "shoulder_friction", "elbow_friction"))
-        light = Source(three, {"body:upper.inertial": _UNMODELED_FACTOR * _TRUTH[0]})
-        return {
-            "vanilla": Variant(source, Hidden(source, truth, 0.0)),
-            "noisy": Variant(source, Hidden(source, truth, 1e-4)),
-            "unmodeled": Variant(light, Hidden(source, truth, 0.0)),
-        }
 
     def initial(self, n: int, rng: np.random.Generator) -> State:
         """Hanging, nearly at rest."""

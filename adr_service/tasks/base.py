@@ -1,8 +1,9 @@
 """What a task is: a robot, a goal, and the variants in which its simulator is uncertain.
 
 A variant pairs a *source* (what methods may simulate: a parameter space and values that stay
-fixed) with a *target* (the hidden truth and its sensor noise). Methods get sources only;
-targets are opened by `adr_service.target` alone.
+fixed) with a *target* (the hidden truth and its sensor noise). Methods get a task and a source;
+the truth is in the catalogue, which they may not import (a contract of `make lint`), and is read
+by `adr_service.target` alone.
 """
 
 from collections.abc import Mapping
@@ -12,7 +13,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector
-from adr_service.errors import UnknownName
 from adr_service.parameters import ParameterSpace
 
 
@@ -67,8 +67,6 @@ class Task(Protocol):
     def reward_threshold(self) -> float: ...  # training stops here; returns are divided by it
     @property
     def learning_rate(self) -> float: ...
-    @property
-    def variants(self) -> Mapping[str, Variant]: ...
 
     def initial(self, n: int, rng: np.random.Generator) -> State:
         """n fresh initial states."""
@@ -89,9 +87,3 @@ class Task(Protocol):
     def terminated(self, state: State) -> Mask:
         """Whether the episode ends in `state`, (n,)."""
         ...
-
-
-def variant_of(task: Task, name: str) -> Variant:
-    if name not in task.variants:
-        raise UnknownName(f"variant of {task.name}", name, task.variants)
-    return task.variants[name]

@@ -29,6 +29,18 @@ def _space(feasible_low: float) -> ParameterSpace:
     )
 
 
+def variants() -> Mapping[str, Variant]:
+    source = Source(_space(feasible_low=0.1))
+    truth = frozen(_MASSES_KG)
+    three = _space(feasible_low=0.001).subset(("thigh_mass", "leg_mass", "foot_mass"))
+    light = Source(three, {"body:torso.mass": _UNMODELED_FACTOR * _MASSES_KG[0]})
+    return {
+        "vanilla": Variant(source, Hidden(source, truth, 0.0)),
+        "noisy": Variant(source, Hidden(source, truth, 1e-4)),
+        "unmodeled": Variant(light, Hidden(source, truth, 0.0)),
+    }
+
+
 @dataclass(frozen=True)
 class Hopper:
     name: str = "hopper"
@@ -55,18 +67,6 @@ class Hopper:
     @property
     def xml(self) -> str:
         return read("hopper.xml")
-
-    @property
-    def variants(self) -> Mapping[str, Variant]:
-        source = Source(_space(feasible_low=0.1))
-        truth = frozen(_MASSES_KG)
-        three = _space(feasible_low=0.001).subset(("thigh_mass", "leg_mass", "foot_mass"))
-        light = Source(three, {"body:torso.mass": _UNMODELED_FACTOR * _MASSES_KG[0]})
-        return {
-            "vanilla": Variant(source, Hidden(source, truth, 0.0)),
-            "noisy": Variant(source, Hidden(source, truth, 1e-4)),
-            "unmodeled": Variant(light, Hidden(source, truth, 0.0)),
-        }
 
     def initial(self, n: int, rng: np.random.Generator) -> State:
         standing = np.array([0.0, 1.25, 0.0, 0.0, 0.0, 0.0])

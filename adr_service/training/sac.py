@@ -10,7 +10,9 @@ per process at a time: SB3's replay buffer draws from NumPy's global generator, 
 from our stream.
 """
 
+import importlib.util
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -46,6 +48,7 @@ class Training:
     curve: tuple[Evaluation, ...]
     steps: int
     adjusted_draws: int  # dynamics moved onto a bound, see `Draws`
+    diverged_episodes: int  # ended because the simulation stopped being finite
 
     @property
     def best(self) -> Evaluation:
@@ -63,7 +66,8 @@ def train(
     """Train a policy for `distribution` on the task's source."""
     dynamics_rng, evaluation_rng, seed_rng = rng.spawn(3)
     env = RandomizedVecEnv(task, source, distribution, settings.environments, dynamics_rng)
-    backend: _Backend = _Sbx() if settings.backend == "sbx" else _Sb3()
+    assert settings.backend is not None, "validation has chosen one"
+    backend = BACKENDS[settings.backend]
     model = backend.build(env, settings, _hyperparameters(task, settings, integer_seed(seed_rng)))
     stop_at = task.reward_threshold if settings.stop_at_threshold else math.inf
     judge = _Judge(task, source, distribution, settings, evaluation_rng)
@@ -72,7 +76,7 @@ def train(
     if not judge.curve or judge.curve[-1].steps < model.num_timesteps:
         judge.evaluate(backend.policy(model, task, settings.activation), model.num_timesteps)
     assert judge.best is not None
-    return Training(judge.best, tuple(judge.curve), model.num_timesteps, env.adjusted)
+    return Training(judge.best, tuple(judge.curve), model.num_timesteps, env.adjusted, env.diverged)
 
 
 class _Judge:
@@ -183,6 +187,10 @@ class _Sbx:
     """SBX (JAX), by the authors of SB3: the same interface, several times the updates/s."""
 
     def build(self, env: RandomizedVecEnv, settings: TrainingSettings, common: Any) -> Any:
+        if importlib.util.find_spec("sbx") is None:
+            raise InvalidInput(
+                "backend 'sbx' needs the package sbx-rl: pip install sbx-rl; or 'sb3'"
+            )
         import flax.linen
         import sbx
 
@@ -207,3 +215,6 @@ def _actor(task: Task, activation: str, layers: tuple[Layer, ...]) -> Policy:
     if not all(np.isfinite(weight).all() and np.isfinite(bias).all() for weight, bias in layers):
         raise InvalidInput("training diverged: the actor's weights are not finite")
     return Policy(layers, activation, task.action_low, task.action_high)
+
+
+BACKENDS: Mapping[str, _Backend] = {"sbx": _Sbx(), "sb3": _Sb3()}

@@ -1,7 +1,7 @@
 """The hyperparameters of policy training, apart from the libraries that use them."""
 
 import importlib.util
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -17,10 +17,12 @@ class TrainingSettings(Wire):
     max_steps: int = Field(5_000_000, ge=100, description="environment steps, all environments")
     environments: int = Field(12, ge=1, le=1024)
     gradient_steps: int = Field(1, ge=1, description="updates per step of all environments")
-    hidden: list[int] = Field([128, 128], min_length=1, description="units per hidden layer")
+    hidden: list[Annotated[int, Field(ge=1, le=4096)]] = Field(
+        [128, 128], min_length=1, max_length=8, description="units per hidden layer"
+    )
     activation: Literal["relu", "tanh"] = "tanh"
     learning_rate: float | None = Field(None, gt=0, description="null: the task's own")
-    batch_size: int = Field(256, ge=1)
+    batch_size: int = Field(256, ge=1, le=65_536)
     buffer_size: int = Field(1_000_000, ge=1000)
     learning_starts: int = Field(100, ge=0, description="steps of uniformly random actions")
     gamma: float = Field(0.99, gt=0, lt=1)
@@ -31,11 +33,7 @@ class TrainingSettings(Wire):
 
     @model_validator(mode="after")
     def _choose_backend(self) -> Self:
-        installed = importlib.util.find_spec("sbx") is not None
-        if self.backend == "sbx" and not installed:
-            raise ValueError(
-                "backend 'sbx' needs the package sbx-rl (pip install sbx-rl); or 'sb3'"
-            )
         if self.backend is None:
+            installed = importlib.util.find_spec("sbx") is not None
             object.__setattr__(self, "backend", "sbx" if installed else "sb3")
         return self

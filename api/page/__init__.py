@@ -11,19 +11,19 @@ from api.service import ServiceDependency
 from db import runs as store
 
 router = APIRouter(include_in_schema=False)
+_SHOWN = 100  # of each list on the first page; the API has the rest
 _templates = Jinja2Templates(Path(__file__).parent / "templates")
 
 
 @router.get("/")
 def index(request: Request, service: ServiceDependency) -> Response:
-    benchmarks = [view(service, b) for b in store.list_benchmarks(service.database, limit=1000)]
-    single = [r for r in store.list_runs(service.database, limit=1000) if r.benchmark_id is None]
+    benchmarks, single = store.latest(service.database, _SHOWN)
     return _templates.TemplateResponse(
         request,
         "index.html",
         {
-            "benchmarks": benchmarks[::-1],
-            "runs": single[::-1],
+            "benchmarks": [view(service, record) for record in benchmarks],
+            "runs": single,
             "ray": service.orchestrator.dashboard_url,
         },
     )

@@ -1,5 +1,6 @@
 """/v1/benchmarks: grids of runs, their results and figures."""
 
+from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 from typing import Annotated, Any, Literal
@@ -21,7 +22,7 @@ from api.views import (
     run_view,
 )
 from db import runs as store
-from db.runs import BenchmarkRecord
+from db.runs import BenchmarkRecord, NotPossible
 
 router = APIRouter(prefix="/v1/benchmarks", tags=["benchmarks"])
 
@@ -65,9 +66,8 @@ def get_benchmark(benchmark_id: str, service: ServiceDependency) -> BenchmarkVie
 def cancel(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
     """Ask every live run to stop."""
     for run in store.runs_of(service.database, benchmark_id):
-        if not run.is_finished:
-            store.request_cancel(service.database, run.id)
-            service.orchestrator.cancel(run.id)
+        with suppress(NotPossible):  # it has ended, before or meanwhile
+            service.orchestrator.cancel(store.request_cancel(service.database, run.id))
     return get_benchmark(benchmark_id, service)
 
 
@@ -75,9 +75,15 @@ def cancel(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
 def resume(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
     """Go on with every failed or cancelled run."""
     for run in store.runs_of(service.database, benchmark_id):
-        if run.state in {"failed", "cancelled"}:
+        with suppress(NotPossible):  # it needs no resuming
             service.orchestrator.submit(store.resubmit(service.database, run.id))
     return get_benchmark(benchmark_id, service)
+
+
+@router.delete("/{benchmark_id}", status_code=status.HTTP_204_NO_CONTENT)
+def delete(benchmark_id: str, service: ServiceDependency) -> None:
+    """Delete a finished benchmark with its runs and what only they refer to."""
+    store.delete_benchmark(service.database, benchmark_id)
 
 
 @router.get("/{benchmark_id}/results", response_model=None)

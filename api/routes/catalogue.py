@@ -8,7 +8,7 @@ from pydantic import TypeAdapter
 import adr_service
 from adr_service.methods import MethodSettings
 from adr_service.presets import PRESETS
-from adr_service.tasks import TASKS
+from adr_service.tasks.catalogue import TASKS, VARIANTS
 from api.errors import problem
 from api.routes.runs import artifact_response
 from api.service import ServiceDependency
@@ -31,7 +31,7 @@ def tasks() -> list[dict[str, Any]]:
                     {"name": p.name, "unit": p.unit, "low": p.low, "high": p.high}
                     for p in variant.source.space.parameters
                 ]
-                for name, variant in task.variants.items()
+                for name, variant in VARIANTS[task.name].items()
             },
         }
         for task in TASKS.values()

@@ -80,7 +80,7 @@ def get_run(run_id: str, service: ServiceDependency) -> RunView:
 def cancel(run_id: str, service: ServiceDependency) -> RunView:
     """Ask a run to stop; what its stages have finished is kept."""
     record = store.request_cancel(service.database, run_id)
-    service.orchestrator.cancel(run_id)
+    service.orchestrator.cancel(record)
     return _view(service, record)
 
 
