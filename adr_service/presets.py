@@ -2,8 +2,9 @@
 
 - `smoke`: hundreds of steps, for tests. Its numbers mean nothing.
 - `demo`: minutes, for the task `arm`: policies of 40,000 steps.
-- `quick`: one task in under an hour on two cores; fewer updates, smaller searches.
-- `paper`: the benchmark's protocol to the letter (Tiboni et al., Sec. 3.2 and 3.4).
+- `quick`: one task in under an hour on two cores; shorter trainings, smaller searches.
+- `paper`: the benchmark's protocol (Tiboni et al., Sec. 3.2 and 3.4), but for the tuning of
+  DROPO's epsilon, which is one value here.
 """
 
 from typing import Any
