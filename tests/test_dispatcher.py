@@ -53,10 +53,12 @@ class Store:
     def __init__(self):
         self.results, self.commits = {}, []
 
-    def find(self, digest):
-        return self.results.get(digest)
+    def find(self, stage, run_id):
+        return self.results.get(stage.digest)
 
     def commit(self, stage, finished, attempt, started_by, run_ids):
+        if "run_unlucky" in run_ids:
+            raise OSError("no space left on device")
         self.results[stage.digest] = finished.result
         self.commits.append((stage.digest, attempt, started_by, sorted(run_ids)))
 
@@ -192,6 +194,15 @@ def test_a_stage_that_goes_wrong_says_how_and_is_not_remembered(started):
     with pytest.raises(StageFailed, match="KeyError") as failed:
         dispatcher.submit(defect, "run_wrong").result(60)
     assert failed.value.cause == "internal"
+
+
+def test_a_result_that_cannot_be_stored_fails_its_stage_and_nobody_elses(started):
+    dispatcher, _ = started
+    with pytest.raises(StageFailed, match="no space left") as failed:
+        dispatcher.submit(training(70), "run_unlucky").result(60)
+    assert failed.value.cause == "not_stored"
+    assert dispatcher.is_alive
+    assert dispatcher.submit(training(71), "run_lucky").result(60)
 
 
 def test_a_run_on_two_cores_tells_the_same_as_in_this_process(started):
