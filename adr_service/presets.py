@@ -50,7 +50,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "methods": {
             "udr": {"policies": 3},
             "simopt": {"samples": 500},
-            "dropo": {"budget": 300, "samples_per_parameter": 5},
+            "dropo": {"budget": 800, "samples_per_parameter": 4},
         },
     },
     "quick": {
