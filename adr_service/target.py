@@ -128,7 +128,7 @@ def simulate_rollout(
         next_observations=observations[1:],
         episodes=np.zeros(length, dtype=np.int64),
         dt=control_period(task),
-        columns=task.columns,
+        columns=task.columns[: task.measured],
         origin=f"simulated target {task.name} {variant}",
     )
 
@@ -146,7 +146,7 @@ def _episodes(
     hidden = hidden_of(task.name, variant)
     simulations = Simulations(task, hidden.source, n)
     simulations.set_dynamics(np.tile(hidden.values, (n, 1)))
-    deviation, width = np.sqrt(hidden.noise_variance), len(task.columns)
+    deviation, width = np.sqrt(hidden.noise_variance), task.measured
     noise: Callable[[], Matrix] | None = None
     if deviation > 0:
         noise = lambda: deviation * rng.standard_normal((n, width))  # noqa: E731

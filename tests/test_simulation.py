@@ -10,76 +10,71 @@ from adr_service.simulation.rollout import follow, run_episodes
 from adr_service.tasks.base import State
 from adr_service.tasks.catalogue import TASKS, VARIANTS, get_task
 from adr_service.transitions import TransitionDataset
+from tests.plain import model_of
 from tests.published import HOPPER_MASSES_KG
 
 
-@pytest.fixture(params=TASKS.values(), ids=TASKS.keys())
-def task(request):
-    return request.param
+CASES = [(task, variant) for task in TASKS.values() for variant in VARIANTS[task.name]]
+IDS = [f"{task.name}-{variant}" for task, variant in CASES]
 
 
-def recording(task, steps=200):
+def recording(task, variant, steps=200):
     """Dynamics, initial state and actions of 5 simulations."""
     rng = np.random.default_rng(0)
-    space = VARIANTS[task.name]["vanilla"].source.space
+    space = VARIANTS[task.name][variant].source.space
     dynamics = rng.uniform(space.low, space.high, (5, len(space)))
     actions = rng.uniform(task.action_low, task.action_high, (steps, 5, len(task.action_low)))
     return dynamics, task.initial(5, rng), actions
 
 
-def in_batch(task, dynamics, initial, actions, threads=1):
-    simulations = Simulations(task, VARIANTS[task.name]["vanilla"].source, 5, threads=threads)
+def in_batch(task, variant, dynamics, initial, actions, threads=1):
+    simulations = Simulations(task, VARIANTS[task.name][variant].source, 5, threads=threads)
     simulations.set_dynamics(dynamics)
     simulations.set_state(initial)
     states = []
     for chosen in actions:
         simulations.step(chosen)
-        states.append(np.concatenate(simulations.state, axis=1))
+        states.append(np.concatenate(simulations.state, axis=1))  # also what is derived
     return np.array(states)
 
 
-def one_by_one(task, dynamics, initial, actions):
-    """The same with plain MjData, a loop, and mj_setConst."""
-    space, states = VARIANTS[task.name]["vanilla"].source.space, []
+def one_by_one(task, variant, dynamics, initial, actions):
+    """The same with plain MjData and a loop."""
+    source, states = VARIANTS[task.name][variant].source, []
     for i in range(5):
-        model = mujoco.MjModel.from_xml_string(task.xml)
-        for parameter, value in zip(space.parameters, dynamics[i], strict=True):
-            slot = resolve(model, parameter.address)
-            if slot.scaled is not None:
-                nominal = getattr(model, slot.field)[slot.index]
-                getattr(model, slot.scaled)[slot.index] *= value / nominal
-            getattr(model, slot.field)[slot.index] = value
+        model = model_of(task, source, dynamics[i])
         data = mujoco.MjData(model)
-        mujoco.mj_setConst(model, data)
         data.qpos[:], data.qvel[:] = initial.qpos[i], initial.qvel[i]
         rows = []
         for chosen in actions:
             data.ctrl[:] = chosen[i]
             for _ in range(task.frame_skip):
                 mujoco.mj_step(model, data)
-            rows.append(np.concatenate([data.qpos, data.qvel]))
+            derived = [getattr(data, name).ravel() for name in task.derived]
+            rows.append(np.concatenate([data.qpos, data.qvel, *derived]))
         states.append(rows)
     return np.array(states).swapaxes(0, 1)
 
 
-def test_the_batch_equals_a_plain_loop_bit_for_bit(task):
-    np.testing.assert_array_equal(
-        in_batch(task, *recording(task)), one_by_one(task, *recording(task))
-    )
+@pytest.mark.parametrize(("task", "variant"), CASES, ids=IDS)
+def test_the_batch_equals_a_plain_loop_bit_for_bit(task, variant):
+    case = (task, variant, *recording(task, variant))
+    np.testing.assert_array_equal(in_batch(*case), one_by_one(*case))
 
 
-def test_the_number_of_threads_changes_nothing(task):
-    np.testing.assert_array_equal(
-        in_batch(task, *recording(task)), in_batch(task, *recording(task), threads=3)
-    )
+@pytest.mark.parametrize(("task", "variant"), CASES, ids=IDS)
+def test_the_number_of_threads_changes_nothing(task, variant):
+    case = (task, variant, *recording(task, variant))
+    np.testing.assert_array_equal(in_batch(*case), in_batch(*case, threads=3))
 
 
+@pytest.mark.parametrize("task", TASKS.values(), ids=TASKS.keys())
 def test_a_diverged_simulation_is_nan_and_stays_so_and_the_others_are_unharmed(task):
-    dynamics, initial, actions = recording(task, steps=20)
+    dynamics, initial, actions = recording(task, "vanilla", steps=20)
     qvel = initial.qvel.copy()
     qvel[2] = np.nan
-    with_one_broken = in_batch(task, dynamics, State(initial.qpos, qvel), actions)
-    whole = in_batch(task, dynamics, initial, actions)
+    with_one_broken = in_batch(task, "vanilla", dynamics, State(initial.qpos, qvel), actions)
+    whole = in_batch(task, "vanilla", dynamics, initial, actions)
     assert np.isnan(with_one_broken[-1, 2]).any()
     others = [0, 1, 3, 4]
     np.testing.assert_array_equal(with_one_broken[:, others], whole[:, others])

@@ -9,66 +9,79 @@
 The one file that knows `mujoco.batch`. Results do not depend on the number of threads, and a
 step depends on the state alone (no warm start). A diverged simulation becomes NaN and stays
 NaN; the others are unharmed.
+
+A draw of link lengths is compiled, and what differs is copied into the batch; all other
+parameters are written in place. Fields that a task derives from the state (`Task.derived`) are
+those of the last stage of the last integration step, as Gymnasium's environments have them.
 """
 
+from collections.abc import Mapping
 from functools import lru_cache
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
+from mujoco.batch import MODEL_FIELDS, Batch
 
 from adr_service.arrays import Mask, Matrix, frozen
 from adr_service.errors import InvalidInput
-from adr_service.simulation.model import resolve, write
-from adr_service.tasks.base import Source, State, Task
+from adr_service.simulation.model import link_of, resolve, write
+from adr_service.tasks.base import Reshapable, Source, State, Task
 
 
 class Simulations:
     """n simulations of a task's source on `threads` threads."""
 
     def __init__(self, task: Task, source: Source, n: int, threads: int = 1):
-        model = compiled(task.xml)
         self.n = n
         self._task = task
-        self._slots = [resolve(model, p.address) for p in source.space.parameters]
+        self._shape = _Shape(task, source) if _links(source) else None
+        model = self._shape.model({}) if self._shape else compiled(task.xml)
+        self._slots = {
+            column: resolve(model, p.address)
+            for column, p in enumerate(source.space.parameters)
+            if link_of(p.address) is None
+        }
         self._batch = Batch(model, n, threads)
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
+        self._derived = [self._batch.bind(name) for name in task.derived]
         for address, value in source.fixed.items():
-            write(self._batch, resolve(model, address), np.full(n, value), slice(None))
-        self.dynamics = np.full((n, len(self._slots)), np.nan)  # (n, d), NaN until set
+            if link_of(address) is None:
+                write(self._batch, resolve(model, address), np.full(n, value), slice(None))
+        self.dynamics = np.full((n, len(source.space)), np.nan)  # (n, d), NaN until set
 
     @property
     def state(self) -> State:
         """A copy of the states of all simulations."""
-        return State(self._qpos.copy(), self._qvel.copy())
+        derived = [array.reshape(self.n, -1) for array in self._derived]
+        return State(
+            self._qpos.copy(),
+            self._qvel.copy(),
+            np.concatenate(derived, axis=1) if derived else np.empty((self.n, 0)),
+        )
 
     @property
     def diverged(self) -> Mask:
         """(n,) whether a simulation is no longer finite."""
-        return ~np.isfinite(self._qpos.sum(axis=1) + self._qvel.sum(axis=1))
+        return ~State(self._qpos, self._qvel).finite
 
-    def model_field(self, name: str) -> Matrix:
-        """A copy of a field of MjModel in every simulation, (n, ...)."""
-        expanded = self._batch.expanded(name)
-        if expanded is not None:
-            return expanded.copy()
-        shared = getattr(self._batch.model, name)
-        return np.broadcast_to(shared, (self.n, *shared.shape)).copy()
+    def model(self, row: int) -> mujoco.MjModel:
+        """A copy of one simulation's model, to render it or to give it to MuJoCo."""
+        return self._batch.get_model(row)
 
     def set_dynamics(self, values: Matrix, rows: list[int] | None = None) -> None:
         """Give simulations (`rows`, or all) their parameters, (n, d) in SI units.
 
         Constants that MuJoCo derives from them (subtree masses, inverse weights) follow.
         """
-        given = frozen(values)
+        given, width = frozen(values), self.dynamics.shape[1]
         count = self.n if rows is None else len(rows)
-        if given.shape != (count, len(self._slots)) or not np.all(np.isfinite(given)):
-            raise InvalidInput(
-                f"dynamics must be finite and ({count}, {len(self._slots)}); given {given}"
-            )
+        if given.shape != (count, width) or not np.all(np.isfinite(given)):
+            raise InvalidInput(f"dynamics must be finite and ({count}, {width}); given {given}")
         chosen = slice(None) if rows is None else rows
-        for column, slot in enumerate(self._slots):
+        if self._shape is not None:
+            self._shape.write(self._batch, given, np.arange(self.n)[chosen])
+        for column, slot in self._slots.items():
             write(self._batch, slot, given[:, column], chosen)
         self._batch.set_const(rows)
         self.dynamics[chosen] = given
@@ -78,11 +91,68 @@ class Simulations:
         chosen = slice(None) if rows is None else rows
         self._qpos[chosen] = state.qpos
         self._qvel[chosen] = state.qvel
+        if self._derived:
+            self._ctrl[chosen] = 0.0
+            self._batch.forward(rows)
 
     def step(self, actions: Matrix) -> None:
         """Advance all simulations by one control step under `actions` (n, a) or (a,)."""
         self._ctrl[:] = actions
         self._batch.step(nstep=self._task.frame_skip)
+
+
+class _Shape:
+    """The models of a task with other link lengths than its file has."""
+
+    def __init__(self, task: Task, source: Source):
+        links = _links(source)
+        if not isinstance(task, Reshapable):
+            raise InvalidInput(
+                f"{task.name} cannot be reshaped, so the lengths of {', '.join(links)} cannot be "
+                "parameters; give the task a method `reshape`"
+            )
+        self._task = task
+        self._spec = mujoco.MjSpec.from_string(task.xml)
+        fixed = {link_of(address): value for address, value in source.fixed.items()}
+        self._fixed = {link: value for link, value in fixed.items() if link is not None}
+        self._columns = {
+            link: source.space.index(p.name)
+            for p in source.space.parameters
+            if (link := link_of(p.address)) is not None
+        }
+        nominal, other = self.model({}), self.model(dict.fromkeys(links, _OTHER_LENGTH_M))
+        self._fields = [name for name in MODEL_FIELDS if _differs(nominal, other, name)]
+
+    def model(self, lengths: Mapping[str, float]) -> mujoco.MjModel:
+        """The compiled model with these lengths [m]; the file's for links not named."""
+        self._task.reshape(self._spec, {**lengths, **self._fixed})
+        try:
+            return self._spec.compile()
+        except ValueError as error:
+            raise InvalidInput(f"lengths {lengths} of {self._task.name}: {error}") from error
+
+    def write(self, batch: Batch, dynamics: Matrix, rows: np.ndarray) -> None:
+        """Give simulations `rows` the geometry of their draws, a row of `dynamics` each."""
+        lengths = dynamics[:, list(self._columns.values())]
+        for draw in np.unique(lengths, axis=0):
+            model = self.model(dict(zip(self._columns, draw.tolist(), strict=True)))
+            same = rows[np.all(lengths == draw, axis=1)]
+            for name in self._fields:
+                batch.expand(name)[same] = getattr(model, name)
+
+
+_OTHER_LENGTH_M = 0.777  # any length no link has, to see which fields a length changes
+
+
+def _differs(one: mujoco.MjModel, other: mujoco.MjModel, field: str) -> bool:
+    return not field.startswith("opt.") and not np.array_equal(
+        getattr(one, field), getattr(other, field)
+    )
+
+
+def _links(source: Source) -> list[str]:
+    addresses = [*source.fixed, *(p.address for p in source.space.parameters)]
+    return [link for address in addresses if (link := link_of(address)) is not None]
 
 
 def control_period(task: Task) -> float:

@@ -4,6 +4,9 @@
     body:thigh.inertial      mass, the inertia scaled with it ("consistent")
     joint:slide.damping      viscous damping [N s/m or N m s/rad]
     actuator:push.gear       motor gear, force per unit of control [N or N m]
+    pair:left.friction       sliding friction of an explicit contact pair, both directions
+    pair:*.friction          of all pairs alike; so with every kind
+    link:thigh.length        [m]; the task reshapes the model, which is compiled anew
 
 To randomise another quantity, add a row to `FIELDS`.
 """
@@ -21,50 +24,59 @@ from adr_service.errors import InvalidInput, UnknownName
 
 @dataclass(frozen=True)
 class Slot:
-    """One element of one model field, of every simulation of a batch."""
+    """The elements of one model field that take a parameter's value, in every simulation."""
 
     field: str  # MjModel field
-    index: tuple[int, ...]  # element of it
-    scaled: str | None = None  # a field of the same object that scales with the value
+    elements: tuple[tuple[int, ...], ...]  # indices into it
+    scaled: str | None = None  # a field of the same objects that scales with the value
 
 
-# (object kind, attribute) -> (MjModel field, column within the object's row, scaled field)
-FIELDS: dict[tuple[str, str], tuple[str, tuple[int, ...], str | None]] = {
-    ("body", "mass"): ("body_mass", (), None),
-    ("body", "inertial"): ("body_mass", (), "body_inertia"),
-    ("joint", "damping"): ("dof_damping", (0,), None),
-    ("actuator", "gear"): ("actuator_gear", (0,), None),
+# (object kind, attribute) -> (MjModel field, columns within an object's row, scaled field)
+FIELDS: dict[tuple[str, str], tuple[str, tuple[tuple[int, ...], ...], str | None]] = {
+    ("body", "mass"): ("body_mass", ((),), None),
+    ("body", "inertial"): ("body_mass", ((),), "body_inertia"),
+    ("joint", "damping"): ("dof_damping", ((),), None),
+    ("actuator", "gear"): ("actuator_gear", ((0,),), None),
+    ("pair", "friction"): ("pair_friction", ((0,), (1,)), None),
 }
+
+
+def link_of(address: str) -> str | None:
+    """The link whose length an address names; None for all other addresses."""
+    match = re.fullmatch(r"link:(\w+)\.length", address)
+    return match.group(1) if match else None
 
 
 def resolve(model: mujoco.MjModel, address: str) -> Slot:
     """The slot an address names."""
-    match = re.fullmatch(r"(\w+):(\w+)\.(\w+)", address)
+    match = re.fullmatch(r"(\w+):(\w+|\*)\.(\w+)", address)
     if match is None:
         raise InvalidInput(f"address {address!r} is not of the form kind:name.attribute")
     kind, name, attribute = match.groups()
     if (kind, attribute) not in FIELDS:
         raise UnknownName("address", f"{kind}:….{attribute}", [f"{k}:….{a}" for k, a in FIELDS])
-    field, column, scaled = FIELDS[kind, attribute]
-    try:
-        view = getattr(model, kind)(name)
-    except KeyError:
-        raise UnknownName(kind, name, _names(model, kind)) from None
+    field, columns, scaled = FIELDS[kind, attribute]
+    names = _names(model, kind)
+    if name != "*" and name not in names:
+        raise UnknownName(kind, name, names)
+    chosen = [n for n in names if n != "world"] if name == "*" else [name]
+    rows = [getattr(model, kind)(n).id for n in chosen]
     if field.startswith("dof_"):  # a joint's first degree of freedom
-        return Slot(field, (int(model.jnt_dofadr[view.id]),), scaled)
-    return Slot(field, (view.id, *column), scaled)
+        rows = [int(model.jnt_dofadr[row]) for row in rows]
+    return Slot(field, tuple((row, *column) for row in rows for column in columns), scaled)
 
 
 def write(batch: Batch, slot: Slot, values: Matrix, rows: slice | list[int]) -> None:
     """Give simulations `rows` their own value (n,) of a slot."""
     expanded = batch.expand(slot.field)
-    if slot.scaled is not None:
-        nominal = getattr(batch.model, slot.scaled)[slot.index]
-        factor = values / getattr(batch.model, slot.field)[slot.index]
-        batch.expand(slot.scaled)[(rows, *slot.index)] = factor[:, None] * np.asarray(nominal)
-    expanded[(rows, *slot.index)] = values
+    for element in slot.elements:
+        if slot.scaled is not None:
+            nominal = getattr(batch.model, slot.scaled)[element]
+            factor = values / getattr(batch.model, slot.field)[element]
+            batch.expand(slot.scaled)[(rows, *element)] = factor[:, None] * np.asarray(nominal)
+        expanded[(rows, *element)] = values
 
 
 def _names(model: mujoco.MjModel, kind: str) -> list[str]:
-    count = {"body": model.nbody, "joint": model.njnt, "actuator": model.nu}[kind]
-    return [getattr(model, kind)(i).name for i in range(count)]
+    count = {"body": model.nbody, "joint": model.njnt, "actuator": model.nu, "pair": model.npair}
+    return [getattr(model, kind)(i).name for i in range(count[kind])]

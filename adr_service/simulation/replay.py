@@ -20,14 +20,14 @@ class Replay:
         self._states = task.state(data.observations[self._starts])
         self._actions = data.actions
         self._simulations = Simulations(task, source, n)
-        self.targets = data.next_observations[self._starts + length - 1]  # (w, s)
+        self.targets = data.next_observations[self._starts + length - 1]  # (w, s), measured
 
     def predict(self, dynamics: Matrix) -> Array3:
         """Predicted observations at each window's end, (n, w, s); NaN where diverged.
 
         Only the first state of a window is taken from the data.
         """
-        simulations, n = self._simulations, len(dynamics)
+        simulations, n, measured = self._simulations, len(dynamics), self._task.measured
         simulations.set_dynamics(dynamics)
         predictions = np.empty((n, len(self._starts), self.targets.shape[1]))
         for window, start in enumerate(self._starts):
@@ -35,7 +35,7 @@ class Replay:
             simulations.set_state(State(qpos, qvel))
             for row in range(start, start + self._length):
                 simulations.step(self._actions[row])
-            predictions[:, window] = self._task.observe(simulations.state)
+            predictions[:, window] = self._task.observe(simulations.state)[:, :measured]
         return predictions
 
     def mean_squared_error(self, dynamics: Matrix) -> np.ndarray:

@@ -17,7 +17,7 @@ Act = Callable[[Matrix], Matrix]  # observations (n, s) -> actions (n, a)
 class Episodes:
     """n episodes of at most T steps; rows after an episode's end are NaN."""
 
-    observations: Array3  # (n, T + 1, s), as the policy saw them
+    observations: Array3  # (n, T + 1, s) measured columns, as the policy saw them
     actions: Array3  # (n, T, a)
     rewards: Matrix  # (n, T), 0 after the end
     lengths: Indices  # (n,) steps taken
@@ -39,11 +39,11 @@ def run_episodes(
 ) -> Episodes:
     """One episode of `steps` at most in each simulation, from `initial`.
 
-    `noise` draws what the sensors add to each observation (n, s). Reward and termination use
+    `noise` draws what the sensors add to each measurement (n, s). Reward and termination use
     the true state. A diverged simulation ends its episode; its last step earns nothing.
     """
-    n, width = simulations.n, len(task.columns)
-    observations = np.full((n, steps + 1, width), np.nan)
+    n, measured = simulations.n, task.measured
+    observations = np.full((n, steps + 1, measured), np.nan)
     actions = np.full((n, steps, len(task.action_low)), np.nan)
     rewards = np.zeros((n, steps))
     alive = np.ones(n, dtype=bool)
@@ -51,14 +51,17 @@ def run_episodes(
     diverged = np.zeros(n, dtype=bool)
 
     def seen(state: State) -> Matrix:
-        exact = task.observe(state)
-        return exact if noise is None else exact + noise()
+        columns = task.observe(state)
+        if noise is not None:
+            columns[:, :measured] += noise()
+        return columns
 
     simulations.set_state(initial)
     state = simulations.state
-    observations[:, 0] = seen(state)
+    view = seen(state)
+    observations[:, 0] = view[:, :measured]
     for step in range(steps):
-        chosen = act(np.nan_to_num(observations[:, step]))
+        chosen = act(np.nan_to_num(view))
         simulations.step(chosen)
         before, state = state, simulations.state
         broken = simulations.diverged & alive
@@ -67,7 +70,8 @@ def run_episodes(
             ended = task.terminated(state) | broken
         actions[alive, step] = chosen[alive]
         rewards[alive & ~broken, step] = earned[alive & ~broken]
-        observations[alive, step + 1] = seen(state)[alive]
+        view = seen(state)
+        observations[alive, step + 1] = view[alive, :measured]
         lengths += alive
         diverged |= broken
         alive &= ~ended
@@ -84,12 +88,14 @@ def follow(
     steps: int,
     progress: Progress = silent,
 ) -> Array3:
-    """Closed-loop observations (n, steps + 1, s) that go on after a fall; NaN where diverged."""
+    """Closed-loop measurements (n, steps + 1, s) that go on after a fall; NaN where diverged."""
     simulations.set_state(initial)
-    observations = np.empty((simulations.n, steps + 1, len(task.columns)))
-    observations[:, 0] = task.observe(simulations.state)
+    observations = np.empty((simulations.n, steps + 1, task.measured))
+    view = task.observe(simulations.state)
+    observations[:, 0] = view[:, : task.measured]
     for step in range(steps):
-        simulations.step(act(np.nan_to_num(observations[:, step])))
-        observations[:, step + 1] = task.observe(simulations.state)
+        simulations.step(act(np.nan_to_num(view)))
+        view = task.observe(simulations.state)
+        observations[:, step + 1] = view[:, : task.measured]
         progress((step + 1) / steps)
     return observations

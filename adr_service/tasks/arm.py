@@ -12,14 +12,13 @@ import numpy as np
 from adr_service.arrays import Mask, Matrix, Vector, frozen
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.tasks.assets import read
-from adr_service.tasks.base import Hidden, Source, State, Variant
+from adr_service.tasks.base import State, Variant, benchmark_variants, freeze
 
 _LINK_M = 0.5
 _MARK_M = (0.6, 0.4)  # x, z; as the site in the model
 _REACH_M = 0.3  # distance at which most of the reward is lost
 _LIMIT_RAD = 3.5  # an arm that turns further has lost; the episode ends
 _TRUTH = (1.0, 0.7, 2.0, 1.0)
-_UNMODELED_FACTOR = 0.8  # of the upper arm's mass, in the source of the unmodeled variant
 
 
 def _space() -> ParameterSpace:
@@ -34,14 +33,9 @@ def _space() -> ParameterSpace:
 
 
 def variants() -> Mapping[str, Variant]:
-    source, truth = Source(_space()), frozen(_TRUTH)
-    three = _space().subset(("fore_mass", "shoulder_friction", "elbow_friction"))
-    light = Source(three, {"body:upper.inertial": _UNMODELED_FACTOR * _TRUTH[0]})
-    return {
-        "vanilla": Variant(source, Hidden(source, truth, 0.0)),
-        "noisy": Variant(source, Hidden(source, truth, 1e-4)),
-        "unmodeled": Variant(light, Hidden(source, truth, 0.0)),
-    }
+    return benchmark_variants(
+        _space(), _TRUTH, 1e-4, unmodeled=freeze(_space(), _TRUTH, ["upper_mass"])
+    )
 
 
 @dataclass(frozen=True)
@@ -54,6 +48,8 @@ class Arm:
         "shoulder_velocity [rad/s]",
         "elbow_velocity [rad/s]",
     )
+    measured: int = 4
+    derived: tuple[str, ...] = ()
     action_low: Vector = field(default_factory=lambda: frozen([-1.0, -1.0]))
     action_high: Vector = field(default_factory=lambda: frozen([1.0, 1.0]))
     horizon: int = 200

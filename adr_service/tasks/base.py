@@ -6,14 +6,17 @@ the truth is in the catalogue, which they may not import (a contract of `make li
 by `adr_service.target` alone.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
+import mujoco
 import numpy as np
 
-from adr_service.arrays import Mask, Matrix, Vector
+from adr_service.arrays import Mask, Matrix, Vector, frozen
 from adr_service.parameters import ParameterSpace
+
+_UNMODELED_FACTOR = 0.8  # random-envs: what the unmodeled source gets wrong is 0.8 of the truth
 
 
 class State(NamedTuple):
@@ -21,6 +24,12 @@ class State(NamedTuple):
 
     qpos: Matrix  # (n, nq)
     qvel: Matrix  # (n, nv)
+    derived: Matrix = frozen(np.empty((0, 0)))  # (n, k) the task's `derived`, where simulated
+
+    @property
+    def finite(self) -> Mask:
+        """(n,) whether a simulation has not diverged."""
+        return np.isfinite(self.qpos.sum(axis=1) + self.qvel.sum(axis=1))
 
 
 @dataclass(frozen=True)
@@ -46,6 +55,34 @@ class Variant:
     hidden: Hidden
 
 
+@dataclass(frozen=True)
+class Entry:
+    """What the catalogue lists: a task with its variants by name."""
+
+    task: "Task"
+    variants: Mapping[str, Variant]
+
+
+def freeze(space: ParameterSpace, truth: Sequence[float], names: Sequence[str]) -> Source:
+    """The source that has `names` wrong: out of the space, and fixed at 0.8 of their truth."""
+    known = dict(zip(space.names, truth, strict=True))
+    rest = space.subset(tuple(name for name in space.names if name not in names))
+    wrong = {space.parameters[space.index(n)].address: _UNMODELED_FACTOR * known[n] for n in names}
+    return Source(rest, wrong)
+
+
+def benchmark_variants(
+    space: ParameterSpace, truth: Sequence[float], noise_variance: float, unmodeled: Source
+) -> Mapping[str, Variant]:
+    """The three variants of the benchmark, Sec. 4.1: one truth behind two sources."""
+    source, values = Source(space), frozen(truth)
+    return {
+        "vanilla": Variant(source, Hidden(source, values, 0.0)),
+        "noisy": Variant(source, Hidden(source, values, noise_variance)),
+        "unmodeled": Variant(unmodeled, Hidden(source, values, 0.0)),
+    }
+
+
 class Task(Protocol):
     """A robot and a goal. All functions are vectorised over n simulations."""
 
@@ -57,6 +94,10 @@ class Task(Protocol):
     def frame_skip(self) -> int: ...  # simulator steps per control step
     @property
     def columns(self) -> tuple[str, ...]: ...  # observation columns with units
+    @property
+    def measured(self) -> int: ...  # leading columns: what sensors give, and inference may use
+    @property
+    def derived(self) -> tuple[str, ...]: ...  # MjData fields that `observe` or `reward` need
     @property
     def action_low(self) -> Vector: ...  # (a,)
     @property
@@ -77,7 +118,7 @@ class Task(Protocol):
         ...
 
     def state(self, observations: Matrix) -> State:
-        """A state that `observe` maps to `observations`."""
+        """A state whose measured columns are those of `observations` (n, at least measured)."""
         ...
 
     def reward(self, before: State, action: Matrix, after: State) -> Vector:
@@ -86,4 +127,13 @@ class Task(Protocol):
 
     def terminated(self, state: State) -> Mask:
         """Whether the episode ends in `state`, (n,)."""
+        ...
+
+
+@runtime_checkable
+class Reshapable(Protocol):
+    """A task whose parameters include link lengths, at addresses `link:name.length`."""
+
+    def reshape(self, spec: mujoco.MjSpec, lengths: Mapping[str, float]) -> None:
+        """Give the model of `xml`, or one reshaped before, these lengths [m] of its links."""
         ...

@@ -3,12 +3,15 @@
 from collections.abc import Mapping
 
 from adr_service.errors import UnknownName
-from adr_service.tasks import arm, hopper
+from adr_service.tasks import arm, half_cheetah, hopper, humanoid, walker2d
 from adr_service.tasks.base import Hidden, Source, Task, Variant
 
 _CATALOGUE: tuple[tuple[Task, Mapping[str, Variant]], ...] = (
     (arm.Arm(), arm.variants()),
     (hopper.Hopper(), hopper.variants()),
+    (half_cheetah.HalfCheetah(), half_cheetah.variants()),
+    (walker2d.Walker2d(), walker2d.variants()),
+    (humanoid.Humanoid(), humanoid.variants()),
 )
 TASKS: Mapping[str, Task] = {task.name: task for task, _ in _CATALOGUE}
 VARIANTS: Mapping[str, Mapping[str, Variant]] = {task.name: v for task, v in _CATALOGUE}

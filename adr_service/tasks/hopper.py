@@ -11,13 +11,13 @@ import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector, frozen
 from adr_service.parameters import Parameter, ParameterSpace
+from adr_service.tasks import planar
 from adr_service.tasks.assets import read
-from adr_service.tasks.base import Hidden, Source, State, Variant
+from adr_service.tasks.base import State, Variant, benchmark_variants, freeze
 
 _TIMESTEP_S, _FRAME_SKIP = 0.002, 4
 _LINKS = ("torso", "thigh", "leg", "foot")
 _MASSES_KG = (3.5342917352885173, 3.9269908169872414, 2.7143360527015816, 5.089380098815465)
-_UNMODELED_FACTOR = 0.8  # of the torso's mass, in the source of the unmodeled variant
 
 
 def _space(feasible_low: float) -> ParameterSpace:
@@ -30,34 +30,17 @@ def _space(feasible_low: float) -> ParameterSpace:
 
 
 def variants() -> Mapping[str, Variant]:
-    source = Source(_space(feasible_low=0.1))
-    truth = frozen(_MASSES_KG)
-    three = _space(feasible_low=0.001).subset(("thigh_mass", "leg_mass", "foot_mass"))
-    light = Source(three, {"body:torso.mass": _UNMODELED_FACTOR * _MASSES_KG[0]})
-    return {
-        "vanilla": Variant(source, Hidden(source, truth, 0.0)),
-        "noisy": Variant(source, Hidden(source, truth, 1e-4)),
-        "unmodeled": Variant(light, Hidden(source, truth, 0.0)),
-    }
+    unmodeled = freeze(_space(feasible_low=0.001), _MASSES_KG, ["torso_mass"])
+    return benchmark_variants(_space(feasible_low=0.1), _MASSES_KG, 1e-4, unmodeled)
 
 
 @dataclass(frozen=True)
 class Hopper:
     name: str = "hopper"
     frame_skip: int = _FRAME_SKIP
-    columns: tuple[str, ...] = (
-        "z [m]",
-        "torso_angle [rad]",
-        "thigh_angle [rad]",
-        "leg_angle [rad]",
-        "foot_angle [rad]",
-        "x_velocity [m/s]",
-        "z_velocity [m/s]",
-        "torso_velocity [rad/s]",
-        "thigh_velocity [rad/s]",
-        "leg_velocity [rad/s]",
-        "foot_velocity [rad/s]",
-    )
+    columns: tuple[str, ...] = planar.columns(_LINKS[1:])
+    measured: int = 11
+    derived: tuple[str, ...] = ()
     action_low: Vector = field(default_factory=lambda: frozen([-1.0] * 3))
     action_high: Vector = field(default_factory=lambda: frozen([1.0] * 3))
     horizon: int = 500
@@ -74,23 +57,20 @@ class Hopper:
         return State(qpos, rng.uniform(-0.005, 0.005, (n, 6)))
 
     def observe(self, state: State) -> Matrix:
-        return np.concatenate([state.qpos[:, 1:], state.qvel], axis=1)
+        return planar.observe(state)
 
     def state(self, observations: Matrix) -> State:
-        """x is not observed; 0 is exact, because nothing depends on it but the reward."""
-        x = np.zeros((len(observations), 1))
-        return State(np.concatenate([x, observations[:, :5]], axis=1), observations[:, 5:])
+        return planar.at_origin(observations)
 
     def reward(self, before: State, action: Matrix, after: State) -> Vector:
-        velocity = (after.qpos[:, 0] - before.qpos[:, 0]) / (_TIMESTEP_S * _FRAME_SKIP)
-        return velocity + 1.0 - 1e-3 * np.sum(action**2, axis=1)
+        speed = planar.speed(before, after, _TIMESTEP_S * _FRAME_SKIP)
+        return speed + 1.0 - 1e-3 * np.sum(action**2, axis=1)
 
     def terminated(self, state: State) -> Mask:
         height, angle = state.qpos[:, 1], state.qpos[:, 2]
-        finite = np.all(np.isfinite(state.qpos), axis=1) & np.all(np.isfinite(state.qvel), axis=1)
-        # the published rule bounds the state without x and z
-        rest = np.concatenate([state.qpos[:, 2:], state.qvel], axis=1)
         with np.errstate(invalid="ignore"):
-            bounded = np.all(np.abs(rest) < 100, axis=1)
-            healthy = finite & bounded & (height > 0.7) & (np.abs(angle) < 0.2)
-        return ~healthy
+            # the published rule bounds the state without x and z
+            bounded = np.all(np.abs(state.qpos[:, 2:]) < 100, axis=1)
+            bounded &= np.all(np.abs(state.qvel) < 100, axis=1)
+            upright = (height > 0.7) & (np.abs(angle) < 0.2)
+        return ~(state.finite & bounded & upright)
