@@ -10,3 +10,7 @@ for event in run(spec, LocalStages()):
 """
 
 __version__ = "0.1.0"
+
+from adr_service.tasks.gymnasium_ids import register
+
+register()

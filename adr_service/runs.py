@@ -27,7 +27,7 @@ from adr_service.randomness import stream
 from adr_service.specs import RunSpec
 from adr_service.stages import Stage, StageResult, Stages
 from adr_service.target import Target, Visit, truth_as_distribution
-from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.tasks.catalogue import get_task, identity_of, source_of
 from adr_service.transitions import TransitionDataset
 from adr_service.wire import sha256
 
@@ -174,7 +174,7 @@ def _training(spec: RunSpec, distribution: Distribution, variant: str | None = N
 
 
 def _identity(spec: RunSpec) -> dict[str, Any]:
-    return {"task": spec.task, "variant": spec.variant, "seed": spec.seed}
+    return {**identity_of(spec.task), "variant": spec.variant, "seed": spec.seed}
 
 
 def _collector(spec: RunSpec) -> SimOptSettings:

@@ -15,7 +15,7 @@ from pydantic import Field, field_validator, model_validator
 from adr_service.errors import UnknownName
 from adr_service.methods import METHODS, MethodSettings
 from adr_service.presets import PRESETS
-from adr_service.tasks.catalogue import TASKS, get_task, source_of
+from adr_service.tasks.catalogue import catalogue, get_task, source_of
 from adr_service.training.settings import TrainingSettings
 from adr_service.wire import Wire
 
@@ -55,7 +55,7 @@ class RunSpec(Wire):
     @field_validator("task")
     @classmethod
     def _known_task(cls, name: str) -> str:
-        return _known("task", name, TASKS)
+        return _known("task", name, catalogue())
 
     @field_validator("preset")
     @classmethod

@@ -28,10 +28,10 @@ class StageKind:
 
 
 KINDS = {
-    "train_policy": StageKind(version=1, role="trainer"),
-    "infer": StageKind(version=1, role="inference"),
-    "target_rollout": StageKind(version=1, role="target"),
-    "evaluate": StageKind(version=1, role="target"),
+    "train_policy": StageKind(version=2, role="trainer"),
+    "infer": StageKind(version=2, role="inference"),
+    "target_rollout": StageKind(version=2, role="target"),
+    "evaluate": StageKind(version=2, role="target"),
 }
 
 

@@ -4,8 +4,8 @@
     visit = yield from target.rollout(policy, iteration=0)     # counted
     returns = yield from target.evaluate([policy])             # counted apart, for no method
 
-Only this module reads a task's hidden truth. Simulated targets live here too: the functions
-`simulate_rollout` and `simulate_evaluation` are what the target stages compute.
+No method reads a task's hidden truth: it acts behind this door. Simulated targets live here
+too: `simulate_rollout` and `simulate_evaluation` are what the target stages compute.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -22,7 +22,7 @@ from adr_service.simulation.rollout import Episodes, run_episodes
 from adr_service.specs import RunSpec
 from adr_service.stages import Stage, Stages
 from adr_service.tasks.base import Task
-from adr_service.tasks.catalogue import hidden_of, source_of
+from adr_service.tasks.catalogue import hidden_of, identity_of, source_of
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
 
@@ -56,7 +56,7 @@ class Target:
             Stage(
                 "target_rollout",
                 {
-                    "task": spec.task,
+                    **identity_of(spec.task),
                     "variant": spec.variant,
                     "transitions": spec.transitions,
                     "iteration": iteration,
@@ -78,7 +78,7 @@ class Target:
                 Stage(
                     "evaluate",
                     {
-                        "task": spec.task,
+                        **identity_of(spec.task),
                         "variant": spec.variant,
                         "episodes": spec.evaluation_episodes,
                         "seed": spec.seed,

@@ -78,6 +78,10 @@ class TransitionDataset:
         """One dataset per episode, in order."""
         return [self._rows(slice(first, last)) for first, last in self._spans()]
 
+    def first(self, rows: int) -> "TransitionDataset":
+        """The first `rows` transitions, or all where there are fewer."""
+        return self._rows(slice(rows))
+
     def to_npz(self) -> bytes:
         """Bytes that `from_npz` reads; the same data always gives the same bytes."""
         terminals = np.append(np.diff(self.episodes) > 0, True)

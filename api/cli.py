@@ -52,7 +52,7 @@ def serve(
 @app.command()
 def submit(
     file: Annotated[Path | None, typer.Argument(help="JSON of a run or a benchmark.")] = None,
-    task: Annotated[str | None, typer.Option(help="arm or hopper.")] = None,
+    task: Annotated[str | None, typer.Option(help="arm, hopper, half_cheetah, …")] = None,
     method: Annotated[str | None, typer.Option(help="udr, simopt, dropo, prior, oracle.")] = None,
     variant: Annotated[str, typer.Option(help="vanilla, noisy or unmodeled.")] = "vanilla",
     seed: Annotated[int, typer.Option()] = 0,
@@ -167,6 +167,39 @@ def demo(
 ) -> None:
     """Run a small benchmark from nothing to its figures, in minutes."""
     raise typer.Exit(demo_story.tell(console, data_dir, port))
+
+
+@app.command()
+def render(
+    out: Annotated[Path, typer.Argument(help="The film to write, .gif or .mp4.")],
+    task: Annotated[str, typer.Option(help="arm, hopper, half_cheetah, …")],
+    policy: Annotated[Path | None, typer.Option(help="Film an episode of this policy.")] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Film a recorded episode (.npz) beside its replay.")
+    ] = None,
+    variant: Annotated[str, typer.Option(help="vanilla, noisy or unmodeled.")] = "vanilla",
+    setting: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="A parameter, torso_mass=4.2; all others are true."),
+    ] = None,
+    episode: Annotated[int, typer.Option(help="Of the recording, from 0.")] = 0,
+    steps: Annotated[int, typer.Option(help="At most.")] = 500,
+    seed: Annotated[int, typer.Option(help="Of the initial state and the noise.")] = 0,
+) -> None:
+    """Film a policy, or a recording beside its simulation; needs no service and no display."""
+    from api import films  # imports the simulator
+
+    dynamics: dict[str, Any] = {}
+    for assignment in setting or []:
+        _assign(dynamics, assignment)
+    scene = films.Scene(task, variant, dynamics, steps, seed)
+    if policy is not None and data is None:
+        count = films.film_policy(scene, policy, out)
+    elif data is not None and policy is None:
+        count = films.film_recording(scene, data, episode, out)
+    else:
+        raise InvalidInput("give either --policy or --data")
+    console.print(f"{out}: {count} pictures", highlight=False)
 
 
 @app.command()

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import compiled
-from adr_service.tasks.catalogue import TASKS
+from adr_service.tasks.catalogue import catalogue
 from api.settings import read_settings
 
 _LEAST_DISK_GB = 2.0
@@ -56,9 +56,9 @@ def _cores() -> tuple[bool, str]:
 
 
 def _simulator() -> tuple[bool, str]:
-    for task in TASKS.values():
-        compiled(task.xml)
-    return True, f"MuJoCo compiles the tasks: {', '.join(TASKS)}"
+    for entry in catalogue().values():
+        compiled(entry.task.xml)
+    return True, f"MuJoCo compiles the tasks: {', '.join(catalogue())}"
 
 
 def _fast_backend() -> tuple[bool, str]:

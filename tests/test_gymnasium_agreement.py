@@ -10,7 +10,7 @@ import pytest
 
 from adr_service.simulation.batch import Simulations
 from adr_service.tasks.base import State
-from adr_service.tasks.catalogue import VARIANTS, get_task
+from adr_service.tasks.catalogue import get_task, variants_of
 
 NAMES = {
     "hopper": ("Hopper-v5", {}),
@@ -46,7 +46,7 @@ def rollout(request, tmp_path):
     model.write_text(task.xml)
     env = gymnasium.make(name, xml_file=str(model), max_episode_steps=10_000, **options).unwrapped
     env.reset(seed=0)
-    hidden, rng = VARIANTS[task.name]["vanilla"].hidden, np.random.default_rng(1)
+    hidden, rng = variants_of(task.name)["vanilla"].hidden, np.random.default_rng(1)
     simulations = Simulations(task, hidden.source, 1)
     simulations.set_dynamics(hidden.values[None])
     start = task.initial(1, rng)

@@ -14,12 +14,12 @@ from adr_service.progress import silent
 from adr_service.randomness import stream
 from adr_service.simulation.batch import Simulations
 from adr_service.simulation.rollout import run_episodes
-from adr_service.tasks.catalogue import VARIANTS, get_task
+from adr_service.tasks.catalogue import get_task, variants_of
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
 
 ARM = get_task("arm")
-SOURCE = VARIANTS[ARM.name]["vanilla"].source
+SOURCE = variants_of(ARM.name)["vanilla"].source
 SPACE = SOURCE.space
 PLANTED = np.array([1.6, 1.2, 3.0, 2.0])  # not the task's own truth
 PROBLEM = Problem(ARM, SOURCE)

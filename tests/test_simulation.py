@@ -8,27 +8,27 @@ from adr_service.simulation.model import resolve
 from adr_service.simulation.replay import Replay
 from adr_service.simulation.rollout import follow, run_episodes
 from adr_service.tasks.base import State
-from adr_service.tasks.catalogue import TASKS, VARIANTS, get_task
+from adr_service.tasks.catalogue import BUILT_IN, get_task, variants_of
 from adr_service.transitions import TransitionDataset
 from tests.plain import model_of
 from tests.published import HOPPER_MASSES_KG
 
-
-CASES = [(task, variant) for task in TASKS.values() for variant in VARIANTS[task.name]]
+TASKS = [entry.task for entry in BUILT_IN.values()]
+CASES = [(task, variant) for task in TASKS for variant in variants_of(task.name)]
 IDS = [f"{task.name}-{variant}" for task, variant in CASES]
 
 
 def recording(task, variant, steps=200):
     """Dynamics, initial state and actions of 5 simulations."""
     rng = np.random.default_rng(0)
-    space = VARIANTS[task.name][variant].source.space
+    space = variants_of(task.name)[variant].source.space
     dynamics = rng.uniform(space.low, space.high, (5, len(space)))
     actions = rng.uniform(task.action_low, task.action_high, (steps, 5, len(task.action_low)))
     return dynamics, task.initial(5, rng), actions
 
 
 def in_batch(task, variant, dynamics, initial, actions, threads=1):
-    simulations = Simulations(task, VARIANTS[task.name][variant].source, 5, threads=threads)
+    simulations = Simulations(task, variants_of(task.name)[variant].source, 5, threads=threads)
     simulations.set_dynamics(dynamics)
     simulations.set_state(initial)
     states = []
@@ -40,7 +40,7 @@ def in_batch(task, variant, dynamics, initial, actions, threads=1):
 
 def one_by_one(task, variant, dynamics, initial, actions):
     """The same with plain MjData and a loop."""
-    source, states = VARIANTS[task.name][variant].source, []
+    source, states = variants_of(task.name)[variant].source, []
     for i in range(5):
         model = model_of(task, source, dynamics[i])
         data = mujoco.MjData(model)
@@ -68,7 +68,7 @@ def test_the_number_of_threads_changes_nothing(task, variant):
     np.testing.assert_array_equal(in_batch(*case), in_batch(*case, threads=3))
 
 
-@pytest.mark.parametrize("task", TASKS.values(), ids=TASKS.keys())
+@pytest.mark.parametrize("task", TASKS, ids=[t.name for t in TASKS])
 def test_a_diverged_simulation_is_nan_and_stays_so_and_the_others_are_unharmed(task):
     dynamics, initial, actions = recording(task, "vanilla", steps=20)
     qvel = initial.qvel.copy()
@@ -82,7 +82,7 @@ def test_a_diverged_simulation_is_nan_and_stays_so_and_the_others_are_unharmed(t
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_dynamics_that_are_not_finite_are_refused(bad):
-    simulations = Simulations(get_task("arm"), VARIANTS["arm"]["vanilla"].source, 1)
+    simulations = Simulations(get_task("arm"), variants_of("arm")["vanilla"].source, 1)
     with pytest.raises(InvalidInput, match="finite"):
         simulations.set_dynamics(np.array([[1.0, bad, 1.0, 1.0]]))
 
@@ -106,12 +106,12 @@ class TestReplayOfPublishedData:
     task = get_task("hopper")
 
     def error(self, data, masses):
-        replay = Replay(self.task, VARIANTS[self.task.name]["vanilla"].source, data, 1, 1)
+        replay = Replay(self.task, variants_of(self.task.name)["vanilla"].source, data, 1, 1)
         return replay.mean_squared_error(np.array([masses]))[0]
 
     @property
     def truth(self):
-        return VARIANTS[self.task.name]["vanilla"].hidden.values
+        return variants_of(self.task.name)["vanilla"].hidden.values
 
     def test_the_true_masses_are_the_published_ones(self):
         np.testing.assert_allclose(self.truth, HOPPER_MASSES_KG, atol=5e-9)
@@ -129,7 +129,7 @@ class TestReplayOfPublishedData:
 
     def test_a_whole_episode_replays_from_its_first_state(self, hopper_clean):
         first = hopper_clean.split()[0]
-        replay = Replay(self.task, VARIANTS[self.task.name]["vanilla"].source, first, 1, 500)
+        replay = Replay(self.task, variants_of(self.task.name)["vanilla"].source, first, 1, 500)
         assert replay.mean_squared_error(self.truth[None])[0] < 1e-15
 
 
@@ -137,9 +137,11 @@ class TestEpisodes:
     task = get_task("arm")
 
     def simulations(self, n):
-        source = VARIANTS[self.task.name]["vanilla"].source
+        source = variants_of(self.task.name)["vanilla"].source
         simulations = Simulations(self.task, source, n)
-        simulations.set_dynamics(np.tile(VARIANTS[self.task.name]["vanilla"].hidden.values, (n, 1)))
+        simulations.set_dynamics(
+            np.tile(variants_of(self.task.name)["vanilla"].hidden.values, (n, 1))
+        )
         return simulations
 
     def test_nothing_is_earned_or_recorded_after_the_end(self):
@@ -183,7 +185,7 @@ class TestEpisodes:
 
 def test_replay_predicts_what_a_rollout_recorded():
     """Closed loop, then open loop with the same actions and dynamics: nothing differs."""
-    task, variant = get_task("hopper"), VARIANTS["hopper"]["vanilla"]
+    task, variant = get_task("hopper"), variants_of("hopper")["vanilla"]
     dynamics = np.array([[3.0, 4.0, 2.0, 6.0]])
     simulations = Simulations(task, variant.source, 1)
     simulations.set_dynamics(dynamics)

@@ -9,14 +9,15 @@ from adr_service.errors import UnknownName
 from adr_service.simulation.batch import Simulations, compiled, control_period
 from adr_service.simulation.model import link_of, resolve
 from adr_service.tasks.base import State
-from adr_service.tasks.catalogue import TASKS, VARIANTS, get_task, source_of
+from adr_service.tasks.catalogue import BUILT_IN, get_task, source_of, variants_of
 from tests.plain import inertial, model_of, rotation
 
-CASES = [(task, name) for task in TASKS.values() for name in VARIANTS[task.name]]
+TASKS = [entry.task for entry in BUILT_IN.values()]
+CASES = [(task, name) for task in TASKS for name in variants_of(task.name)]
 IDS = [f"{task.name}-{name}" for task, name in CASES]
 
 
-@pytest.fixture(params=TASKS.values(), ids=TASKS.keys())
+@pytest.fixture(params=TASKS, ids=[t.name for t in TASKS])
 def task(request):
     return request.param
 
@@ -24,7 +25,7 @@ def task(request):
 def simulated(task, n=8, steps=20):
     """Simulations that random actions moved, at the truth."""
     rng = np.random.default_rng(0)
-    hidden = VARIANTS[task.name]["vanilla"].hidden
+    hidden = variants_of(task.name)["vanilla"].hidden
     simulations = Simulations(task, hidden.source, n)
     simulations.set_dynamics(np.tile(hidden.values, (n, 1)))
     simulations.set_state(task.initial(n, rng))
@@ -34,7 +35,7 @@ def simulated(task, n=8, steps=20):
 
 
 def test_every_task_has_the_three_variants(task):
-    assert list(VARIANTS[task.name]) == ["vanilla", "noisy", "unmodeled"]
+    assert list(variants_of(task.name)) == ["vanilla", "noisy", "unmodeled"]
 
 
 def test_the_state_of_an_observation_is_measured_as_it_was(task):
@@ -60,7 +61,7 @@ def test_a_state_that_is_not_finite_ends_the_episode(task):
 @pytest.mark.parametrize(("task", "variant"), CASES, ids=IDS)
 def test_each_parameter_lands_where_its_address_says_and_nowhere_else(task, variant):
     """In its own simulation alone; besides, only what MuJoCo derives from it changes."""
-    source = VARIANTS[task.name][variant].source
+    source = variants_of(task.name)[variant].source
     middle = (source.space.low + source.space.high) / 2
     for index, parameter in enumerate(source.space.parameters):
         simulations = Simulations(task, source, 2)
@@ -112,7 +113,7 @@ def differing(one, other):
 @pytest.mark.parametrize(("task", "variant"), CASES, ids=IDS)
 def test_a_draw_is_the_model_that_is_compiled_afresh(task, variant):
     """Field by field, whatever was drawn before."""
-    source, rng = VARIANTS[task.name][variant].source, np.random.default_rng(0)
+    source, rng = variants_of(task.name)[variant].source, np.random.default_rng(0)
     simulations = Simulations(task, source, 3)
     for _ in range(3):
         draws = rng.uniform(source.space.low, source.space.high, (3, len(source.space)))
@@ -123,7 +124,7 @@ def test_a_draw_is_the_model_that_is_compiled_afresh(task, variant):
 
 @pytest.mark.parametrize(("task", "variant"), CASES, ids=IDS)
 def test_the_smallest_feasible_draw_compiles_and_moves(task, variant):
-    source = VARIANTS[task.name][variant].source
+    source = variants_of(task.name)[variant].source
     simulations = Simulations(task, source, 1)
     simulations.set_dynamics(source.space.feasible_low[None])
     simulations.set_state(task.initial(1, np.random.default_rng(0)))
@@ -131,10 +132,10 @@ def test_the_smallest_feasible_draw_compiles_and_moves(task, variant):
     assert not simulations.diverged.any()
 
 
-@pytest.mark.parametrize("task", TASKS.values(), ids=TASKS.keys())
+@pytest.mark.parametrize("task", TASKS, ids=[t.name for t in TASKS])
 def test_frozen_parameters_are_at_four_fifths_and_stay_there(task):
     """Whatever is drawn for the others (random-envs loses them at the first draw)."""
-    unmodeled, vanilla = VARIANTS[task.name]["unmodeled"], VARIANTS[task.name]["vanilla"]
+    unmodeled, vanilla = variants_of(task.name)["unmodeled"], variants_of(task.name)["vanilla"]
     names = [n for n in vanilla.source.space.names if n not in unmodeled.source.space.names]
     assert len(names) == {"half_cheetah": 3, "walker2d": 4, "humanoid": 7}.get(task.name, 1)
     truth = dict(zip(vanilla.source.space.names, vanilla.hidden.values.tolist(), strict=True))
@@ -149,9 +150,9 @@ def test_frozen_parameters_are_at_four_fifths_and_stay_there(task):
         assert not differing(simulations.model(0), model_of(task, vanilla.source, whole))
 
 
-@pytest.mark.parametrize("task", TASKS.values(), ids=TASKS.keys())
+@pytest.mark.parametrize("task", TASKS, ids=[t.name for t in TASKS])
 def test_the_truth_is_what_the_model_file_says(task):
-    hidden = VARIANTS[task.name]["vanilla"].hidden
+    hidden = variants_of(task.name)["vanilla"].hidden
     file, true = compiled(task.xml), model_of(task, hidden.source, hidden.values)
     for name in differing(file, true):
         np.testing.assert_allclose(getattr(file, name), getattr(true, name), rtol=1e-12, atol=1e-15)
@@ -167,7 +168,7 @@ PAPER = {  # Tiboni et al., Table 1: observations, actions, parameters (unmodele
 
 @pytest.mark.parametrize("name", PAPER)
 def test_dimensions_are_the_papers(name):
-    task, variants = get_task(name), VARIANTS[name]
+    task, variants = get_task(name), variants_of(name)
     observations, actions, parameters, unmodeled = PAPER[name]
     assert task.observe(simulated(task).state).shape == (8, observations)
     assert len(task.columns) == len(set(task.columns)) == observations
@@ -187,7 +188,7 @@ def test_settings_are_those_of_random_envs(name):
     assert task.reward_threshold == thresholds[name]
     assert task.learning_rate == (1e-4 if name == "humanoid" else 5e-4)
     noise = 1e-3 if name in ("walker2d", "humanoid") else 1e-4
-    assert VARIANTS[name]["noisy"].hidden.noise_variance == noise
+    assert variants_of(name)["noisy"].hidden.noise_variance == noise
     assert task.horizon == 500
     options = compiled(task.xml).opt
     assert options.disableflags & mujoco.mjtDisableBit.mjDSBL_WARMSTART

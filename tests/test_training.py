@@ -11,14 +11,14 @@ from adr_service.errors import InvalidInput
 from adr_service.progress import StageCancelled
 from adr_service.randomness import stream
 from adr_service.simulation.vec_env import RandomizedVecEnv
-from adr_service.tasks.catalogue import VARIANTS, get_task
+from adr_service.tasks.catalogue import get_task, variants_of
 from adr_service.training.policy import Policy
 from adr_service.training.sac import BACKENDS as BACKENDS_BY_NAME
 from adr_service.training.sac import train
 from adr_service.training.settings import TrainingSettings
 
 ARM = get_task("arm")
-VANILLA = VARIANTS[ARM.name]["vanilla"]
+VANILLA = variants_of(ARM.name)["vanilla"]
 TRUTH = Uniform.point(VANILLA.source.space, VANILLA.hidden.values)
 PRIOR = Gaussian.prior(VANILLA.source.space)
 TINY = {

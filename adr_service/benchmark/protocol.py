@@ -15,7 +15,7 @@ from adr_service.randomness import stream
 from adr_service.simulation.batch import Simulations
 from adr_service.specs import RunSpec
 from adr_service.tasks.base import Task
-from adr_service.tasks.catalogue import VARIANTS, get_task, source_of
+from adr_service.tasks.catalogue import get_task, source_of, variants_of
 from adr_service.training.settings import TrainingSettings
 from adr_service.wire import canonical_json
 
@@ -124,7 +124,7 @@ def _training_s(task_name: str, rate: float, settings: TrainingSettings) -> floa
 
 def _step_rate(task: Task) -> float:
     """Control steps per second on one core, measured over a twentieth of a second."""
-    source = next(iter(VARIANTS[task.name].values())).source
+    source = next(iter(variants_of(task.name).values())).source
     simulations, rng = Simulations(task, source, 12), stream("step rate", task.name)
     simulations.set_dynamics(np.tile((source.space.low + source.space.high) / 2, (12, 1)))
     simulations.set_state(task.initial(12, rng))

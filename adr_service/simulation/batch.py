@@ -35,7 +35,7 @@ class Simulations:
         self.n = n
         self._task = task
         self._shape = _Shape(task, source) if _links(source) else None
-        model = self._shape.model({}) if self._shape else compiled(task.xml)
+        model = self._shape.base if self._shape else compiled(task.xml)
         self._slots = {
             column: resolve(model, p.address)
             for column, p in enumerate(source.space.parameters)
@@ -97,6 +97,8 @@ class Simulations:
 
     def step(self, actions: Matrix) -> None:
         """Advance all simulations by one control step under `actions` (n, a) or (a,)."""
+        if not np.isfinite(np.sum(actions)):  # MuJoCo would take them for zero
+            raise InvalidInput(f"actions must be finite; given {actions}")
         self._ctrl[:] = actions
         self._batch.step(nstep=self._task.frame_skip)
 
@@ -112,7 +114,6 @@ class _Shape:
                 "parameters; give the task a method `reshape`"
             )
         self._task = task
-        self._spec = mujoco.MjSpec.from_string(task.xml)
         fixed = {link_of(address): value for address, value in source.fixed.items()}
         self._fixed = {link: value for link, value in fixed.items() if link is not None}
         self._columns = {
@@ -120,14 +121,16 @@ class _Shape:
             for p in source.space.parameters
             if (link := link_of(p.address)) is not None
         }
-        nominal, other = self.model({}), self.model(dict.fromkeys(links, _OTHER_LENGTH_M))
+        spec, self._bare = mujoco.MjSpec.from_string(task.xml), _without_textures(task.xml)
+        self.base = self._compiled(spec, {})  # the file's lengths, where the source fixes none
+        other = self._compiled(self._bare, dict.fromkeys(links, _OTHER_LENGTH_M))
+        nominal = self._compiled(self._bare, {})
         self._fields = [name for name in MODEL_FIELDS if _differs(nominal, other, name)]
 
-    def model(self, lengths: Mapping[str, float]) -> mujoco.MjModel:
-        """The compiled model with these lengths [m]; the file's for links not named."""
-        self._task.reshape(self._spec, {**lengths, **self._fixed})
+    def _compiled(self, spec: mujoco.MjSpec, lengths: Mapping[str, float]) -> mujoco.MjModel:
+        self._task.reshape(spec, {**lengths, **self._fixed})
         try:
-            return self._spec.compile()
+            return spec.compile()
         except ValueError as error:
             raise InvalidInput(f"lengths {lengths} of {self._task.name}: {error}") from error
 
@@ -135,13 +138,23 @@ class _Shape:
         """Give simulations `rows` the geometry of their draws, a row of `dynamics` each."""
         lengths = dynamics[:, list(self._columns.values())]
         for draw in np.unique(lengths, axis=0):
-            model = self.model(dict(zip(self._columns, draw.tolist(), strict=True)))
+            model = self._compiled(self._bare, dict(zip(self._columns, draw.tolist(), strict=True)))
             same = rows[np.all(lengths == draw, axis=1)]
             for name in self._fields:
                 batch.expand(name)[same] = getattr(model, name)
 
 
 _OTHER_LENGTH_M = 0.777  # any length no link has, to see which fields a length changes
+
+
+def _without_textures(xml: str) -> mujoco.MjSpec:
+    """A model without what only pictures need, which is most of its compilation."""
+    spec = mujoco.MjSpec.from_string(xml)
+    for geom in spec.geoms:
+        geom.material = ""
+    for asset in (*spec.materials, *spec.textures):
+        spec.delete(asset)
+    return spec
 
 
 def _differs(one: mujoco.MjModel, other: mujoco.MjModel, field: str) -> bool:

@@ -2,8 +2,7 @@
 
 A variant pairs a *source* (what methods may simulate: a parameter space and values that stay
 fixed) with a *target* (the hidden truth and its sensor noise). Methods get a task and a source;
-the truth is in the catalogue, which they may not import (a contract of `make lint`), and is read
-by `adr_service.target` alone.
+the truth is in the catalogue, which they may not import (a contract of `make lint`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,7 +41,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Hidden:
-    """The truth behind a simulated target. Nothing outside `target.py` may read it."""
+    """The truth behind a simulated target. No method may read it."""
 
     source: Source  # the space in which `values` are given
     values: Vector  # (d,) SI units

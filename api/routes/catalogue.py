@@ -8,7 +8,7 @@ from pydantic import TypeAdapter
 import adr_service
 from adr_service.methods import MethodSettings
 from adr_service.presets import PRESETS
-from adr_service.tasks.catalogue import TASKS, VARIANTS
+from adr_service.tasks.catalogue import catalogue
 from api.errors import problem
 from api.routes.runs import artifact_response
 from api.service import ServiceDependency
@@ -21,20 +21,21 @@ def tasks() -> list[dict[str, Any]]:
     """Tasks, their variants, and the parameters that methods may infer."""
     return [
         {
-            "name": task.name,
-            "observation_columns": task.columns,
-            "actions": len(task.action_low),
-            "horizon": task.horizon,
-            "reward_threshold": task.reward_threshold,
+            "name": name,
+            "observation_columns": entry.task.columns,
+            "measured_columns": entry.task.measured,
+            "actions": len(entry.task.action_low),
+            "horizon": entry.task.horizon,
+            "reward_threshold": entry.task.reward_threshold,
             "variants": {
-                name: [
+                variant_name: [
                     {"name": p.name, "unit": p.unit, "low": p.low, "high": p.high}
                     for p in variant.source.space.parameters
                 ]
-                for name, variant in VARIANTS[task.name].items()
+                for variant_name, variant in entry.variants.items()
             },
         }
-        for task in TASKS.values()
+        for name, entry in catalogue().items()
     ]
 
 

@@ -1,0 +1,124 @@
+"""The tasks as Gymnasium environments, one simulation each.
+
+    import adr_service
+    env = gymnasium.make("adr/RandomHopper-v0")
+    observation, info = env.reset(seed=0, options={"dynamics": {"torso_mass": 4.2}})
+
+`adr/RandomX-v0` has the true dynamics, `adr/RandomXNoisy-v0` adds sensor noise to it, and
+`adr/RandomXUnmodeled-v0` is the simulator that has some parameters wrong. Given a distribution,
+an environment draws new dynamics at every reset. Training uses `vec_env`, which is faster.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from adr_service.arrays import Vector
+from adr_service.distributions import distribution_from_json
+from adr_service.errors import InvalidInput
+from adr_service.simulation.batch import Simulations, control_period
+from adr_service.simulation.rendering import Camera
+from adr_service.tasks.base import State
+from adr_service.tasks.catalogue import get_task, hidden_of, source_of
+
+
+class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """One simulation of a task's variant.
+
+    `distribution` is a JSON document as methods infer it, over `env.unwrapped.space`; without
+    one the dynamics are true. A simulation that stopped being finite ends its episode with an
+    observation of zeros, no reward, and `info["diverged"]`.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 (Gymnasium's own)
+
+    def __init__(
+        self,
+        task: str,
+        variant: str = "vanilla",
+        distribution: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+    ):
+        if render_mode not in (None, "rgb_array"):
+            raise InvalidInput(f"render_mode {render_mode!r} is not one of None, 'rgb_array'")
+        self._task, hidden = get_task(task), hidden_of(task, variant)
+        self._source = source_of(task, variant)
+        self.space = self._source.space
+        self._truth = hidden.values[[hidden.source.space.index(n) for n in self.space.names]]
+        self._noise = np.sqrt(hidden.noise_variance)
+        self._distribution = (
+            None if distribution is None else distribution_from_json(self.space, dict(distribution))
+        )
+        self._simulations = Simulations(self._task, self._source, 1)
+        self._simulations.set_dynamics(self._truth[None])
+        self._camera: Camera | None = None
+        box = gymnasium.spaces.Box
+        self.observation_space = box(-np.inf, np.inf, (len(self._task.columns),), np.float64)
+        low, high = self._task.action_low, self._task.action_high
+        self.action_space = box(low.astype(np.float32), high.astype(np.float32))
+        self.render_mode = render_mode
+        rate = round(1 / control_period(self._task))
+        self.metadata = {**self.metadata, "render_fps": rate}
+
+    @property
+    def dynamics(self) -> dict[str, float]:
+        """The parameters of this episode, in SI units."""
+        return dict(zip(self.space.names, self._simulations.dynamics[0].tolist(), strict=True))
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode; `options["dynamics"]` gives some or all parameters by name."""
+        super().reset(seed=seed)
+        self._simulations.set_dynamics(self._drawn(options or {})[None])
+        self._simulations.set_state(self._task.initial(1, self.np_random))
+        return self._observe(self._simulations.state), {"dynamics": self.dynamics}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        task, simulations = self._task, self._simulations
+        before = simulations.state
+        simulations.step(action)
+        after = simulations.state
+        if simulations.diverged[0]:
+            nothing = np.zeros(len(task.columns))
+            return nothing, 0.0, True, False, {"diverged": True}
+        reward = float(task.reward(before, np.asarray(action, np.float64)[None], after)[0])
+        return self._observe(after), reward, bool(task.terminated(after)[0]), False, {}
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """The picture of the present state, (h, w, 3) bytes; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        if self._camera is None:
+            self._camera = Camera(self._simulations.model(0))
+        return self._camera.picture(self._simulations.state.qpos[0])
+
+    def close(self) -> None:
+        if self._camera is not None:
+            self._camera.close()
+            self._camera = None
+
+    def _observe(self, state: State) -> np.ndarray:
+        observation = self._task.observe(state)[0]
+        if self._noise > 0:
+            measured = self._task.measured
+            observation[:measured] += self._noise * self.np_random.standard_normal(measured)
+        return observation
+
+    def _drawn(self, options: dict[str, Any]) -> Vector:
+        unknown = set(options) - {"dynamics"}
+        if unknown:
+            raise InvalidInput(f"reset options {sorted(unknown)} are not known; known: dynamics")
+        values = self._truth
+        if self._distribution is not None:
+            values = self._distribution.sample(1, self.np_random).values[0]
+        values = values.copy()
+        for name, value in options.get("dynamics", {}).items():
+            index = self.space.index(name)
+            least = self.space.feasible_low[index]
+            if not (isinstance(value, int | float) and least <= value < np.inf):
+                raise InvalidInput(f"{name} must be a number from {least:g} up; given {value!r}")
+            values[index] = value
+        return values
