@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow lint bench clean
+.PHONY: setup demo serve test test-slow lint bench-sim clean
 
 setup: $(STAMP)
 
@@ -33,8 +33,8 @@ test: lint
 test-slow: setup
 	$(BIN)/pytest -m slow --timeout 3600
 
-bench: setup
-	$(BIN)/python benchmarks/simulation.py
+bench-sim: setup
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/simulation.py
 
 clean:
 	rm -rf $(VENV) build *.egg-info

@@ -15,16 +15,18 @@ parameters are written in place. Fields that a task derives from the state (`Tas
 those of the last stage of the last integration step, as Gymnasium's environments have them.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from typing import Any
 
 import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
+from numpy.typing import NDArray
 
-from adr_service.arrays import Mask, Matrix, frozen
+from adr_service.arrays import Indices, Mask, Matrix, frozen
 from adr_service.errors import InvalidInput
-from adr_service.simulation.model import link_of, resolve, write
+from adr_service.simulation.model import Slot, Writer, link_of, resolve
 from adr_service.tasks.base import Reshapable, Source, State, Task
 
 
@@ -36,34 +38,35 @@ class Simulations:
         self._task = task
         self._shape = _Shape(task, source) if _links(source) else None
         model = self._shape.base if self._shape else compiled(task.xml)
-        self._slots = {
-            column: resolve(model, p.address)
-            for column, p in enumerate(source.space.parameters)
-            if link_of(p.address) is None
-        }
         self._batch = Batch(model, n, threads)
+        self._rows = np.arange(n)
+        if self._shape:
+            self._shape.expand(self._batch)
+        parameters = [p.address for p in source.space.parameters]
+        self._writer = Writer(self._batch, _slots(model, parameters))
+        fixed = Writer(self._batch, _slots(model, list(source.fixed)))
+        fixed.write(np.tile(list(source.fixed.values()), (n, 1)), self._rows)
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
         self._derived = [self._batch.bind(name) for name in task.derived]
-        for address, value in source.fixed.items():
-            if link_of(address) is None:
-                write(self._batch, resolve(model, address), np.full(n, value), slice(None))
+        self._no_derived = np.empty((n, 0))
         self.dynamics = np.full((n, len(source.space)), np.nan)  # (n, d), NaN until set
 
     @property
     def state(self) -> State:
         """A copy of the states of all simulations."""
-        derived = [array.reshape(self.n, -1) for array in self._derived]
-        return State(
-            self._qpos.copy(),
-            self._qvel.copy(),
-            np.concatenate(derived, axis=1) if derived else np.empty((self.n, 0)),
-        )
+        if not self._derived:
+            return State(self._qpos.copy(), self._qvel.copy(), self._no_derived)
+        derived = np.concatenate([array.reshape(self.n, -1) for array in self._derived], axis=1)
+        return State(self._qpos.copy(), self._qvel.copy(), derived)
 
     @property
     def diverged(self) -> Mask:
         """(n,) whether a simulation is no longer finite."""
-        return ~State(self._qpos, self._qvel).finite
+        if np.isfinite(self._qpos.sum() + self._qvel.sum()):  # nearly always
+            return np.zeros(self.n, dtype=np.bool_)
+        finite: Mask = np.isfinite(self._qpos.sum(axis=1) + self._qvel.sum(axis=1))
+        return ~finite
 
     def model(self, row: int) -> mujoco.MjModel:
         """A copy of one simulation's model, to render it or to give it to MuJoCo."""
@@ -78,11 +81,10 @@ class Simulations:
         count = self.n if rows is None else len(rows)
         if given.shape != (count, width) or not np.all(np.isfinite(given)):
             raise InvalidInput(f"dynamics must be finite and ({count}, {width}); given {given}")
-        chosen = slice(None) if rows is None else rows
+        chosen = self._rows if rows is None else self._rows[rows]
         if self._shape is not None:
-            self._shape.write(self._batch, given, np.arange(self.n)[chosen])
-        for column, slot in self._slots.items():
-            write(self._batch, slot, given[:, column], chosen)
+            self._shape.write(given, chosen)
+        self._writer.write(given, chosen)
         self._batch.set_const(rows)
         self.dynamics[chosen] = given
 
@@ -97,7 +99,7 @@ class Simulations:
 
     def step(self, actions: Matrix) -> None:
         """Advance all simulations by one control step under `actions` (n, a) or (a,)."""
-        if not np.isfinite(np.sum(actions)):  # MuJoCo would take them for zero
+        if not np.isfinite(actions.sum()):  # MuJoCo would take them for zero
             raise InvalidInput(f"actions must be finite; given {actions}")
         self._ctrl[:] = actions
         self._batch.step(nstep=self._task.frame_skip)
@@ -126,6 +128,11 @@ class _Shape:
         other = self._compiled(self._bare, dict.fromkeys(links, _OTHER_LENGTH_M))
         nominal = self._compiled(self._bare, {})
         self._fields = [name for name in MODEL_FIELDS if _differs(nominal, other, name)]
+        self._expanded: list[NDArray[Any]] = []  # of a batch
+
+    def expand(self, batch: Batch) -> None:
+        """Let the simulations of a batch have geometries of their own."""
+        self._expanded = [batch.expand(name) for name in self._fields]
 
     def _compiled(self, spec: mujoco.MjSpec, lengths: Mapping[str, float]) -> mujoco.MjModel:
         self._task.reshape(spec, {**lengths, **self._fixed})
@@ -134,14 +141,14 @@ class _Shape:
         except ValueError as error:
             raise InvalidInput(f"lengths {lengths} of {self._task.name}: {error}") from error
 
-    def write(self, batch: Batch, dynamics: Matrix, rows: np.ndarray) -> None:
+    def write(self, dynamics: Matrix, rows: Indices) -> None:
         """Give simulations `rows` the geometry of their draws, a row of `dynamics` each."""
         lengths = dynamics[:, list(self._columns.values())]
-        for draw in np.unique(lengths, axis=0):
+        for draw in lengths if len(rows) == 1 else np.unique(lengths, axis=0):
             model = self._compiled(self._bare, dict(zip(self._columns, draw.tolist(), strict=True)))
             same = rows[np.all(lengths == draw, axis=1)]
-            for name in self._fields:
-                batch.expand(name)[same] = getattr(model, name)
+            for array, name in zip(self._expanded, self._fields, strict=True):
+                array[same] = getattr(model, name)
 
 
 _OTHER_LENGTH_M = 0.777  # any length no link has, to see which fields a length changes
@@ -161,6 +168,15 @@ def _differs(one: mujoco.MjModel, other: mujoco.MjModel, field: str) -> bool:
     return not field.startswith("opt.") and not np.array_equal(
         getattr(one, field), getattr(other, field)
     )
+
+
+def _slots(model: mujoco.MjModel, addresses: Sequence[str]) -> dict[int, Slot]:
+    """Slots by the position of their address, but for lengths."""
+    return {
+        i: resolve(model, address)
+        for i, address in enumerate(addresses)
+        if link_of(address) is None
+    }
 
 
 def _links(source: Source) -> list[str]:

@@ -12,13 +12,16 @@ To randomise another quantity, add a row to `FIELDS`.
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
+from numpy.typing import NDArray
 
-from adr_service.arrays import Matrix
+from adr_service.arrays import Indices, Matrix, Vector
 from adr_service.errors import InvalidInput, UnknownName
 
 
@@ -66,15 +69,50 @@ def resolve(model: mujoco.MjModel, address: str) -> Slot:
     return Slot(field, tuple((row, *column) for row in rows for column in columns), scaled)
 
 
-def write(batch: Batch, slot: Slot, values: Matrix, rows: slice | list[int]) -> None:
-    """Give simulations `rows` their own value (n,) of a slot."""
-    expanded = batch.expand(slot.field)
-    for element in slot.elements:
-        if slot.scaled is not None:
-            nominal = getattr(batch.model, slot.scaled)[element]
-            factor = values / getattr(batch.model, slot.field)[element]
-            batch.expand(slot.scaled)[(rows, *element)] = factor[:, None] * np.asarray(nominal)
-        expanded[(rows, *element)] = values
+class Writer:
+    """Writes parameters into the simulations of a batch, one assignment per model field."""
+
+    def __init__(self, batch: Batch, slots: Mapping[int, Slot]):
+        """`slots` by the column of the values that each takes."""
+        self._fields: list[_Field] = []
+        for name, scaled in dict.fromkeys((slot.field, slot.scaled) for slot in slots.values()):
+            targets = [
+                (column, element)
+                for column, slot in slots.items()
+                for element in slot.elements
+                if (slot.field, slot.scaled) == (name, scaled)
+            ]
+            columns = np.array([column for column, _ in targets])
+            index = tuple(np.array([element for _, element in targets]).T)
+            follows = None
+            if scaled is not None:
+                model = batch.model
+                follows = (
+                    batch.expand(scaled),
+                    getattr(model, name)[index],
+                    getattr(model, scaled)[index],
+                )
+            self._fields.append(_Field(batch.expand(name), index, columns, follows))
+
+    def write(self, values: Matrix, rows: Indices) -> None:
+        """Give simulations `rows` (n,) their `values` (n, d)."""
+        for field in self._fields:
+            where = (rows[:, None], *field.index)
+            chosen = values[:, field.columns]
+            field.array[where] = chosen
+            if field.follows is not None:
+                array, nominal, along = field.follows
+                array[where] = (chosen / nominal)[..., None] * along
+
+
+@dataclass(frozen=True)
+class _Field:
+    """Where the values of some columns go in one expanded field."""
+
+    array: NDArray[Any]  # (n, ...)
+    index: tuple[Indices, ...]  # elements, by dimension
+    columns: Indices  # of the values, for each element
+    follows: tuple[NDArray[Any], Vector, Matrix] | None  # what scales along; both's nominal values
 
 
 def _names(model: mujoco.MjModel, kind: str) -> list[str]:

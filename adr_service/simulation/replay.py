@@ -14,12 +14,20 @@ class Replay:
     Windows have `length` control steps, do not overlap and never cross an episode.
     """
 
-    def __init__(self, task: Task, source: Source, data: TransitionDataset, n: int, length: int):
+    def __init__(
+        self,
+        task: Task,
+        source: Source,
+        data: TransitionDataset,
+        n: int,
+        length: int,
+        threads: int = 1,
+    ):
         self._task, self._length = task, length
         self._starts = data.windows(length)
         self._states = task.state(data.observations[self._starts])
         self._actions = data.actions
-        self._simulations = Simulations(task, source, n)
+        self._simulations = Simulations(task, source, n, threads)
         self.targets = data.next_observations[self._starts + length - 1]  # (w, s), measured
 
     def predict(self, dynamics: Matrix) -> Array3:

@@ -29,6 +29,7 @@ class RandomizedVecEnv(VecEnv):
         distribution: Distribution,
         n: int,
         rng: np.random.Generator,
+        threads: int = 1,
     ):
         space = gymnasium.spaces
         super().__init__(
@@ -37,7 +38,8 @@ class RandomizedVecEnv(VecEnv):
             space.Box(task.action_low.astype(np.float32), task.action_high.astype(np.float32)),
         )
         self._task, self._distribution, self._rng = task, distribution, rng
-        self._simulations = Simulations(task, source, n)
+        self._before = State(np.empty((0, 0)), np.empty((0, 0)))  # until the first reset
+        self.simulations = Simulations(task, source, n, threads)
         self._steps = np.zeros(n, dtype=np.int64)
         self.adjusted = 0
         self.diverged = 0
@@ -46,28 +48,28 @@ class RandomizedVecEnv(VecEnv):
     @property
     def dynamics(self) -> Matrix:
         """The dynamics of each environment's episode, (n, d) in SI units."""
-        return self._simulations.dynamics.copy()
+        return self.simulations.dynamics.copy()
 
     def reset(self) -> np.ndarray:
-        self._begin(list(range(self.num_envs)))
-        return self._observe()
+        return self._begin(list(range(self.num_envs)))
 
     def step_async(self, actions: np.ndarray) -> None:
         self._actions = np.asarray(actions, dtype=np.float64)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        task, simulations = self._task, self._simulations
-        before = simulations.state
+        task, simulations = self._task, self.simulations
         simulations.step(self._actions)
         after = simulations.state
-        rewards = task.reward(before, self._actions, after)
+        rewards = task.reward(self._before, self._actions, after)
         self._steps += 1
         broken = simulations.diverged
-        self.diverged += int(broken.sum())
+        self.diverged += int(np.count_nonzero(broken))
         terminated = task.terminated(after) | broken
         done = terminated | (self._steps >= task.horizon)
         observations = task.observe(after).astype(np.float32)
-        observations[broken], rewards[broken] = 0.0, 0.0
+        if broken.any():
+            observations[broken], rewards[broken] = 0.0, 0.0
+        self._before = after
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if done.any():
             rows = np.flatnonzero(done).tolist()
@@ -76,21 +78,19 @@ class RandomizedVecEnv(VecEnv):
                     "terminal_observation": observations[row].copy(),
                     "TimeLimit.truncated": not terminated[row],
                 }
-            self._begin(rows)
-            observations[rows] = self._observe()[rows]
+            observations[rows] = self._begin(rows)[rows]
         return observations, rewards, done, infos
 
-    def _observe(self) -> np.ndarray:
-        return self._task.observe(self._simulations.state).astype(np.float32)
-
-    def _begin(self, rows: list[int]) -> None:
-        """Start episodes in `rows` under freshly drawn dynamics."""
+    def _begin(self, rows: list[int]) -> np.ndarray:
+        """Start episodes in `rows` under freshly drawn dynamics; the observations of all."""
         draws = self._distribution.sample(len(rows), self._rng)
         self.adjusted += draws.adjusted
-        self._simulations.set_dynamics(draws.values, rows)
+        self.simulations.set_dynamics(draws.values, rows)
         fresh: State = self._task.initial(len(rows), self._rng)
-        self._simulations.set_state(fresh, rows)
+        self.simulations.set_state(fresh, rows)
         self._steps[rows] = 0
+        self._before = self.simulations.state
+        return self._task.observe(self._before).astype(np.float32)
 
     def close(self) -> None:
         """Nothing is held outside this process."""

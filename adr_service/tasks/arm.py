@@ -77,8 +77,7 @@ class Arm:
         return 0.2 * np.maximum(1 - distance / 1.7, 0) + 0.8 * near
 
     def terminated(self, state: State) -> Mask:
-        with np.errstate(invalid="ignore"):
-            return ~np.all(np.abs(state.qpos) < _LIMIT_RAD, axis=1)  # also where not finite
+        return np.any(np.abs(state.qpos) >= _LIMIT_RAD, axis=1)
 
     def hand(self, state: State) -> Matrix:
         """Position of the hand, (n, 2): x and z [m]."""

@@ -25,11 +25,6 @@ class State(NamedTuple):
     qvel: Matrix  # (n, nv)
     derived: Matrix = frozen(np.empty((0, 0)))  # (n, k) the task's `derived`, where simulated
 
-    @property
-    def finite(self) -> Mask:
-        """(n,) whether a simulation has not diverged."""
-        return np.isfinite(self.qpos.sum(axis=1) + self.qvel.sum(axis=1))
-
 
 @dataclass(frozen=True)
 class Source:
@@ -125,7 +120,7 @@ class Task(Protocol):
         ...
 
     def terminated(self, state: State) -> Mask:
-        """Whether the episode ends in `state`, (n,)."""
+        """Whether the episode ends in `state`, (n,); one that diverged ends anyway."""
         ...
 
 

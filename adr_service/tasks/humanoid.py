@@ -122,13 +122,11 @@ class Humanoid:
         """Speed of the centre of mass; without the impact cost, whose forces are zero."""
         travel = after.derived[:, _COM_X] - before.derived[:, _COM_X]
         speed = travel / (_TIMESTEP_S * _FRAME_SKIP)
-        return 1.25 * speed + 5.0 - 0.1 * np.sum(action**2, axis=1)
+        return 1.25 * speed + 5.0 - 0.1 * (action**2).sum(axis=1)
 
     def terminated(self, state: State) -> Mask:
         height = state.qpos[:, 2]
-        with np.errstate(invalid="ignore"):
-            upright = (height >= 1.0) & (height <= 2.0)
-        return ~(state.finite & upright)
+        return ~((height >= 1.0) & (height <= 2.0))
 
 
 def _with_unit_quaternion(qpos: Matrix) -> Matrix:
