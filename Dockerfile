@@ -10,7 +10,7 @@ ENV PIP_NO_CACHE_DIR=1 \
     MUJOCO_GL=egl
 
 RUN apt-get update \
- && apt-get install --yes --no-install-recommends libegl1 libgl1 \
+ && apt-get install --yes --no-install-recommends libegl1 libgl1 libgl1-mesa-dri \
  && rm -rf /var/lib/apt/lists/* \
  && useradd --create-home --uid 1000 adr \
  && mkdir /data && chown adr /data

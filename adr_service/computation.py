@@ -119,14 +119,15 @@ def _target_rollout(
 def _evaluate(
     inputs: Inputs, blobs: Blobs, rng: np.random.Generator, progress: Progress
 ) -> StageResult:
-    returns = simulate_evaluation(
+    episodes = simulate_evaluation(
         get_task(inputs["task"]),
         inputs["variant"],
         Policy.from_bytes(blobs["policy"]),
         inputs["episodes"],
         rng,
     )
-    return StageResult({"returns": returns.tolist()})
+    diverged = int(episodes.diverged.sum())
+    return StageResult({"returns": episodes.returns.tolist(), "diverged_episodes": diverged})
 
 
 _FUNCTIONS: dict[str, Callable[[Inputs, Blobs, np.random.Generator, Progress], StageResult]] = {

@@ -46,6 +46,7 @@ class IterationFinished(Wire):
     training_steps: list[int]
     inference_steps: int  # simulated control steps of the inference
     returns: list[list[float]]
+    diverged_episodes: int = 0  # of those, simulations that stopped being finite
     diagnostics: dict[str, Any]
 
     @property

@@ -146,7 +146,8 @@ def _report(
 ) -> Program:
     """Evaluate the trained policies on the target and say how it stands."""
     policies = [result.blobs["policy"] for result in trained]
-    returns = yield from target.evaluate(policies)
+    found = yield from target.evaluate(policies)
+    returns = [values["returns"] for values in found]
     yield IterationFinished(
         iteration=iteration,
         target_rollouts=target.rollouts,
@@ -159,6 +160,7 @@ def _report(
         training_steps=[result.values["steps"] for result in trained],
         inference_steps=inferred.values["simulated_steps"] if inferred else 0,
         returns=returns,
+        diverged_episodes=sum(values["diverged_episodes"] for values in found),
         diagnostics=inferred.values["diagnostics"] if inferred else {},
     )
 

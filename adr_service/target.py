@@ -2,7 +2,7 @@
 
     target = Target(spec, stages)
     visit = yield from target.rollout(policy, iteration=0)     # counted
-    returns = yield from target.evaluate([policy])             # counted apart, for no method
+    found = yield from target.evaluate([policy])               # counted apart, for no method
 
 No method reads a task's hidden truth: it acts behind this door. Simulated targets live here
 too: `simulate_rollout` and `simulate_evaluation` are what the target stages compute.
@@ -10,6 +10,7 @@ too: `simulate_rollout` and `simulate_evaluation` are what the target stages com
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from adr_service.simulation.rollout import Episodes, run_episodes
 from adr_service.specs import RunSpec
 from adr_service.stages import Stage, Stages
 from adr_service.tasks.base import Task
-from adr_service.tasks.catalogue import hidden_of, identity_of, source_of
+from adr_service.tasks.catalogue import hidden_of, identity_of, variant_of
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
 
@@ -70,8 +71,10 @@ class Target:
         self.transitions += taken
         return Visit(policy, result.blobs["data"], taken)
 
-    def evaluate(self, policies: Sequence[bytes]) -> Generator[RunEvent, None, list[list[float]]]:
-        """Final returns of each policy, one per episode. No method may see them."""
+    def evaluate(
+        self, policies: Sequence[bytes]
+    ) -> Generator[RunEvent, None, list[dict[str, Any]]]:
+        """What the evaluation stage found of each policy. No method may see it."""
         spec = self._spec
         results = yield from self._stages.all(
             [
@@ -88,7 +91,7 @@ class Target:
                 for policy in policies
             ]
         )
-        return [result.values["returns"] for result in results]
+        return [result.values for result in results]
 
 
 def truth_as_distribution(task_name: str, variant: str) -> Uniform:
@@ -102,8 +105,8 @@ def estimation_error(task_name: str, variant: str, mean: Vector) -> float:
 
     For reports alone. Over the parameters of the variant's source space.
     """
-    space, hidden = source_of(task_name, variant).space, hidden_of(task_name, variant)
-    truth = hidden.values[[hidden.source.space.index(name) for name in space.names]]
+    pair = variant_of(task_name, variant)
+    space, truth = pair.source.space, pair.truth
     return float(np.sqrt(np.mean((space.normalise(mean) - space.normalise(truth)) ** 2)))
 
 
@@ -116,11 +119,14 @@ def true_values(task_name: str, variant: str) -> dict[str, float]:
 def simulate_rollout(
     task: Task, variant: str, policy: Policy, transitions: int, rng: np.random.Generator
 ) -> TransitionDataset:
-    """One episode of the policy on the simulated target, clipped to `transitions`."""
+    """One episode of the policy on the simulated target, clipped to `transitions`.
+
+    Where the simulation diverges, the recording ends before that step.
+    """
     episode = _episodes(task, variant, policy, 1, transitions, rng)
-    length = int(episode.lengths[0])
-    if episode.diverged[0]:
-        raise InvalidInput(f"the simulated target {task.name} diverged at step {length}")
+    length = int(episode.lengths[0]) - int(episode.diverged[0])
+    if length == 0:
+        raise InvalidInput(f"the simulated target {task.name} diverged at its first step")
     observations = episode.observations[0, : length + 1]
     return TransitionDataset(
         observations=observations[:-1],
@@ -135,9 +141,9 @@ def simulate_rollout(
 
 def simulate_evaluation(
     task: Task, variant: str, policy: Policy, episodes: int, rng: np.random.Generator
-) -> Vector:
-    """Undiscounted returns of full episodes on the simulated target, (episodes,)."""
-    return _episodes(task, variant, policy, episodes, task.horizon, rng).returns
+) -> Episodes:
+    """Full episodes of the policy on the simulated target."""
+    return _episodes(task, variant, policy, episodes, task.horizon, rng)
 
 
 def _episodes(

@@ -79,7 +79,9 @@ class TransitionDataset:
         return [self._rows(slice(first, last)) for first, last in self._spans()]
 
     def first(self, rows: int) -> "TransitionDataset":
-        """The first `rows` transitions, or all where there are fewer."""
+        """The first `rows` (at least one) transitions, or all where there are fewer."""
+        if rows < 1:
+            raise InvalidInput(f"at least one row is needed; asked for {rows}")
         return self._rows(slice(rows))
 
     def to_npz(self) -> bytes:

@@ -11,7 +11,8 @@ from pathlib import Path
 from rich.console import Console
 
 from adr_service.errors import InvalidInput
-from adr_service.simulation.batch import compiled
+from adr_service.simulation.batch import Simulations, compiled
+from adr_service.simulation.rendering import Camera
 from adr_service.tasks.catalogue import catalogue
 from api.settings import read_settings
 
@@ -25,6 +26,7 @@ def check(console: Console) -> int:
         _cores,
         _simulator,
         _fast_backend,
+        _drawing,
         _disk,
         _settings,
         _datasets,
@@ -32,7 +34,7 @@ def check(console: Console) -> int:
     needed = True
     for run in checks:
         good, text = run()
-        optional = run in (_fast_backend, _datasets)
+        optional = run in (_fast_backend, _drawing, _datasets)
         mark = (
             "[green]ok[/green]  "
             if good
@@ -57,14 +59,24 @@ def _cores() -> tuple[bool, str]:
 
 def _simulator() -> tuple[bool, str]:
     for entry in catalogue().values():
-        compiled(entry.task.xml)
-    return True, f"MuJoCo compiles the tasks: {', '.join(catalogue())}"
+        for variant in entry.variants.values():
+            for source in (variant.source, variant.hidden.source):
+                Simulations(entry.task, source, 1)
+    return True, f"MuJoCo simulates the tasks: {', '.join(catalogue())}"
 
 
 def _fast_backend() -> tuple[bool, str]:
     if importlib.util.find_spec("sbx") is not None:
         return True, "sbx-rl is installed: policies train several times faster than with SB3"
     return False, "sbx-rl is not installed; pip install 'adr-service[fast]' trains much faster"
+
+
+def _drawing() -> tuple[bool, str]:
+    try:
+        Camera(compiled(next(iter(catalogue().values())).task.xml)).close()
+    except InvalidInput as error:
+        return False, f"no films: {error}"
+    return True, "films can be drawn"
 
 
 def _disk() -> tuple[bool, str]:

@@ -63,7 +63,9 @@ def main() -> None:
             print(f"  {subject:12s} {rate:10.0f}")
         for subject, least, of in TARGETS:
             ratio = results[name][subject] / results[name][of]
-            print(f"  {subject} / {of}: {ratio:.2f}, target {least:.2f}{miss(ratio, least)}")
+            missed = "" if ratio >= least else "  MISSED"
+            print(f"  {subject} / {of}: {ratio:.2f}, target {least:.2f}{missed}")
+        print(f"  vec_env / limit_12 under weaker actions: {by_strength(get_task(name))}")
     path = Path("build/bench/simulation.json")
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(results, indent=1))
@@ -72,17 +74,34 @@ def main() -> None:
 
 def measure(task: Task) -> dict[str, float]:
     """Median steps per second of each subject."""
-    subjects = {**closed_and_open_loop(task), **training(task), **peers(task)}
-    for subject in subjects.values():
-        subject()  # warm up
+    single, many = peer(task), SubprocVecEnv([lambda: peer(task)] * NARROW)
+    subjects = {**closed_and_open_loop(task), **training(task), **peers(single, many)}
+    rates = medians(subjects)
+    single.close()
+    many.close()
+    order = ("limit", "replay", "rollout", "vec_env", "limit_12", "gym_loop", "sb3_subproc")
+    return {name: rates[name] for name in order}
+
+
+def medians(subjects: dict[str, Subject]) -> dict[str, float]:
+    """Steps per second of each subject, over interleaved rounds after one to warm up."""
     rates: dict[str, list[float]] = {name: [] for name in subjects}
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS + 1):
         for name, subject in subjects.items():
             started = time.perf_counter()
             steps = subject()
-            rates[name].append(steps / (time.perf_counter() - started))
-    order = ("limit", "replay", "rollout", "vec_env", "limit_12", "gym_loop", "sb3_subproc")
-    return {name: statistics.median(rates[name]) for name in order}
+            if turn > 0:
+                rates[name].append(steps / (time.perf_counter() - started))
+    return {name: statistics.median(values) for name, values in rates.items()}
+
+
+def by_strength(task: Task) -> str:
+    """The training environment's share of the limit under weaker actions: longer episodes."""
+    shares = []
+    for strength in (0.3, 0.1):
+        rates = medians(training(task, strength))
+        shares.append(f"{rates['vec_env'] / rates['limit_12']:.2f} at {strength:g}")
+    return ", ".join(shares)
 
 
 def closed_and_open_loop(task: Task) -> dict[str, Subject]:
@@ -122,12 +141,13 @@ def closed_and_open_loop(task: Task) -> dict[str, Subject]:
     }
 
 
-def training(task: Task) -> dict[str, Subject]:
+def training(task: Task, strength: float = 1.0) -> dict[str, Subject]:
     """12 environments, random actions, each episode's dynamics within 20 % of the truth."""
     hidden = hidden_of(task.name, "vanilla")
     belief = Uniform(hidden.source.space, hidden.values / 1.2, hidden.values * 1.2)
     length, rng = 400, np.random.default_rng(0)
-    actions = rng.uniform(task.action_low, task.action_high, (length, NARROW, len(task.action_low)))
+    low, high = strength * task.action_low, strength * task.action_high
+    actions = rng.uniform(low, high, (length, NARROW, len(low)))
     env = RandomizedVecEnv(task, hidden.source, belief, NARROW, np.random.default_rng(1), THREADS)
     states = []
     env.reset()
@@ -143,12 +163,14 @@ def training(task: Task) -> dict[str, Subject]:
     return {"vec_env": stepped, "limit_12": limit(task, env.simulations, states, actions)}
 
 
-def peers(task: Task) -> dict[str, Subject]:
+def peer(task: Task) -> gymnasium.Env:
+    return gymnasium.make(PEERS[task.name])
+
+
+def peers(single: gymnasium.Env, many: SubprocVecEnv) -> dict[str, Subject]:
     """Gymnasium's environment: alone in a Python loop, and 12 in processes of SB3."""
-    name, length, rng = PEERS[task.name], 400, np.random.default_rng(0)
-    single = gymnasium.make(name)
+    length, rng = 400, np.random.default_rng(0)
     single.reset(seed=0)
-    many = SubprocVecEnv([lambda: gymnasium.make(name)] * NARROW)
     many.reset()
     low, high = single.action_space.low, single.action_space.high
     actions = rng.uniform(low, high, (length, NARROW, len(low))).astype(np.float32)
@@ -214,10 +236,6 @@ def policy(task: Task) -> Policy:
         for a, b in itertools.pairwise(widths)
     )
     return Policy(layers, "tanh", task.action_low, task.action_high)
-
-
-def miss(ratio: float, least: float) -> str:
-    return "" if ratio >= least else "  MISSED"
 
 
 if __name__ == "__main__":

@@ -22,7 +22,8 @@ def model_of(task, source, values):
         field = getattr(model, slot.field)
         for element in slot.elements:
             if slot.scaled is not None:
-                getattr(model, slot.scaled)[element] *= value / field[element]
+                scaled = getattr(model, slot.scaled)
+                scaled[element] = value * (scaled[element] / field[element])
             field[element] = value
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model

@@ -1,19 +1,25 @@
+import dataclasses
+import importlib
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
 
 from adr_service.errors import InvalidInput, UnknownName
+from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.simulation.batch import Simulations, compiled
 from adr_service.simulation.model import resolve
 from adr_service.simulation.replay import Replay
 from adr_service.simulation.rollout import follow, run_episodes
-from adr_service.tasks.base import State
+from adr_service.tasks.base import Source, State
 from adr_service.tasks.catalogue import BUILT_IN, get_task, variants_of
 from adr_service.transitions import TransitionDataset
 from tests.plain import model_of
 from tests.published import HOPPER_MASSES_KG
 
 TASKS = [entry.task for entry in BUILT_IN.values()]
+ROOT = Path(__file__).parent.parent
 CASES = [(task, variant) for task in TASKS for variant in variants_of(task.name)]
 IDS = [f"{task.name}-{variant}" for task, variant in CASES]
 
@@ -78,6 +84,89 @@ def test_a_diverged_simulation_is_nan_and_stays_so_and_the_others_are_unharmed(t
     assert np.isnan(with_one_broken[-1, 2]).any()
     others = [0, 1, 3, 4]
     np.testing.assert_array_equal(with_one_broken[:, others], whole[:, others])
+
+
+@pytest.mark.parametrize("task", TASKS, ids=[t.name for t in TASKS])
+def test_a_simulation_that_explodes_has_diverged_though_it_is_finite(task):
+    """A joint at 1e6 rad/s is at 1e118 after a step of HalfCheetah; MuJoCo's bound is 1e10."""
+    dynamics, initial, _ = recording(task, "vanilla", steps=1)
+    simulations = Simulations(task, variants_of(task.name)["vanilla"].source, 5)
+    simulations.set_dynamics(dynamics)
+    initial.qvel[2, -1] = 1e12
+    simulations.set_state(initial)
+    assert not simulations.diverged.any()
+    simulations.step(np.zeros_like(task.action_low))
+    assert simulations.diverged.tolist() == [False, False, True, False, False]
+    observations = task.observe(simulations.state)
+    assert np.isnan(observations[2, : task.measured]).any()
+    others = np.delete(observations, 2, axis=0)
+    assert np.isfinite(others).all()
+    simulations.set_state(task.initial(1, np.random.default_rng(0)), np.array([2]))
+    simulations.step(np.zeros_like(task.action_low))
+    assert not simulations.diverged.any()
+
+
+@pytest.mark.parametrize("actions", [np.zeros((5, 1)), np.zeros(1), np.full(3, np.nan)])
+def test_actions_that_do_not_fit_are_refused(actions):
+    task = get_task("hopper")
+    simulations = Simulations(task, variants_of("hopper")["vanilla"].source, 5)
+    with pytest.raises(InvalidInput, match=r"finite, of shape \(5, 3\)"):
+        simulations.step(actions)
+
+
+class TestLengthsOfAnOwnTask:
+    """The example package's rod, its mass first given and then left to its geometry."""
+
+    @pytest.fixture
+    def pendulum(self, monkeypatch):
+        monkeypatch.syspath_prepend(str(ROOT / "docs/examples/adr-pendulum"))
+        return importlib.import_module("adr_pendulum").Pendulum()
+
+    def source(self, *parameters, **fixed):
+        space = tuple(Parameter(f"p{i}", a, "1", 0.3, 2.0, 0.1) for i, a in enumerate(parameters))
+        return Source(ParameterSpace(space), {f"body:rod.{k}": v for k, v in fixed.items()})
+
+    def test_what_is_fixed_stays_whatever_length_is_drawn(self, pendulum):
+        class Heavier(type(pendulum)):
+            def reshape(self, spec, lengths):
+                super().reshape(spec, lengths)
+                spec.body("rod").mass = lengths.get("rod", 1.0)
+
+        source = self.source("link:rod.length", mass=2.5)
+        simulations = Simulations(Heavier(), source, 2)
+        simulations.set_dynamics(np.array([[0.5], [1.5]]))
+        for row, length in enumerate((0.5, 1.5)):
+            assert simulations.model(row).body("rod").mass[0] == 2.5
+            assert simulations.model(row).geom("rod").size[1] == length / 2
+
+    @pytest.mark.parametrize(
+        ("parameters", "fixed", "message"),
+        [
+            (["link:rodd.length"], {}, "link:rodd.length changes nothing"),
+            (["link:rod.length", "body:rod.inertial"], {}, "use body:….mass"),
+            (["link:rod.length"], {"inertial": 2.0}, "use body:….mass"),
+        ],
+    )
+    def test_what_would_be_a_wrong_inertia_or_no_change_is_refused(
+        self, pendulum, parameters, fixed, message
+    ):
+        with pytest.raises(InvalidInput, match=message):
+            Simulations(pendulum, self.source(*parameters, **fixed), 1)
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"xml": ("autoreset", "eulerdamp")}, 'autoreset="disable"'),
+            ({"action_low": [-1.0, -1.0]}, "bounds 2 and 1 actions"),
+            ({"measured": 4}, "measures 4 of 3 columns"),
+        ],
+    )
+    def test_a_task_whose_parts_do_not_fit_is_refused(self, pendulum, change, message):
+        if "xml" in change:
+            change = {"xml": pendulum.xml.replace(*change["xml"])}
+        task = dataclasses.replace(pendulum, **change)
+        with pytest.raises(InvalidInput, match=message):
+            Simulations(task, self.source("body:rod.mass"), 1)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -203,3 +292,10 @@ def test_replay_predicts_what_a_rollout_recorded():
     )
     replay = Replay(task, variant.source, data, 1, 1)
     assert replay.mean_squared_error(dynamics)[0] < 1e-25  # x is put to 0, which rounds
+
+
+def test_data_of_another_control_period_are_refused(hopper_clean):
+    task, source = get_task("hopper"), variants_of("hopper")["vanilla"].source
+    slow = dataclasses.replace(hopper_clean, dt=0.02)
+    with pytest.raises(InvalidInput, match=r"0.02 s per step; hopper has 0.008 s"):
+        Replay(task, source, slow, 1, 1)

@@ -1,5 +1,9 @@
 """The contract of every task, over the catalogue; and what the benchmark's own must be."""
 
+import warnings
+from pathlib import Path
+
+import gymnasium
 import mujoco
 import numpy as np
 import pytest
@@ -152,6 +156,7 @@ def test_the_truth_is_what_the_model_file_says(task):
         np.testing.assert_allclose(getattr(file, name), getattr(true, name), rtol=1e-12, atol=1e-15)
 
 
+GYMNASIUM = Path(gymnasium.__file__).parent / "envs/mujoco/assets"
 PAPER = {  # Tiboni et al., Table 1: observations, actions, parameters (unmodeled)
     "hopper": (11, 3, 4, 3),
     "half_cheetah": (17, 6, 8, 5),
@@ -203,6 +208,59 @@ def test_masses_and_inertias_are_those_of_mujoco_2_1_0(name):
         turned = rotation(model.body_iquat[body])
         about = turned @ np.diag(model.body_inertia[body]) @ turned.T
         np.testing.assert_allclose(about, factor * moments, atol=1e-13)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_walker2ds_geometry_follows_its_lengths(seed):
+    """Heights of joints and ends of capsules when standing, and inertias, by random-envs' rule."""
+    task, rng = get_task("walker2d"), np.random.default_rng(seed)
+    torso, thigh, leg, foot = rng.uniform(0.15, 1.0, 4)
+    spec = mujoco.MjSpec.from_string(task.xml)
+    task.reshape(spec, {"torso": torso, "thigh": thigh, "leg": leg, "foot": foot})
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.joint("rooty").xanchor[2] == pytest.approx(1.25)
+    hip = thigh + leg
+    ends = {"torso": (hip, hip + torso)}
+    for side in ("", "_left"):
+        for joint, height in (("thigh", hip), ("leg", leg), ("foot", 0.1)):
+            assert data.joint(f"{joint}{side}_joint").xanchor[2] == pytest.approx(height)
+        ends |= {f"thigh{side}": (leg, hip), f"leg{side}": (0.1, leg), f"foot{side}": (0, foot)}
+    for link, (low, high) in ends.items():
+        axis = 0 if link.startswith("foot") else 2
+        middle, half = data.geom(f"{link}_geom").xpos[axis], model.geom(f"{link}_geom").size[1]
+        assert (middle - half, middle + half) == pytest.approx((low, high), abs=1e-12)
+    for body in range(1, model.nbody):
+        _, centre, moments = inertial(model, body)
+        np.testing.assert_allclose(model.body_ipos[body], centre, atol=1e-14)
+        turned = rotation(model.body_iquat[body])
+        about = turned @ np.diag(model.body_inertia[body]) @ turned.T
+        np.testing.assert_allclose(about, moments, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_all_else_is_as_in_gymnasiums_models(name):
+    """Joints, motors, shapes and contacts; what differs on purpose is in docs/tasks.md."""
+    ours = compiled(get_task(name).xml)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        theirs = mujoco.MjModel.from_xml_path(f"{GYMNASIUM}/{name}.xml")
+    fields = ["jnt_type", "jnt_axis", "jnt_range", "jnt_limited", "jnt_stiffness", "jnt_solref"]
+    fields += ["jnt_solimp", "dof_damping", "dof_armature", "actuator_gear", "qpos0"]
+    fields += ["actuator_ctrlrange", "geom_type", "geom_size", "geom_condim", "geom_solref"]
+    fields += ["geom_solimp", "geom_contype", "geom_conaffinity", "geom_friction"]
+    for field in fields:
+        one, other = getattr(ours, field), getattr(theirs, field).copy()
+        if (name, field) == ("walker2d", "geom_friction"):
+            other[-1, 0] = 0.9  # the left foot's 1.9 is a contact pair's here
+        np.testing.assert_allclose(one, other, atol=1e-12, err_msg=field)
+    for option in ("timestep", "gravity", "integrator", "solver", "iterations"):
+        np.testing.assert_array_equal(getattr(ours.opt, option), getattr(theirs.opt, option))
+    feet = {"half_cheetah": [0.4, 0.4], "walker2d": [0.9, 1.9]}.get(name, [])
+    np.testing.assert_array_equal(ours.pair_friction[:, 0], feet)
+    np.testing.assert_array_equal(ours.pair_friction[:, 1], feet)
+    np.testing.assert_array_equal(ours.pair_dim, [3] * len(feet))
 
 
 @pytest.mark.parametrize("name", ["hopper", "humanoid"])

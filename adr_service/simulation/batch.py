@@ -7,8 +7,8 @@
     observations = task.observe(simulations.state)
 
 The one file that knows `mujoco.batch`. Results do not depend on the number of threads, and a
-step depends on the state alone (no warm start). A diverged simulation becomes NaN and stays
-NaN; the others are unharmed.
+step depends on the state alone (no warm start). A simulation that diverges, by MuJoCo's own
+criterion (not finite, or beyond 1e10), becomes NaN and stays NaN; the others are unharmed.
 
 A draw of link lengths is compiled, and what differs is copied into the batch; all other
 parameters are written in place. Fields that a task derives from the state (`Task.derived`) are
@@ -29,6 +29,8 @@ from adr_service.errors import InvalidInput
 from adr_service.simulation.model import Slot, Writer, link_of, resolve
 from adr_service.tasks.base import Reshapable, Source, State, Task
 
+_LARGEST = mujoco.mjMAXVAL  # MuJoCo's own bound of positions and velocities
+
 
 class Simulations:
     """n simulations of a task's source on `threads` threads."""
@@ -38,18 +40,22 @@ class Simulations:
         self._task = task
         self._shape = _Shape(task, source) if _links(source) else None
         model = self._shape.base if self._shape else compiled(task.xml)
+        _check(task, model)
         self._batch = Batch(model, n, threads)
         self._rows = np.arange(n)
         if self._shape:
             self._shape.expand(self._batch)
         parameters = [p.address for p in source.space.parameters]
         self._writer = Writer(self._batch, _slots(model, parameters))
-        fixed = Writer(self._batch, _slots(model, list(source.fixed)))
-        fixed.write(np.tile(list(source.fixed.values()), (n, 1)), self._rows)
+        self._fixed = Writer(self._batch, _slots(model, list(source.fixed)))
+        self._fixed_values = np.tile(list(source.fixed.values()), (n, 1))
+        self._fixed.write(self._fixed_values, self._rows)
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
         self._derived = [self._batch.bind(name) for name in task.derived]
         self._no_derived = np.empty((n, 0))
+        self._unseen = np.zeros(n, dtype=np.bool_)  # whose derived fields are of another state
+        self._diverged = np.zeros(n, dtype=np.bool_)
         self.dynamics = np.full((n, len(source.space)), np.nan)  # (n, d), NaN until set
 
     @property
@@ -57,22 +63,24 @@ class Simulations:
         """A copy of the states of all simulations."""
         if not self._derived:
             return State(self._qpos.copy(), self._qvel.copy(), self._no_derived)
+        if self._unseen.any():
+            self._ctrl[self._unseen] = 0.0
+            self._batch.forward(np.flatnonzero(self._unseen))
+            self._unseen[:] = False
         derived = np.concatenate([array.reshape(self.n, -1) for array in self._derived], axis=1)
+        derived[self._diverged] = np.nan
         return State(self._qpos.copy(), self._qvel.copy(), derived)
 
     @property
     def diverged(self) -> Mask:
-        """(n,) whether a simulation is no longer finite."""
-        if np.isfinite(self._qpos.sum() + self._qvel.sum()):  # nearly always
-            return np.zeros(self.n, dtype=np.bool_)
-        finite: Mask = np.isfinite(self._qpos.sum(axis=1) + self._qvel.sum(axis=1))
-        return ~finite
+        """(n,) whether a simulation has diverged since its state was set."""
+        return self._diverged.copy()
 
     def model(self, row: int) -> mujoco.MjModel:
         """A copy of one simulation's model, to render it or to give it to MuJoCo."""
         return self._batch.get_model(row)
 
-    def set_dynamics(self, values: Matrix, rows: list[int] | None = None) -> None:
+    def set_dynamics(self, values: Matrix, rows: Indices | None = None) -> None:
         """Give simulations (`rows`, or all) their parameters, (n, d) in SI units.
 
         Constants that MuJoCo derives from them (subtree masses, inverse weights) follow.
@@ -81,28 +89,39 @@ class Simulations:
         count = self.n if rows is None else len(rows)
         if given.shape != (count, width) or not np.all(np.isfinite(given)):
             raise InvalidInput(f"dynamics must be finite and ({count}, {width}); given {given}")
-        chosen = self._rows if rows is None else self._rows[rows]
+        chosen = self._rows if rows is None else rows
         if self._shape is not None:
-            self._shape.write(given, chosen)
+            self._shape.write(given, chosen)  # which may move what is fixed
+            self._fixed.write(self._fixed_values[chosen], chosen)
         self._writer.write(given, chosen)
         self._batch.set_const(rows)
         self.dynamics[chosen] = given
 
-    def set_state(self, state: State, rows: list[int] | None = None) -> None:
+    def set_state(self, state: State, rows: Indices | None = None) -> None:
         """Put simulations (`rows`, or all) into full states."""
         chosen = slice(None) if rows is None else rows
         self._qpos[chosen] = state.qpos
         self._qvel[chosen] = state.qvel
-        if self._derived:
-            self._ctrl[chosen] = 0.0
-            self._batch.forward(rows)
+        self._unseen[chosen] = True
+        self._diverged[chosen] = False
 
     def step(self, actions: Matrix) -> None:
         """Advance all simulations by one control step under `actions` (n, a) or (a,)."""
-        if not np.isfinite(actions.sum()):  # MuJoCo would take them for zero
-            raise InvalidInput(f"actions must be finite; given {actions}")
+        shapes = self._ctrl.shape, self._ctrl.shape[1:]
+        # MuJoCo would take what is not finite for zero
+        if actions.shape not in shapes or not np.isfinite(actions.sum()):
+            raise InvalidInput(f"actions must be finite, of shape {shapes[0]}; given {actions}")
         self._ctrl[:] = actions
         self._batch.step(nstep=self._task.frame_skip)
+        self._unseen[:] = False
+        # nearly always none has, and that is found fastest
+        if not (np.abs(self._qpos).max() < _LARGEST and np.abs(self._qvel).max() < _LARGEST):
+            self._diverged = ~(
+                (np.abs(self._qpos) < _LARGEST).all(axis=1)
+                & (np.abs(self._qvel) < _LARGEST).all(axis=1)
+            )
+            self._qpos[self._diverged] = np.nan
+            self._qvel[self._diverged] = np.nan
 
 
 class _Shape:
@@ -115,6 +134,11 @@ class _Shape:
                 f"{task.name} cannot be reshaped, so the lengths of {', '.join(links)} cannot be "
                 "parameters; give the task a method `reshape`"
             )
+        if scaled := [a for a in _addresses(source) if a.endswith(".inertial")]:
+            raise InvalidInput(
+                f"{', '.join(scaled)} would scale an inertia that a length changes too; where "
+                "lengths are parameters, use body:….mass"
+            )
         self._task = task
         fixed = {link_of(address): value for address, value in source.fixed.items()}
         self._fixed = {link: value for link, value in fixed.items() if link is not None}
@@ -125,17 +149,29 @@ class _Shape:
         }
         spec, self._bare = mujoco.MjSpec.from_string(task.xml), _without_textures(task.xml)
         self.base = self._compiled(spec, {})  # the file's lengths, where the source fixes none
-        other = self._compiled(self._bare, dict.fromkeys(links, _OTHER_LENGTH_M))
-        nominal = self._compiled(self._bare, {})
-        self._fields = [name for name in MODEL_FIELDS if _differs(nominal, other, name)]
+        for link, length in self._fixed.items():
+            self._moved(link, length, 1.1 * length)
+        ranges = {link: source.space.parameters[i] for link, i in self._columns.items()}
+        moved = [self._moved(link, p.low, p.high) for link, p in ranges.items()]
+        self._fields: list[str] = sorted(set().union(*moved))
         self._expanded: list[NDArray[Any]] = []  # of a batch
+
+    def _moved(self, link: str, short: float, long: float) -> set[str]:
+        """The model fields that the length of a link changes."""
+        one, other = (self._compiled(self._bare, {link: length}) for length in (short, long))
+        fields = {name for name in MODEL_FIELDS if _differs(one, other, name)}
+        if not fields:
+            raise InvalidInput(
+                f"link:{link}.length changes nothing: {self._task.name} reshapes no such link"
+            )
+        return fields
 
     def expand(self, batch: Batch) -> None:
         """Let the simulations of a batch have geometries of their own."""
         self._expanded = [batch.expand(name) for name in self._fields]
 
     def _compiled(self, spec: mujoco.MjSpec, lengths: Mapping[str, float]) -> mujoco.MjModel:
-        self._task.reshape(spec, {**lengths, **self._fixed})
+        self._task.reshape(spec, {**self._fixed, **lengths})
         try:
             return spec.compile()
         except ValueError as error:
@@ -149,9 +185,6 @@ class _Shape:
             same = rows[np.all(lengths == draw, axis=1)]
             for array, name in zip(self._expanded, self._fields, strict=True):
                 array[same] = getattr(model, name)
-
-
-_OTHER_LENGTH_M = 0.777  # any length no link has, to see which fields a length changes
 
 
 def _without_textures(xml: str) -> mujoco.MjSpec:
@@ -179,9 +212,31 @@ def _slots(model: mujoco.MjModel, addresses: Sequence[str]) -> dict[int, Slot]:
     }
 
 
+def _addresses(source: Source) -> list[str]:
+    return [*source.fixed, *(p.address for p in source.space.parameters)]
+
+
 def _links(source: Source) -> list[str]:
-    addresses = [*source.fixed, *(p.address for p in source.space.parameters)]
-    return [link for address in addresses if (link := link_of(address)) is not None]
+    return [link for address in _addresses(source) if (link := link_of(address)) is not None]
+
+
+def _check(task: Task, model: mujoco.MjModel) -> None:
+    """Refuse a task whose parts do not fit, or whose model hides what the engine promises."""
+    bits = mujoco.mjtDisableBit
+    needed = int(bits.mjDSBL_WARMSTART) | int(bits.mjDSBL_AUTORESET)
+    if model.opt.disableflags & needed != needed:
+        raise InvalidInput(
+            f'the model of {task.name} needs <option><flag warmstart="disable" '
+            'autoreset="disable"/></option>: a step may depend on the state alone, and a '
+            "diverged simulation must be seen"
+        )
+    if not len(task.action_low) == len(task.action_high) == model.nu:
+        raise InvalidInput(
+            f"{task.name} bounds {len(task.action_low)} and {len(task.action_high)} actions; its "
+            f"model has {model.nu} controls"
+        )
+    if not 0 < task.measured <= len(task.columns):
+        raise InvalidInput(f"{task.name} measures {task.measured} of {len(task.columns)} columns")
 
 
 def control_period(task: Task) -> float:

@@ -10,6 +10,7 @@ an environment draws new dynamics at every reset. Training uses `vec_env`, which
 """
 
 from collections.abc import Mapping
+from numbers import Real
 from typing import Any
 
 import gymnasium
@@ -21,7 +22,7 @@ from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import Simulations, control_period
 from adr_service.simulation.rendering import Camera
 from adr_service.tasks.base import State
-from adr_service.tasks.catalogue import get_task, hidden_of, source_of
+from adr_service.tasks.catalogue import get_task, variant_of
 
 
 class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -43,15 +44,13 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ):
         if render_mode not in (None, "rgb_array"):
             raise InvalidInput(f"render_mode {render_mode!r} is not one of None, 'rgb_array'")
-        self._task, hidden = get_task(task), hidden_of(task, variant)
-        self._source = source_of(task, variant)
-        self.space = self._source.space
-        self._truth = hidden.values[[hidden.source.space.index(n) for n in self.space.names]]
-        self._noise = np.sqrt(hidden.noise_variance)
+        self._task, pair = get_task(task), variant_of(task, variant)
+        self.space, self._truth = pair.source.space, pair.truth
+        self._noise = np.sqrt(pair.hidden.noise_variance)
         self._distribution = (
             None if distribution is None else distribution_from_json(self.space, dict(distribution))
         )
-        self._simulations = Simulations(self._task, self._source, 1)
+        self._simulations = Simulations(self._task, pair.source, 1)
         self._simulations.set_dynamics(self._truth[None])
         self._camera: Camera | None = None
         box = gymnasium.spaces.Box
@@ -72,6 +71,7 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode; `options["dynamics"]` gives some or all parameters by name."""
         super().reset(seed=seed)
+        self.close()  # a picture is of one episode's model
         self._simulations.set_dynamics(self._drawn(options or {})[None])
         self._simulations.set_state(self._task.initial(1, self.np_random))
         return self._observe(self._simulations.state), {"dynamics": self.dynamics}
@@ -114,11 +114,14 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         values = self._truth
         if self._distribution is not None:
             values = self._distribution.sample(1, self.np_random).values[0]
+        given = options.get("dynamics", {})
+        if not isinstance(given, Mapping):
+            raise InvalidInput(f"dynamics must be values by name; given {given!r}")
         values = values.copy()
-        for name, value in options.get("dynamics", {}).items():
+        for name, value in given.items():
             index = self.space.index(name)
             least = self.space.feasible_low[index]
-            if not (isinstance(value, int | float) and least <= value < np.inf):
+            if not (isinstance(value, Real) and least <= value < np.inf):
                 raise InvalidInput(f"{name} must be a number from {least:g} up; given {value!r}")
             values[index] = value
         return values

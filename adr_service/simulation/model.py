@@ -5,8 +5,8 @@
     joint:slide.damping      viscous damping [N s/m or N m s/rad]
     actuator:push.gear       motor gear, force per unit of control [N or N m]
     pair:left.friction       sliding friction of an explicit contact pair, both directions
-    pair:*.friction          of all pairs alike; so with every kind
-    link:thigh.length        [m]; the task reshapes the model, which is compiled anew
+    pair:*.friction          of all pairs alike; so with every kind above
+    link:thigh.length        [m]; the task reshapes the model, which is compiled anew (batch.py)
 
 To randomise another quantity, add a row to `FIELDS`.
 """
@@ -21,7 +21,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from adr_service.arrays import Indices, Matrix, Vector
+from adr_service.arrays import Indices, Matrix
 from adr_service.errors import InvalidInput, UnknownName
 
 
@@ -57,7 +57,8 @@ def resolve(model: mujoco.MjModel, address: str) -> Slot:
         raise InvalidInput(f"address {address!r} is not of the form kind:name.attribute")
     kind, name, attribute = match.groups()
     if (kind, attribute) not in FIELDS:
-        raise UnknownName("address", f"{kind}:….{attribute}", [f"{k}:….{a}" for k, a in FIELDS])
+        accepted = [*(f"{k}:….{a}" for k, a in FIELDS), "link:….length"]
+        raise UnknownName("address", f"{kind}:….{attribute}", accepted)
     field, columns, scaled = FIELDS[kind, attribute]
     names = _names(model, kind)
     if name != "*" and name not in names:
@@ -84,25 +85,19 @@ class Writer:
             ]
             columns = np.array([column for column, _ in targets])
             index = tuple(np.array([element for _, element in targets]).T)
-            follows = None
+            self._fields.append(_Field(batch.expand(name), index, columns, None))
             if scaled is not None:
-                model = batch.model
-                follows = (
-                    batch.expand(scaled),
-                    getattr(model, name)[index],
-                    getattr(model, scaled)[index],
-                )
-            self._fields.append(_Field(batch.expand(name), index, columns, follows))
+                nominal = getattr(batch.model, name)[index]
+                per_unit = getattr(batch.model, scaled)[index] / nominal[:, None]
+                self._fields.append(_Field(batch.expand(scaled), index, columns, per_unit))
 
     def write(self, values: Matrix, rows: Indices) -> None:
         """Give simulations `rows` (n,) their `values` (n, d)."""
         for field in self._fields:
             where = (rows[:, None], *field.index)
             chosen = values[:, field.columns]
-            field.array[where] = chosen
-            if field.follows is not None:
-                array, nominal, along = field.follows
-                array[where] = (chosen / nominal)[..., None] * along
+            scale = field.per_unit
+            field.array[where] = chosen if scale is None else chosen[..., None] * scale
 
 
 @dataclass(frozen=True)
@@ -112,7 +107,7 @@ class _Field:
     array: NDArray[Any]  # (n, ...)
     index: tuple[Indices, ...]  # elements, by dimension
     columns: Indices  # of the values, for each element
-    follows: tuple[NDArray[Any], Vector, Matrix] | None  # what scales along; both's nominal values
+    per_unit: Matrix | None  # what one unit of the value gives; None: the value itself
 
 
 def _names(model: mujoco.MjModel, kind: str) -> list[str]:

@@ -1,42 +1,45 @@
 """Pictures and films of simulated robots, without a display.
 
-film = of_policy(env, policy.act, steps=200)          # env with render_mode="rgb_array"
-film = of_recording(task, source, dynamics, data)     # recorded | replayed
-save(film, Path("episode.gif"), task)
+every = stride_of(path, period_s)                               # a GIF leaves pictures out
+pictures = of_policy(env, policy.act, 200, every=every)         # env with render_mode="rgb_array"
+pictures = of_recording(task, source, dynamics, data, every)    # recorded | replayed
+count = save(pictures, path, every * period_s)
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-import imageio.v3
+import imageio
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.errors import InvalidInput
-from adr_service.simulation.batch import Simulations, control_period
+from adr_service.simulation.batch import Simulations
+from adr_service.simulation.replay import check_recorded
 from adr_service.tasks.base import Source, State, Task
 from adr_service.transitions import TransitionDataset
 
 Picture = NDArray[np.uint8]  # (height, width, 3)
+_GIF_TICK_S, _LONGEST_STRIDE = 0.01, 100  # a GIF counts hundredths of a second; players skip one
 
 
 class Camera:
-    """Draws one model from its first camera, offscreen."""
+    """Draws one model offscreen, from its first camera or, where it has none, from aside."""
 
     def __init__(self, model: mujoco.MjModel, width: int = 480, height: int = 352):
         self._model, self._data = model, mujoco.MjData(model)
-        self._context = _context(width, height)
-        self._context.make_current()
         self._size = mujoco.MjrRect(0, 0, width, height)
         self._scene = mujoco.MjvScene(model, maxgeom=1000)
         self._options, self._view = mujoco.MjvOption(), mujoco.MjvCamera()
-        self._view.type, self._view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
-        self._renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._renderer)
+        if model.ncam:
+            self._view.type, self._view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
+        else:
+            mujoco.mjv_defaultFreeCamera(model, self._view)
+        self._context, self._renderer = _open(model, width, height)
 
     def picture(self, qpos: Vector) -> Picture:
         self._data.qpos[:] = qpos
@@ -61,81 +64,99 @@ def of_policy(
     env: Any,
     act: Callable[[Matrix], Matrix],
     steps: int,
+    *,
+    every: int = 1,
     seed: int = 0,
     options: dict[str, Any] | None = None,
-) -> list[Picture]:
+) -> Iterator[Picture]:
     """An episode of a policy in a Gymnasium environment that renders, until it ends."""
     observation, _ = env.reset(seed=seed, options=options)
-    pictures = [env.render()]
-    for _ in range(steps):
-        observation, _, terminated, truncated, _ = env.step(act(observation[None])[0])
-        pictures.append(env.render())
+    yield env.render()
+    for step in range(1, steps + 1):
+        observation, _, terminated, truncated, info = env.step(act(observation[None])[0])
+        if info.get("diverged"):
+            raise InvalidInput(f"the simulation diverged at step {step}")
+        if step % every == 0:
+            yield env.render()
         if terminated or truncated:
-            break
-    return pictures
+            return
 
 
 def of_recording(
-    task: Task, source: Source, dynamics: Vector, data: TransitionDataset
-) -> list[Picture]:
+    task: Task, source: Source, dynamics: Vector, data: TransitionDataset, every: int = 1
+) -> Iterator[Picture]:
     """A recorded episode on the left; replayed open loop from its first state on the right.
 
     What is not measured (how far the robot has come) is not shown on the left.
     """
+    check_recorded(task, data)
     simulations = Simulations(task, source, 1)
     simulations.set_dynamics(dynamics[None])
     recorded = task.state(np.concatenate([data.observations[:1], data.next_observations]))
     simulations.set_state(State(recorded.qpos[:1], recorded.qvel[:1]))
-    replayed = [simulations.state.qpos[0]]
-    for action in data.actions:
-        simulations.step(action)
-        replayed.append(simulations.state.qpos[0])
     camera = Camera(simulations.model(0))
     try:
-        return [
-            np.concatenate([camera.picture(left), camera.picture(right)], axis=1)
-            for left, right in zip(recorded.qpos, replayed, strict=True)
-        ]
+        for step in range(len(data) + 1):
+            if step > 0:
+                simulations.step(data.actions[step - 1])
+            if simulations.diverged[0]:
+                raise InvalidInput(f"the replay diverged at step {step}")
+            if step % every == 0:
+                replayed = simulations.state.qpos[0]
+                both = [camera.picture(qpos) for qpos in (recorded.qpos[step], replayed)]
+                yield np.concatenate(both, axis=1)
     finally:
         camera.close()
 
 
-def save(pictures: Sequence[Picture], path: Path, task: Task) -> None:
-    """Write a film, `.gif` or `.mp4`, that runs as fast as the robot.
+def stride_of(path: Path, period_s: float) -> int:
+    """Every how many control steps a film has a picture, so that it runs as fast as the robot.
 
-    A GIF counts time in hundredths of a second, two at least, so it leaves pictures out.
+    Raises InvalidInput for what is no film's name, before anything is drawn.
     """
-    check_name(path)
-    period_s = control_period(task)
-    if path.suffix == ".gif":
-        hundredths = {k: 100 * k * period_s for k in range(1, 11) if 100 * k * period_s >= 2}
-        stride = min(hundredths, key=lambda k: (abs(hundredths[k] % 1 - 0.5) < 0.49, k))
-        imageio.v3.imwrite(path, list(pictures[::stride]), duration=10 * hundredths[stride], loop=0)
-    else:
-        imageio.v3.imwrite(path, np.array(pictures), fps=1 / period_s, plugin="FFMPEG")
-
-
-def check_name(path: Path) -> None:
-    """Refuse what is no film's name, before anything is drawn."""
     if path.suffix not in (".gif", ".mp4"):
         raise InvalidInput(f"a film ends in .gif or .mp4; given {path.name!r}")
     if not path.absolute().parent.is_dir():
         raise InvalidInput(f"there is no folder {path.absolute().parent}")
+    if path.suffix == ".mp4":
+        return 1
+    ticks = np.arange(1, _LONGEST_STRIDE + 1) * period_s / _GIF_TICK_S
+    error = np.where(ticks < 1.99, np.inf, np.abs(ticks - np.round(ticks)) / ticks)
+    good = np.flatnonzero(error <= max(1e-6, error.min()))
+    return int(good[0]) + 1
 
 
-def _context(width: int, height: int) -> Any:
-    """An OpenGL context: what MUJOCO_GL names, and EGL where it names nothing."""
-    chosen = os.environ.get("MUJOCO_GL", "egl")
+def save(pictures: Iterable[Picture], path: Path, period_s: float) -> int:
+    """Write a film whose pictures are `period_s` apart; returns how many there are."""
+    if path.suffix == ".gif":
+        shown = list(pictures)
+        imageio.v3.imwrite(path, shown, duration=1000 * period_s, loop=0)
+        return len(shown)
+    count = 0
+    film: Any = imageio.v2.get_writer(path, fps=1 / period_s)
+    with film:
+        for picture in pictures:
+            film.append_data(picture)
+            count += 1
+    return count
+
+
+def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, Any]:
+    """An OpenGL context and a renderer in it: what MUJOCO_GL names, EGL where it names nothing."""
+    chosen = os.environ.get("MUJOCO_GL") or "egl"
     try:
         if chosen == "egl":
             from mujoco.egl import GLContext
         else:
             from mujoco import GLContext
-        return GLContext(width, height)
-    # PyOpenGL raises many kinds where a library is missing or finds no device
+        context = GLContext(width, height)
+        context.make_current()
+        renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+    # PyOpenGL and MuJoCo raise many kinds where a library is missing or finds no device
     except Exception as error:
         raise InvalidInput(
             f"nothing to draw with (MUJOCO_GL={chosen}): {error!r}. Install EGL (Debian and "
-            "Ubuntu: apt install libegl1 libgl1-mesa-dri), or set MUJOCO_GL to osmesa or glfw "
-            "before Python starts"
+            "Ubuntu: apt install libegl1 libgl1-mesa-dri) and leave MUJOCO_GL unset"
         ) from error
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, renderer)
+    return context, renderer

@@ -3,7 +3,8 @@
 import numpy as np
 
 from adr_service.arrays import Array3, Matrix
-from adr_service.simulation.batch import Simulations
+from adr_service.errors import InvalidInput
+from adr_service.simulation.batch import Simulations, control_period
 from adr_service.tasks.base import Source, State, Task
 from adr_service.transitions import TransitionDataset
 
@@ -23,6 +24,7 @@ class Replay:
         length: int,
         threads: int = 1,
     ):
+        check_recorded(task, data)
         self._task, self._length = task, length
         self._starts = data.windows(length)
         self._states = task.state(data.observations[self._starts])
@@ -50,3 +52,17 @@ class Replay:
         """Mean over windows of the squared L2 error of the prediction, (n,)."""
         errors = self.predict(dynamics) - self.targets
         return np.mean(np.sum(errors**2, axis=2), axis=1)
+
+
+def check_recorded(task: Task, data: TransitionDataset) -> None:
+    """Refuse data that are not of this task's robot."""
+    given = (data.observations.shape[1], data.actions.shape[1])
+    expected = (task.measured, len(task.action_low))
+    if given != expected:
+        raise InvalidInput(
+            f"the data have {given[0]} observations and {given[1]} actions; {task.name} measures "
+            f"{expected[0]} and takes {expected[1]}"
+        )
+    period = control_period(task)
+    if not np.isclose(data.dt, period, rtol=1e-6):
+        raise InvalidInput(f"the data have {data.dt:g} s per step; {task.name} has {period:g} s")

@@ -43,9 +43,10 @@ def run_episodes(
     the true state. A diverged simulation ends its episode; its last step earns nothing.
     """
     n, measured = simulations.n, task.measured
-    observations = np.full((n, steps + 1, measured), np.nan)
-    actions = np.full((n, steps, len(task.action_low)), np.nan)
-    rewards = np.zeros((n, steps))
+    # written step by step, read by simulation
+    observations = np.empty((steps + 1, n, measured)).swapaxes(0, 1)
+    actions = np.empty((steps, n, len(task.action_low))).swapaxes(0, 1)
+    rewards = np.zeros((steps, n)).T
     alive = np.ones(n, dtype=bool)
     lengths = np.zeros(n, dtype=np.int64)
     diverged = np.zeros(n, dtype=bool)
@@ -61,22 +62,24 @@ def run_episodes(
     view = seen(state)
     observations[:, 0] = view[:, :measured]
     for step in range(steps):
-        chosen = act(np.nan_to_num(view))
+        chosen = act(_shown(view, simulations))
         simulations.step(chosen)
         before, state = state, simulations.state
         broken = simulations.diverged & alive
         with np.errstate(invalid="ignore"):
             earned = task.reward(before, chosen, state)
             ended = task.terminated(state) | broken
-        actions[alive, step] = chosen[alive]
-        rewards[alive & ~broken, step] = earned[alive & ~broken]
         view = seen(state)
-        observations[alive, step + 1] = view[alive, :measured]
+        actions[:, step], rewards[:, step] = chosen, earned
+        observations[:, step + 1] = view[:, :measured]
         lengths += alive
         diverged |= broken
         alive &= ~ended
         if not alive.any():
             break
+    over = np.arange(steps) >= lengths[:, None]
+    observations[:, 1:][over], actions[over], rewards[over] = np.nan, np.nan, 0.0
+    rewards[diverged, lengths[diverged] - 1] = 0.0
     return Episodes(observations, actions, rewards, lengths, diverged)
 
 
@@ -94,8 +97,13 @@ def follow(
     view = task.observe(simulations.state)
     observations[:, 0] = view[:, : task.measured]
     for step in range(steps):
-        simulations.step(act(np.nan_to_num(view)))
+        simulations.step(act(_shown(view, simulations)))
         view = task.observe(simulations.state)
         observations[:, step + 1] = view[:, : task.measured]
         progress((step + 1) / steps)
     return observations
+
+
+def _shown(view: Matrix, simulations: Simulations) -> Matrix:
+    """What a policy is given: zeros where the simulation has diverged."""
+    return np.nan_to_num(view) if simulations.diverged.any() else view

@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from adr_service.arrays import Matrix
+from adr_service.arrays import Indices, Matrix
 from adr_service.distributions import Distribution
 from adr_service.simulation.batch import Simulations
 from adr_service.tasks.base import Source, State, Task
@@ -51,7 +51,7 @@ class RandomizedVecEnv(VecEnv):
         return self.simulations.dynamics.copy()
 
     def reset(self) -> np.ndarray:
-        return self._begin(list(range(self.num_envs)))
+        return self._begin(np.arange(self.num_envs))
 
     def step_async(self, actions: np.ndarray) -> None:
         self._actions = np.asarray(actions, dtype=np.float64)
@@ -72,7 +72,7 @@ class RandomizedVecEnv(VecEnv):
         self._before = after
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if done.any():
-            rows = np.flatnonzero(done).tolist()
+            rows = np.flatnonzero(done)
             for row in rows:
                 infos[row] = {
                     "terminal_observation": observations[row].copy(),
@@ -81,7 +81,7 @@ class RandomizedVecEnv(VecEnv):
             observations[rows] = self._begin(rows)[rows]
         return observations, rewards, done, infos
 
-    def _begin(self, rows: list[int]) -> np.ndarray:
+    def _begin(self, rows: Indices) -> np.ndarray:
         """Start episodes in `rows` under freshly drawn dynamics; the observations of all."""
         draws = self._distribution.sample(len(rows), self._rng)
         self.adjusted += draws.adjusted

@@ -48,6 +48,12 @@ class Variant:
     source: Source
     hidden: Hidden
 
+    @property
+    def truth(self) -> Vector:
+        """(d,) the hidden values of the source's own parameters."""
+        space = self.hidden.source.space
+        return self.hidden.values[[space.index(name) for name in self.source.space.names]]
+
 
 @dataclass(frozen=True)
 class Entry:

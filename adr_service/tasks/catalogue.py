@@ -47,14 +47,20 @@ def variants_of(task: str) -> Mapping[str, Variant]:
     return _entry(task).variants
 
 
+def variant_of(task: str, variant: str) -> Variant:
+    if variant not in variants_of(task):
+        raise UnknownName(f"variant of {task}", variant, variants_of(task))
+    return variants_of(task)[variant]
+
+
 def source_of(task: str, variant: str) -> Source:
     """What methods may simulate of a task's variant."""
-    return _variant(task, variant).source
+    return variant_of(task, variant).source
 
 
 def hidden_of(task: str, variant: str) -> Hidden:
     """The truth behind a variant's target. For simulated targets and environments alone."""
-    return _variant(task, variant).hidden
+    return variant_of(task, variant).hidden
 
 
 @cache
@@ -96,9 +102,3 @@ def _entry(task: str) -> Entry:
     if task not in catalogue():
         raise UnknownName("task", task, catalogue())
     return catalogue()[task]
-
-
-def _variant(task: str, variant: str) -> Variant:
-    if variant not in variants_of(task):
-        raise UnknownName(f"variant of {task}", variant, variants_of(task))
-    return variants_of(task)[variant]
