@@ -1,5 +1,6 @@
 """The tables of docs/tasks.md say what the code does."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,12 @@ def test_the_table_of_tasks_is_right(name):
         f"{task.learning_rate:.0e}".replace("e-0", "e-"),
     ]
     assert f"| {' | '.join(cells)} |" in PAGE
+
+
+def test_nothing_is_left_to_fill_in():
+    assert not re.search(r"@\w+@", PAGE)
+    for picture in re.findall(r"\((pictures/[^)]+)\)", PAGE):
+        assert (Path(__file__).parent.parent / "docs" / picture).is_file()
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
