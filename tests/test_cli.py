@@ -82,4 +82,4 @@ def test_mistakes_are_explained_in_a_line_or_two(adr, arguments, message):
 def test_the_doctor_finds_this_machine_fit(adr):
     code, shown = adr("doctor")
     assert code == 0
-    assert "MuJoCo compiles the tasks: arm, hopper" in shown
+    assert "MuJoCo simulates the tasks: arm, hopper" in shown
