@@ -3,8 +3,7 @@
 - `smoke`: hundreds of steps, for tests. Its numbers mean nothing.
 - `demo`: minutes, for the task `arm`: policies of 40,000 steps.
 - `quick`: one task in under an hour on two cores; shorter trainings, smaller searches.
-- `paper`: the benchmark's protocol (Tiboni et al., Sec. 3.2 and 3.4), but for the tuning of
-  DROPO's epsilon, which is one value here.
+- `paper`: the benchmark's protocol (Tiboni et al., Sec. 3.2 and 3.4).
 """
 
 from typing import Any
@@ -28,7 +27,10 @@ PRESETS: dict[str, dict[str, Any]] = {
         "methods": {
             "udr": {"policies": 2},
             "simopt": {"updates": 2, "samples": 20},
-            "dropo": {"budget": 20, "samples_per_parameter": 3},
+            "simopt_1": {"updates": 3, "samples": 20},
+            "droid": {"budget": 30},
+            "dropo": {"budget": 20, "samples_per_parameter": 3, "epsilon": 1e-4},
+            "sysid": {"starts": 1, "iterations": 3},
         },
     },
     "demo": {
@@ -50,7 +52,9 @@ PRESETS: dict[str, dict[str, Any]] = {
         "methods": {
             "udr": {"policies": 3},
             "simopt": {"samples": 500},
-            "dropo": {"budget": 800, "samples_per_parameter": 4},
+            "simopt_1": {"samples": 500},
+            "droid": {"budget": 500},
+            "dropo": {"budget": 800, "samples_per_parameter": 4, "epsilon": 1e-4},
         },
     },
     "quick": {
@@ -70,7 +74,9 @@ PRESETS: dict[str, dict[str, Any]] = {
         "methods": {
             "udr": {"policies": 3},
             "simopt": {"samples": 300},
-            "dropo": {"budget": 300},
+            "simopt_1": {"samples": 300},
+            "droid": {"budget": 500},
+            "dropo": {"budget": 1500, "epsilon": [1e-5, 1e-4, 1e-3]},
         },
     },
     "paper": {

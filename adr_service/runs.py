@@ -3,8 +3,8 @@
     for event in run(spec, LocalStages()):
         print(event)
 
-offline (UDR, DROPO):  data -> estimate -> train once -> evaluate on the target
-online (SimOpt):       repeat: train -> visit the target -> update the estimate
+offline (UDR, DROID, DROPO, sysid): data -> estimate -> train once -> evaluate on the target
+online (SimOpt):                    repeat: train -> visit the target -> update the estimate
 
 The same program runs in the service, in tests and in a debugger; `stages` alone differs.
 Offline methods learn from the trajectories that SimOpt collects with the same seed (benchmark,
@@ -14,13 +14,17 @@ Sec. 3.4), by running SimOpt's own stages: whoever comes first computes them for
 from collections.abc import Generator, Sequence
 from typing import Any
 
+import numpy as np
+
 from adr_service.distributions import Distribution, Gaussian, distribution_from_json
 from adr_service.events import IterationFinished, RunEvent
 from adr_service.methods import online
 from adr_service.methods.base import Problem
+from adr_service.methods.droid import DroidSettings
 from adr_service.methods.dropo import DropoSettings
 from adr_service.methods.references import OracleSettings, PriorSettings
-from adr_service.methods.simopt import SimOptSettings
+from adr_service.methods.simopt import SimOpt1Settings, SimOptSettings
+from adr_service.methods.sysid import SysidSettings
 from adr_service.methods.udr import UdrSettings, random_bounds
 from adr_service.presets import PRESETS
 from adr_service.randomness import stream
@@ -39,7 +43,9 @@ def run(spec: RunSpec, stages: Stages) -> Program:
     match spec.method:
         case SimOptSettings():
             yield from _online(spec, stages)
-        case DropoSettings():
+        case SimOpt1Settings():
+            yield from _single_shot(spec, stages)
+        case DropoSettings() | DroidSettings() | SysidSettings():
             yield from _offline(spec, stages)
         case UdrSettings():
             rng = stream("udr", spec.task, spec.variant, spec.seed)
@@ -59,8 +65,8 @@ def _online(spec: RunSpec, stages: Stages) -> Program:
         trained = yield from loop.train()
         yield from _report(spec, loop.target, iteration, [loop.distribution], [trained], loop.last)
         if iteration < spec.iterations:
-            yield from loop.visit(trained, iteration)
-            yield from loop.update()
+            visit = yield from loop.visit(trained, iteration)
+            yield from loop.update([visit])
 
 
 def _offline(spec: RunSpec, stages: Stages) -> Program:
@@ -72,20 +78,60 @@ def _offline(spec: RunSpec, stages: Stages) -> Program:
     visits: list[Visit] = []
     for iteration in range(1, spec.iterations + 1):
         if iteration > 1:
-            yield from collector.update()
+            yield from collector.update(visits[-1:])
         collecting = yield from collector.train()
         visits.append((yield from collector.visit(collecting, iteration - 1)))
-        data = TransitionDataset.concatenate([TransitionDataset.from_npz(v.data) for v in visits])
-        inferred = yield from stages.run(
-            Stage(
-                "infer",
-                {**_identity(spec), "method": spec.method.model_dump()},
-                {"data": data.to_npz()},
-            )
-        )
+        inferred = yield from _estimate(spec, stages, _joined(visits))
         distribution = _decode(spec, inferred.values["distribution"])
         trained = yield from stages.run(_training(spec, distribution))
         yield from _report(spec, target, iteration, [distribution], [trained], inferred)
+
+
+def _estimate(spec: RunSpec, stages: Stages, data: bytes) -> Generator[RunEvent, None, StageResult]:
+    """What an offline method infers; of several epsilons, by the one that predicts best.
+
+    DROPO, Sec. IV-A: the mean squared error of one-step predictions by the estimate's mean.
+    """
+    method = spec.method
+    each = method.each() if isinstance(method, DropoSettings) else [method]
+    inputs = [{**_identity(spec), "method": settings.model_dump()} for settings in each]
+    results = yield from stages.all([Stage("infer", given, {"data": data}) for given in inputs])
+    if len(results) == 1:
+        return results[0]
+    errors = [result.values["diagnostics"]["mean_squared_error"] for result in results]
+    best = results[int(np.argmin(errors))]
+    tried = {
+        str(result.values["diagnostics"]["epsilon"]): error
+        for result, error in zip(results, errors, strict=True)
+    }
+    values = {
+        **best.values,
+        "simulated_steps": sum(result.values["simulated_steps"] for result in results),
+        "diagnostics": {**best.values["diagnostics"], "mean_squared_error_by_epsilon": tried},
+    }
+    return StageResult(values, best.blobs)
+
+
+def _single_shot(spec: RunSpec, stages: Stages) -> Program:
+    """SimOpt-1: ever more trajectories of the prior's policy, and one inference from the prior."""
+    loop = _OnlineLoop(spec, stages, Target(spec, stages))
+    collecting = yield from loop.train()
+    yield from _report(spec, loop.target, 0, [loop.distribution], [collecting])
+    visits: list[Visit] = []
+    for iteration in range(1, spec.iterations + 1):
+        visits.append((yield from loop.visit(collecting, iteration - 1)))
+        fresh = _OnlineLoop(spec, stages, loop.target)
+        yield from fresh.update(visits)
+        trained = yield from fresh.train()
+        yield from _report(
+            spec, loop.target, iteration, [fresh.distribution], [trained], fresh.last
+        )
+
+
+def _joined(visits: Sequence[Visit]) -> bytes:
+    """The transitions of several visits, one episode each."""
+    parts = [TransitionDataset.from_npz(visit.data) for visit in visits]
+    return TransitionDataset.concatenate(parts).to_npz()
 
 
 def _train_and_report(
@@ -106,7 +152,6 @@ class _OnlineLoop:
         self._spec, self._stages, self.target = spec, stages, target
         self._method, self._problem = online(spec.method), _problem(spec)
         self._state = self._method.start(self._problem)
-        self._visit: Visit | None = None
         self.last: StageResult | None = None  # of the latest inference
 
     @property
@@ -117,11 +162,10 @@ class _OnlineLoop:
         return (yield from self._stages.run(_training(self._spec, self.distribution)))
 
     def visit(self, trained: StageResult, iteration: int) -> Generator[RunEvent, None, Visit]:
-        self._visit = yield from self.target.rollout(trained.blobs["policy"], iteration)
-        return self._visit
+        return (yield from self.target.rollout(trained.blobs["policy"], iteration))
 
-    def update(self) -> Program:
-        assert self._visit is not None, "update() follows visit()"
+    def update(self, visits: Sequence[Visit]) -> Program:
+        """Infer from visits of one policy."""
         self.last = yield from self._stages.run(
             Stage(
                 "infer",
@@ -130,7 +174,7 @@ class _OnlineLoop:
                     "method": self._spec.method.model_dump(),
                     "state": self._state,
                 },
-                {"policy": self._visit.policy, "data": self._visit.data},
+                {"policy": visits[0].policy, "data": _joined(visits)},
             )
         )
         self._state = self.last.values["state"]

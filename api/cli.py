@@ -53,7 +53,7 @@ def serve(
 def submit(
     file: Annotated[Path | None, typer.Argument(help="JSON of a run or a benchmark.")] = None,
     task: Annotated[str | None, typer.Option(help="arm, hopper, half_cheetah, …")] = None,
-    method: Annotated[str | None, typer.Option(help="udr, simopt, dropo, prior, oracle.")] = None,
+    method: Annotated[str | None, typer.Option(help="simopt, dropo, droid, udr, …")] = None,
     variant: Annotated[str, typer.Option(help="vanilla, noisy or unmodeled.")] = "vanilla",
     seed: Annotated[int, typer.Option()] = 0,
     preset: Annotated[str, typer.Option(help="smoke, demo, quick or paper.")] = "quick",

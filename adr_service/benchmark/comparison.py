@@ -11,7 +11,7 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.benchmark.statistics import Interval, mean_interval
 from adr_service.distributions import Distribution, distribution_from_json
 from adr_service.events import IterationFinished
-from adr_service.methods import METHODS
+from adr_service.methods import INFERRING, METHODS
 from adr_service.randomness import stream
 from adr_service.specs import RunSpec
 from adr_service.target import estimation_error, true_values
@@ -82,7 +82,7 @@ def estimates(outcomes: Sequence[Outcome]) -> list[ParameterEstimate]:
     found: list[ParameterEstimate] = []
     for outcome in outcomes:
         spec = outcome.spec
-        if spec.method.name not in {"simopt", "dropo"}:
+        if spec.method.name not in INFERRING:
             continue
         distribution, truth = _decode(outcome)[0], true_values(spec.task, spec.variant)
         parameters = source_of(spec.task, spec.variant).space.parameters
@@ -143,7 +143,7 @@ def _mean_error(outcomes: Sequence[Outcome]) -> float | None:
     errors = [
         estimation_error(o.spec.task, o.spec.variant, _decode(o)[0].mean)
         for o in outcomes
-        if o.spec.method.name in {"simopt", "dropo", "prior"}
+        if o.spec.method.name in (*INFERRING, "prior")
     ]
     return float(np.mean(errors)) if errors else None
 

@@ -19,11 +19,23 @@ Format = Literal["svg", "png"]
 COLOURS = {
     "udr": "#E69F00",
     "simopt": "#0072B2",
+    "simopt_1": "#56B4E9",
+    "droid": "#CC79A7",
     "dropo": "#D55E00",
+    "sysid": "#000000",
     "prior": "#666666",
     "oracle": "#009E73",
 }
-LABELS = {"udr": "UDR", "simopt": "SimOpt", "dropo": "DROPO", "prior": "prior", "oracle": "oracle"}
+LABELS = {
+    "udr": "UDR",
+    "simopt": "SimOpt",
+    "simopt_1": "SimOpt-1",
+    "droid": "DROID",
+    "dropo": "DROPO",
+    "sysid": "sysid",
+    "prior": "prior",
+    "oracle": "oracle",
+}
 _DRAWING = threading.Lock()  # Matplotlib's settings belong to the process; requests to threads
 _REFERENCES = ("udr", "prior", "oracle")  # no iterations: drawn as levels
 

@@ -7,12 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adr_service.methods.droid import DroidSettings
 from adr_service.methods.dropo import DropoSettings
 from adr_service.methods.references import OracleSettings, PriorSettings
-from adr_service.methods.simopt import SimOptSettings
+from adr_service.methods.simopt import SimOpt1Settings, SimOptSettings
+from adr_service.methods.sysid import SysidSettings
 from adr_service.methods.udr import UdrSettings
 from adr_service.randomness import stream
 from adr_service.simulation.batch import Simulations
+from adr_service.simulation.emulator import draws_to_fit
 from adr_service.specs import RunSpec
 from adr_service.tasks.base import Task
 from adr_service.tasks.catalogue import get_task, source_of, variants_of
@@ -23,6 +26,7 @@ from adr_service.wire import canonical_json
 # and what grows with them, for 2x128 and batches of 256. From trainings of `arm` and `hopper`.
 _UPDATE_S = {"sbx": (0.0001, 0.0044), "sb3": (0.0025, 0.0125)}
 _REFERENCE_WORK = 256 * 128**2  # batch size x weights of the hidden layers' product
+_EMULATORS = 8  # fitted by one search of DROPO, from runs on `arm` and `hopper`: 3 to 8
 _VECTOR_STEP_S = 0.0007  # acting and storing, per step of all environments
 
 
@@ -82,32 +86,49 @@ def _trainings(spec: RunSpec) -> Iterable[Key]:
             return [("oracle", spec.task, rest.removeprefix(spec.variant))]
         case PriorSettings():
             return [("prior", spec.task, rest)]
-        case SimOptSettings():
-            own = [(f"simopt {i}", spec.task, rest) for i in range(1, spec.iterations + 1)]
-        case DropoSettings():
+        case SimOptSettings() | SimOpt1Settings():
+            own = [(f"{spec.method.name} {i}", spec.task, rest) for i in _iterations(spec)]
+        case DropoSettings() | DroidSettings() | SysidSettings():
             own = [(f"simopt {i}", spec.task, rest) for i in range(1, spec.iterations)]
-            own += [(f"dropo {i}", spec.task, rest) for i in range(1, spec.iterations + 1)]
+            own += [(f"{spec.method.name} {i}", spec.task, rest) for i in _iterations(spec)]
     return [("prior", spec.task, rest), *own]
 
 
 def _searches(spec: RunSpec) -> Iterable[tuple[Key, int]]:
     """Control steps that the inference of a run simulates."""
-    for iteration in range(1, spec.iterations + 1):
+    d = len(source_of(spec.task, spec.variant).space)
+    for iteration in _iterations(spec):
+        seen = spec.transitions * iteration
         match spec.method:
             case SimOptSettings(updates=updates, samples=samples):
                 steps = updates * samples * spec.transitions
-            case DropoSettings(budget=budget, samples_per_parameter=k):
-                d = len(source_of(spec.task, spec.variant).space)
-                steps = budget * k * d * spec.transitions * iteration
+            case SimOpt1Settings(updates=updates, samples=samples):
+                steps = updates * samples * seen
+            case DropoSettings(budget=budget, samples_per_parameter=k, exact=True):
+                steps = budget * k * d * seen * len(spec.method.each())
+            case DropoSettings():
+                steps = _EMULATORS * draws_to_fit(d) * seen * len(spec.method.each())
+            case DroidSettings(budget=budget):
+                steps = budget * seen
+            case SysidSettings(starts=starts, iterations=iterations):
+                steps = starts * iterations * (d + 2) * seen
             case _:
                 return
         yield (f"{spec.method.name} {iteration}", spec.task, f"{spec.variant} {spec.seed}"), steps
 
 
 def _rollouts(spec: RunSpec) -> Iterable[tuple[str, str, int, int]]:
-    if isinstance(spec.method, SimOptSettings | DropoSettings):
+    offline = DropoSettings | DroidSettings | SysidSettings
+    if isinstance(spec.method, SimOptSettings | SimOpt1Settings | offline):
+        collector = "prior" if isinstance(spec.method, SimOpt1Settings) else "simopt"
         for iteration in range(spec.iterations):
-            yield (spec.task, spec.variant, spec.seed, iteration)
+            # the first rollout of all is of the prior's policy
+            who = collector if iteration > 0 else "prior"
+            yield (f"{who} {spec.task}", spec.variant, spec.seed, iteration)
+
+
+def _iterations(spec: RunSpec) -> range:
+    return range(1, spec.iterations + 1)
 
 
 def _training_s(task_name: str, rate: float, settings: TrainingSettings) -> float:

@@ -33,9 +33,7 @@ from adr_service.wire import Wire
 _LEAST_RATIO = 1e-12  # of the new variance to the old, below which the fit is singular
 
 
-class SimOptSettings(Wire):
-    name: Literal["simopt"] = "simopt"
-    updates: int = Field(5, ge=1, le=1000, description="REPS updates per target trajectory")
+class _Settings(Wire):
     samples: int = Field(
         1000, ge=10, le=100_000, description="simulated parameter samples per update"
     )
@@ -47,8 +45,20 @@ class SimOptSettings(Wire):
     filter_std: float = Field(5.0, ge=0, description="Gaussian filter over time [steps]")
 
 
+class SimOptSettings(_Settings):
+    name: Literal["simopt"] = "simopt"
+    updates: int = Field(5, ge=1, le=1000, description="REPS updates per target trajectory")
+
+
+class SimOpt1Settings(_Settings):
+    """SimOpt-1 (benchmark, Sec. 3.2): all updates at once, on data of the prior's policy."""
+
+    name: Literal["simopt_1"] = "simopt_1"
+    updates: int = Field(25, ge=1, le=1000, description="REPS updates, from the prior")
+
+
 class SimOpt:
-    def __init__(self, settings: SimOptSettings):
+    def __init__(self, settings: SimOptSettings | SimOpt1Settings):
         self._settings = settings
 
     def start(self, problem: Problem) -> dict[str, Any]:
@@ -92,7 +102,7 @@ class SimOpt:
 class _ClosedLoop:
     """Discrepancy between recorded trajectories and the policy's simulated ones."""
 
-    def __init__(self, problem: Problem, evidence: Evidence, settings: SimOptSettings):
+    def __init__(self, problem: Problem, evidence: Evidence, settings: _Settings):
         self._task, self._settings = problem.task, settings
         self._act = evidence.policy.act
         self._simulations = Simulations(problem.task, problem.source, settings.samples)
@@ -138,7 +148,7 @@ class _ClosedLoop:
 
 
 def reps(
-    samples: Matrix, costs: Vector, covariance: Matrix, settings: SimOptSettings
+    samples: Matrix, costs: Vector, covariance: Matrix, settings: _Settings
 ) -> tuple[Vector, Matrix, float]:
     """One REPS step: the new mean (d,), covariance (d, d), and the temperature.
 

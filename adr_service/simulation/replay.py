@@ -35,8 +35,16 @@ class Replay:
     def predict(self, dynamics: Matrix) -> Array3:
         """Predicted observations at each window's end, (n, w, s); NaN where diverged.
 
-        Only the first state of a window is taken from the data.
+        Only the first state of a window is taken from the data. Any number of dynamics; they
+        are simulated `n` (of the constructor) at a time, which changes no bit.
         """
+        most = self._simulations.n
+        parts = [dynamics[first : first + most] for first in range(0, len(dynamics), most)]
+        padding = parts[-1][[-1] * (most - len(parts[-1]))]
+        parts[-1] = np.concatenate([parts[-1], padding])
+        return np.concatenate([self._predict(part) for part in parts])[: len(dynamics)]
+
+    def _predict(self, dynamics: Matrix) -> Array3:
         simulations, n, measured = self._simulations, len(dynamics), self._task.measured
         simulations.set_dynamics(dynamics)
         predictions = np.empty((n, len(self._starts), self.targets.shape[1]))

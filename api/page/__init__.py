@@ -6,6 +6,7 @@ from fastapi import APIRouter, Request, Response
 from fastapi.templating import Jinja2Templates
 
 from adr_service.benchmark.comparison import table
+from adr_service.methods import INFERRING
 from api.routes.benchmarks import view
 from api.service import ServiceDependency
 from db import runs as store
@@ -33,7 +34,7 @@ def index(request: Request, service: ServiceDependency) -> Response:
 def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -> Response:
     shown = view(service, store.get_benchmark(service.database, benchmark_id))
     outcomes = service.outcomes(store.runs_of(service.database, benchmark_id))
-    inferred = any(outcome.spec.method.name in {"simopt", "dropo"} for outcome in outcomes)
+    inferred = any(outcome.spec.method.name in INFERRING for outcome in outcomes)
     return _templates.TemplateResponse(
         request,
         "benchmark.html",
