@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow lint bench-sim clean
+.PHONY: setup demo serve test test-slow lint bench-sim bench-dropo clean
 
 setup: $(STAMP)
 
@@ -35,6 +35,9 @@ test-slow: setup
 
 bench-sim: setup
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/simulation.py
+
+bench-dropo: setup
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/dropo.py
 
 clean:
 	rm -rf $(VENV) build *.egg-info

@@ -6,6 +6,7 @@
 Draws are always feasible. How many had to be moved to make them so is part of the answer.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -191,17 +192,20 @@ class TruncatedGaussian:
 
 def distribution_from_json(space: ParameterSpace, document: dict[str, Any]) -> Distribution:
     """The distribution that `to_json` wrote."""
-    match document.get("kind"):
-        case "uniform":
-            return Uniform(space, document["low"], document["high"])
-        case "gaussian":
-            return Gaussian(space, document["location"], document["covariance"])
-        case "truncated_gaussian":
-            return TruncatedGaussian(space, document["mean"], document["std"])
-        case other:
-            raise UnknownName(
-                "distribution kind", str(other), ("uniform", "gaussian", "truncated_gaussian")
-            )
+    kind = str(document.get("kind"))
+    if kind not in _KINDS:
+        raise UnknownName("distribution kind", kind, _KINDS)
+    create, fields = _KINDS[kind]
+    if missing := [name for name in fields if name not in document]:
+        raise InvalidInput(f"a {kind} distribution needs {', '.join(fields)}; not given: {missing}")
+    return create(space, *(document[name] for name in fields))
+
+
+_KINDS: dict[str, tuple[Callable[..., Distribution], tuple[str, str]]] = {
+    "uniform": (Uniform, ("low", "high")),
+    "gaussian": (Gaussian, ("location", "covariance")),
+    "truncated_gaussian": (TruncatedGaussian, ("mean", "std")),
+}
 
 
 def _vector(space: ParameterSpace, values: Any, name: str) -> Vector:

@@ -3,7 +3,7 @@
     data = TransitionDataset.from_npz(path.read_bytes())
     starts = data.windows(1)        # rows from which one step stays inside its episode
 
-The `.npz` keys are DROPO's (`observations`, `next_observations`, `actions`, `terminals`).
+The `.npz` keys are DROPO's (`observations`, `next_observations`, `actions`, `terminals`), and `dt`.
 """
 
 import io
@@ -108,6 +108,9 @@ class TransitionDataset:
                 fields = {name: arrays[name] for name in arrays.files}
         except (ValueError, zipfile.BadZipFile, EOFError) as error:
             raise InvalidInput(f"not a readable .npz of plain arrays: {error}") from error
+        if "episodes" not in fields and "terminals" in fields:  # DROPO's own files
+            ends = np.cumsum(fields["terminals"].astype(bool))
+            fields["episodes"] = np.concatenate([[0], ends[:-1]])
         needed = {"observations", "actions", "next_observations", "episodes", "dt"}
         if missing := needed - fields.keys():
             raise InvalidInput(f"the .npz lacks {sorted(missing)}; it has {sorted(fields)}")

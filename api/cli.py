@@ -183,7 +183,7 @@ def render(
         typer.Option("--set", help="A parameter, torso_mass=4.2; all others are true."),
     ] = None,
     episode: Annotated[int, typer.Option(help="Of the recording, from 0.")] = 0,
-    steps: Annotated[int, typer.Option(help="At most.", min=1)] = 500,
+    steps: Annotated[int | None, typer.Option(help="At most; an episode.", min=1)] = None,
     seed: Annotated[int, typer.Option(help="Of the initial state and the noise.")] = 0,
 ) -> None:
     """Film a policy, or a recording beside its simulation; needs no service and no display."""

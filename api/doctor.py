@@ -11,7 +11,8 @@ from pathlib import Path
 from rich.console import Console
 
 from adr_service.errors import InvalidInput
-from adr_service.simulation.batch import Simulations, compiled
+from adr_service.simulation.batch import compiled
+from adr_service.simulation.contract import check as check_task
 from adr_service.simulation.rendering import Camera
 from adr_service.tasks.catalogue import catalogue
 from api.settings import read_settings
@@ -58,10 +59,11 @@ def _cores() -> tuple[bool, str]:
 
 
 def _simulator() -> tuple[bool, str]:
-    for entry in catalogue().values():
-        for variant in entry.variants.values():
-            for source in (variant.source, variant.hidden.source):
-                Simulations(entry.task, source, 1)
+    try:
+        for entry in catalogue().values():
+            check_task(entry)
+    except InvalidInput as error:
+        return False, str(error)
     return True, f"MuJoCo simulates the tasks: {', '.join(catalogue())}"
 
 

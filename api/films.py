@@ -22,7 +22,7 @@ class Scene:
     task: str
     variant: str
     dynamics: dict[str, Any]
-    steps: int  # at most
+    steps: int | None  # at most; None: an episode's length
     seed: int
 
 
@@ -38,10 +38,8 @@ def film_policy(scene: Scene, file: Path, out: Path) -> int:
     period_s = control_period(task)
     every = stride_of(out, period_s)
     env = RandomizedEnv(scene.task, scene.variant, render_mode="rgb_array")
-    options = {"dynamics": scene.dynamics}
-    pictures = of_policy(
-        env, policy.act, scene.steps, every=every, seed=scene.seed, options=options
-    )
+    options, steps = {"dynamics": scene.dynamics}, scene.steps or task.horizon
+    pictures = of_policy(env, policy.act, steps, every=every, seed=scene.seed, options=options)
     try:
         return save(pictures, out, every * period_s)
     finally:
@@ -62,7 +60,7 @@ def film_recording(scene: Scene, file: Path, episode: int, out: Path) -> int:
     )
     period_s = control_period(task)
     every = stride_of(out, period_s)
-    shown = episodes[episode].first(scene.steps)
+    shown = episodes[episode].first(scene.steps or task.horizon)
     return save(of_recording(task, source, dynamics, shown, every), out, every * period_s)
 
 

@@ -103,3 +103,8 @@ def test_an_impossible_covariance_is_refused(covariance):
 def test_an_unknown_kind_is_refused():
     with pytest.raises(UnknownName, match="uniform, gaussian, truncated_gaussian"):
         distribution_from_json(SPACE, {"kind": "beta"})
+
+
+def test_a_missing_field_is_named():
+    with pytest.raises(InvalidInput, match=r"needs low, high; not given: \['high'\]"):
+        distribution_from_json(SPACE, {"kind": "uniform", "low": [1.0, 1.0]})

@@ -100,6 +100,7 @@ def test_a_diverged_simulation_ends_its_episode_and_says_so():
         ({"dynamics": {"torso_mass": np.nan}}, "from 0.1 up; given nan"),
         ({"dynamics": {"torso_mass": "heavy"}}, "from 0.1 up; given 'heavy'"),
         ({"masses": {}}, "known: dynamics"),
+        ({"dynamics": [3.0]}, "values by name"),
     ],
 )
 def test_dynamics_that_cannot_be_are_explained(options, message):
@@ -114,3 +115,13 @@ def test_actions_that_are_not_finite_are_refused():
     env.reset(seed=0)
     with pytest.raises(InvalidInput, match="finite"):
         env.step(np.array([0.0, np.nan, 0.0]))
+
+
+def test_a_frozen_parameter_cannot_be_given():
+    env = gymnasium.make("adr/RandomHopperUnmodeled-v0").unwrapped
+    with pytest.raises(InvalidInput, match="torso_mass is frozen"):
+        env.reset(options={"dynamics": {"torso_mass": 4.0}})
+
+
+def test_the_control_period_is_known_exactly():
+    assert gymnasium.make("adr/RandomHumanoid-v0").unwrapped.dt == pytest.approx(0.015, rel=1e-12)

@@ -1,5 +1,7 @@
 """Formulas against references, and planted truths recovered."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -7,16 +9,22 @@ from scipy import stats
 from adr_service.distributions import Gaussian, TruncatedGaussian, Uniform
 from adr_service.errors import InvalidInput
 from adr_service.methods.base import Evidence, Problem
+from adr_service.methods.droid import Droid, DroidSettings
 from adr_service.methods.dropo import Dropo, DropoSettings, decode, log_likelihood
 from adr_service.methods.simopt import SimOpt, SimOptSettings, reps
+from adr_service.methods.sysid import Sysid, SysidSettings
 from adr_service.methods.udr import UdrSettings, random_bounds
 from adr_service.progress import silent
 from adr_service.randomness import stream
+from adr_service.search.cma_es import belief, strategy
 from adr_service.simulation.batch import Simulations
+from adr_service.simulation.emulator import Emulator
+from adr_service.simulation.replay import Replay
 from adr_service.simulation.rollout import run_episodes
 from adr_service.tasks.catalogue import get_task, variants_of
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
+from tests.test_rendering import recording
 
 ARM = get_task("arm")
 SOURCE = variants_of(ARM.name)["vanilla"].source
@@ -123,27 +131,147 @@ class TestDropo:
         assert found.mean[1] == pytest.approx(PLANTED[1], rel=0.2)
         assert found.std[0] < 0.25
 
-    def test_the_estimate_reports_what_it_cost(self):
+    @pytest.mark.parametrize("exact", [True, False])
+    def test_the_estimate_reports_what_it_cost(self, exact):
         data = recorded(PLANTED, waving_policy())
-        settings = DropoSettings(budget=30, samples_per_parameter=2, epsilon=1e-4)
+        settings = DropoSettings(budget=30, samples_per_parameter=2, epsilon=1e-4, exact=exact)
         estimate = Dropo(settings).fit(PROBLEM, data, stream("cost"), silent)
         evaluations = estimate.diagnostics["evaluations"]
         assert 30 <= evaluations < 30 + 20  # whole generations
-        assert estimate.simulated_steps == evaluations * 8 * len(data)
+        draws = 8 * evaluations  # those of each candidate
+        if not exact:
+            draws = sum(fitted["draws"] for fitted in estimate.diagnostics["emulators"])
+        assert estimate.simulated_steps == (draws + 8) * len(data)  # and of the judgement
+
+    def test_the_emulated_search_finds_as_good_an_optimum_as_the_exact_one(self):
+        """By the exact loss; better by up to 0.1 nat per window with 2 of 3 seeds, never worse by
+        more than 0.02, since both searches end a little short of the optimum."""
+        data = recorded(PLANTED, waving_policy(), steps=60, noise=0.003)
+        losses = {}
+        for exact in (True, False):
+            settings = DropoSettings(budget=800, samples_per_parameter=3, epsilon=2e-5, exact=exact)
+            found = Dropo(settings).fit(PROBLEM, data, stream("exact"), silent).diagnostics
+            losses[exact] = found["loss_per_window"]
+            assert found["searched_loss_per_window"] == pytest.approx(losses[exact], abs=0.01)
+        assert losses[False] < losses[True] + 0.05
+
+    def test_the_published_hopper_masses_are_recovered(self, hopper_clean):
+        """From 200 transitions; with 500 and a budget of 2000 it was .01 %."""
+        task = get_task("hopper")
+        variant = variants_of("hopper")["vanilla"]
+        settings = DropoSettings(budget=1500, epsilon=1e-5)
+        problem, data = Problem(task, variant.source), hopper_clean.first(200)
+        estimate = Dropo(settings).fit(problem, data, stream("published"), silent)
+        np.testing.assert_allclose(estimate.distribution.mean, variant.truth, rtol=0.02)
+
+    def test_several_epsilons_are_several_searches(self):
+        several = DropoSettings(epsilon=[1e-5, 1e-3])
+        assert [settings.epsilon for settings in several.each()] == [1e-5, 1e-3]
+        with pytest.raises(InvalidInput, match="one epsilon"):
+            Dropo(several)
 
     def test_windows_longer_than_the_recording_are_refused(self):
         data = recorded(PLANTED, waving_policy(), steps=20)
         with pytest.raises(InvalidInput, match="21 consecutive transitions"):
-            Dropo(DropoSettings(steps=21)).fit(PROBLEM, data, stream("long"), silent)
+            Dropo(DropoSettings(steps=21, epsilon=1e-4)).fit(PROBLEM, data, stream("long"), silent)
 
     def test_the_global_generator_decides_nothing(self):
         data = recorded(PLANTED, waving_policy(), steps=20)
-        settings = DropoSettings(budget=40, samples_per_parameter=2)
+        settings = DropoSettings(budget=40, samples_per_parameter=2, epsilon=1e-4)
         found = []
         for seed in (1, 2):
             np.random.seed(seed)  # noqa: NPY002
             found.append(Dropo(settings).fit(PROBLEM, data, stream("same"), silent))
         assert found[0].distribution.to_json() == found[1].distribution.to_json()
+
+
+class TestEmulator:
+    data = recorded(PLANTED, waving_policy(), steps=40)
+    replay = Replay(ARM, SOURCE, data, 8, 1)
+
+    def fitted(self, share):
+        low, high = PLANTED / (1 + share), PLANTED * (1 + share)
+        return Emulator.fit(self.replay, low, high, stream("emulator"))
+
+    @pytest.mark.parametrize("share", [0.5, 0.1])
+    def test_its_error_is_what_fresh_simulations_show(self, share):
+        emulator = self.fitted(share)
+        draws = PLANTED * stream("fresh").uniform(1 / (1 + share), 1 + share, (50, 4))
+        missed = emulator.predict(draws) - self.replay.predict(draws)
+        found, said = np.sqrt(np.mean(missed**2)), np.sqrt(np.mean(emulator.error**2))
+        assert 0.2 < found / said < 5
+
+    def test_a_smaller_box_is_emulated_better(self):
+        wide, narrow = (np.sqrt(np.mean(self.fitted(s).error ** 2)) for s in (0.5, 0.05))
+        assert narrow < 1e-3 * wide  # a cubic's error falls with the fourth power: 1e-4
+
+    def test_it_says_what_it_covers(self):
+        emulator = self.fitted(0.5)
+        assert np.all(emulator.share(PLANTED[None]) == 0)
+        inside = PLANTED * np.array([[0.9], [1.1]])
+        assert np.all(emulator.share(inside) < 1)
+        outside = PLANTED * np.array([1.0, 1.6, 1.0, 1.0])
+        assert (emulator.share(outside[None]) > 1).tolist() == [False, True, False, False]
+
+
+class TestDroid:
+    @pytest.mark.parametrize(("noise", "tolerance"), [(0.0, 0.003), (0.003, 0.03)])
+    def test_a_planted_truth_is_recovered(self, noise, tolerance):
+        """Tolerances: three times the worst of seeds 0 to 2, .001 (rounded up) and .008."""
+        data = recorded(PLANTED, waving_policy(), noise=noise)
+        estimate = Droid(DroidSettings(budget=600)).fit(PROBLEM, data, stream("droid"), silent)
+        assert distance(estimate.distribution.mean) < tolerance
+        assert estimate.simulated_steps == estimate.diagnostics["evaluations"] * len(data)
+
+    def test_the_distribution_is_the_searchs_own_and_narrows(self):
+        data = recorded(PLANTED, waving_policy())
+        early, late = (
+            Droid(DroidSettings(budget=budget)).fit(PROBLEM, data, stream("n"), silent)
+            for budget in (80, 600)
+        )
+        assert isinstance(early.distribution, Gaussian)
+        assert np.all(late.distribution.std < 0.1 * early.distribution.std)
+
+    def test_the_searchs_gaussian_is_what_it_samples_from(self):
+        es = strategy(np.full(3, 2.0), std=0.05, width=4.0, rng=stream("cma"))
+        for _ in range(5):
+            candidates = es.ask()
+            es.tell(candidates, [float(np.sum((x - 2.1) ** 2 * (1, 9, 25))) for x in candidates])
+        mean, covariance = belief(es)
+        sampled = np.array(es.ask(20_000))
+        np.testing.assert_allclose(sampled.mean(axis=0), mean, atol=0.003)
+        np.testing.assert_allclose(np.cov(sampled.T), covariance, rtol=0.1, atol=2e-4)
+
+
+class TestSysid:
+    @pytest.mark.parametrize(("noise", "tolerance"), [(0.0, 1e-6), (0.003, 0.04)])
+    def test_a_planted_truth_is_recovered(self, noise, tolerance):
+        """Tolerances: rounding, and three times the worst of seeds 0 to 2, .0124."""
+        data = recorded(PLANTED, waving_policy(), noise=noise)
+        estimate = Sysid(SysidSettings()).fit(PROBLEM, data, stream("sysid"), silent)
+        assert distance(estimate.distribution.mean) < tolerance
+        assert np.all(estimate.distribution.std == 0)
+
+    def test_its_standard_deviations_are_those_of_repeated_recordings(self):
+        """Root mean square over 12 recordings, which errs by a fifth; noise on outputs."""
+        errors, said = [], []
+        for seed in range(12):
+            clean = recorded(PLANTED, waving_policy(), seed=seed)
+            noise = 0.003 * np.random.default_rng(seed).standard_normal((len(clean), 4))
+            data = dataclasses.replace(clean, next_observations=clean.next_observations + noise)
+            estimate = Sysid(SysidSettings(starts=1)).fit(PROBLEM, data, stream("s"), silent)
+            errors.append(estimate.distribution.mean - PLANTED)
+            said.append(estimate.diagnostics["std"])
+        ratio = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(np.square(said), axis=0))
+        assert np.all((ratio > 0.5) & (ratio < 2))
+
+    def test_hoppers_masses_are_recovered(self):
+        hopper, hidden = get_task("hopper"), variants_of("hopper")["vanilla"].hidden
+        data = recording("hopper", 60)
+        estimate = Sysid(SysidSettings(starts=2)).fit(
+            Problem(hopper, hidden.source), data, stream("h"), silent
+        )
+        np.testing.assert_allclose(estimate.distribution.mean, hidden.values, rtol=1e-5)
 
 
 class TestReps:

@@ -81,7 +81,7 @@ def test_continuous_integration_runs_the_readmes_test_command():
 
 
 @pytest.mark.parametrize(
-    "target", ["setup", "demo", "serve", "test", "test-slow", "lint", "bench-sim"]
+    "target", ["setup", "demo", "serve", "test", "test-slow", "lint", "bench-sim", "bench-dropo"]
 )
 def test_every_make_target_knows_what_to_do(target):
     done = subprocess.run(

@@ -14,7 +14,7 @@ from adr_service.runs import run
 from adr_service.specs import BenchmarkSpec, RunSpec
 from adr_service.target import Target
 
-METHODS = ["udr", "simopt", "dropo"]
+METHODS = ["udr", "simopt", "simopt_1", "droid", "dropo", "sysid"]
 
 
 def smoke(method, **changes):
@@ -128,15 +128,38 @@ def test_transitions_are_metered_over_iterations():
     assert len(rollouts) == 2  # DROPO read SimOpt's
 
 
+def test_of_several_epsilons_the_one_that_predicts_best_is_taken():
+    stages = LocalStages()
+    tried = {"name": "dropo", "epsilon": [1e-6, 1e-4, 1e-2]}
+    final = iterations(smoke(tried), stages)[-1]
+    errors = final.diagnostics["mean_squared_error_by_epsilon"]
+    assert set(errors) == {"1e-06", "0.0001", "0.01"}
+    assert final.diagnostics["mean_squared_error"] == min(errors.values())
+    searches = [s for s in stages.executed if s.kind == "infer"]
+    assert len(searches) == 3
+    assert len([s for s in stages.executed if s.kind == "train_policy"]) == 2
+
+
+def test_simopt_1_learns_from_the_priors_policy_alone():
+    stages = LocalStages()
+    final = iterations(smoke("simopt_1", iterations=2), stages)[-1]
+    rollouts = [s for s in stages.executed if s.kind == "target_rollout"]
+    assert len({s.document["blobs"]["policy"] for s in rollouts}) == 1
+    assert final.target_rollouts == len(rollouts) == 2
+    searches = [s for s in stages.executed if s.kind == "infer"]
+    assert searches[0].inputs["state"] == searches[1].inputs["state"]  # the prior
+
+
 class TestResults:
     def test_the_table_has_every_method_with_its_interval_and_counts(self, benchmark):
         rows = table(benchmark[2])
         assert [row.method for row in rows] == [
             "udr",
-            "simopt",
-            "simopt",
-            "dropo",
-            "dropo",
+            *("simopt", "simopt"),
+            *("simopt_1", "simopt_1"),
+            *("droid", "droid"),
+            *("dropo", "dropo"),
+            *("sysid", "sysid"),
             "prior",
             "oracle",
         ]

@@ -36,6 +36,14 @@ def test_terminals_mark_the_last_row_of_each_episode():
         assert arrays["terminals"].tolist() == [False, False, True, False, True]
 
 
+def test_a_file_with_terminals_alone_has_its_episodes():
+    with np.load(io.BytesIO(dataset().to_npz())) as arrays:
+        fields = {name: arrays[name] for name in arrays.files if name != "episodes"}
+    buffer = io.BytesIO()
+    np.savez(buffer, **fields)
+    assert TransitionDataset.from_npz(buffer.getvalue()).episodes.tolist() == [0, 0, 0, 1, 1]
+
+
 def test_windows_never_cross_an_episode_and_do_not_overlap():
     assert dataset().windows(1).tolist() == [0, 1, 2, 3, 4]
     assert dataset().windows(2).tolist() == [0, 3]

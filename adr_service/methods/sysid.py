@@ -5,8 +5,8 @@ distribution, so the policy is trained on a single simulator. Each Jacobian is o
 replays by finite differences (SciPy's trust-region reflective algorithm inside the search
 bounds). Residuals are divided by the standard deviation of their column.
 
-The covariance that least squares gives, (J'J)^-1 times the residual variance, is reported as
-`std` but not trained on: it is honest only where the model is right.
+The standard deviations that follow from the Jacobian and the residuals are reported as `std` but
+not trained on: they are honest only where the model is right.
 """
 
 from typing import Literal
@@ -109,10 +109,14 @@ class _Residuals:
 
 
 def _deviations(best: OptimizeResult, ranges: Vector, width: float) -> Vector:
-    """Standard deviations (d,) in SI units; infinite where the data do not tell."""
-    rows, d = best.jac.shape
-    variance = 2 * best.cost / max(rows - d, 1)
-    information = np.asarray(best.jac.T @ best.jac)
+    """Standard deviations (d,) in SI units; infinite where the data do not tell.
+
+    White's estimator: columns and windows may have noise of different size.
+    """
+    jacobian, residuals = np.asarray(best.jac), np.asarray(best.fun)
+    information = jacobian.T @ jacobian
     if np.linalg.cond(information) > 1e15:
-        return np.full(d, np.inf)
-    return np.sqrt(variance * np.diag(np.linalg.inv(information))) * ranges / width
+        return np.full(len(ranges), np.inf)
+    inverse = np.linalg.inv(information)
+    covariance = inverse @ ((jacobian.T * residuals**2) @ jacobian) @ inverse
+    return np.sqrt(np.diag(covariance)) * ranges / width

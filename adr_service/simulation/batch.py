@@ -246,4 +246,7 @@ def control_period(task: Task) -> float:
 
 @lru_cache(maxsize=32)
 def compiled(xml: str) -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_string(xml)
+    try:
+        return mujoco.MjModel.from_xml_string(xml)
+    except ValueError as error:
+        raise InvalidInput(f"MuJoCo cannot compile the model: {error}") from error

@@ -6,7 +6,8 @@
 
 `adr/RandomX-v0` has the true dynamics, `adr/RandomXNoisy-v0` adds sensor noise to it, and
 `adr/RandomXUnmodeled-v0` is the simulator that has some parameters wrong. Given a distribution,
-an environment draws new dynamics at every reset. Training uses `vec_env`, which is faster.
+an environment draws new dynamics at every reset. Training uses `vec_env`, which is faster. Made
+by hand, `RandomizedEnv("hopper")` ends no episode for its length; the names' TimeLimit does.
 """
 
 from collections.abc import Mapping
@@ -47,6 +48,7 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._task, pair = get_task(task), variant_of(task, variant)
         self.space, self._truth = pair.source.space, pair.truth
         self._noise = np.sqrt(pair.hidden.noise_variance)
+        self._frozen = set(pair.hidden.source.space.names) - set(self.space.names)
         self._distribution = (
             None if distribution is None else distribution_from_json(self.space, dict(distribution))
         )
@@ -58,8 +60,13 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         low, high = self._task.action_low, self._task.action_high
         self.action_space = box(low.astype(np.float32), high.astype(np.float32))
         self.render_mode = render_mode
-        rate = round(1 / control_period(self._task))
+        rate = round(1 / self.dt)
         self.metadata = {**self.metadata, "render_fps": rate}
+
+    @property
+    def dt(self) -> float:
+        """Seconds between two actions."""
+        return control_period(self._task)
 
     @property
     def dynamics(self) -> dict[str, float]:
@@ -78,13 +85,13 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         task, simulations = self._task, self._simulations
-        before = simulations.state
+        before, action = simulations.state, np.asarray(action, dtype=np.float64)
         simulations.step(action)
         after = simulations.state
         if simulations.diverged[0]:
             nothing = np.zeros(len(task.columns))
             return nothing, 0.0, True, False, {"diverged": True}
-        reward = float(task.reward(before, np.asarray(action, np.float64)[None], after)[0])
+        reward = float(task.reward(before, action[None], after)[0])
         return self._observe(after), reward, bool(task.terminated(after)[0]), False, {}
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
@@ -119,6 +126,8 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             raise InvalidInput(f"dynamics must be values by name; given {given!r}")
         values = values.copy()
         for name, value in given.items():
+            if name in self._frozen:
+                raise InvalidInput(f"{name} is frozen in this variant")
             index = self.space.index(name)
             least = self.space.feasible_low[index]
             if not (isinstance(value, Real) and least <= value < np.inf):
