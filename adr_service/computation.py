@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from adr_service.distributions import distribution_from_json
+from adr_service.distributions import Uniform, distribution_from_json
 from adr_service.events import RunEvent, StageFinished
 from adr_service.methods import MethodSettings, offline, online
 from adr_service.methods.base import Evidence, Problem
+from adr_service.methods.bayrn import propose
 from adr_service.progress import Progress, silent
 from adr_service.randomness import stream
 from adr_service.stages import Stage, StageResult
@@ -116,6 +117,38 @@ def _target_rollout(
     return StageResult({"transitions": len(data)}, {"data": data.to_npz()})
 
 
+def _target_return(
+    inputs: Inputs, blobs: Blobs, rng: np.random.Generator, progress: Progress
+) -> StageResult:
+    """One full target episode, of which a method is told the return alone."""
+    episode = simulate_evaluation(
+        get_task(inputs["task"]), inputs["variant"], Policy.from_bytes(blobs["policy"]), 1, rng
+    )
+    return StageResult(
+        {"return": float(episode.returns[0]), "transitions": int(episode.lengths[0])}
+    )
+
+
+def _propose(
+    inputs: Inputs, blobs: Blobs, rng: np.random.Generator, progress: Progress
+) -> StageResult:
+    space = source_of(inputs["task"], inputs["variant"]).space
+    boxes = [Uniform(space, box["low"], box["high"]) for box in inputs["distributions"]]
+    proposal = propose(boxes, np.array(inputs["returns"]), rng)
+    return StageResult(
+        {
+            "distribution": proposal.next.to_json(),
+            "best": proposal.best,
+            "simulated_steps": 0,
+            "diagnostics": {
+                "returns_seen": inputs["returns"],
+                "posterior_means": proposal.means.tolist(),
+                "reported": proposal.best,
+            },
+        }
+    )
+
+
 def _evaluate(
     inputs: Inputs, blobs: Blobs, rng: np.random.Generator, progress: Progress
 ) -> StageResult:
@@ -134,5 +167,7 @@ _FUNCTIONS: dict[str, Callable[[Inputs, Blobs, np.random.Generator, Progress], S
     "train_policy": _train_policy,
     "infer": _infer,
     "target_rollout": _target_rollout,
+    "target_return": _target_return,
+    "propose": _propose,
     "evaluate": _evaluate,
 }

@@ -26,6 +26,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         },
         "methods": {
             "udr": {"policies": 2},
+            "bayrn": {"initial": 2},
             "simopt": {"updates": 2, "samples": 20},
             "simopt_1": {"updates": 3, "samples": 20},
             "droid": {"budget": 30},
@@ -51,6 +52,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         },
         "methods": {
             "udr": {"policies": 3},
+            "bayrn": {"initial": 3},
             "simopt": {"samples": 500},
             "simopt_1": {"samples": 500},
             "droid": {"budget": 500},
@@ -73,6 +75,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         },
         "methods": {
             "udr": {"policies": 3},
+            "bayrn": {"initial": 3},
             "simopt": {"samples": 300},
             "simopt_1": {"samples": 300},
             "droid": {"budget": 500},

@@ -4,7 +4,7 @@
         print(event)
 
 offline (UDR, DROID, DROPO, sysid): data -> estimate -> train once -> evaluate on the target
-online (SimOpt):                    repeat: train -> visit the target -> update the estimate
+online (BayRn, SimOpt):             repeat: train -> visit the target -> update the estimate
 
 The same program runs in the service, in tests and in a debugger; `stages` alone differs.
 Offline methods learn from the trajectories that SimOpt collects with the same seed (benchmark,
@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from adr_service.distributions import Distribution, Gaussian, distribution_from_json
+from adr_service.distributions import Distribution, Gaussian, Uniform, distribution_from_json
 from adr_service.events import IterationFinished, RunEvent
 from adr_service.methods import online
 from adr_service.methods.base import Problem
+from adr_service.methods.bayrn import BayRnSettings
 from adr_service.methods.droid import DroidSettings
 from adr_service.methods.dropo import DropoSettings
 from adr_service.methods.references import OracleSettings, PriorSettings
@@ -43,14 +44,14 @@ def run(spec: RunSpec, stages: Stages) -> Program:
     match spec.method:
         case SimOptSettings():
             yield from _online(spec, stages)
+        case BayRnSettings(initial=initial):
+            yield from _bayesian(spec, stages, UdrSettings(policies=initial))
         case SimOpt1Settings():
             yield from _single_shot(spec, stages)
         case DropoSettings() | DroidSettings() | SysidSettings():
             yield from _offline(spec, stages)
         case UdrSettings():
-            rng = stream("udr", spec.task, spec.variant, spec.seed)
-            boxes = random_bounds(_problem(spec).source.space, spec.method, rng)
-            yield from _train_and_report(spec, stages, boxes)
+            yield from _train_and_report(spec, stages, _boxes(spec, spec.method))
         case PriorSettings():
             prior = Gaussian.prior(_problem(spec).source.space)
             yield from _train_and_report(spec, stages, [prior])
@@ -126,6 +127,43 @@ def _single_shot(spec: RunSpec, stages: Stages) -> Program:
         yield from _report(
             spec, loop.target, iteration, [fresh.distribution], [trained], fresh.last
         )
+
+
+def _bayesian(spec: RunSpec, stages: Stages, start: UdrSettings) -> Program:
+    """BayRn: UDR's policies and their target returns, then one more policy per iteration."""
+    target, boxes = Target(spec, stages), _boxes(spec, start)
+    trained = yield from stages.all([_training(spec, box) for box in boxes])
+    returns = yield from target.returns([result.blobs["policy"] for result in trained], 0)
+    yield from _report(spec, target, 0, boxes, trained)
+    proposal = yield from _propose(spec, stages, boxes, returns)
+    for iteration in range(1, spec.iterations + 1):
+        box = _decode(spec, proposal.values["distribution"])
+        assert isinstance(box, Uniform)
+        boxes.append(box)
+        trained.append((yield from stages.run(_training(spec, box))))
+        policy = trained[-1].blobs["policy"]
+        returns += yield from target.returns([policy], iteration)
+        proposal = yield from _propose(spec, stages, boxes, returns)
+        best = proposal.values["best"]
+        yield from _report(spec, target, iteration, [boxes[best]], [trained[best]], proposal)
+
+
+def _propose(
+    spec: RunSpec, stages: Stages, boxes: Sequence[Uniform], returns: Sequence[float]
+) -> Generator[RunEvent, None, StageResult]:
+    inputs = {
+        **_identity(spec),
+        "method": spec.method.model_dump(),
+        "distributions": [box.to_json() for box in boxes],
+        "returns": list(returns),
+    }
+    return (yield from stages.run(Stage("propose", inputs)))
+
+
+def _boxes(spec: RunSpec, settings: UdrSettings) -> list[Uniform]:
+    """UDR's random bounds for a seed."""
+    rng = stream("udr", spec.task, spec.variant, spec.seed)
+    return random_bounds(_problem(spec).source.space, settings, rng)
 
 
 def _joined(visits: Sequence[Visit]) -> bytes:

@@ -31,6 +31,8 @@ KINDS = {
     "train_policy": StageKind(version=2, role="trainer"),
     "infer": StageKind(version=2, role="inference"),
     "target_rollout": StageKind(version=2, role="target"),
+    "target_return": StageKind(version=1, role="target"),
+    "propose": StageKind(version=1, role="inference"),
     "evaluate": StageKind(version=2, role="target"),
 }
 

@@ -71,6 +71,32 @@ class Target:
         self.transitions += taken
         return Visit(policy, result.blobs["data"], taken)
 
+    def returns(
+        self, policies: Sequence[bytes], iteration: int
+    ) -> Generator[RunEvent, None, list[float]]:
+        """The return of one full episode of each policy, which the method may see.
+
+        Metered as rollouts are, beyond the spec's, because UDR's policies come on top.
+        """
+        results = yield from self._stages.all(
+            [
+                Stage(
+                    "target_return",
+                    {
+                        **identity_of(self._spec.task),
+                        "variant": self._spec.variant,
+                        "iteration": iteration,
+                        "seed": self._spec.seed,
+                    },
+                    {"policy": policy},
+                )
+                for policy in policies
+            ]
+        )
+        self.rollouts += len(results)
+        self.transitions += sum(int(result.values["transitions"]) for result in results)
+        return [float(result.values["return"]) for result in results]
+
     def evaluate(
         self, policies: Sequence[bytes]
     ) -> Generator[RunEvent, None, list[dict[str, Any]]]:

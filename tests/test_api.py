@@ -138,7 +138,7 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("body", "given", "accepted"),
         [
-            ({**SMOKE, "method": "magic"}, "magic", "udr, simopt, dropo"),
+            ({**SMOKE, "method": "magic"}, "magic", "udr, bayrn, simopt"),
             ({**SMOKE, "task": "hoper"}, "hoper", "arm, hopper"),
             ({**SMOKE, "variant": "windy"}, "windy", "vanilla, noisy, unmodeled"),
             ({**SMOKE, "iterations": -1}, "-1", "greater than or equal to 1"),

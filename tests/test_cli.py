@@ -63,7 +63,7 @@ def test_a_benchmark_from_a_file_and_what_it_would_cost(adr, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["submit", "--task", "arm", "--method", "magic"], "accepted: udr, simopt, dropo"),
+        (["submit", "--task", "arm", "--method", "magic"], "accepted: udr, bayrn, simopt"),
         (["submit"], "either a JSON file, or --task"),
         (["submit", "nothing.json"], "not a readable JSON file"),
         (["submit", "--task", "arm", "--method", "udr", "--set", "seed"], "needs name=value"),

@@ -2,6 +2,7 @@
 
 import itertools
 
+import numpy as np
 import pytest
 
 from adr_service.benchmark.comparison import Outcome, estimates, table, to_csv
@@ -13,8 +14,9 @@ from adr_service.events import IterationFinished
 from adr_service.runs import run
 from adr_service.specs import BenchmarkSpec, RunSpec
 from adr_service.target import Target
+from adr_service.tasks.catalogue import get_task
 
-METHODS = ["udr", "simopt", "simopt_1", "droid", "dropo", "sysid"]
+METHODS = ["udr", "bayrn", "simopt", "simopt_1", "droid", "dropo", "sysid"]
 
 
 def smoke(method, **changes):
@@ -57,7 +59,9 @@ def test_the_plan_counts_the_trainings_that_happen(benchmark):
     executed = [s for s in stages.executed if s.kind == "train_policy"]
     rollouts = [s for s in stages.executed if s.kind == "target_rollout"]
     assert planned.trainings == len(executed)
-    assert planned.target_transitions == sum(s.inputs["transitions"] for s in rollouts)
+    episodes = [s for s in stages.executed if s.kind == "target_return"]
+    most = sum(s.inputs["transitions"] for s in rollouts) + len(episodes) * get_task("arm").horizon
+    assert planned.target_transitions == most
     assert planned.environment_steps >= sum(s.inputs["training"]["max_steps"] for s in executed)
     assert planned.hours == pytest.approx(planned.core_hours / 2)
 
@@ -140,6 +144,24 @@ def test_of_several_epsilons_the_one_that_predicts_best_is_taken():
     assert len([s for s in stages.executed if s.kind == "train_policy"]) == 2
 
 
+def test_bayrn_starts_from_udrs_policies_and_sees_returns_alone():
+    stages = LocalStages()
+    list(run(smoke("udr"), stages))
+    trained = [s.digest for s in stages.executed if s.kind == "train_policy"]
+    first, last = iterations(smoke("bayrn"), stages)
+    new = [s for s in stages.executed if s.kind == "train_policy" and s.digest not in trained]
+    assert len(new) == 1  # one per iteration
+    assert (first.target_rollouts, last.target_rollouts) == (2, 3)
+    for stage in stages.executed:
+        if stage.kind == "propose":
+            assert not stage.blobs
+            assert len(stage.inputs["returns"]) == len(stage.inputs["distributions"])
+    assert last.policies[0] in {*first.policies, *last.policies}
+    seen = last.diagnostics["returns_seen"]
+    assert len(seen) == 3
+    assert last.diagnostics["reported"] == int(np.argmax(last.diagnostics["posterior_means"]))
+
+
 def test_simopt_1_learns_from_the_priors_policy_alone():
     stages = LocalStages()
     final = iterations(smoke("simopt_1", iterations=2), stages)[-1]
@@ -155,6 +177,7 @@ class TestResults:
         rows = table(benchmark[2])
         assert [row.method for row in rows] == [
             "udr",
+            *("bayrn", "bayrn"),
             *("simopt", "simopt"),
             *("simopt_1", "simopt_1"),
             *("droid", "droid"),

@@ -62,7 +62,7 @@ def test_what_is_given_wins_over_the_preset_field_by_field():
             {"task": "hoper"},
             "there is no task 'hoper'; did you mean 'hopper'? accepted: arm, hopper",
         ),
-        ({"method": "simop"}, "did you mean 'simopt'? accepted: udr, simopt, simopt_1, droid"),
+        ({"method": "simop"}, "did you mean 'simopt'? accepted: udr, bayrn, simopt, simopt_1"),
         ({"variant": "windy"}, "accepted: vanilla, noisy, unmodeled"),
         ({"preset": "huge"}, "accepted: smoke, demo, quick, paper"),
         ({"iterations": -1}, "greater than or equal to 1"),

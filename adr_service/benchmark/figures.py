@@ -18,6 +18,7 @@ Format = Literal["svg", "png"]
 # Okabe and Ito's colours, told apart by colour-blind readers; one per method everywhere
 COLOURS = {
     "udr": "#E69F00",
+    "bayrn": "#999933",
     "simopt": "#0072B2",
     "simopt_1": "#56B4E9",
     "droid": "#CC79A7",
@@ -28,6 +29,7 @@ COLOURS = {
 }
 LABELS = {
     "udr": "UDR",
+    "bayrn": "BayRn",
     "simopt": "SimOpt",
     "simopt_1": "SimOpt-1",
     "droid": "DROID",

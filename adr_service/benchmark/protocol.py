@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adr_service.methods.bayrn import BayRnSettings
 from adr_service.methods.droid import DroidSettings
 from adr_service.methods.dropo import DropoSettings
 from adr_service.methods.references import OracleSettings, PriorSettings
@@ -59,7 +60,7 @@ def plan(runs: Sequence[RunSpec], cores: int) -> Plan:
     seconds = sum(_training_s(key[1], rates[key[1]], t) for key, t in trainings.items())
     searches = {key: steps for spec in runs for key, steps in _searches(spec)}
     seconds += sum(steps / rates[key[1]] for key, steps in searches.items())
-    rollouts = {k: spec.transitions for spec in runs for k in _rollouts(spec)}
+    rollouts = dict(rollout for spec in runs for rollout in _rollouts(spec))
     return Plan(
         runs=len(runs),
         trainings=len(trainings),
@@ -81,6 +82,9 @@ def _trainings(spec: RunSpec) -> Iterable[Key]:
     match spec.method:
         case UdrSettings(policies=count):
             return [("udr", spec.task, f"{i} {rest}") for i in range(count)]
+        case BayRnSettings(initial=count):
+            udr = [("udr", spec.task, f"{i} {rest}") for i in range(count)]
+            return udr + [("bayrn", spec.task, f"{i} {rest}") for i in _iterations(spec)]
         case OracleSettings():
             # trained on the vanilla variant, whatever the run's is
             return [("oracle", spec.task, rest.removeprefix(spec.variant))]
@@ -117,14 +121,19 @@ def _searches(spec: RunSpec) -> Iterable[tuple[Key, int]]:
         yield (f"{spec.method.name} {iteration}", spec.task, f"{spec.variant} {spec.seed}"), steps
 
 
-def _rollouts(spec: RunSpec) -> Iterable[tuple[str, str, int, int]]:
+def _rollouts(spec: RunSpec) -> Iterable[tuple[tuple[str, str, int, int], int]]:
+    """Names of the distinct target rollouts of a run, and their transitions at most."""
     offline = DropoSettings | DroidSettings | SysidSettings
     if isinstance(spec.method, SimOptSettings | SimOpt1Settings | offline):
         collector = "prior" if isinstance(spec.method, SimOpt1Settings) else "simopt"
         for iteration in range(spec.iterations):
             # the first rollout of all is of the prior's policy
             who = collector if iteration > 0 else "prior"
-            yield (f"{who} {spec.task}", spec.variant, spec.seed, iteration)
+            yield (f"{who} {spec.task}", spec.variant, spec.seed, iteration), spec.transitions
+    if isinstance(spec.method, BayRnSettings):
+        for episode in range(spec.method.initial + spec.iterations):
+            key = (f"bayrn {spec.task}", spec.variant, spec.seed, episode)
+            yield key, get_task(spec.task).horizon
 
 
 def _iterations(spec: RunSpec) -> range:

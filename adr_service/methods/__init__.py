@@ -6,6 +6,7 @@ from pydantic import Field
 
 from adr_service.errors import UnknownName
 from adr_service.methods.base import OfflineMethod, OnlineMethod
+from adr_service.methods.bayrn import BayRnSettings
 from adr_service.methods.droid import Droid, DroidSettings
 from adr_service.methods.dropo import Dropo, DropoSettings
 from adr_service.methods.references import OracleSettings, PriorSettings
@@ -15,6 +16,7 @@ from adr_service.methods.udr import UdrSettings
 
 MethodSettings = Annotated[
     UdrSettings
+    | BayRnSettings
     | SimOptSettings
     | SimOpt1Settings
     | DroidSettings
@@ -24,7 +26,7 @@ MethodSettings = Annotated[
     | OracleSettings,
     Field(discriminator="name"),
 ]
-METHODS = ("udr", "simopt", "simopt_1", "droid", "dropo", "sysid", "prior", "oracle")
+METHODS = ("udr", "bayrn", "simopt", "simopt_1", "droid", "dropo", "sysid", "prior", "oracle")
 INFERRING = ("simopt", "simopt_1", "droid", "dropo", "sysid")  # one distribution, from data
 
 

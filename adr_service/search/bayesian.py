@@ -1,0 +1,74 @@
+"""Bayesian optimisation in the unit cube, by BoTorch.
+
+    surrogate = Surrogate(points, values, rng)      # (n, d) in [0, 1], (n,) larger is better
+    surrogate.mean(points)                          # (n,)
+    surrogate.propose()                             # (d,) where to look next
+
+A Gaussian process with a Matern-5/2 kernel, one length scale per coordinate, on standardised
+values. PyTorch's global generator is used inside a fork of it, seeded from ours.
+"""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+
+import numpy as np
+import torch
+from botorch.acquisition import LogExpectedImprovement
+from botorch.fit import fit_gpytorch_mll
+from botorch.models import SingleTaskGP
+from botorch.models.transforms import Standardize
+from botorch.optim import optimize_acqf
+from gpytorch.kernels import MaternKernel, ScaleKernel
+from gpytorch.mlls import ExactMarginalLogLikelihood
+from gpytorch.priors import GammaPrior
+
+from adr_service.arrays import Matrix, Vector
+
+_RESTARTS, _RAW = 20, 512  # of the acquisition's search
+
+
+class Surrogate:
+    def __init__(self, points: Matrix, values: Vector, rng: np.random.Generator):
+        self._rng, self._d = rng, points.shape[1]
+        x = torch.tensor(points, dtype=torch.float64)
+        y = torch.tensor(values, dtype=torch.float64)[:, None]
+        kernel = ScaleKernel(
+            # the priors that BoTorch had with this kernel when BayRn was published
+            MaternKernel(nu=2.5, ard_num_dims=self._d, lengthscale_prior=GammaPrior(3.0, 6.0)),
+            outputscale_prior=GammaPrior(2.0, 0.15),
+        )
+        with _seeded(rng):
+            self._model = SingleTaskGP(
+                x, y, covar_module=kernel, outcome_transform=Standardize(m=1)
+            )
+            fit_gpytorch_mll(ExactMarginalLogLikelihood(self._model.likelihood, self._model))
+        self._best = float(y.max())
+
+    def mean(self, points: Matrix) -> Vector:
+        """The posterior mean at `points` (n, d), (n,)."""
+        with torch.no_grad():
+            posterior = self._model.posterior(torch.tensor(points, dtype=torch.float64))
+            return np.asarray(posterior.mean[:, 0], dtype=np.float64)
+
+    def propose(self) -> Vector:
+        """The point (d,) of the largest expected improvement on the best value seen."""
+        bounds = torch.tensor([[0.0] * self._d, [1.0] * self._d], dtype=torch.float64)
+        with _seeded(self._rng) as seed:
+            found, _ = optimize_acqf(
+                LogExpectedImprovement(self._model, best_f=self._best),
+                bounds=bounds,
+                q=1,
+                num_restarts=_RESTARTS,
+                raw_samples=_RAW,
+                options={"seed": seed},
+            )
+        return np.clip(np.asarray(found[0], dtype=np.float64), 0.0, 1.0)
+
+
+@contextmanager
+def _seeded(rng: np.random.Generator) -> Generator[int]:
+    """PyTorch's global generator, seeded inside and as it was outside."""
+    seed = int(rng.integers(2**31))
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        yield seed
