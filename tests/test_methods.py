@@ -143,7 +143,8 @@ class TestDropo:
         draws = 8 * evaluations  # those of each candidate
         if not exact:
             draws = sum(fitted["draws"] for fitted in estimate.diagnostics["emulators"])
-        assert estimate.simulated_steps == (draws + 8) * len(data)  # and of the judgement
+        draws += 8 * estimate.diagnostics["searches"]  # and those of the judgement
+        assert estimate.simulated_steps == draws * len(data)
 
     def test_the_emulated_search_finds_as_good_an_optimum_as_the_exact_one(self):
         """By the exact loss; better by up to 0.1 nat per window with 2 of 3 seeds, never worse by
@@ -249,6 +250,25 @@ class TestEmulator:
     def test_a_smaller_box_is_emulated_better(self):
         wide, narrow = (np.sqrt(np.mean(self.fitted(s).error ** 2)) for s in (0.5, 0.05))
         assert narrow < 1e-3 * wide  # a cubic's error falls with the fourth power: 1e-4
+
+    def test_a_window_that_diverges_is_uncertain_and_the_others_are_as_before(self):
+        class Broken:
+            targets = self.replay.targets
+
+            def predict(_, dynamics):
+                predictions = self.replay.predict(dynamics)
+                predictions[dynamics[:, 0] > PLANTED[0], 3] = np.nan
+                return predictions
+
+        low, high = PLANTED / 1.5, PLANTED * 1.5
+        whole = Emulator.fit(self.replay, low, high, stream("emulator"))
+        broken = Emulator.fit(Broken(), low, high, stream("emulator"))
+        assert whole.diverged == 0
+        assert 0 < broken.diverged < broken.simulated
+        assert np.all(np.isfinite(broken.error))
+        others = np.arange(len(self.replay.targets)) != 3
+        np.testing.assert_allclose(broken.error[others], whole.error[others])
+        assert broken.error[3].max() > 10 * whole.error[3].max()
 
     def test_it_says_what_it_covers(self):
         emulator = self.fitted(0.5)

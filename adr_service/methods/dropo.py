@@ -90,10 +90,10 @@ class Dropo:
             )
         exact = Exact(space, levels, replay, self._epsilon)
         objective = exact if settings.exact else Emulated(exact, rng)
-        x, searched, evaluations = minimise(
-            objective, 2 * len(space), settings.budget, rng, progress
+        found, evaluations = minimise(objective, 2 * len(space), settings.budget, rng, progress)
+        judged, searched, x = min(
+            ((exact.loss(x), loss, x) for x, loss in found), key=lambda end: end[0]
         )
-        judged = exact.loss(x)
         if judged >= _WORST:
             raise InvalidInput(f"all {evaluations} candidates diverged in simulation")
         estimate, windows = decode(space, x), len(replay.targets)
@@ -105,6 +105,7 @@ class Dropo:
                 "searched_loss_per_window": searched / windows,
                 "mean_squared_error": float(replay.mean_squared_error(estimate.mean[None])[0]),
                 "evaluations": evaluations,
+                "searches": len(found),
                 "diverged_evaluations": exact.diverged,
                 "epsilon": self._epsilon,
                 **objective.diagnostics,
@@ -190,7 +191,13 @@ class Emulated:
         emulator = Emulator.fit(self._exact.replay, low, high, self._rng)
         self._exact.replayed += emulator.simulated
         error = float(np.mean(emulator.error**2))
-        self._history.append({"mean_squared_error": error, "draws": emulator.simulated})
+        self._history.append(
+            {
+                "mean_squared_error": error,
+                "draws": emulator.simulated,
+                "diverged_draws": emulator.diverged,
+            }
+        )
         return emulator
 
 
@@ -206,13 +213,16 @@ def minimise(
     budget: int,
     rng: np.random.Generator,
     progress: Progress,
-) -> tuple[Vector, float, int]:
+) -> tuple[list[tuple[Vector, float]], int]:
     """CMA-ES from the middle of the box, restarted until the budget is spent.
 
-    Returns the best point of the last era, its loss, and the evaluations.
+    Returns the end of each search, its best point and its loss (of the last era, so that those
+    of two searches cannot be compared), and the evaluations.
     """
-    best_x, best, evaluations, era = np.full(dimension, 2.0), np.inf, 0, 0
+    found: list[tuple[Vector, float]] = []
+    evaluations = 0
     while evaluations < budget:
+        best_x, best, era = np.full(dimension, 2.0), np.inf, objective.era
         es = strategy(np.full(dimension, 2.0), std=1.0, width=ParameterSpace.WIDTH, rng=rng)
         while evaluations < budget and not es.stop():
             candidates = es.ask()
@@ -224,7 +234,8 @@ def minimise(
             if min(losses) < best:
                 best, best_x = min(losses), np.array(candidates[int(np.argmin(losses))])
             progress(evaluations / budget, evaluations=evaluations, loss=best)
-    return best_x, best, evaluations
+        found.append((best_x, best))
+    return found, evaluations
 
 
 def decode(space: ParameterSpace, x: Vector) -> TruncatedGaussian:

@@ -29,6 +29,7 @@ class Emulator:
     _box: "_Box"
     error: Matrix  # (w, s) root mean square on held-out simulations
     simulated: int  # draws of dynamics that were replayed to fit and to check
+    diverged: int  # of those, draws that diverged in some window
     _powers: Sequence[Indices]  # the factors of each monomial
     _coefficients: Matrix  # (p, w * s)
 
@@ -40,13 +41,17 @@ class Emulator:
         unit = qmc.Sobol(d, rng=rng).random(2 ** int(np.ceil(np.log2(count))))[:count]
         box = _Box(low, high)
         simulated = replay.predict(box.at(2 * unit - 1)).reshape(len(unit), -1)
+        broken = ~np.isfinite(simulated)
+        # a diverged replay tells nothing of its window but, by the error, that it is uncertain
+        middle = np.where(broken, 0.0, simulated).sum(axis=0) / np.maximum((~broken).sum(axis=0), 1)
+        simulated = np.where(broken, middle, simulated)
         features = _features(2 * unit - 1, powers)
-        taught, known = simulated[:-_CHECKS], np.isfinite(simulated[:-_CHECKS]).all(axis=1)
-        solution = np.linalg.lstsq(features[:-_CHECKS][known], taught[known], rcond=None)
+        solution = np.linalg.lstsq(features[:-_CHECKS], simulated[:-_CHECKS], rcond=None)
         coefficients = np.asarray(solution[0], dtype=np.float64)
         missed = features[-_CHECKS:] @ coefficients - simulated[-_CHECKS:]
-        error = np.sqrt(np.nanmean(missed**2, axis=0)).reshape(shape)
-        return cls(box, error, len(unit), powers, coefficients)
+        error = np.sqrt(np.mean(missed**2, axis=0)).reshape(shape)
+        diverged = int(broken.any(axis=1).sum())
+        return cls(box, error, len(unit), diverged, powers, coefficients)
 
     def share(self, draws: Matrix) -> Vector:
         """How much of the box's width draws (n, d) fill, (d,); above 1 where one is outside."""
