@@ -14,7 +14,7 @@ from rich.table import Table
 from adr_service.errors import AdrError, InvalidInput
 from api import demo as demo_story
 from api.client import AdrClient
-from api.display import live, results_table
+from api.display import comparisons_table, live, results_table
 from api.settings import DEFAULT_URL, read_settings
 
 app = typer.Typer(
@@ -127,6 +127,7 @@ def results(
         Path | None, typer.Option(help="Write a figure: returns.svg, parameters.png, …")
     ] = None,
     policy: Annotated[Path | None, typer.Option(help="Write a run's policy.")] = None,
+    compare: Annotated[bool, typer.Option(help="Probability that a method beats another.")] = False,
     url: Url = DEFAULT_URL,
     as_json: AsJson = False,
 ) -> None:
@@ -140,6 +141,8 @@ def results(
             typer.echo(client.results_csv(id), nl=False)
         elif as_json:
             console.print_json(data=client.results(id))
+        elif compare:
+            console.print(comparisons_table(client.results(id)))
         else:
             console.print(results_table(client.results(id)))
 

@@ -54,6 +54,26 @@ def results_table(results: Json) -> RenderableType:
     return Group(table, Text(results["note"], style="dim"))
 
 
+def comparisons_table(results: Json) -> RenderableType:
+    """How often a policy of one method beats one of another."""
+    table = Table("task", "variant", "method", "beats", box=None, padding=(0, 2, 0, 0))
+    for heading in ("probability", "95 % interval", "seeds"):
+        table.add_column(heading, justify="right")
+    for pair in results["comparisons"]:
+        table.add_row(
+            pair["task"],
+            pair["variant"],
+            pair["method"],
+            pair["other"],
+            f"{pair['probability']:.2f}",
+            f"[{pair['low']:.2f}, {pair['high']:.2f}]".replace("[", r"\["),
+            str(pair["seeds"]),
+        )
+    if not results["comparisons"]:
+        return Text("there are no two methods to compare yet")
+    return Group(table, Text("after each method's last iteration; ties count half", style="dim"))
+
+
 def _runs(seen: Json) -> list[Json]:
     return seen.get("runs", [seen])
 

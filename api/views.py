@@ -7,7 +7,7 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel
 
-from adr_service.benchmark.comparison import Outcome, table
+from adr_service.benchmark.comparison import Outcome, comparisons, table
 from adr_service.events import RunEvent, RunState
 from adr_service.specs import BenchmarkSpec, RunSpec
 from db.runs import BenchmarkRecord, EventRecord, RunRecord, states_of
@@ -79,6 +79,7 @@ class ResultsView(BaseModel):
 
     note: str
     rows: list[dict[str, Any]]
+    comparisons: list[dict[str, Any]]  # probabilities of improvement, of every pair of methods
 
 
 def run_view(record: RunRecord, activities: Sequence[Activity]) -> RunView:
@@ -148,4 +149,8 @@ def results_view(outcomes: Sequence[Outcome]) -> ResultsView:
     note = "undiscounted target return / reward threshold; 95 % bootstrap interval"
     if any(outcome.spec.preset == "smoke" for outcome in outcomes):
         note = "preset 'smoke': a few hundred training steps; these numbers mean nothing"
-    return ResultsView(note=note, rows=[asdict(row) for row in table(outcomes)])
+    return ResultsView(
+        note=note,
+        rows=[asdict(row) for row in table(outcomes)],
+        comparisons=[asdict(pair) for pair in comparisons(outcomes)],
+    )

@@ -44,6 +44,7 @@ def test_a_run_from_submission_to_its_files(adr, tmp_path):
     assert adr("watch", id)[0] == 0
     assert "95 % interval" in adr("results", id)[1]
     assert adr("results", id, "--csv")[1].startswith("task,variant,method")
+    assert "no two methods to compare" in adr("results", id, "--compare")[1]
     assert adr("results", id, "--figure", "returns.svg")[0] == 0
     assert adr("results", id, "--policy", "policy.safetensors")[0] == 0
     assert (tmp_path / "returns.svg").read_bytes().startswith(b"<?xml")

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from adr_service.benchmark.comparison import Outcome, estimates, table, to_csv
+from adr_service.benchmark.comparison import Outcome, comparisons, estimates, table, to_csv
 from adr_service.benchmark.figures import FIGURES, draw
 from adr_service.benchmark.protocol import plan
 from adr_service.computation import LocalStages
@@ -190,6 +190,14 @@ class TestResults:
             assert row.low <= row.normalised_return <= row.high
             assert (row.seeds, row.episodes) == (2, 4 * row.policies)
         assert [row.target_transitions for row in rows if row.method == "simopt"] == [0, 20]
+
+    def test_every_pair_of_methods_is_compared_after_its_last_iteration(self, benchmark):
+        found = comparisons(benchmark[2])
+        for pair in found:
+            assert 0 <= pair.low <= pair.probability <= pair.high <= 1
+            assert pair.seeds == 2
+        names = {row.method for row in table(benchmark[2])}
+        assert len(found) == len(names) * (len(names) - 1) // 2
 
     def test_the_prior_is_iteration_zero_of_every_method(self, benchmark):
         rows = table(benchmark[2])

@@ -4,11 +4,12 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from itertools import combinations
 
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.benchmark.statistics import Interval, mean_interval
+from adr_service.benchmark.statistics import improvement, interquartile_mean, interval, mean
 from adr_service.distributions import Distribution, distribution_from_json
 from adr_service.events import IterationFinished
 from adr_service.methods import INFERRING, METHODS
@@ -40,6 +41,9 @@ class Row:
     normalised_return: float
     low: float  # of the 95 % interval over seeds, policies and episodes
     high: float
+    interquartile_mean: float  # of the policies' mean returns
+    interquartile_low: float
+    interquartile_high: float
     seeds: int
     policies: int
     episodes: int
@@ -75,6 +79,55 @@ def table(outcomes: Sequence[Outcome]) -> list[Row]:
     order = {name: position for position, name in enumerate(METHODS)}
     keys = sorted(groups, key=lambda k: (k[0], k[1], order[k[2]], k[3]))
     return [_row(key, sorted(groups[key], key=lambda o: o.spec.seed)) for key in keys]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How often a policy of one method earns more on the target than one of another."""
+
+    task: str
+    variant: str
+    method: str
+    other: str
+    probability: float  # ties counted half
+    low: float  # of the 95 % interval
+    high: float
+    seeds: int  # the fewer of the two
+
+
+def comparisons(outcomes: Sequence[Outcome]) -> list[Comparison]:
+    """Every pair of methods on a task's variant, each after its last common iteration."""
+    latest: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
+    for outcome in outcomes:
+        spec = outcome.spec
+        methods = latest.setdefault((spec.task, spec.variant), {})
+        kept = methods.setdefault(spec.method.name, [])
+        newest = max((o.iteration.iteration for o in kept), default=-1)
+        if outcome.iteration.iteration > newest:
+            kept.clear()
+        if outcome.iteration.iteration >= newest:
+            kept.append(outcome)
+    found: list[Comparison] = []
+    for (task, variant), methods in sorted(latest.items()):
+        named = sorted(methods, key=METHODS.index)
+        for one, other in combinations(named, 2):
+            a, b = (
+                _returns(sorted(methods[name], key=lambda o: o.spec.seed)) for name in (one, other)
+            )
+            chance = improvement(a, b, stream("improvement"))
+            found.append(
+                Comparison(
+                    task,
+                    variant,
+                    one,
+                    other,
+                    chance.value,
+                    chance.low,
+                    chance.high,
+                    min(len(a), len(b)),
+                )
+            )
+    return found
 
 
 def estimates(outcomes: Sequence[Outcome]) -> list[ParameterEstimate]:
@@ -116,9 +169,10 @@ def to_csv(rows: Sequence[Row]) -> str:
 
 def _row(key: tuple[str, str, str, int], outcomes: Sequence[Outcome]) -> Row:
     task, variant, method, iteration = key
-    threshold = get_task(task).reward_threshold
-    returns: list[Matrix] = [np.array(o.iteration.returns) / threshold for o in outcomes]
-    interval: Interval = mean_interval(returns, stream("interval"))  # equal data, equal interval
+    returns = _returns(outcomes)
+    # equal data, equal intervals
+    average = interval(returns, mean, stream("interval"))
+    middle = interval(returns, interquartile_mean, stream("interval"))
     reached = [flag for o in outcomes for flag in o.iteration.reached_threshold]
     transitions: Vector = np.array([o.iteration.target_transitions for o in outcomes])
     return Row(
@@ -126,9 +180,12 @@ def _row(key: tuple[str, str, str, int], outcomes: Sequence[Outcome]) -> Row:
         variant=variant,
         method=method,
         iteration=iteration,
-        normalised_return=interval.mean,
-        low=interval.low,
-        high=interval.high,
+        normalised_return=average.value,
+        low=average.low,
+        high=average.high,
+        interquartile_mean=middle.value,
+        interquartile_low=middle.low,
+        interquartile_high=middle.high,
         seeds=len(outcomes),
         policies=sum(len(r) for r in returns),
         episodes=sum(r.size for r in returns),
@@ -137,6 +194,13 @@ def _row(key: tuple[str, str, str, int], outcomes: Sequence[Outcome]) -> Row:
         estimation_error=_mean_error(outcomes),
         reached_threshold=float(np.mean(reached)),
     )
+
+
+def _returns(outcomes: Sequence[Outcome]) -> list[Matrix]:
+    """Normalised target returns, (policies, episodes) per seed."""
+    return [
+        np.array(o.iteration.returns) / get_task(o.spec.task).reward_threshold for o in outcomes
+    ]
 
 
 def _mean_error(outcomes: Sequence[Outcome]) -> float | None:

@@ -1,9 +1,15 @@
-"""How sure a mean is: intervals over seeds, policies and episodes."""
+"""How sure an aggregate of returns is: intervals over seeds, policies and episodes.
 
-from collections.abc import Sequence
+The interquartile mean and the probability of improvement are those of Agarwal et al., "Deep
+Reinforcement Learning at the Edge of the Statistical Precipice", arXiv 2108.13264; our own,
+because rliable does not import beside current pandas.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import trim_mean
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.errors import InvalidInput
@@ -15,40 +21,79 @@ _CHUNK = 1_000_000  # returns drawn at once
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean with its 95 % bootstrap interval."""
+    """An aggregate with its 95 % bootstrap interval."""
 
-    mean: float
+    value: float
     low: float
     high: float
 
 
-def mean_interval(seeds: Sequence[Matrix], rng: np.random.Generator) -> Interval:
-    """Mean over seeds of their mean returns, with its interval.
+def mean(scores: Matrix) -> Vector:
+    """Means over the last axis: of policies' mean returns (..., n)."""
+    return scores.mean(axis=-1)
 
-    Each seed is a (policies, episodes) array. The bootstrap resamples seeds, then policies,
-    then episodes, so that the interval covers repeating the whole experiment. With few seeds
-    it is too short (three seeds have ten distinct resamples): report their number with it.
+
+def interquartile_mean(scores: Matrix) -> Vector:
+    """Means of the middle half over the last axis; with fewer than four, of all."""
+    return np.asarray(trim_mean(scores, 0.25, axis=-1))
+
+
+def interval(
+    seeds: Sequence[Matrix], aggregate: Callable[[Matrix], Vector], rng: np.random.Generator
+) -> Interval:
+    """An aggregate of the policies' mean returns, with its interval.
+
+    Each seed is a (policies, episodes) array, all of the same number of policies. The bootstrap
+    resamples seeds, then policies, then episodes, so that the interval covers repeating the whole
+    experiment. With few seeds it is too short (three seeds have ten distinct resamples): report
+    their number with it.
     """
+    scores = _resampled(seeds, rng)
+    found = np.concatenate([returns.mean(axis=1) for returns in seeds])
+    return _between(float(aggregate(found)), aggregate(scores.reshape(_RESAMPLES, -1)))
+
+
+def improvement(
+    one: Sequence[Matrix], other: Sequence[Matrix], rng: np.random.Generator
+) -> Interval:
+    """The probability that a policy of `one` earns more than one of `other`, ties counted half."""
+
+    def wins(a: Matrix, b: Matrix) -> Vector:
+        difference = np.sign(a[..., :, None] - b[..., None, :])
+        return (difference.mean(axis=(-2, -1)) + 1) / 2
+
+    found = [np.concatenate([r.mean(axis=1) for r in seeds]) for seeds in (one, other)]
+    drawn = [_resampled(seeds, rng).reshape(_RESAMPLES, -1) for seeds in (one, other)]
+    return _between(float(wins(*found)), wins(*drawn))
+
+
+def _resampled(seeds: Sequence[Matrix], rng: np.random.Generator) -> Matrix:
+    """Mean returns of policies in resampled experiments, (resamples, seeds, policies)."""
     if not seeds or any(returns.size == 0 for returns in seeds):
         raise InvalidInput("an interval needs at least one return of at least one seed")
-    count = len(seeds)
-    means = np.empty((_RESAMPLES, count))
+    if len({len(returns) for returns in seeds}) > 1:
+        raise InvalidInput(f"seeds differ in policies: {[len(returns) for returns in seeds]}")
+    count, policies = len(seeds), len(seeds[0])
+    scores = np.empty((_RESAMPLES, count, policies))
     # seed by seed and chunk by chunk, because all draws at once may not fit into memory
     for place in range(count):
         chosen = rng.integers(count, size=_RESAMPLES)
         for index, returns in enumerate(seeds):
             rows = np.flatnonzero(chosen == index)
             for part in np.array_split(rows, 1 + len(rows) * returns.size // _CHUNK):
-                means[part, place] = _resampled_means(returns, len(part), rng)
-    tail = 100 * (1 - _LEVEL) / 2
-    low, high = np.percentile(means.mean(axis=1), [tail, 100 - tail])
-    mean = float(np.mean([float(np.mean(returns)) for returns in seeds]))
-    return Interval(mean, float(low), float(high))
+                scores[part, place] = _resampled_policies(returns, len(part), rng)
+    return scores
 
 
-def _resampled_means(returns: Matrix, count: int, rng: np.random.Generator) -> Vector:
-    """Means of `count` resamples of policies and their episodes, (count,)."""
+def _resampled_policies(returns: Matrix, count: int, rng: np.random.Generator) -> Matrix:
+    """Mean returns of `count` resamples of policies and their episodes, (count, policies)."""
     policies, episodes = returns.shape
     rows = rng.integers(policies, size=(count, policies, 1))
     columns = rng.integers(episodes, size=(count, policies, episodes))
-    return returns[rows, columns].mean(axis=(1, 2))
+    return returns[rows, columns].mean(axis=2)
+
+
+def _between(value: float, resampled: Vector) -> Interval:
+    tail = 100 * (1 - _LEVEL) / 2
+    low, high = np.percentile(resampled, [tail, 100 - tail])
+    return Interval(value, float(low), float(high))
