@@ -115,7 +115,8 @@ def closed_and_open_loop(task: Task) -> dict[str, Subject]:
     length = affordable(task, simulations, start)
     episode = run_episodes(task, simulations, act, start, length)
     length = int(episode.lengths[0])
-    states, controls = trace(task, simulations, start, episode.actions.swapaxes(0, 1)[:length])
+    controls = episode.actions.swapaxes(0, 1)[:length]
+    states = trace(simulations, start, controls)
     data = TransitionDataset(
         observations=episode.observations[0, :length],
         actions=episode.actions[0, :length],
@@ -206,16 +207,14 @@ def limit(
     return work
 
 
-def trace(
-    task: Task, simulations: Simulations, start: State, controls: np.ndarray
-) -> tuple[list[State], np.ndarray]:
+def trace(simulations: Simulations, start: State, controls: np.ndarray) -> list[State]:
     """The states that controls (T, n, a) are applied in."""
     simulations.set_state(start)
     states = []
     for control in controls:
         states.append(simulations.state)
         simulations.step(control)
-    return states, controls
+    return states
 
 
 def affordable(task: Task, simulations: Simulations, start: State) -> int:

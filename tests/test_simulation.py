@@ -88,7 +88,7 @@ def test_a_diverged_simulation_is_nan_and_stays_so_and_the_others_are_unharmed(t
 
 @pytest.mark.parametrize("task", TASKS, ids=[t.name for t in TASKS])
 def test_a_simulation_that_explodes_has_diverged_though_it_is_finite(task):
-    """A joint at 1e6 rad/s is at 1e118 after a step of HalfCheetah; MuJoCo's bound is 1e10."""
+    """MuJoCo's bound is 1e10."""
     dynamics, initial, _ = recording(task, "vanilla", steps=1)
     simulations = Simulations(task, variants_of(task.name)["vanilla"].source, 5)
     simulations.set_dynamics(dynamics)
@@ -104,6 +104,18 @@ def test_a_simulation_that_explodes_has_diverged_though_it_is_finite(task):
     simulations.set_state(task.initial(1, np.random.default_rng(0)), np.array([2]))
     simulations.step(np.zeros_like(task.action_low))
     assert not simulations.diverged.any()
+
+
+def test_a_cheetah_at_a_million_radians_per_second_has_diverged():
+    """After a step it is at 1e118 rad/s, which is finite: a test of the bound itself."""
+    task, source = get_task("half_cheetah"), variants_of("half_cheetah")["vanilla"].source
+    simulations = Simulations(task, source, 1)
+    simulations.set_dynamics(variants_of("half_cheetah")["vanilla"].truth[None])
+    state = task.initial(1, np.random.default_rng(0))
+    state.qvel[0, -1] = 1e6
+    simulations.set_state(state)
+    simulations.step(np.zeros(6))
+    assert simulations.diverged[0]
 
 
 @pytest.mark.parametrize("actions", [np.zeros((5, 1)), np.zeros(1), np.full(3, np.nan)])

@@ -94,6 +94,7 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         reward = float(task.reward(before, action[None], after)[0])
         return self._observe(after), reward, bool(task.terminated(after)[0]), False, {}
 
+    # Gymnasium's own type allows lists of frames too, which we never give
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """The picture of the present state, (h, w, 3) bytes; None without a render mode."""
         if self.render_mode is None:

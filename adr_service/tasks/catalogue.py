@@ -82,6 +82,7 @@ def _installed() -> list[EntryPoint]:
 def _load(point: EntryPoint) -> Entry:
     try:
         entry = point.load()
+    # a foreign module may raise anything while it is imported
     except Exception as error:
         raise InvalidInput(f"{_origin(point)} cannot be loaded: {error!r}") from error
     if not isinstance(entry, Entry):
