@@ -5,17 +5,16 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from adr_service.distributions import Uniform, distribution_from_json
 from adr_service.events import RunEvent, StageFinished
-from adr_service.methods import MethodSettings, offline, online
-from adr_service.methods.base import Evidence, Problem
+from adr_service.methods import parse_settings
+from adr_service.methods.base import Evidence, OfflineSettings, OnlineSettings, Problem
 from adr_service.methods.bayrn import propose
 from adr_service.progress import Progress, silent
 from adr_service.randomness import stream
 from adr_service.stages import Stage, StageResult
-from adr_service.target import simulate_evaluation, simulate_rollout
+from adr_service.target import random_actions, simulate_evaluation, simulate_rollout
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.training.policy import Policy
 from adr_service.training.settings import TrainingSettings
@@ -86,16 +85,16 @@ def _infer(
 ) -> StageResult:
     task = get_task(inputs["task"])
     problem = Problem(task, source_of(task.name, inputs["variant"]))
-    settings = TypeAdapter[MethodSettings](MethodSettings).validate_python(inputs["method"])
-    data = TransitionDataset.from_npz(blobs["data"])
-    if "policy" in blobs:  # an online method is told what its policy did
-        method = online(settings)
+    settings, data = parse_settings(inputs["method"]), TransitionDataset.from_npz(blobs["data"])
+    if isinstance(settings, OnlineSettings):
+        method = settings.create()
         evidence = Evidence(Policy.from_bytes(blobs["policy"]), data)
         update = method.tell(problem, inputs["state"], evidence, rng, progress)
         values = asdict(update)
         values["distribution"] = method.ask(problem, update.state).to_json()
     else:
-        estimate = offline(settings).fit(problem, data, rng, progress)
+        assert isinstance(settings, OfflineSettings)
+        estimate = settings.create().fit(problem, data, rng, progress)
         values = {
             "distribution": estimate.distribution.to_json(),
             "simulated_steps": estimate.simulated_steps,
@@ -107,13 +106,10 @@ def _infer(
 def _target_rollout(
     inputs: Inputs, blobs: Blobs, rng: np.random.Generator, progress: Progress
 ) -> StageResult:
-    data = simulate_rollout(
-        get_task(inputs["task"]),
-        inputs["variant"],
-        Policy.from_bytes(blobs["policy"]),
-        inputs["transitions"],
-        rng,
-    )
+    task = get_task(inputs["task"])
+    given = blobs.get("policy")
+    act = random_actions(task, rng) if given is None else Policy.from_bytes(given).act
+    data = simulate_rollout(task, inputs["variant"], act, inputs["transitions"], rng)
     return StageResult({"transitions": len(data)}, {"data": data.to_npz()})
 
 

@@ -30,6 +30,8 @@ class Distribution(Protocol):
     """A belief over the parameters of a space, all of it in SI units unless said."""
 
     @property
+    def space(self) -> ParameterSpace: ...
+    @property
     def mean(self) -> Vector: ...  # (d,) SI; of the untruncated distribution
     @property
     def std(self) -> Vector: ...  # (d,) SI; marginal, of the untruncated distribution

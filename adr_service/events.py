@@ -31,7 +31,8 @@ class StageFinished(Wire):
 class IterationFinished(Wire):
     """The method's answer after `iteration` rounds of target data, evaluated on the target.
 
-    `returns` holds one list of undiscounted episode returns per policy (several for UDR).
+    `returns` holds one list of undiscounted episode returns per policy (several for UDR); it is
+    empty where there is no target to evaluate on.
     """
 
     type: Literal["iteration_finished"] = "iteration_finished"
@@ -44,7 +45,9 @@ class IterationFinished(Wire):
     source_returns: list[float]  # best evaluation of each training, so a little high
     reached_threshold: list[bool]
     training_steps: list[int]
+    trainings: list[str] = Field([], description="digests of the stages, one per policy")
     inference_steps: int  # simulated control steps of the inference
+    inferences: list[str] = Field([], description="digests of the stages")
     returns: list[list[float]]
     diverged_episodes: int = 0  # of those, simulations that stopped being finite
     diagnostics: dict[str, Any]

@@ -8,30 +8,32 @@ online (BayRn, SimOpt):             repeat: train -> visit the target -> update 
 
 The same program runs in the service, in tests and in a debugger; `stages` alone differs.
 Offline methods learn from the trajectories that SimOpt collects with the same seed (benchmark,
-Sec. 3.4), by running SimOpt's own stages: whoever comes first computes them for both.
+Sec. 3.4), by running SimOpt's own stages: whoever comes first computes them for both. In the
+data-collection study others collect. With a recorded target there is nothing to visit or to
+evaluate on, and the answer is the estimate and a policy.
 """
 
 from collections.abc import Generator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from adr_service.distributions import Distribution, Gaussian, Uniform, distribution_from_json
+from adr_service.errors import InvalidInput
 from adr_service.events import IterationFinished, RunEvent
-from adr_service.methods import online
-from adr_service.methods.base import Problem
+from adr_service.methods import identity_of as identity_of_method
+from adr_service.methods.base import OfflineSettings, OnlineSettings, Problem
 from adr_service.methods.bayrn import BayRnSettings
-from adr_service.methods.droid import DroidSettings
 from adr_service.methods.dropo import DropoSettings
 from adr_service.methods.references import OracleSettings, PriorSettings
 from adr_service.methods.simopt import SimOpt1Settings, SimOptSettings
-from adr_service.methods.sysid import SysidSettings
 from adr_service.methods.udr import UdrSettings, random_bounds
 from adr_service.presets import PRESETS
 from adr_service.randomness import stream
-from adr_service.specs import RunSpec
+from adr_service.specs import RecordedTarget, RunSpec
 from adr_service.stages import Stage, StageResult, Stages
-from adr_service.target import Target, Visit, truth_as_distribution
+from adr_service.target import Recording, Target, Visit, truth_as_distribution
 from adr_service.tasks.catalogue import get_task, identity_of, source_of
 from adr_service.transitions import TransitionDataset
 from adr_service.wire import sha256
@@ -39,16 +41,30 @@ from adr_service.wire import sha256
 Program = Generator[RunEvent, None, None]
 
 
-def run(spec: RunSpec, stages: Stages) -> Program:
-    """Everything that happens in a run, in order; ends when the run has succeeded."""
+@dataclass(frozen=True)
+class _Inference:
+    """What an inference found, and the digests of the stages that found it."""
+
+    values: dict[str, Any]
+    stages: list[str]
+
+
+def run(spec: RunSpec, stages: Stages, recording: bytes | None = None) -> Program:
+    """Everything that happens in a run, in order; ends when the run has succeeded.
+
+    `recording` is the `.npz` that a spec with a recorded target names.
+    """
+    if isinstance(spec.target, RecordedTarget):
+        yield from _recorded(spec, stages, Recording(spec, recording))
+        return
     match spec.method:
-        case SimOptSettings():
-            yield from _online(spec, stages)
         case BayRnSettings(initial=initial):
             yield from _bayesian(spec, stages, UdrSettings(policies=initial))
         case SimOpt1Settings():
             yield from _single_shot(spec, stages)
-        case DropoSettings() | DroidSettings() | SysidSettings():
+        case OnlineSettings():
+            yield from _online(spec, stages)
+        case OfflineSettings():
             yield from _offline(spec, stages)
         case UdrSettings():
             yield from _train_and_report(spec, stages, _boxes(spec, spec.method))
@@ -58,6 +74,8 @@ def run(spec: RunSpec, stages: Stages) -> Program:
         case OracleSettings():
             truth = truth_as_distribution(spec.task, spec.variant)
             yield from _train_and_report(spec, stages, [truth], variant="vanilla")
+        case _:
+            raise InvalidInput(f"no program runs the method {spec.method.name}")
 
 
 def _online(spec: RunSpec, stages: Stages) -> Program:
@@ -72,33 +90,54 @@ def _online(spec: RunSpec, stages: Stages) -> Program:
 
 def _offline(spec: RunSpec, stages: Stages) -> Program:
     target = Target(spec, stages)
-    collector = _OnlineLoop(spec.model_copy(update={"method": _collector(spec)}), stages, target)
+    collector = _OnlineLoop(spec.model_copy(update={"method": _simopt(spec)}), stages, target)
     prior = Gaussian.prior(_problem(spec).source.space)
     trained = yield from stages.run(_training(spec, prior))
     yield from _report(spec, target, 0, [prior], [trained])
     visits: list[Visit] = []
     for iteration in range(1, spec.iterations + 1):
-        if iteration > 1:
-            yield from collector.update(visits[-1:])
-        collecting = yield from collector.train()
-        visits.append((yield from collector.visit(collecting, iteration - 1)))
-        inferred = yield from _estimate(spec, stages, _joined(visits))
-        distribution = _decode(spec, inferred.values["distribution"])
-        trained = yield from stages.run(_training(spec, distribution))
-        yield from _report(spec, target, iteration, [distribution], [trained], inferred)
+        visits.append((yield from _collect(spec, collector, visits)))
+        yield from _estimate_and_report(spec, stages, target, iteration, _joined(visits))
 
 
-def _estimate(spec: RunSpec, stages: Stages, data: bytes) -> Generator[RunEvent, None, StageResult]:
+def _collect(
+    spec: RunSpec, collector: "_OnlineLoop", visits: Sequence[Visit]
+) -> Generator[RunEvent, None, Visit]:
+    """One more trajectory for an offline method, after `visits`."""
+    if spec.collector == "random":
+        return (yield from collector.target.rollout(None, len(visits)))
+    if spec.collector == "simopt" and visits:
+        yield from collector.update(visits[-1:])
+    collecting = yield from collector.train()
+    return (yield from collector.visit(collecting, len(visits)))
+
+
+def _recorded(spec: RunSpec, stages: Stages, recording: Recording) -> Program:
+    yield from _estimate_and_report(spec, stages, recording, 1, recording.data)
+
+
+def _estimate_and_report(
+    spec: RunSpec, stages: Stages, target: Target | Recording, iteration: int, data: bytes
+) -> Program:
+    inferred = yield from _estimate(spec, stages, data)
+    distribution = _decode(spec, inferred.values["distribution"])
+    trained = yield from stages.run(_training(spec, distribution))
+    yield from _report(spec, target, iteration, [distribution], [trained], inferred)
+
+
+def _estimate(spec: RunSpec, stages: Stages, data: bytes) -> Generator[RunEvent, None, _Inference]:
     """What an offline method infers; of several epsilons, by the one that predicts best.
 
     DROPO, Sec. IV-A: the mean squared error of one-step predictions by the estimate's mean.
     """
     method = spec.method
     each = method.each() if isinstance(method, DropoSettings) else [method]
-    inputs = [{**_identity(spec), "method": settings.model_dump()} for settings in each]
-    results = yield from stages.all([Stage("infer", given, {"data": data}) for given in inputs])
+    inputs = [{**_identity(spec), **identity_of_method(settings)} for settings in each]
+    asked = [Stage("infer", given, {"data": data}) for given in inputs]
+    results = yield from stages.all(asked)
+    digests = [stage.digest for stage in asked]
     if len(results) == 1:
-        return results[0]
+        return _Inference(results[0].values, digests)
     errors = [result.values["diagnostics"]["mean_squared_error"] for result in results]
     best = results[int(np.argmin(errors))]
     tried = {
@@ -110,7 +149,7 @@ def _estimate(spec: RunSpec, stages: Stages, data: bytes) -> Generator[RunEvent,
         "simulated_steps": sum(result.values["simulated_steps"] for result in results),
         "diagnostics": {**best.values["diagnostics"], "mean_squared_error_by_epsilon": tried},
     }
-    return StageResult(values, best.blobs)
+    return _Inference(values, digests)
 
 
 def _single_shot(spec: RunSpec, stages: Stages) -> Program:
@@ -150,14 +189,16 @@ def _bayesian(spec: RunSpec, stages: Stages, start: UdrSettings) -> Program:
 
 def _propose(
     spec: RunSpec, stages: Stages, boxes: Sequence[Uniform], returns: Sequence[float]
-) -> Generator[RunEvent, None, StageResult]:
+) -> Generator[RunEvent, None, _Inference]:
     inputs = {
         **_identity(spec),
-        "method": spec.method.model_dump(),
+        **identity_of_method(spec.method),
         "distributions": [box.to_json() for box in boxes],
         "returns": list(returns),
     }
-    return (yield from stages.run(Stage("propose", inputs)))
+    stage = Stage("propose", inputs)
+    result = yield from stages.run(stage)
+    return _Inference(result.values, [stage.digest])
 
 
 def _boxes(spec: RunSpec, settings: UdrSettings) -> list[Uniform]:
@@ -180,7 +221,7 @@ def _train_and_report(
 ) -> Program:
     """For methods without data: one policy per distribution, all at the same time."""
     trained = yield from stages.all([_training(spec, d, variant) for d in distributions])
-    yield from _report(spec, Target(spec, stages), 0, distributions, trained)
+    yield from _report(spec, Target(spec, stages), 0, distributions, trained, variant=variant)
 
 
 class _OnlineLoop:
@@ -188,9 +229,10 @@ class _OnlineLoop:
 
     def __init__(self, spec: RunSpec, stages: Stages, target: Target):
         self._spec, self._stages, self.target = spec, stages, target
-        self._method, self._problem = online(spec.method), _problem(spec)
+        assert isinstance(spec.method, OnlineSettings)
+        self._method, self._problem = spec.method.create(), _problem(spec)
         self._state = self._method.start(self._problem)
-        self.last: StageResult | None = None  # of the latest inference
+        self.last: _Inference | None = None
 
     @property
     def distribution(self) -> Distribution:
@@ -204,29 +246,31 @@ class _OnlineLoop:
 
     def update(self, visits: Sequence[Visit]) -> Program:
         """Infer from visits of one policy."""
-        self.last = yield from self._stages.run(
-            Stage(
-                "infer",
-                {
-                    **_identity(self._spec),
-                    "method": self._spec.method.model_dump(),
-                    "state": self._state,
-                },
-                {"policy": visits[0].policy, "data": _joined(visits)},
-            )
+        policy = visits[0].policy
+        assert policy is not None
+        stage = Stage(
+            "infer",
+            {
+                **_identity(self._spec),
+                **identity_of_method(self._spec.method),
+                "state": self._state,
+            },
+            {"policy": policy, "data": _joined(visits)},
         )
-        self._state = self.last.values["state"]
+        result = yield from self._stages.run(stage)
+        self.last, self._state = _Inference(result.values, [stage.digest]), result.values["state"]
 
 
 def _report(
     spec: RunSpec,
-    target: Target,
+    target: Target | Recording,
     iteration: int,
     distributions: Sequence[Distribution],
     trained: Sequence[StageResult],
-    inferred: StageResult | None = None,
+    inferred: _Inference | None = None,
+    variant: str | None = None,
 ) -> Program:
-    """Evaluate the trained policies on the target and say how it stands."""
+    """Evaluate the trained policies on the target, where that can be, and say how it stands."""
     policies = [result.blobs["policy"] for result in trained]
     found = yield from target.evaluate(policies)
     returns = [values["returns"] for values in found]
@@ -240,7 +284,9 @@ def _report(
         source_returns=[result.values["source_return"] for result in trained],
         reached_threshold=[result.values["reached_threshold"] for result in trained],
         training_steps=[result.values["steps"] for result in trained],
+        trainings=[_training(spec, d, variant).digest for d in distributions],
         inference_steps=inferred.values["simulated_steps"] if inferred else 0,
+        inferences=inferred.stages if inferred else [],
         returns=returns,
         diverged_episodes=sum(values["diverged_episodes"] for values in found),
         diagnostics=inferred.values["diagnostics"] if inferred else {},
@@ -261,7 +307,7 @@ def _identity(spec: RunSpec) -> dict[str, Any]:
     return {**identity_of(spec.task), "variant": spec.variant, "seed": spec.seed}
 
 
-def _collector(spec: RunSpec) -> SimOptSettings:
+def _simopt(spec: RunSpec) -> SimOptSettings:
     """The SimOpt whose trajectories offline methods read: the preset's."""
     return SimOptSettings.model_validate(PRESETS[spec.preset]["methods"].get("simopt", {}))
 

@@ -8,18 +8,37 @@ one means the same when presets change. What is given wins over the preset, fiel
 
 from collections.abc import Iterator
 from itertools import product
-from typing import Any, Literal, Self, cast
+from typing import Annotated, Any, Literal, Self, cast
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
-from adr_service.errors import UnknownName
-from adr_service.methods import METHODS, MethodSettings
+from adr_service.errors import InvalidInput, UnknownName
+from adr_service.methods import AnyMethod, methods
+from adr_service.methods.base import OfflineSettings
 from adr_service.presets import PRESETS
 from adr_service.tasks.catalogue import catalogue, get_task, source_of
 from adr_service.training.settings import TrainingSettings
 from adr_service.wire import Wire
 
 MAX_RUNS = 5000  # of one benchmark
+Collector = Literal["simopt", "prior", "random"]
+
+
+class SimulatedTarget(Wire):
+    """The hidden truth of the task's variant, in simulation."""
+
+    kind: Literal["simulated"] = "simulated"
+
+
+class RecordedTarget(Wire):
+    """No target at all, but a stored recording, from which an offline method learns once."""
+
+    kind: Literal["recorded"] = "recorded"
+    dataset: str = Field(description="id of an uploaded recording")
+    episodes: int | None = Field(None, ge=1, description="the first so many; default: all")
+
+
+AnyTarget = Annotated[SimulatedTarget | RecordedTarget, Field(discriminator="kind")]
 
 
 class RunSpec(Wire):
@@ -28,7 +47,13 @@ class RunSpec(Wire):
     kind: Literal["transfer"] = "transfer"
     task: str
     variant: str = "vanilla"
-    method: MethodSettings
+    method: AnyMethod
+    target: AnyTarget = SimulatedTarget()
+    collector: Collector = Field(
+        "simopt",
+        description="whose actions offline methods see: SimOpt's policies' "
+        "(the protocol), the prior's policy's, or random ones (the data-collection study)",
+    )
     seed: int = Field(0, ge=0, lt=2**31)
     preset: str = "quick"
     iterations: int = Field(ge=1, le=100, description="target rollouts a method may use")
@@ -74,7 +99,33 @@ class RunSpec(Wire):
                 f"transitions: {self.transitions} given, but an episode of {self.task} has "
                 f"{horizon} steps at most"
             )
+        offline = isinstance(self.method, OfflineSettings)
+        if not offline and isinstance(self.target, RecordedTarget):
+            raise ValueError(
+                f"method: {self.method.name} needs a target that it can visit; a recorded one "
+                f"serves {', '.join(_offline_methods())}"
+            )
+        if self.collector != "simopt" and (not offline or isinstance(self.target, RecordedTarget)):
+            raise ValueError(
+                f"collector: {self.collector!r} given, but only {', '.join(_offline_methods())} on "
+                "a simulated target learn from what another policy collects"
+            )
         return self
+
+    @property
+    def column(self) -> str:
+        """The method, and who collects for it where that is not as in the protocol."""
+        return self.method.name + ("" if self.collector == "simopt" else f" on {self.collector}")
+
+
+class BenchmarkExtension(Wire):
+    """What to add to a benchmark."""
+
+    tasks: list[str] = Field([])
+    variants: list[str] = Field([])
+    methods: list[str | AnyMethod] = Field([])
+    collectors: list[Collector] = Field([])
+    seeds: list[int] = Field([])
 
 
 class BenchmarkSpec(Wire):
@@ -82,7 +133,10 @@ class BenchmarkSpec(Wire):
 
     tasks: list[str] = Field(min_length=1)
     variants: list[str] = Field(default=["vanilla"], min_length=1)
-    methods: list[str | MethodSettings] = Field(min_length=1)
+    methods: list[str | AnyMethod] = Field(min_length=1)
+    collectors: list[Collector] = Field(
+        default=["simopt"], min_length=1, description="for offline methods; others run once"
+    )
     seeds: list[int] = Field(default=[0, 1, 2], min_length=1)
     references: bool = Field(True, description="also run the prior and the oracle policy")
     preset: str = "quick"
@@ -93,18 +147,27 @@ class BenchmarkSpec(Wire):
 
     @model_validator(mode="after")
     def _all_runs_are_valid(self) -> Self:
-        for name in ("tasks", "variants", "methods", "seeds"):
+        for name in ("tasks", "variants", "methods", "collectors", "seeds"):
             values = getattr(self, name)
             if any(values.count(value) > 1 for value in values):
                 raise ValueError(f"{name} must not repeat a member; given {values}")
         names = [m if isinstance(m, str) else m.name for m in self.methods]
         if len(set(names)) < len(names):
             raise ValueError(f"methods must not repeat a name; given {', '.join(names)}")
-        size = len(self.tasks) * len(self.variants) * len(self.seeds) * len(self._all_methods)
-        if size > MAX_RUNS:
-            raise ValueError(f"a benchmark may have {MAX_RUNS} runs at most; this has {size}")
+        if self.size > MAX_RUNS:
+            raise ValueError(f"a benchmark may have {MAX_RUNS} runs at most; this has {self.size}")
         list(self.runs())
         return self
+
+    @property
+    def size(self) -> int:
+        """The number of runs."""
+        columns = sum(len(self._collectors_of(method)) for method in self._all_methods)
+        return len(self.tasks) * len(self.variants) * len(self.seeds) * columns
+
+    def _collectors_of(self, method: Any) -> list[Collector]:
+        name = method if isinstance(method, str) else method.name
+        return self.collectors if name in _offline_methods() else ["simopt"]
 
     @property
     def _all_methods(self) -> list[Any]:
@@ -112,19 +175,34 @@ class BenchmarkSpec(Wire):
         references = ["prior", "oracle"] if self.references else []
         return [*self.methods, *(name for name in references if name not in named)]
 
+    def extended(self, extension: BenchmarkExtension) -> "BenchmarkSpec":
+        """This benchmark and more; what it has already cannot be added again."""
+        added = {name: list(value) for name, value in extension if value}
+        if not added:
+            accepted = ", ".join(BenchmarkExtension.model_fields)
+            raise InvalidInput(f"nothing to add was given; accepted: {accepted}")
+        wider = {name: [*getattr(self, name), *value] for name, value in added.items()}
+        try:
+            return BenchmarkSpec.model_validate(self.model_dump(exclude_unset=True) | wider)
+        except ValidationError as error:
+            raise InvalidInput("; ".join(e["msg"] for e in error.errors())) from error
+
     def runs(self) -> Iterator[RunSpec]:
         """The runs, seeds outermost, so that a stopped benchmark has whole repetitions."""
         budget = ("iterations", "transitions", "evaluation_episodes", "training")
         given = {name: getattr(self, name) for name in budget if getattr(self, name) is not None}
-        axes = (self.seeds, self.tasks, self.variants, self._all_methods)
-        for seed, task, variant, method in product(*axes):
+        chosen = [(m, c) for m in self._all_methods for c in self._collectors_of(m)]
+        for seed, task, variant, (method, collector) in product(
+            self.seeds, self.tasks, self.variants, chosen
+        ):
             # what was not given of a method's settings is the preset's, not the class's default
-            chosen = method if isinstance(method, str) else method.model_dump(exclude_unset=True)
+            settings = method if isinstance(method, str) else method.model_dump(exclude_unset=True)
             yield RunSpec.model_validate(
                 {
                     "task": task,
                     "variant": variant,
-                    "method": chosen,
+                    "method": settings,
+                    "collector": collector,
                     "seed": seed,
                     "preset": self.preset,
                     **given,
@@ -135,9 +213,9 @@ class BenchmarkSpec(Wire):
 def _fill_method(given: Any, defaults: dict[str, dict[str, Any]]) -> Any:
     """A method's settings from its name or its partial settings, and the preset's."""
     if isinstance(given, str):
-        given = {"name": _known("method", given, METHODS)}
+        given = {"name": _known("method", given, methods())}
     if isinstance(given, dict) and isinstance(given.get("name"), str):
-        return {**defaults.get(_known("method", given["name"], METHODS), {}), **given}
+        return {**defaults.get(_known("method", given["name"], methods()), {}), **given}
     return given
 
 
@@ -145,3 +223,7 @@ def _known(kind: str, name: str, accepted: Any) -> str:
     if name not in accepted:
         raise ValueError(str(UnknownName(kind, name, accepted)))
     return name
+
+
+def _offline_methods() -> list[str]:
+    return [name for name, settings in methods().items() if issubclass(settings, OfflineSettings)]

@@ -19,20 +19,21 @@ from adr_service.distributions import Uniform
 from adr_service.errors import BudgetExceeded, InvalidInput
 from adr_service.events import RunEvent
 from adr_service.simulation.batch import Simulations, control_period
-from adr_service.simulation.rollout import Episodes, run_episodes
-from adr_service.specs import RunSpec
+from adr_service.simulation.replay import check_recorded
+from adr_service.simulation.rollout import Act, Episodes, run_episodes
+from adr_service.specs import RecordedTarget, RunSpec
 from adr_service.stages import Stage, Stages
 from adr_service.tasks.base import Task
-from adr_service.tasks.catalogue import hidden_of, identity_of, variant_of
+from adr_service.tasks.catalogue import get_task, hidden_of, identity_of, variant_of
 from adr_service.training.policy import Policy
-from adr_service.transitions import TransitionDataset
+from adr_service.transitions import TransitionDataset, dataset_id
 
 
 @dataclass(frozen=True)
 class Visit:
     """One metered rollout: what the target showed of one policy."""
 
-    policy: bytes
+    policy: bytes | None  # None: random actions
     data: bytes  # a TransitionDataset as .npz
     transitions: int
 
@@ -48,8 +49,8 @@ class Target:
         self.rollouts = 0
         self.transitions = 0
 
-    def rollout(self, policy: bytes, iteration: int) -> Generator[RunEvent, None, Visit]:
-        """One trajectory of `policy`, of at most the spec's transitions."""
+    def rollout(self, policy: bytes | None, iteration: int) -> Generator[RunEvent, None, Visit]:
+        """One trajectory of `policy`, or of random actions, of at most the spec's transitions."""
         spec = self._spec
         if self.rollouts + 1 > spec.iterations:
             raise BudgetExceeded("target rollouts", self.rollouts, 1, spec.iterations)
@@ -63,7 +64,7 @@ class Target:
                     "iteration": iteration,
                     "seed": spec.seed,
                 },
-                {"policy": policy},
+                {} if policy is None else {"policy": policy},
             )
         )
         taken = int(result.values["transitions"])
@@ -120,6 +121,35 @@ class Target:
         return [result.values for result in results]
 
 
+class Recording:
+    """A recorded target: it has shown all that it ever will, and evaluates no policy."""
+
+    def __init__(self, spec: RunSpec, content: bytes | None):
+        """`content` are the bytes of the dataset that the spec names."""
+        asked = spec.target
+        assert isinstance(asked, RecordedTarget)
+        if content is None or dataset_id(content) != asked.dataset:
+            given = "nothing" if content is None else dataset_id(content)
+            raise InvalidInput(f"the run learns from the recording {asked.dataset}; given {given}")
+        data = TransitionDataset.from_npz(content)
+        check_recorded(get_task(spec.task), data)
+        episodes = len(data.split())
+        if asked.episodes is not None:
+            if asked.episodes > episodes:
+                raise InvalidInput(
+                    f"{asked.dataset} has {episodes} episodes; asked for the first {asked.episodes}"
+                )
+            data = data.first_episodes(asked.episodes)
+        self.data = data.to_npz()
+        self.rollouts, self.transitions = len(data.split()), len(data)
+
+    def evaluate(
+        self, policies: Sequence[bytes]
+    ) -> Generator[RunEvent, None, list[dict[str, Any]]]:
+        yield from ()
+        return []
+
+
 def truth_as_distribution(task_name: str, variant: str) -> Uniform:
     """Certainty about the truth, in the target's own space: what the oracle is trained on."""
     hidden = hidden_of(task_name, variant)
@@ -143,13 +173,13 @@ def true_values(task_name: str, variant: str) -> dict[str, float]:
 
 
 def simulate_rollout(
-    task: Task, variant: str, policy: Policy, transitions: int, rng: np.random.Generator
+    task: Task, variant: str, act: Act, transitions: int, rng: np.random.Generator
 ) -> TransitionDataset:
-    """One episode of the policy on the simulated target, clipped to `transitions`.
+    """One episode of `act` on the simulated target, clipped to `transitions`.
 
     Where the simulation diverges, the recording ends before that step.
     """
-    episode = _episodes(task, variant, policy, 1, transitions, rng)
+    episode = _episodes(task, variant, act, 1, transitions, rng)
     length = int(episode.lengths[0]) - int(episode.diverged[0])
     if length == 0:
         raise InvalidInput(f"the simulated target {task.name} diverged at its first step")
@@ -169,11 +199,17 @@ def simulate_evaluation(
     task: Task, variant: str, policy: Policy, episodes: int, rng: np.random.Generator
 ) -> Episodes:
     """Full episodes of the policy on the simulated target."""
-    return _episodes(task, variant, policy, episodes, task.horizon, rng)
+    return _episodes(task, variant, policy.act, episodes, task.horizon, rng)
+
+
+def random_actions(task: Task, rng: np.random.Generator) -> Act:
+    """Actions (n, a) uniform within the task's bounds, whatever is observed."""
+    low, high = task.action_low, task.action_high
+    return lambda observations: rng.uniform(low, high, (len(observations), len(low)))
 
 
 def _episodes(
-    task: Task, variant: str, policy: Policy, n: int, steps: int, rng: np.random.Generator
+    task: Task, variant: str, act: Act, n: int, steps: int, rng: np.random.Generator
 ) -> Episodes:
     hidden = hidden_of(task.name, variant)
     simulations = Simulations(task, hidden.source, n)
@@ -182,4 +218,4 @@ def _episodes(
     noise: Callable[[], Matrix] | None = None
     if deviation > 0:
         noise = lambda: deviation * rng.standard_normal((n, width))  # noqa: E731
-    return run_episodes(task, simulations, policy.act, task.initial(n, rng), steps, noise)
+    return run_episodes(task, simulations, act, task.initial(n, rng), steps, noise)

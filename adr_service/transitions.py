@@ -8,14 +8,19 @@ The `.npz` keys are DROPO's (`observations`, `next_observations`, `actions`, `te
 
 import io
 import itertools
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from adr_service.arrays import Indices, Matrix, frozen
 from adr_service.errors import InvalidInput
+from adr_service.npz import read_arrays
+from adr_service.wire import sha256
+
+_NEEDED = ("observations", "actions", "next_observations", "dt")
+_OPTIONAL = ("episodes", "terminals", "columns", "origin")
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,10 @@ class TransitionDataset:
         """One dataset per episode, in order."""
         return [self._rows(slice(first, last)) for first, last in self._spans()]
 
+    def first_episodes(self, count: int) -> "TransitionDataset":
+        """The first `count` (at least one) episodes, or all where there are fewer."""
+        return self.first(self._spans()[:count][-1][1])
+
     def first(self, rows: int) -> "TransitionDataset":
         """The first `rows` (at least one) transitions, or all where there are fewer."""
         if rows < 1:
@@ -103,27 +112,55 @@ class TransitionDataset:
 
     @classmethod
     def from_npz(cls, content: bytes) -> "TransitionDataset":
-        try:
-            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-                fields = {name: arrays[name] for name in arrays.files}
-        except (ValueError, zipfile.BadZipFile, EOFError) as error:
-            raise InvalidInput(f"not a readable .npz of plain arrays: {error}") from error
-        if "episodes" not in fields and "terminals" in fields:  # DROPO's own files
-            ends = np.cumsum(fields["terminals"].astype(bool))
-            fields["episodes"] = np.concatenate([[0], ends[:-1]])
-        needed = {"observations", "actions", "next_observations", "episodes", "dt"}
-        if missing := needed - fields.keys():
-            raise InvalidInput(f"the .npz lacks {sorted(missing)}; it has {sorted(fields)}")
-        width = fields["observations"].shape[-1]
+        """The data in an `.npz`; where it has no `episodes`, `terminals` mark their ends."""
+        fields = read_arrays(content)
+        missing = [name for name in _NEEDED if name not in fields]
+        if not fields.keys() & {"episodes", "terminals"}:
+            missing.append("episodes (or terminals)")
+        unused = sorted(fields.keys() - {*_NEEDED, *_OPTIONAL})
+        if missing or unused:
+            raise InvalidInput(
+                f"the .npz lacks {missing} and has the unknown {unused}; it must have "
+                f"{', '.join(_NEEDED)} and episodes or terminals, and may have columns and origin"
+            )
+        for name in _NEEDED:
+            if fields[name].dtype.kind not in "iuf":
+                raise InvalidInput(f"{name} must hold numbers; given {fields[name].dtype}")
+        if fields["dt"].ndim != 0:
+            raise InvalidInput(f"dt must be one number; its shape is {fields['dt'].shape}")
+        width = fields["observations"].shape[-1] if fields["observations"].ndim else 0
         default_columns = np.array([f"observation_{i}" for i in range(width)])
         return cls(
             observations=fields["observations"],
             actions=fields["actions"],
             next_observations=fields["next_observations"],
-            episodes=fields["episodes"],
+            episodes=_episodes(fields),
             dt=float(fields["dt"]),
-            columns=tuple(str(c) for c in fields.get("columns", default_columns)),
+            columns=tuple(str(c) for c in np.atleast_1d(fields.get("columns", default_columns))),
             origin=str(fields.get("origin", "unknown")),
+        )
+
+    @classmethod
+    def from_npy(
+        cls, prefix: Path, *, dt: float, columns: Sequence[str], origin: str
+    ) -> "TransitionDataset":
+        """The data in DROPO's own files, PREFIX_observations.npy and so on.
+
+        Read from a trusted folder: unlike `from_npz`, not for uploads.
+        """
+        names = ("observations", "actions", "nextobservations", "terminals")
+        try:
+            arrays = {n: np.load(f"{prefix}_{n}.npy", allow_pickle=False) for n in names}
+        except (OSError, ValueError) as error:
+            raise InvalidInput(f"{prefix}_*.npy cannot be read: {error}") from error
+        return cls(
+            observations=arrays["observations"],
+            actions=arrays["actions"],
+            next_observations=arrays["nextobservations"],
+            episodes=_episodes(arrays),
+            dt=dt,
+            columns=tuple(columns),
+            origin=origin,
         )
 
     @classmethod
@@ -161,3 +198,19 @@ class TransitionDataset:
             self.columns,
             self.origin,
         )
+
+
+def dataset_id(content: bytes) -> str:
+    """The name of a stored recording: equal bytes have equal names."""
+    return f"data_{sha256(content)[:16]}"
+
+
+def _episodes(fields: dict[str, np.ndarray]) -> np.ndarray:
+    """Episode ids (N,), from `episodes` or from the ends that `terminals` mark."""
+    if "episodes" in fields:
+        ids = fields["episodes"]
+        if ids.dtype.kind not in "iu" or ids.ndim != 1:
+            raise InvalidInput(f"episodes must be (N,) integers; given {ids.dtype} {ids.shape}")
+        return ids
+    ends = np.cumsum(fields["terminals"].astype(bool))
+    return np.concatenate([[0], ends[:-1]])

@@ -9,7 +9,7 @@ from fastapi import FastAPI, Request, Response
 
 import adr_service
 from api import errors, page
-from api.routes import benchmarks, catalogue, runs
+from api.routes import benchmarks, catalogue, claims, datasets, runs
 from api.service import open_service
 from api.settings import Settings
 
@@ -33,8 +33,8 @@ def create_app(settings: Settings) -> FastAPI:
         max_body_size=1_000_000,
     )
     errors.install(app)
-    for router in (runs.router, benchmarks.router, catalogue.router, page.router):
-        app.include_router(router)
+    for routes in (runs, benchmarks, datasets, claims, catalogue, page):
+        app.include_router(routes.router)
     if settings.token:
         app.middleware("http")(_token_check(settings.token))
     return app

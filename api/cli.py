@@ -13,8 +13,9 @@ from rich.table import Table
 
 from adr_service.errors import AdrError, InvalidInput
 from api import demo as demo_story
+from api import recordings
 from api.client import AdrClient
-from api.display import comparisons_table, live, results_table
+from api.display import claims_table, comparisons_table, live, results_table
 from api.settings import DEFAULT_URL, read_settings
 
 app = typer.Typer(
@@ -57,6 +58,9 @@ def submit(
     variant: Annotated[str, typer.Option(help="vanilla, noisy or unmodeled.")] = "vanilla",
     seed: Annotated[int, typer.Option()] = 0,
     preset: Annotated[str, typer.Option(help="smoke, demo, quick or paper.")] = "quick",
+    dataset: Annotated[
+        str | None, typer.Option(help="Learn from this uploaded recording, without a target.")
+    ] = None,
     setting: Annotated[
         list[str] | None,
         typer.Option("--set", help="A field of the spec, training.max_steps=1000 or iterations=2."),
@@ -73,6 +77,8 @@ def submit(
         spec = _read_json(file)
     else:
         spec = {"task": task, "method": method, "variant": variant, "seed": seed, "preset": preset}
+    if dataset is not None:
+        spec = {**spec, "target": {"kind": "recorded", "dataset": dataset}}
     for assignment in setting or []:
         _assign(spec, assignment)
     with _client(url) as client:
@@ -84,6 +90,56 @@ def submit(
             console.print(answer["id"])
         if watch and not dry_run:
             _follow(client, answer["id"])
+
+
+@app.command()
+def upload(
+    file: Annotated[Path, typer.Argument(help="An .npz, or PREFIX of DROPO's PREFIX_*.npy.")],
+    task: Annotated[str, typer.Option(help="Whose recording it is.")],
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Store a recording of a real machine, to learn from; prints its id."""
+    with _client(url) as client:
+        stored = client.upload(recordings.read(file, task), task)
+    console.print(stored["id"])
+
+
+@app.command()
+def datasets(url: Url = DEFAULT_URL) -> None:
+    """List uploaded recordings."""
+    with _client(url) as client:
+        stored = client.list_all("datasets")
+    table = Table("id", "transitions", "episodes", "period", "origin", box=None)
+    for data in stored:
+        counts = (str(data["transitions"]), str(data["episodes"]), f"{data['dt']:g} s")
+        table.add_row(data["id"], *counts, data["origin"])
+    console.print(table if stored else "no recordings yet; `adr upload` stores one")
+
+
+@app.command()
+def extend(
+    id: Annotated[str, typer.Argument(help="Id of a benchmark.")],
+    seed: Annotated[list[int] | None, typer.Option(help="One more seed.")] = None,
+    method: Annotated[list[str] | None, typer.Option(help="One more method.")] = None,
+    variant: Annotated[list[str] | None, typer.Option(help="One more variant.")] = None,
+    task: Annotated[list[str] | None, typer.Option(help="One more task.")] = None,
+    collector: Annotated[list[str] | None, typer.Option(help="One more collector.")] = None,
+    watch: Annotated[bool, typer.Option(help="Follow it to its end.")] = False,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Add runs to a benchmark; what it has computed stays."""
+    given = {
+        "seeds": seed,
+        "methods": method,
+        "variants": variant,
+        "tasks": task,
+        "collectors": collector,
+    }
+    with _client(url) as client:
+        client.extend_benchmark(id, {name: value for name, value in given.items() if value})
+        console.print(f"{id} goes on")
+        if watch:
+            _follow(client, id)
 
 
 @app.command("list")
@@ -124,17 +180,31 @@ def results(
     id: Id,
     csv: Annotated[bool, typer.Option("--csv", help="As CSV.")] = False,
     figure: Annotated[
-        Path | None, typer.Option(help="Write a figure: returns.svg, parameters.png, …")
+        Path | None, typer.Option(help="Write a figure: returns.svg, parameters.png, cost.csv, …")
+    ] = None,
+    figures: Annotated[
+        Path | None, typer.Option(help="Write all figures into this folder, as SVG, PNG and CSV.")
+    ] = None,
+    distribution: Annotated[
+        Path | None, typer.Option(help="Write what a run's policy was trained on, as JSON.")
     ] = None,
     policy: Annotated[Path | None, typer.Option(help="Write a run's policy.")] = None,
     compare: Annotated[bool, typer.Option(help="Probability that a method beats another.")] = False,
     url: Url = DEFAULT_URL,
     as_json: AsJson = False,
 ) -> None:
-    """Show the result table, or write a figure or a policy."""
+    """Show the result table, or write figures, the distribution or the policy."""
     with _client(url) as client:
         if figure is not None:
             figure.write_bytes(client.figure(id, figure.name))
+        elif figures is not None:
+            figures.mkdir(parents=True, exist_ok=True)
+            for name in client.figures(id):
+                for file in (f"{name}.{kind}" for kind in ("svg", "png", "csv")):
+                    (figures / file).write_bytes(client.figure(id, file))
+                    console.print(f"{figures / file}", highlight=False)
+        elif distribution is not None:
+            distribution.write_text(json.dumps(client.distribution(id), indent=1))
         elif policy is not None:
             policy.write_bytes(client.policy(id))
         elif csv:
@@ -145,6 +215,23 @@ def results(
             console.print(comparisons_table(client.results(id)))
         else:
             console.print(results_table(client.results(id)))
+
+
+@app.command()
+def claims(
+    id: Annotated[str | None, typer.Argument(help="Of one benchmark; default: of all.")] = None,
+    url: Url = DEFAULT_URL,
+    as_json: AsJson = False,
+) -> None:
+    """Hold the paper's claims against what was measured."""
+    with _client(url) as client:
+        reports = client.claims(id)
+    if as_json:
+        console.print_json(data=reports)
+    elif not reports:
+        console.print("nothing has been measured yet (the preset smoke does not count)")
+    for report in [] if as_json else reports:
+        console.print(claims_table(report))
 
 
 @app.command()

@@ -56,12 +56,26 @@ class AdrClient:
     def submit_benchmark(self, spec: Json, *, dry_run: bool = False) -> Json:
         return self._json("POST", "/v1/benchmarks", json=spec, params=_dry(dry_run))
 
+    def extend_benchmark(self, benchmark_id: str, extension: Json) -> Json:
+        """Add seeds, methods, … to a benchmark."""
+        return self._json("POST", f"{_path(benchmark_id)}/extend", json=extension)
+
+    def upload(self, content: bytes, task: str | None = None) -> Json:
+        """Store a recording; with `task`, also check that it is of it."""
+        return self._json(
+            "POST",
+            "/v1/datasets",
+            content=content,
+            headers={"Content-Type": "application/octet-stream"},
+            params={} if task is None else {"task": task},
+        )
+
     def get(self, id: str) -> Json:
         """A run or a benchmark, by its id."""
         return self._json("GET", _path(id))
 
     def list_all(self, collection: str, **filters: str) -> list[Json]:
-        """All members of "runs" or "benchmarks", page after page."""
+        """All members of "runs", "benchmarks" or "datasets", page after page."""
         return self._pages(f"/v1/{collection}", "page_token", **filters)
 
     def get_events(self, run_id: str) -> list[Json]:
@@ -75,7 +89,7 @@ class AdrClient:
         return self._json("POST", f"{_path(id)}/resume")
 
     def delete(self, id: str) -> None:
-        """Delete a finished run or benchmark, and what only it refers to."""
+        """Delete a finished run or benchmark and what only it refers to, or a dataset."""
         self._request("DELETE", _path(id))
 
     def results(self, id: str) -> Json:
@@ -85,8 +99,21 @@ class AdrClient:
         return self.content(f"{_path(id)}/results?format=csv").decode()
 
     def figure(self, id: str, name: str) -> bytes:
-        """A figure by file name, "returns.svg" or "parameters.png"."""
+        """A figure by file name, "returns.svg", "parameters.png", "cost.csv"."""
         return self.content(f"{_path(id)}/figures/{name}")
+
+    def figures(self, id: str) -> list[str]:
+        """Names of the figures that can be drawn by now."""
+        return list(self._json("GET", f"{_path(id)}/figures"))
+
+    def claims(self, benchmark_id: str | None = None) -> list[Json]:
+        """What the paper claims against a benchmark, or against everything."""
+        at = "/v1/claims" if benchmark_id is None else f"{_path(benchmark_id)}/claims"
+        return list(self._json("GET", at))
+
+    def distribution(self, run_id: str) -> Json:
+        """What the run's latest policy was trained on."""
+        return self._json("GET", f"{_path(run_id)}/distribution")
 
     def policy(self, run_id: str) -> bytes:
         """The run's latest policy as safetensors."""
@@ -116,9 +143,8 @@ class AdrClient:
                 return items
             params[token_name] = page["next_page_token"]
 
-    def _json(self, method: str, path: str, **more: Any) -> Json:
-        answer: Json = self._request(method, path, **more).json()
-        return answer
+    def _json(self, method: str, path: str, **more: Any) -> Any:
+        return self._request(method, path, **more).json()
 
     def _request(self, method: str, path: str, **more: Any) -> httpx2.Response:
         try:
@@ -140,7 +166,8 @@ def is_finished(seen: Json) -> bool:
 
 
 def _path(id: str) -> str:
-    return f"/v1/benchmarks/{id}" if id.startswith("bench_") else f"/v1/runs/{id}"
+    collections = {"bench": "benchmarks", "data": "datasets"}
+    return f"/v1/{collections.get(id.partition('_')[0], 'runs')}/{id}"
 
 
 def _dry(dry_run: bool) -> dict[str, str]:

@@ -49,9 +49,41 @@ def results_table(results: Json) -> RenderableType:
             f"{row['target_transitions']:.0f}",
             "–" if error is None else f"{error:.2f}",
         )
-    if not results["rows"]:
-        return Text("no iteration has finished yet")
-    return Group(table, Text(results["note"], style="dim"))
+    if results["rows"]:
+        return Group(table, Text(results["note"], style="dim"))
+    if results["estimates"]:
+        note = "a recorded target: there is nothing to evaluate the policy on"
+        return Group(estimates_table(results), Text(note, style="dim"))
+    return Text("no iteration has finished yet")
+
+
+def estimates_table(results: Json) -> RenderableType:
+    """What was inferred, by parameter."""
+    table = Table("method", "seed", "iteration", "parameter", box=None, padding=(0, 2, 0, 0))
+    for heading in ("mean", "standard deviation", "unit"):
+        table.add_column(heading, justify="right")
+    for found in results["estimates"]:
+        numbers = (f"{found['mean']:.5g}", f"{found['std']:.2g}", found["unit"])
+        table.add_row(
+            found["method"],
+            str(found["seed"]),
+            str(found["iteration"]),
+            found["parameter"],
+            *numbers,
+        )
+    return table
+
+
+def claims_table(report: Json) -> RenderableType:
+    """The paper's claims against what was measured under one budget."""
+    changed = ", ".join(f"{name} = {value}" for name, value in report["changed"].items())
+    table = Table("", "claim", "verdict", "measured", box=None, padding=(0, 2, 0, 0))
+    for finding in report["findings"]:
+        evidence = "\n".join(finding["evidence"]) or "–"
+        cells = (finding["claim"], finding["statement"], finding["verdict"], evidence)
+        table.add_row(*(cell.replace("[", r"\[") for cell in cells))
+    title = f"preset {report['preset']}" + (f", but {changed}" if changed else "")
+    return Group(Text(title, style="bold"), table)
 
 
 def comparisons_table(results: Json) -> RenderableType:

@@ -10,8 +10,12 @@ from fastapi import Depends, Request
 
 from adr_service.benchmark.comparison import Outcome
 from adr_service.events import IterationFinished
+from adr_service.specs import RecordedTarget, RunSpec
+from adr_service.target import Recording
 from api.settings import Settings
+from db import datasets as dataset_store
 from db import runs as store
+from db import stages as stage_store
 from db.runs import RunRecord
 from db.session import Database, open_database
 from workers.dispatcher import RayOptions
@@ -25,13 +29,28 @@ class Service:
     orchestrator: Orchestrator
 
     def outcomes(self, records: Sequence[RunRecord]) -> list[Outcome]:
-        """Everything that the runs have found so far."""
-        return [
-            Outcome(record.spec, found.event)
+        """Everything that the runs have found so far, and how long it took."""
+        found = [
+            (record.spec, event.event)
             for record in records
-            for found in store.events_of(self.database, record.id, type="iteration_finished")
-            if isinstance(found.event, IterationFinished)
+            for event in store.events_of(self.database, record.id, type="iteration_finished")
+            if isinstance(event.event, IterationFinished)
         ]
+        digests = [d for _, event in found for d in (*event.inferences, *event.trainings)]
+        seconds = stage_store.seconds_of(self.database, digests)
+
+        def total(stages: Sequence[str]) -> float | None:
+            return sum(seconds[d] for d in stages) if stages else None
+
+        return [
+            Outcome(spec, event, total(event.inferences), total(event.trainings))
+            for spec, event in found
+        ]
+
+    def check_recording(self, spec: RunSpec) -> None:
+        """Refuse a run that names a dataset which is not there, or not of its task."""
+        if isinstance(spec.target, RecordedTarget):
+            Recording(spec, dataset_store.load_dataset(self.database, spec.target.dataset)[1])
 
     def close(self) -> None:
         self.orchestrator.close()

@@ -7,9 +7,10 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel
 
-from adr_service.benchmark.comparison import Outcome, comparisons, table
+from adr_service.benchmark.comparison import Outcome, comparisons, costs, decode, estimates, table
 from adr_service.events import RunEvent, RunState
 from adr_service.specs import BenchmarkSpec, RunSpec
+from db.datasets import DatasetRecord
 from db.runs import BenchmarkRecord, EventRecord, RunRecord, states_of
 from workers.dispatcher import Activity
 
@@ -80,6 +81,42 @@ class ResultsView(BaseModel):
     note: str
     rows: list[dict[str, Any]]
     comparisons: list[dict[str, Any]]  # probabilities of improvement, of every pair of methods
+    estimates: list[dict[str, Any]]  # by parameter, of methods that infer
+    costs: list[dict[str, Any]]  # of inferences and of the trainings after them
+
+
+class DatasetView(BaseModel):
+    """A stored recording."""
+
+    id: str
+    sha256: str
+    created_at: datetime
+    transitions: int
+    episodes: int
+    actions: int
+    dt: float
+    columns: list[str]
+    origin: str
+    links: dict[str, str]
+
+
+class ParameterView(BaseModel):
+    name: str
+    address: str  # in the model
+    unit: str
+    mean: list[float]  # one per distribution
+    std: list[float]
+
+
+class DistributionView(BaseModel):
+    """What policies were trained on; several distributions for UDR alone."""
+
+    task: str
+    variant: str
+    method: str
+    iteration: int
+    parameters: list[ParameterView]
+    distributions: list[dict[str, Any]]
 
 
 def run_view(record: RunRecord, activities: Sequence[Activity]) -> RunView:
@@ -103,6 +140,7 @@ def run_view(record: RunRecord, activities: Sequence[Activity]) -> RunView:
             "events": f"{here}/events",
             "results": f"{here}/results",
             "policy": f"{here}/policy",
+            "distribution": f"{here}/distribution",
         },
     )
 
@@ -123,8 +161,8 @@ def benchmark_view(
             "page": f"/benchmarks/{record.id}",
             "results": f"{here}/results",
             "csv": f"{here}/results?format=csv",
-            "returns_figure": f"{here}/figures/returns.svg",
-            "parameters_figure": f"{here}/figures/parameters.svg",
+            "figures": f"{here}/figures",
+            "claims": f"{here}/claims",
         },
     )
 
@@ -153,4 +191,33 @@ def results_view(outcomes: Sequence[Outcome]) -> ResultsView:
         note=note,
         rows=[asdict(row) for row in table(outcomes)],
         comparisons=[asdict(pair) for pair in comparisons(outcomes)],
+        estimates=[asdict(estimate) for estimate in estimates(outcomes)],
+        costs=[asdict(cost) for cost in costs(outcomes)],
+    )
+
+
+def dataset_view(record: DatasetRecord) -> DatasetView:
+    here = f"/v1/datasets/{record.id}"
+    known = {name: value for name, value in asdict(record).items() if name != "number"}
+    return DatasetView(**known, links={"self": here, "content": f"{here}/content"})
+
+
+def distribution_view(outcome: Outcome) -> DistributionView:
+    spec, distributions = outcome.spec, decode(outcome)
+    return DistributionView(
+        task=spec.task,
+        variant=spec.variant,
+        method=spec.column,
+        iteration=outcome.iteration.iteration,
+        parameters=[
+            ParameterView(
+                name=parameter.name,
+                address=parameter.address,
+                unit=parameter.unit,
+                mean=[float(distribution.mean[i]) for distribution in distributions],
+                std=[float(distribution.std[i]) for distribution in distributions],
+            )
+            for i, parameter in enumerate(distributions[0].space.parameters)
+        ],
+        distributions=list(outcome.iteration.distributions),
     )

@@ -66,11 +66,13 @@ class RunRow(Base):
         CheckConstraint("(state = 'failed') = (error_code IS NOT NULL)", name="error_iff_failed"),
         Index(None, "state"),
         Index(None, "benchmark_id"),
+        Index(None, "dataset_id"),
     )
 
     number: Mapped[int] = mapped_column(primary_key=True)  # order of submission
     id: Mapped[str] = mapped_column(String(40), unique=True)
     benchmark_id: Mapped[str | None] = mapped_column(ForeignKey("benchmarks.id"))
+    dataset_id: Mapped[str | None] = mapped_column(ForeignKey("datasets.id"))  # it learns from
     created_at: Mapped[datetime] = mapped_column(Utc)
     updated_at: Mapped[datetime] = mapped_column(Utc)
     task: Mapped[str] = mapped_column(String(80))
@@ -124,6 +126,23 @@ class ArtifactRow(Base):
     sha256: Mapped[str] = mapped_column(String(64), primary_key=True)
     size: Mapped[int]
     content: Mapped[bytes] = mapped_column(LargeBinary)
+
+
+class DatasetRow(Base):
+    """An uploaded recording; its bytes are an artifact."""
+
+    __tablename__ = "datasets"
+
+    number: Mapped[int] = mapped_column(primary_key=True)  # order of upload
+    id: Mapped[str] = mapped_column(String(40), unique=True)
+    sha256: Mapped[str] = mapped_column(ForeignKey("artifacts.sha256"), index=True)
+    created_at: Mapped[datetime] = mapped_column(Utc)
+    transitions: Mapped[int]
+    episodes: Mapped[int]
+    actions: Mapped[int]  # their dimension
+    dt: Mapped[float]  # control period [s]
+    columns: Mapped[str] = mapped_column(Text)  # JSON list
+    origin: Mapped[str] = mapped_column(Text)
 
 
 class StageArtifactRow(Base):

@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
-from adr_service.errors import AdrError
 from adr_service.events import (
     FINISHED,
     RunEvent,
@@ -18,25 +17,12 @@ from adr_service.events import (
     event_from_json,
     next_state,
 )
-from adr_service.specs import BenchmarkSpec, RunSpec
+from adr_service.specs import BenchmarkExtension, BenchmarkSpec, RecordedTarget, RunSpec
+from db.datasets import get_dataset
+from db.errors import NotFound, NotPossible
 from db.models import BenchmarkRow, EventRow, RunRow
 from db.session import Database
 from db.stages import delete_unreferenced
-
-
-class NotFound(AdrError):
-    """There is no such thing in the database."""
-
-    code = "not_found"
-
-    def __init__(self, kind: str, given: str):
-        super().__init__(f"there is no {kind} {given!r}")
-
-
-class NotPossible(AdrError):
-    """The thing exists, but its state does not allow this."""
-
-    code = "conflict"
 
 
 @dataclass(frozen=True)
@@ -74,7 +60,10 @@ class EventRecord:
 
 
 def create_run(database: Database, spec: RunSpec) -> RunRecord:
-    """Store a run; when this returns it is on disk."""
+    """Store a run; when this returns it is on disk.
+
+    Raises NotFound where the spec names a dataset that is not there.
+    """
     with database.write() as session:
         return _record(_insert_run(session, spec, None))
 
@@ -263,10 +252,44 @@ def exists(session: Session, run_id: str) -> bool:
     return session.scalar(select(RunRow.id).where(RunRow.id == run_id)) is not None
 
 
+def extend_benchmark(
+    database: Database, benchmark_id: str, extension: BenchmarkExtension
+) -> list[RunRecord]:
+    """Add runs to a benchmark, and return them; what it has already stays as it is."""
+    with database.write() as session:
+        row = session.scalar(select(BenchmarkRow).where(BenchmarkRow.id == benchmark_id))
+        if row is None:
+            raise NotFound("benchmark", benchmark_id)
+        spec = BenchmarkSpec.model_validate_json(row.spec).extended(extension)
+        mine = session.scalars(select(RunRow.spec).where(RunRow.benchmark_id == benchmark_id))
+        present = {_cell(run): run for run in map(RunSpec.model_validate_json, mine)}
+        added: list[RunRecord] = []
+        for run in spec.runs():
+            before = present.get(_cell(run))
+            if before is None:
+                added.append(_record(_insert_run(session, run, benchmark_id)))
+            elif before != run:
+                raise NotPossible(
+                    f"the preset {run.preset!r} means something else than when benchmark "
+                    f"{benchmark_id} was submitted, so new runs would not compare with its own"
+                )
+        row.spec = spec.model_dump_json(exclude_unset=True)
+        return added
+
+
+def _cell(spec: RunSpec) -> tuple[str, str, str, int]:
+    """What tells the runs of a benchmark apart."""
+    return (spec.task, spec.variant, spec.column, spec.seed)
+
+
 def _insert_run(session: Session, spec: RunSpec, benchmark_id: str | None) -> RunRow:
+    dataset_id = spec.target.dataset if isinstance(spec.target, RecordedTarget) else None
+    if dataset_id is not None:
+        get_dataset(session, dataset_id)
     row = RunRow(
         id=_new_id("run"),
         benchmark_id=benchmark_id,
+        dataset_id=dataset_id,
         created_at=_now(),
         updated_at=_now(),
         task=spec.task,

@@ -1,7 +1,7 @@
 """Results of stages and their artifacts; one function per transaction."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -11,8 +11,10 @@ from sqlalchemy.orm import Session
 
 from adr_service.stages import Stage, StageResult
 from adr_service.wire import canonical_json, sha256
-from db.models import ArtifactRow, EventRow, StageArtifactRow, StageRow
+from db.models import ArtifactRow, DatasetRow, EventRow, StageArtifactRow, StageRow
 from db.session import Database
+
+_CHUNK = 10_000  # of a query's variables
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,8 @@ def commit_result(
             )
             session.flush()
             for name, content in result.blobs.items():
-                _add_artifact(session, stage.digest, name, content)
+                key = add_artifact(session, content)
+                session.add(StageArtifactRow(digest=stage.digest, name=name, sha256=key))
         also(session)
 
 
@@ -82,12 +85,25 @@ def delete_unreferenced(session: Session) -> None:
     mentioned = exists().where(EventRow.key == "stage_finished:" + StageRow.digest)
     session.execute(delete(StageRow).where(~mentioned))
     used = exists().where(StageArtifactRow.sha256 == ArtifactRow.sha256)
-    session.execute(delete(ArtifactRow).where(~used))
+    uploaded = exists().where(DatasetRow.sha256 == ArtifactRow.sha256)
+    session.execute(delete(ArtifactRow).where(~used, ~uploaded))
 
 
-def _add_artifact(session: Session, digest: str, name: str, content: bytes) -> None:
+def add_artifact(session: Session, content: bytes) -> str:
+    """Store bytes, once; their SHA-256."""
     key = sha256(content)
     if session.get(ArtifactRow, key) is None:
         session.add(ArtifactRow(sha256=key, size=len(content), content=content))
         session.flush()
-    session.add(StageArtifactRow(digest=digest, name=name, sha256=key))
+    return key
+
+
+def seconds_of(database: Database, digests: Sequence[str]) -> dict[str, float]:
+    """How long stages took to compute, of those that have a result."""
+    found: dict[str, float] = {}
+    with database.read() as session:
+        for first in range(0, len(digests), _CHUNK):
+            chunk = StageRow.digest.in_(digests[first : first + _CHUNK])
+            rows = session.execute(select(StageRow.digest, StageRow.seconds).where(chunk))
+            found |= {row.digest: row.seconds for row in rows}
+    return found

@@ -21,8 +21,8 @@ from adr_service.events import (
 from adr_service.specs import BenchmarkSpec, RunSpec
 from adr_service.stages import Stage, StageResult
 from db import runs, stages
+from db.errors import NotFound, NotPossible
 from db.models import RunRow
-from db.runs import NotFound, NotPossible
 from db.session import DatabaseInUse, alembic_config, open_database
 
 SPEC = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})

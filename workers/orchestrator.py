@@ -20,7 +20,9 @@ from adr_service.events import (
     StageFinished,
 )
 from adr_service.runs import run
+from adr_service.specs import RecordedTarget
 from adr_service.stages import Stage, StageResult
+from db import datasets as dataset_store
 from db import runs as run_store
 from db import stages as stage_store
 from db.runs import RunRecord
@@ -94,7 +96,7 @@ class Orchestrator:
             stages = RayStages(
                 record.id, self._dispatcher, lambda: flag.is_set() or self._closing.is_set()
             )
-            for event in run(record.spec, stages):
+            for event in run(record.spec, stages, self._recording(record)):
                 self._record(record, event)
             ending: RunEvent = RunSucceeded()
         except RunCancelled:
@@ -118,6 +120,11 @@ class Orchestrator:
 
     def _record(self, record: RunRecord, event: RunEvent) -> None:
         run_store.append_event(self._database, record.id, event)
+
+    def _recording(self, record: RunRecord) -> bytes | None:
+        if not isinstance(record.spec.target, RecordedTarget):
+            return None
+        return dataset_store.load_dataset(self._database, record.spec.target.dataset)[1]
 
     def _find(self, stage: Stage, run_id: str) -> StageResult | None:
         """A stored result, which from now on this run refers to as well."""

@@ -1,10 +1,11 @@
-"""The result table: methods side by side, from the events of their runs."""
+"""The result tables: methods side by side, from the events of their runs."""
 
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -12,19 +13,22 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.benchmark.statistics import improvement, interquartile_mean, interval, mean
 from adr_service.distributions import Distribution, distribution_from_json
 from adr_service.events import IterationFinished
-from adr_service.methods import INFERRING, METHODS
+from adr_service.methods import is_inferring, methods
+from adr_service.methods.references import OracleSettings, PriorSettings
 from adr_service.randomness import stream
-from adr_service.specs import RunSpec
+from adr_service.specs import RunSpec, SimulatedTarget
 from adr_service.target import estimation_error, true_values
 from adr_service.tasks.catalogue import get_task, source_of
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One evaluated iteration of one run."""
+    """One finished iteration of one run."""
 
     spec: RunSpec
     iteration: IterationFinished
+    inference_seconds: float | None = None  # of computing, where that is known
+    training_seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,7 @@ class Row:
     task: str
     variant: str
     method: str
+    collector: str  # whose actions an offline method saw
     iteration: int
     normalised_return: float
     low: float  # of the 95 % interval over seeds, policies and episodes
@@ -50,6 +55,7 @@ class Row:
     target_rollouts: int  # per seed, what the method could learn from
     target_transitions: float  # per seed, mean
     estimation_error: float | None  # RMS of the mean from the truth in [0, 4]; None for UDR, oracle
+    posterior_std: float | None  # RMS over the parameters in [0, 4]; the prior's is 1
     reached_threshold: float  # share of policies that did, on their source distribution
 
 
@@ -60,25 +66,53 @@ class ParameterEstimate:
     task: str
     variant: str
     method: str
+    collector: str
     seed: int
     iteration: int
     parameter: str
     unit: str
     mean: float
     std: float
-    truth: float
+    normalised_std: float  # in [0, 4] coordinates; the prior's is 1
+    truth: float | None  # None for a recorded target
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What one inference and the training after it cost, mean over seeds."""
+
+    task: str
+    variant: str
+    method: str
+    collector: str
+    iteration: int
+    seeds: int
+    inference_steps: float  # simulated control steps
+    inference_seconds: float | None  # on one core; None where it was not measured
+    training_steps: float  # of all policies of the iteration
+    training_seconds: float | None
 
 
 def table(outcomes: Sequence[Outcome]) -> list[Row]:
     """Rows in the order task, variant, method (as catalogued), iteration."""
-    groups: dict[tuple[str, str, str, int], list[Outcome]] = {}
-    for outcome in outcomes:
-        spec = outcome.spec
-        key = (spec.task, spec.variant, spec.method.name, outcome.iteration.iteration)
-        groups.setdefault(key, []).append(outcome)
-    order = {name: position for position, name in enumerate(METHODS)}
-    keys = sorted(groups, key=lambda k: (k[0], k[1], order[k[2]], k[3]))
-    return [_row(key, sorted(groups[key], key=lambda o: o.spec.seed)) for key in keys]
+    evaluated = [outcome for outcome in outcomes if outcome.iteration.returns]
+    return [_row(key, group) for key, group in _grouped(evaluated).items()]
+
+
+def costs(outcomes: Sequence[Outcome]) -> list[Cost]:
+    """What the iterations of the methods cost that infer something, in the table's order."""
+    inferred = [outcome for outcome in outcomes if outcome.iteration.inferences]
+    return [
+        Cost(
+            *key,
+            seeds=len(group),
+            inference_steps=float(np.mean([o.iteration.inference_steps for o in group])),
+            inference_seconds=_mean([o.inference_seconds for o in group]),
+            training_steps=float(np.mean([sum(o.iteration.training_steps) for o in group])),
+            training_seconds=_mean([o.training_seconds for o in group]),
+        )
+        for key, group in _grouped(inferred).items()
+    ]
 
 
 @dataclass(frozen=True)
@@ -87,7 +121,7 @@ class Comparison:
 
     task: str
     variant: str
-    method: str
+    method: str  # "dropo on random": of the data-collection study
     other: str
     probability: float  # ties counted half
     low: float  # of the 95 % interval
@@ -98,21 +132,23 @@ class Comparison:
 def comparisons(outcomes: Sequence[Outcome]) -> list[Comparison]:
     """Every pair of methods on a task's variant, each after its last common iteration."""
     latest: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
-    for outcome in outcomes:
+    for outcome in (outcome for outcome in outcomes if outcome.iteration.returns):
         spec = outcome.spec
-        methods = latest.setdefault((spec.task, spec.variant), {})
-        kept = methods.setdefault(spec.method.name, [])
+        columns = latest.setdefault((spec.task, spec.variant), {})
+        kept = columns.setdefault(outcome.spec.column, [])
         newest = max((o.iteration.iteration for o in kept), default=-1)
         if outcome.iteration.iteration > newest:
             kept.clear()
         if outcome.iteration.iteration >= newest:
             kept.append(outcome)
     found: list[Comparison] = []
-    for (task, variant), methods in sorted(latest.items()):
-        named = sorted(methods, key=METHODS.index)
+    order = list(methods())
+    for (task, variant), columns in sorted(latest.items()):
+        named = sorted(columns, key=lambda name: (order.index(name.split()[0]), name))
         for one, other in combinations(named, 2):
             a, b = (
-                _returns(sorted(methods[name], key=lambda o: o.spec.seed)) for name in (one, other)
+                returns_of(sorted(columns[name], key=lambda o: o.spec.seed))
+                for name in (one, other)
             )
             chance = improvement(a, b, stream("improvement"))
             found.append(
@@ -135,50 +171,80 @@ def estimates(outcomes: Sequence[Outcome]) -> list[ParameterEstimate]:
     found: list[ParameterEstimate] = []
     for outcome in outcomes:
         spec = outcome.spec
-        if spec.method.name not in INFERRING:
+        if not is_inferring(spec.method):
             continue
-        distribution, truth = _decode(outcome)[0], true_values(spec.task, spec.variant)
-        parameters = source_of(spec.task, spec.variant).space.parameters
+        distribution, space = decode(outcome)[0], source_of(spec.task, spec.variant).space
+        truth: Mapping[str, float] = {}
+        if isinstance(spec.target, SimulatedTarget):
+            truth = true_values(spec.task, spec.variant)
+        normalised = _normalised_std(outcome)
         found.extend(
             ParameterEstimate(
                 spec.task,
                 spec.variant,
                 spec.method.name,
+                spec.collector,
                 spec.seed,
                 outcome.iteration.iteration,
                 parameter.name,
                 parameter.unit,
                 float(distribution.mean[i]),
                 float(distribution.std[i]),
-                truth[parameter.name],
+                float(normalised[i]),
+                truth.get(parameter.name),
             )
-            for i, parameter in enumerate(parameters)
+            for i, parameter in enumerate(space.parameters)
         )
     return found
 
 
-def to_csv(rows: Sequence[Row]) -> str:
-    """The table as CSV with a header; numbers exact."""
+def to_csv(rows: Sequence[Any], row_type: type = Row) -> str:
+    """A table of dataclasses as CSV with a header; numbers exact."""
     buffer = io.StringIO()
-    names = [f.name for f in fields(Row)]
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows([getattr(row, name) for name in names] for row in rows)
+    writer.writerow([f.name for f in fields(row_type)])
+    writer.writerows(astuple(row) for row in rows)
     return buffer.getvalue()
 
 
-def _row(key: tuple[str, str, str, int], outcomes: Sequence[Outcome]) -> Row:
-    task, variant, method, iteration = key
-    returns = _returns(outcomes)
+def returns_of(outcomes: Sequence[Outcome]) -> list[Matrix]:
+    """Normalised target returns, (policies, episodes) per outcome."""
+    return [
+        np.array(o.iteration.returns) / get_task(o.spec.task).reward_threshold for o in outcomes
+    ]
+
+
+_Key = tuple[str, str, str, str, int]  # task, variant, method, collector, iteration
+
+
+def _grouped(outcomes: Sequence[Outcome]) -> dict[_Key, list[Outcome]]:
+    """Outcomes that differ in their seeds alone, by seed; methods as catalogued."""
+    groups: dict[_Key, list[Outcome]] = {}
+    for outcome in sorted(outcomes, key=lambda o: o.spec.seed):
+        spec, iteration = outcome.spec, outcome.iteration.iteration
+        key = (spec.task, spec.variant, spec.method.name, spec.collector, iteration)
+        groups.setdefault(key, []).append(outcome)
+    order = {name: position for position, name in enumerate(methods())}
+    return {key: groups[key] for key in sorted(groups, key=lambda k: (*k[:2], order[k[2]], *k[3:]))}
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _row(key: _Key, outcomes: Sequence[Outcome]) -> Row:
+    task, variant, method, collector, iteration = key
+    returns = returns_of(outcomes)
     # equal data, equal intervals
     average = interval(returns, mean, stream("interval"))
     middle = interval(returns, interquartile_mean, stream("interval"))
     reached = [flag for o in outcomes for flag in o.iteration.reached_threshold]
-    transitions: Vector = np.array([o.iteration.target_transitions for o in outcomes])
     return Row(
         task=task,
         variant=variant,
         method=method,
+        collector=collector,
         iteration=iteration,
         normalised_return=average.value,
         low=average.low,
@@ -190,29 +256,39 @@ def _row(key: tuple[str, str, str, int], outcomes: Sequence[Outcome]) -> Row:
         policies=sum(len(r) for r in returns),
         episodes=sum(r.size for r in returns),
         target_rollouts=max(o.iteration.target_rollouts for o in outcomes),
-        target_transitions=float(np.mean(transitions)),
-        estimation_error=_mean_error(outcomes),
+        target_transitions=float(np.mean([o.iteration.target_transitions for o in outcomes])),
+        estimation_error=_mean([_error(o) for o in outcomes]),
+        posterior_std=_mean([_spread(o) for o in outcomes]),
         reached_threshold=float(np.mean(reached)),
     )
 
 
-def _returns(outcomes: Sequence[Outcome]) -> list[Matrix]:
-    """Normalised target returns, (policies, episodes) per seed."""
-    return [
-        np.array(o.iteration.returns) / get_task(o.spec.task).reward_threshold for o in outcomes
-    ]
+def _error(outcome: Outcome) -> float | None:
+    if not _has_one_belief(outcome.spec):
+        return None
+    return estimation_error(outcome.spec.task, outcome.spec.variant, decode(outcome)[0].mean)
 
 
-def _mean_error(outcomes: Sequence[Outcome]) -> float | None:
-    errors = [
-        estimation_error(o.spec.task, o.spec.variant, _decode(o)[0].mean)
-        for o in outcomes
-        if o.spec.method.name in (*INFERRING, "prior")
-    ]
-    return float(np.mean(errors)) if errors else None
+def _spread(outcome: Outcome) -> float | None:
+    if not _has_one_belief(outcome.spec):
+        return None
+    return float(np.sqrt(np.mean(_normalised_std(outcome) ** 2)))
 
 
-def _decode(outcome: Outcome) -> list[Distribution]:
-    source = source_of(outcome.spec.task, outcome.spec.variant)
-    documents: Sequence[Mapping[str, object]] = outcome.iteration.distributions
-    return [distribution_from_json(source.space, dict(document)) for document in documents]
+def _has_one_belief(spec: RunSpec) -> bool:
+    return is_inferring(spec.method) or isinstance(spec.method, PriorSettings)
+
+
+def _normalised_std(outcome: Outcome) -> Vector:
+    """Standard deviations (d,) in [0, 4] coordinates."""
+    space = source_of(outcome.spec.task, outcome.spec.variant).space
+    return decode(outcome)[0].std / (space.high - space.low) * space.WIDTH
+
+
+def decode(outcome: Outcome) -> list[Distribution]:
+    """The distributions that the iteration's policies were trained on."""
+    spec = outcome.spec
+    # the oracle is trained on the truth, whose space the vanilla source has
+    variant = "vanilla" if isinstance(spec.method, OracleSettings) else spec.variant
+    space = source_of(spec.task, variant).space
+    return [distribution_from_json(space, given) for given in outcome.iteration.distributions]

@@ -1,8 +1,14 @@
-"""The figures of a benchmark, as SVG or PNG; the same outcomes give the same bytes."""
+"""The figures of a benchmark, as SVG or PNG, and as CSV what they draw.
+
+    draw("returns", outcomes, "svg")            # or "returns-noisy": one variant alone
+
+The same outcomes give the same bytes.
+"""
 
 import io
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import matplotlib as mpl
@@ -10,13 +16,22 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from adr_service.benchmark.comparison import Outcome, Row, estimates, table
+from adr_service.benchmark.comparison import (
+    Cost,
+    Outcome,
+    ParameterEstimate,
+    Row,
+    costs,
+    estimates,
+    table,
+    to_csv,
+)
 from adr_service.errors import InvalidInput, UnknownName
 
-Format = Literal["svg", "png"]
+Format = Literal["svg", "png", "csv"]
 
 # Okabe and Ito's colours, told apart by colour-blind readers; one per method everywhere
-COLOURS = {
+_COLOURS = {
     "udr": "#E69F00",
     "bayrn": "#999933",
     "simopt": "#0072B2",
@@ -27,52 +42,101 @@ COLOURS = {
     "prior": "#666666",
     "oracle": "#009E73",
 }
-LABELS = {
+_OTHER_COLOUR = "#882255"  # methods of installed packages
+_COLLECTOR_COLOURS = {"simopt": "#0072B2", "prior": "#666666", "random": "#E69F00"}
+_COLLECTOR_LABELS = {
+    "simopt": "SimOpt's trajectories",
+    "prior": "the prior's policy",
+    "random": "random actions",
+}
+_LABELS = {
     "udr": "UDR",
     "bayrn": "BayRn",
     "simopt": "SimOpt",
     "simopt_1": "SimOpt-1",
     "droid": "DROID",
     "dropo": "DROPO",
-    "sysid": "sysid",
-    "prior": "prior",
-    "oracle": "oracle",
 }
 _DRAWING = threading.Lock()  # Matplotlib's settings belong to the process; requests to threads
 _REFERENCES = ("udr", "prior", "oracle")  # no iterations: drawn as levels
+_MOST_NAMED = 8  # parameters in a legend
 
 
 def draw(name: str, outcomes: Sequence[Outcome], file_format: Format) -> bytes:
-    """One of `FIGURES`, drawn from the outcomes so far."""
-    if name not in FIGURES:
+    """One of `FIGURES`, drawn from the outcomes so far, or the numbers that it draws."""
+    base, _, variant = name.partition("-")
+    if base not in FIGURES:
         raise UnknownName("figure", name, FIGURES)
-    if not outcomes:
-        raise InvalidInput("there is nothing to draw yet: no iteration has finished")
+    if variant and variant not in _variants(outcomes):
+        raise UnknownName(f"variant for the figure {base}", variant, _variants(outcomes))
+    kind = FIGURES[base]
+    rows = kind.rows([o for o in outcomes if variant in {"", o.spec.variant}])
+    if file_format == "csv":
+        return to_csv(rows, kind.row_type).encode()
+    if not rows:
+        raise InvalidInput(f"there is nothing to draw yet: {kind.lacking}")
     # the salt names the elements of an SVG; without it they differ from time to time
     with _DRAWING, mpl.rc_context({"svg.hashsalt": "adr", "svg.fonttype": "none", "font.size": 9}):
-        figure = FIGURES[name](outcomes)
         buffer = io.BytesIO()
         metadata = {"Date": None} if file_format == "svg" else {"Software": None}
-        figure.savefig(buffer, format=file_format, dpi=150, metadata=metadata)
+        kind.draw(rows).savefig(buffer, format=file_format, dpi=150, metadata=metadata)
     return buffer.getvalue()
 
 
-def _returns(outcomes: Sequence[Outcome]) -> Figure:
-    """Normalised target return over iterations, a panel per task and variant."""
-    rows = table(outcomes)
-    panels = list(dict.fromkeys((row.task, row.variant) for row in rows))
-    figure = Figure(figsize=(2 + 4.2 * len(panels), 3.4), layout="constrained")
-    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    for axis, panel in zip(axes, panels, strict=True):
-        _returns_panel(axis, [row for row in rows if (row.task, row.variant) == panel])
-        axis.set_title(f"{panel[0]}, {panel[1]}")
-    axes[0].set_ylabel("target return / reward threshold")
-    axes[-1].legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
-    seeds = sorted({row.seeds for row in rows})
-    figure.supxlabel(
-        f"bands: 95 % bootstrap intervals over {'–'.join(map(str, seeds))} seeds and episodes",
-        fontsize=7,
-    )
+def drawable(outcomes: Sequence[Outcome]) -> list[str]:
+    """Names of the figures that these outcomes fill; the returns once per variant."""
+    names = [name for name, kind in FIGURES.items() if kind.rows(outcomes)]
+    by_variant = [f"returns-{variant}" for variant in _variants(outcomes)]
+    if "returns" in names and len(by_variant) > 1:
+        names[names.index("returns") : names.index("returns") + 1] = by_variant
+    return names
+
+
+def _variants(outcomes: Sequence[Outcome]) -> list[str]:
+    return list(dict.fromkeys(outcome.spec.variant for outcome in outcomes))
+
+
+def _grid(rows: int, columns: int, **options: Any) -> tuple[Figure, np.ndarray]:
+    """A figure of panels, with room for a legend on its right: axes (rows, columns)."""
+    figure = Figure(figsize=(2 + 4.2 * columns, 0.4 + 3 * rows), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def _legend(axis: Axes) -> None:
+    axis.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
+
+
+def _label(method: str) -> str:
+    return _LABELS.get(method, method)
+
+
+def _colour(method: str) -> str:
+    return _COLOURS.get(method, _OTHER_COLOUR)
+
+
+def _iteration_axis(axis: Axes, last: int) -> None:
+    axis.set_xlabel("iteration (target trajectories seen)")
+    axis.set_xticks(range(last + 1))
+
+
+def _protocol_rows(outcomes: Sequence[Outcome]) -> list[Row]:
+    return table([o for o in outcomes if o.spec.collector == "simopt"])
+
+
+def _returns(rows: Sequence[Row]) -> Figure:
+    """Normalised target return over iterations: variants below each other, tasks side by side."""
+    tasks = list(dict.fromkeys(row.task for row in rows))
+    variants = list(dict.fromkeys(row.variant for row in rows))
+    figure, axes = _grid(len(variants), len(tasks), sharey=True)
+    for (i, variant), (j, task) in _pairs(variants, tasks):
+        mine = [row for row in rows if (row.task, row.variant) == (task, variant)]
+        axes[i, j].set_title(f"{task}, {variant}")
+        if mine:
+            _returns_panel(axes[i, j], mine)
+    for row_axes in axes:
+        row_axes[0].set_ylabel("target return / reward threshold")
+    _legend(axes[0, -1])
+    _explain_bands(figure, rows)
     return figure
 
 
@@ -81,25 +145,61 @@ def _returns_panel(axis: Axes, rows: Sequence[Row]) -> None:
     for method in dict.fromkeys(row.method for row in rows):
         mine = [row for row in rows if row.method == method]
         if method in _REFERENCES:
-            row = mine[0]
-            x, style = [0.0, max(last, 1)], "--"
-            mean, low, high = ([v] * 2 for v in (row.normalised_return, row.low, row.high))
+            mine, x, style = [mine[0]] * 2, [0.0, max(last, 1)], "--"
         else:
             x, style = [float(row.iteration) for row in mine], "o-"
-            mean = [row.normalised_return for row in mine]
-            low, high = [row.low for row in mine], [row.high for row in mine]
-        axis.fill_between(x, low, high, color=COLOURS[method], alpha=0.15, linewidth=0)
-        axis.plot(x, mean, style, color=COLOURS[method], label=LABELS[method], markersize=4)
+        _band(axis, x, mine, style, _colour(method), _label(method))
     axis.axhline(1.0, color="black", linewidth=0.5)
-    axis.set_xlabel("iteration (target trajectories seen)")
-    axis.set_xticks(range(last + 1))
+    _iteration_axis(axis, last)
 
 
-def _parameters(outcomes: Sequence[Outcome]) -> Figure:
+def _band(
+    axis: Axes, x: Sequence[float], rows: Sequence[Row], style: str, colour: str, label: str
+) -> None:
+    low, high = [row.low for row in rows], [row.high for row in rows]
+    axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
+    means = [row.normalised_return for row in rows]
+    axis.plot(x, means, style, color=colour, label=label, markersize=4)
+
+
+def _explain_bands(figure: Figure, rows: Sequence[Row]) -> None:
+    seeds = "–".join(map(str, sorted({row.seeds for row in rows})))
+    figure.supxlabel(
+        f"bands: 95 % bootstrap intervals over {seeds} seeds and their episodes", fontsize=7
+    )
+
+
+def _collection_rows(outcomes: Sequence[Outcome]) -> list[Row]:
+    """Rows of the methods for which several collected."""
+    rows = table(outcomes)
+    studied = {(r.task, r.variant, r.method) for r in rows if r.collector != "simopt"}
+    return [row for row in rows if (row.task, row.variant, row.method) in studied]
+
+
+def _collection(rows: Sequence[Row]) -> Figure:
+    """What an offline method makes of whose data: a row per task, a column per method."""
+    tasks = list(dict.fromkeys((row.task, row.variant) for row in rows))
+    methods = list(dict.fromkeys(row.method for row in rows))
+    figure, axes = _grid(len(tasks), len(methods), sharey=True)
+    for (i, task), (j, method) in _pairs(tasks, methods):
+        axis = axes[i, j]
+        axis.set_title(f"{_label(method)} on {', '.join(task)}")
+        mine = [row for row in rows if (row.task, row.variant, row.method) == (*task, method)]
+        for collector in dict.fromkeys(row.collector for row in mine):
+            chosen = [row for row in mine if row.collector == collector]
+            x, colour = [row.iteration for row in chosen], _COLLECTOR_COLOURS[collector]
+            _band(axis, x, chosen, "o-", colour, _COLLECTOR_LABELS[collector])
+        axis.axhline(1.0, color="black", linewidth=0.5)
+        _iteration_axis(axis, max((row.iteration for row in mine), default=0))
+    for row_axes in axes:
+        row_axes[0].set_ylabel("target return / reward threshold")
+    _legend(axes[0, -1])
+    _explain_bands(figure, rows)
+    return figure
+
+
+def _parameters(found: Sequence[ParameterEstimate]) -> Figure:
     """Inferred mean and standard deviation of every parameter, against the truth."""
-    found = estimates(outcomes)
-    if not found:
-        raise InvalidInput("no method of this benchmark has inferred a distribution yet")
     names = list(dict.fromkeys((e.task, e.variant, e.parameter, e.unit) for e in found))
     columns = min(4, len(names))
     rows = -(-len(names) // columns)
@@ -109,22 +209,25 @@ def _parameters(outcomes: Sequence[Outcome]) -> Figure:
         axis.set_axis_off()
     for axis, (task, variant, parameter, unit) in zip(axes, names, strict=False):
         mine = [e for e in found if (e.task, e.variant, e.parameter) == (task, variant, parameter)]
-        axis.axhline(mine[0].truth, color="black", linewidth=0.8, label="truth")
-        for shift, method in enumerate(dict.fromkeys(e.method for e in mine)):
-            chosen = [e for e in mine if e.method == method]
+        if mine[0].truth is not None:
+            axis.axhline(mine[0].truth, color="black", linewidth=0.8, label="truth")
+        for shift, (method, collector) in enumerate(
+            dict.fromkeys((e.method, e.collector) for e in mine)
+        ):
+            chosen = [e for e in mine if (e.method, e.collector) == (method, collector)]
             x = np.array([e.iteration + 0.12 * shift for e in chosen])
             axis.errorbar(
                 x,
                 [e.mean for e in chosen],
                 [e.std for e in chosen],
-                fmt="o",
-                color=COLOURS[method],
-                label=LABELS[method],
+                fmt="o" if collector == "simopt" else "s",
+                color=_colour(method),
+                label=_label(method) + ("" if collector == "simopt" else f" on {collector}"),
                 markersize=3,
                 alpha=0.7,
                 linewidth=0.8,
             )
-        axis.set_title(f"{parameter} [{unit}], {variant}", fontsize=8)
+        axis.set_title(f"{parameter} [{unit}], {task} {variant}", fontsize=8)
         axis.set_xlabel("iteration")
         axis.set_xticks(sorted({e.iteration for e in mine}))
     axes[0].legend(frameon=False, fontsize=7)
@@ -132,7 +235,111 @@ def _parameters(outcomes: Sequence[Outcome]) -> Figure:
     return figure
 
 
-FIGURES: Mapping[str, Callable[[Sequence[Outcome]], Any]] = {
-    "returns": _returns,
-    "parameters": _parameters,
+def _spread_rows(outcomes: Sequence[Outcome]) -> list[ParameterEstimate]:
+    """Estimates that have a spread, in the protocol; a point estimate (sysid) has none."""
+    found = estimates([o for o in outcomes if o.spec.collector == "simopt"])
+    spread = {(e.task, e.variant, e.method) for e in found if e.iteration and e.normalised_std > 0}
+    return [e for e in found if (e.task, e.variant, e.method) in spread]
+
+
+def _spread(found: Sequence[ParameterEstimate]) -> Figure:
+    """Standard deviation of every parameter over iterations, mean over seeds."""
+    tasks = list(dict.fromkeys((e.task, e.variant) for e in found))
+    methods = list(dict.fromkeys(e.method for e in found))
+    figure, axes = _grid(len(tasks), len(methods), sharey=True)
+    for (i, task), (j, method) in _pairs(tasks, methods):
+        axis = axes[i, j]
+        axis.set_title(f"{_label(method)} on {', '.join(task)}")
+        mine = [e for e in found if (e.task, e.variant, e.method) == (*task, method)]
+        names = list(dict.fromkeys(e.parameter for e in mine))
+        for name in names:
+            by_iteration: dict[int, list[float]] = {}
+            for e in mine:
+                if e.parameter == name:
+                    by_iteration.setdefault(e.iteration, []).append(e.normalised_std)
+            means = [float(np.mean(values)) for values in by_iteration.values()]
+            axis.plot(list(by_iteration), means, "o-", markersize=3, linewidth=1, label=name)
+        axis.axhline(1.0, color="black", linewidth=0.5)
+        axis.set_yscale("log")
+        _iteration_axis(axis, max((e.iteration for e in mine), default=0))
+        if j == len(methods) - 1 and len(names) <= _MOST_NAMED:
+            _legend(axis)
+    for row_axes in axes:
+        row_axes[0].set_ylabel("standard deviation in [0, 4]")
+    figure.supxlabel("mean over seeds; the line at 1 is the prior's", fontsize=7)
+    return figure
+
+
+def _cost(rows: Sequence[Cost]) -> Figure:
+    """Simulated steps and seconds of one inference over iterations."""
+    tasks = list(dict.fromkeys((row.task, row.variant) for row in rows))
+    figure, axes = _grid(len(tasks), 2)
+    for (i, task), (j, measure) in _pairs(tasks, ["inference_steps", "inference_seconds"]):
+        axis, mine = axes[i, j], [row for row in rows if (row.task, row.variant) == task]
+        axis.set_title(f"{task[0]}, {task[1]}")
+        for method, collector in dict.fromkeys((row.method, row.collector) for row in mine):
+            chosen = [row for row in mine if (row.method, row.collector) == (method, collector)]
+            points = [(row.iteration, getattr(row, measure)) for row in chosen]
+            # BayRn simulates nothing, and seconds are known of a service's runs alone
+            drawn = [(x, y) for x, y in points if y]
+            if drawn:
+                style = "o-" if collector == "simopt" else "s:"
+                label = _label(method) + ("" if collector == "simopt" else f" on {collector}")
+                x, y = zip(*drawn, strict=True)
+                axis.plot(x, y, style, color=_colour(method), label=label, markersize=4)
+                axis.set_yscale("log")
+        axis.set_ylabel(
+            "simulated control steps" if measure == "inference_steps" else "seconds on one core"
+        )
+        _iteration_axis(axis, max(row.iteration for row in mine))
+    _legend(axes[0, -1] if axes[0, -1].lines else axes[0, 0])
+    figure.supxlabel("of one inference, without training; mean over seeds", fontsize=7)
+    return figure
+
+
+def _pairs(one: Sequence[Any], other: Sequence[Any]) -> list[tuple[tuple[int, Any], ...]]:
+    return [(a, b) for a in enumerate(one) for b in enumerate(other)]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a figure draws, and how."""
+
+    caption: str
+    row_type: type
+    rows: Callable[[Sequence[Outcome]], Sequence[Any]]
+    draw: Callable[[Any], Figure]
+    lacking: str  # said where there are no rows
+
+
+FIGURES: Mapping[str, Kind] = {
+    "returns": Kind(
+        "Target return over iterations",
+        Row,
+        _protocol_rows,
+        _returns,
+        "no iteration has been evaluated",
+    ),
+    "collection": Kind(
+        "Target return by who collected the data",
+        Row,
+        _collection_rows,
+        _collection,
+        "nobody but SimOpt has collected",
+    ),
+    "parameters": Kind(
+        "Inferred parameters against the truth",
+        ParameterEstimate,
+        estimates,
+        _parameters,
+        "no method has inferred a distribution",
+    ),
+    "spread": Kind(
+        "Standard deviation of the inferred distributions",
+        ParameterEstimate,
+        _spread_rows,
+        _spread,
+        "no method has inferred a distribution with a spread",
+    ),
+    "cost": Kind("Cost of the inferences", Cost, costs, _cost, "no method has inferred anything"),
 }

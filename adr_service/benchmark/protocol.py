@@ -7,17 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adr_service.methods.base import OfflineSettings, OnlineSettings
 from adr_service.methods.bayrn import BayRnSettings
-from adr_service.methods.droid import DroidSettings
-from adr_service.methods.dropo import DropoSettings
 from adr_service.methods.references import OracleSettings, PriorSettings
-from adr_service.methods.simopt import SimOpt1Settings, SimOptSettings
-from adr_service.methods.sysid import SysidSettings
+from adr_service.methods.simopt import SimOpt1Settings
 from adr_service.methods.udr import UdrSettings
 from adr_service.randomness import stream
 from adr_service.simulation.batch import Simulations
-from adr_service.simulation.emulator import draws_to_fit
-from adr_service.specs import RunSpec
+from adr_service.specs import RecordedTarget, RunSpec
 from adr_service.tasks.base import Task
 from adr_service.tasks.catalogue import get_task, source_of, variants_of
 from adr_service.training.settings import TrainingSettings
@@ -27,7 +24,6 @@ from adr_service.wire import canonical_json
 # and what grows with them, for 2x128 and batches of 256. From trainings of `arm` and `hopper`.
 _UPDATE_S = {"sbx": (0.0001, 0.0044), "sb3": (0.0025, 0.0125)}
 _REFERENCE_WORK = 256 * 128**2  # batch size x weights of the hidden layers' product
-_EMULATORS = 8  # fitted by one search of DROPO, from runs on `arm` and `hopper`: 3 to 8
 _VECTOR_STEP_S = 0.0007  # acting and storing, per step of all environments
 
 
@@ -90,45 +86,39 @@ def _trainings(spec: RunSpec) -> Iterable[Key]:
             return [("oracle", spec.task, rest.removeprefix(spec.variant))]
         case PriorSettings():
             return [("prior", spec.task, rest)]
-        case SimOptSettings() | SimOpt1Settings():
-            own = [(f"{spec.method.name} {i}", spec.task, rest) for i in _iterations(spec)]
-        case DropoSettings() | DroidSettings() | SysidSettings():
-            own = [(f"simopt {i}", spec.task, rest) for i in range(1, spec.iterations)]
-            own += [(f"{spec.method.name} {i}", spec.task, rest) for i in _iterations(spec)]
-    return [("prior", spec.task, rest), *own]
+        case _:
+            names = [f"{spec.column} {i}" for i in _iterations(spec)]
+            if isinstance(spec.target, RecordedTarget):
+                return [(name, spec.task, rest) for name in names[:1]]
+            if isinstance(spec.method, OfflineSettings) and spec.collector == "simopt":
+                names += [f"simopt {i}" for i in range(1, spec.iterations)]
+            return [(name, spec.task, rest) for name in ["prior", *names]]
 
 
 def _searches(spec: RunSpec) -> Iterable[tuple[Key, int]]:
     """Control steps that the inference of a run simulates."""
-    d = len(source_of(spec.task, spec.variant).space)
-    for iteration in _iterations(spec):
-        seen = spec.transitions * iteration
-        match spec.method:
-            case SimOptSettings(updates=updates, samples=samples):
-                steps = updates * samples * spec.transitions
-            case SimOpt1Settings(updates=updates, samples=samples):
-                steps = updates * samples * seen
-            case DropoSettings(budget=budget, samples_per_parameter=k, exact=True):
-                steps = budget * k * d * seen * len(spec.method.each())
-            case DropoSettings():
-                steps = _EMULATORS * draws_to_fit(d) * seen * len(spec.method.each())
-            case DroidSettings(budget=budget):
-                steps = budget * seen
-            case SysidSettings(starts=starts, iterations=iterations):
-                steps = starts * iterations * (d + 2) * seen
-            case _:
-                return
-        yield (f"{spec.method.name} {iteration}", spec.task, f"{spec.variant} {spec.seed}"), steps
+    if not isinstance(spec.method, OfflineSettings | OnlineSettings):
+        return
+    parameters = len(source_of(spec.task, spec.variant).space)
+    for iteration in _iterations(spec)[: 1 if isinstance(spec.target, RecordedTarget) else None]:
+        learned_at_once = iteration
+        if isinstance(spec.method, OnlineSettings) and not isinstance(spec.method, SimOpt1Settings):
+            learned_at_once = 1
+        steps = spec.method.planned_steps(parameters, spec.transitions * learned_at_once)
+        yield (f"{spec.column} {iteration}", spec.task, f"{spec.variant} {spec.seed}"), steps
 
 
 def _rollouts(spec: RunSpec) -> Iterable[tuple[tuple[str, str, int, int], int]]:
     """Names of the distinct target rollouts of a run, and their transitions at most."""
-    offline = DropoSettings | DroidSettings | SysidSettings
-    if isinstance(spec.method, SimOptSettings | SimOpt1Settings | offline):
-        collector = "prior" if isinstance(spec.method, SimOpt1Settings) else "simopt"
+    if isinstance(spec.target, RecordedTarget):
+        return
+    if isinstance(spec.method, OfflineSettings | OnlineSettings):
+        collector = spec.collector
+        if isinstance(spec.method, OnlineSettings):
+            collector = "prior" if isinstance(spec.method, SimOpt1Settings) else spec.method.name
         for iteration in range(spec.iterations):
             # the first rollout of all is of the prior's policy
-            who = collector if iteration > 0 else "prior"
+            who = collector if iteration > 0 or collector == "random" else "prior"
             yield (f"{who} {spec.task}", spec.variant, spec.seed, iteration), spec.transitions
     if isinstance(spec.method, BayRnSettings):
         for episode in range(spec.method.initial + spec.iterations):

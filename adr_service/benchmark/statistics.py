@@ -67,6 +67,24 @@ def improvement(
     return _between(float(wins(*found)), wins(*drawn))
 
 
+def difference(
+    ones: Sequence[Sequence[Matrix]], others: Sequence[Sequence[Matrix]], rng: np.random.Generator
+) -> Interval:
+    """How much more one method earns than another: mean returns, averaged over cells.
+
+    A cell is a task's variant, with its seeds; both methods have the same ones.
+    """
+    found = [
+        np.mean([np.concatenate([r.mean(axis=1) for r in seeds]).mean() for seeds in cells])
+        for cells in (ones, others)
+    ]
+    drawn = [
+        np.mean([_resampled(seeds, rng).mean(axis=(1, 2)) for seeds in cells], axis=0)
+        for cells in (ones, others)
+    ]
+    return _between(float(found[0] - found[1]), drawn[0] - drawn[1])
+
+
 def _resampled(seeds: Sequence[Matrix], rng: np.random.Generator) -> Matrix:
     """Mean returns of policies in resampled experiments, (resamples, seeds, policies)."""
     if not seeds or any(returns.size == 0 for returns in seeds):

@@ -3,8 +3,12 @@
 Methods never train a policy and never touch the target. An `OfflineMethod` turns recorded
 transitions into an estimate; an `OnlineMethod` is asked for a distribution, and told what the
 policy trained on it did on the target. State is a JSON value, so that a run can stop and go on.
+
+A method's settings are its entry in the catalogue: they know how to make the method, and what it
+will cost (docs/add-a-method.md).
 """
 
+from abc import abstractmethod
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -15,6 +19,7 @@ from adr_service.progress import Progress
 from adr_service.tasks.base import Source, Task
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
+from adr_service.wire import Wire
 
 
 @dataclass(frozen=True)
@@ -79,4 +84,34 @@ class OnlineMethod(Protocol):
         progress: Progress,
     ) -> Update:
         """The state after `evidence` of a policy trained on what `ask` gave."""
+        ...
+
+
+class MethodSettings(Wire):
+    """Settings of a method."""
+
+    name: Any  # the method's: a `Literal` in each class, which `str` could not become
+
+
+class OfflineSettings(MethodSettings):
+    """Settings of a method that learns from recorded transitions."""
+
+    @abstractmethod
+    def create(self) -> OfflineMethod: ...
+
+    @abstractmethod
+    def planned_steps(self, parameters: int, transitions: int) -> int:
+        """Control steps that one inference from so many transitions simulates, about."""
+        ...
+
+
+class OnlineSettings(MethodSettings):
+    """Settings of a method that is told what the policy of its last distribution did."""
+
+    @abstractmethod
+    def create(self) -> OnlineMethod: ...
+
+    @abstractmethod
+    def planned_steps(self, parameters: int, transitions: int) -> int:
+        """Control steps that one inference from so many transitions simulates, at most."""
         ...

@@ -20,11 +20,11 @@ from pydantic import Field
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.distributions import Uniform
+from adr_service.methods.base import MethodSettings
 from adr_service.parameters import ParameterSpace
-from adr_service.wire import Wire
 
 
-class BayRnSettings(Wire):
+class BayRnSettings(MethodSettings):
     name: Literal["bayrn"] = "bayrn"
     initial: int = Field(10, ge=2, le=1000, description="policies of UDR to start from")
 

@@ -19,20 +19,25 @@ from pydantic import Field
 from adr_service.arrays import Matrix, Vector
 from adr_service.distributions import Gaussian
 from adr_service.errors import InvalidInput
-from adr_service.methods.base import Estimate, Problem
+from adr_service.methods.base import Estimate, OfflineSettings, Problem
 from adr_service.progress import Progress
 from adr_service.search.cma_es import belief, strategy
 from adr_service.simulation.batch import Simulations
 from adr_service.simulation.replay import check_recorded
 from adr_service.tasks.base import State
 from adr_service.transitions import TransitionDataset
-from adr_service.wire import Wire
 
 
-class DroidSettings(Wire):
+class DroidSettings(OfflineSettings):
     name: Literal["droid"] = "droid"
     budget: int = Field(1000, ge=1, le=1_000_000, description="simulated replays of the data")
     initial_std: float = Field(1.0, gt=0, description="of the search, in [0, 4] coordinates")
+
+    def create(self) -> "Droid":
+        return Droid(self)
+
+    def planned_steps(self, parameters: int, transitions: int) -> int:
+        return self.budget * transitions
 
 
 class Droid:

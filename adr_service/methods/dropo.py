@@ -29,23 +29,23 @@ from scipy.stats import qmc
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.distributions import TruncatedGaussian
 from adr_service.errors import InvalidInput
-from adr_service.methods.base import Estimate, Problem
+from adr_service.methods.base import Estimate, OfflineSettings, Problem
 from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
 from adr_service.search.cma_es import strategy
-from adr_service.simulation.emulator import Emulator
+from adr_service.simulation.emulator import Emulator, draws_to_fit
 from adr_service.simulation.replay import Replay
 from adr_service.transitions import TransitionDataset
-from adr_service.wire import Wire
 
 _WORST = 1e12  # loss of a candidate whose simulation diverged; CMA-ES compares ranks only
 _MARGIN = 2.5  # of the emulator's box over the draws of a population
 _SHRUNK = 0.2  # share of the box below which a population gets an emulator of its own
 _TOGETHER = 16  # simulations at a time; changes no bit
 _NEGLIGIBLE = 0.01  # emulation error, as a variance, in epsilons
+_EMULATORS = 8  # fitted by one search, from runs on `arm` and `hopper`: 3 to 8
 
 
-class DropoSettings(Wire):
+class DropoSettings(OfflineSettings):
     name: Literal["dropo"] = "dropo"
     budget: int = Field(5000, ge=1, le=1_000_000, description="likelihood evaluations")
     samples_per_parameter: int = Field(
@@ -58,6 +58,15 @@ class DropoSettings(Wire):
     )
     steps: int = Field(1, ge=1, description="control steps per replayed window (lambda)")
     exact: bool = Field(False, description="simulate every draw of every candidate")
+
+    def create(self) -> "Dropo":
+        return Dropo(self)
+
+    def planned_steps(self, parameters: int, transitions: int) -> int:
+        draws = _EMULATORS * draws_to_fit(parameters)
+        if self.exact:
+            draws = self.budget * self.samples_per_parameter * parameters
+        return draws * transitions * len(self.each())
 
     def each(self) -> list["DropoSettings"]:
         """These settings with one epsilon each."""

@@ -6,12 +6,12 @@ truth, which the target reveals to nobody else. Lower and upper reference.
 
 from typing import Literal
 
-from adr_service.wire import Wire
+from adr_service.methods.base import MethodSettings
 
 
-class PriorSettings(Wire):
+class PriorSettings(MethodSettings):
     name: Literal["prior"] = "prior"
 
 
-class OracleSettings(Wire):
+class OracleSettings(MethodSettings):
     name: Literal["oracle"] = "oracle"

@@ -23,17 +23,17 @@ from scipy.optimize import minimize
 
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.distributions import Gaussian
-from adr_service.methods.base import Evidence, Problem, Update
+from adr_service.methods.base import Evidence, OnlineSettings, Problem, Update
 from adr_service.progress import Progress, part_of
 from adr_service.simulation.batch import Simulations
 from adr_service.simulation.rollout import follow
 from adr_service.tasks.base import State
-from adr_service.wire import Wire
 
 _LEAST_RATIO = 1e-12  # of the new variance to the old, below which the fit is singular
 
 
-class _Settings(Wire):
+class _Settings(OnlineSettings):
+    updates: int
     samples: int = Field(
         1000, ge=10, le=100_000, description="simulated parameter samples per update"
     )
@@ -43,6 +43,12 @@ class _Settings(Wire):
     l1_weight: float = Field(0.5, ge=0)
     l2_weight: float = Field(1.0, ge=0)
     filter_std: float = Field(5.0, ge=0, description="Gaussian filter over time [steps]")
+
+    def create(self) -> "SimOpt":
+        return SimOpt(self)
+
+    def planned_steps(self, parameters: int, transitions: int) -> int:
+        return self.updates * self.samples * transitions
 
 
 class SimOptSettings(_Settings):
@@ -58,7 +64,7 @@ class SimOpt1Settings(_Settings):
 
 
 class SimOpt:
-    def __init__(self, settings: SimOptSettings | SimOpt1Settings):
+    def __init__(self, settings: _Settings):
         self._settings = settings
 
     def start(self, problem: Problem) -> dict[str, Any]:

@@ -19,20 +19,25 @@ from scipy.stats import qmc
 from adr_service.arrays import Matrix, Vector
 from adr_service.distributions import Uniform
 from adr_service.errors import InvalidInput
-from adr_service.methods.base import Estimate, Problem
+from adr_service.methods.base import Estimate, OfflineSettings, Problem
 from adr_service.progress import Progress
 from adr_service.simulation.replay import Replay
 from adr_service.transitions import TransitionDataset
-from adr_service.wire import Wire
 
 _STEP = 1e-4  # of the finite differences, in [0, 4] coordinates
 
 
-class SysidSettings(Wire):
+class SysidSettings(OfflineSettings):
     name: Literal["sysid"] = "sysid"
     starts: int = Field(4, ge=1, le=1000, description="searches, the first from the middle")
     steps: int = Field(1, ge=1, description="control steps per replayed window")
     iterations: int = Field(50, ge=1, le=10_000, description="evaluations per search, at most")
+
+    def create(self) -> "Sysid":
+        return Sysid(self)
+
+    def planned_steps(self, parameters: int, transitions: int) -> int:
+        return self.starts * self.iterations * (parameters + 2) * transitions
 
 
 class Sysid:

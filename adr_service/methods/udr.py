@@ -11,11 +11,11 @@ import numpy as np
 from pydantic import Field
 
 from adr_service.distributions import Uniform
+from adr_service.methods.base import MethodSettings
 from adr_service.parameters import ParameterSpace
-from adr_service.wire import Wire
 
 
-class UdrSettings(Wire):
+class UdrSettings(MethodSettings):
     name: Literal["udr"] = "udr"
     policies: int = Field(10, ge=1, le=1000, description="random bounds, one policy each")
 

@@ -6,9 +6,9 @@ Ours, and those of installed packages: an entry point of the group `adr_service.
 
 from collections.abc import Mapping
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 
 from adr_service.errors import InvalidInput, UnknownName
+from adr_service.plugins import installed, load, origin, package_of
 from adr_service.tasks import arm, half_cheetah, hopper, humanoid, walker2d
 from adr_service.tasks.base import Entry, Hidden, Source, Task, Variant
 
@@ -29,11 +29,17 @@ BUILT_IN: Mapping[str, Entry] = {
 def catalogue() -> Mapping[str, Entry]:
     """All tasks by name: ours, then those of installed packages."""
     entries = dict(BUILT_IN)
-    for point in _installed():
-        entry = _load(point)
+    for point in installed(GROUP):
+        entry = load(point)
+        if not isinstance(entry, Entry):
+            raise InvalidInput(
+                f"{origin(point)} must name an adr_service.tasks.base.Entry; it is {entry!r}"
+            )
+        if entry.task.name != point.name:
+            raise InvalidInput(f"{origin(point)} gives a task of another name, {entry.task.name!r}")
         if entry.task.name in entries:
             raise InvalidInput(
-                f"{_origin(point)} gives a task {entry.task.name!r}, which there is already"
+                f"{origin(point)} gives a task {entry.task.name!r}, which there is already"
             )
         entries[entry.task.name] = entry
     return entries
@@ -69,34 +75,8 @@ def identity_of(task: str) -> Mapping[str, str]:
 
     Changes of our own tasks are changes of the stage kinds' versions.
     """
-    for point in _installed():
-        if point.name == task and point.dist is not None:
-            return {"task": task, "package": f"{point.dist.name} {point.dist.version}"}
-    return {"task": task}
-
-
-def _installed() -> list[EntryPoint]:
-    return sorted(entry_points(group=GROUP), key=lambda point: point.name)
-
-
-def _load(point: EntryPoint) -> Entry:
-    try:
-        entry = point.load()
-    # a foreign module may raise anything while it is imported
-    except Exception as error:
-        raise InvalidInput(f"{_origin(point)} cannot be loaded: {error!r}") from error
-    if not isinstance(entry, Entry):
-        raise InvalidInput(
-            f"{_origin(point)} must name an adr_service.tasks.base.Entry; it is {entry!r}"
-        )
-    if entry.task.name != point.name:
-        raise InvalidInput(f"{_origin(point)} gives a task of another name, {entry.task.name!r}")
-    return entry
-
-
-def _origin(point: EntryPoint) -> str:
-    package = f" of the package {point.dist.name}" if point.dist else ""
-    return f"entry point {point.name!r} = {point.value!r}{package} (group {GROUP})"
+    package = package_of(GROUP, task)
+    return {"task": task} if package is None else {"task": task, "package": package}
 
 
 def _entry(task: str) -> Entry:

@@ -5,8 +5,9 @@ from pathlib import Path
 from fastapi import APIRouter, Request, Response
 from fastapi.templating import Jinja2Templates
 
+from adr_service.benchmark.claims import reports
 from adr_service.benchmark.comparison import table
-from adr_service.methods import INFERRING
+from adr_service.benchmark.figures import FIGURES, drawable
 from api.routes.benchmarks import view
 from api.service import ServiceDependency
 from db import runs as store
@@ -34,9 +35,14 @@ def index(request: Request, service: ServiceDependency) -> Response:
 def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -> Response:
     shown = view(service, store.get_benchmark(service.database, benchmark_id))
     outcomes = service.outcomes(store.runs_of(service.database, benchmark_id))
-    inferred = any(outcome.spec.method.name in INFERRING for outcome in outcomes)
     return _templates.TemplateResponse(
         request,
         "benchmark.html",
-        {"benchmark": shown, "rows": table(outcomes), "inferred": inferred},
+        {
+            "benchmark": shown,
+            "rows": table(outcomes),
+            "figures": drawable(outcomes),
+            "captions": {name: kind.caption for name, kind in FIGURES.items()},
+            "claims": reports(outcomes),
+        },
     )

@@ -7,9 +7,10 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Body, Query, Response, status
 
+from adr_service.benchmark.claims import reports
 from adr_service.benchmark.comparison import table, to_csv
-from adr_service.benchmark.figures import Format, draw
-from adr_service.specs import BenchmarkSpec
+from adr_service.benchmark.figures import Format, draw, drawable
+from adr_service.specs import BenchmarkExtension, BenchmarkSpec
 from api.routes.runs import MEDIA, PageSize, plan_here
 from api.service import Service, ServiceDependency
 from api.views import (
@@ -22,7 +23,8 @@ from api.views import (
     run_view,
 )
 from db import runs as store
-from db.runs import BenchmarkRecord, NotPossible
+from db.errors import NotPossible
+from db.runs import BenchmarkRecord
 
 router = APIRouter(prefix="/v1/benchmarks", tags=["benchmarks"])
 
@@ -80,6 +82,18 @@ def resume(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
     return get_benchmark(benchmark_id, service)
 
 
+@router.post("/{benchmark_id}/extend", status_code=status.HTTP_202_ACCEPTED)
+def extend(
+    benchmark_id: str,
+    extension: Annotated[BenchmarkExtension, Body()],
+    service: ServiceDependency,
+) -> BenchmarkView:
+    """Add seeds, methods, tasks, variants or collectors; nothing is computed twice."""
+    for run in store.extend_benchmark(service.database, benchmark_id, extension):
+        service.orchestrator.submit(run)
+    return get_benchmark(benchmark_id, service)
+
+
 @router.delete("/{benchmark_id}", status_code=status.HTTP_204_NO_CONTENT)
 def delete(benchmark_id: str, service: ServiceDependency) -> None:
     """Delete a finished benchmark with its runs and what only they refer to."""
@@ -94,6 +108,19 @@ def results(
     if format == "csv":
         return Response(to_csv(table(outcomes)), media_type="text/csv")
     return results_view(outcomes)
+
+
+@router.get("/{benchmark_id}/claims")
+def claims(benchmark_id: str, service: ServiceDependency) -> list[dict[str, Any]]:
+    """What the paper claims, against this benchmark alone."""
+    outcomes = service.outcomes(store.runs_of(service.database, benchmark_id))
+    return [asdict(report) for report in reports(outcomes)]
+
+
+@router.get("/{benchmark_id}/figures")
+def figures(benchmark_id: str, service: ServiceDependency) -> list[str]:
+    """Names of the figures that can be drawn by now."""
+    return drawable(service.outcomes(store.runs_of(service.database, benchmark_id)))
 
 
 @router.get("/{benchmark_id}/figures/{name}.{file_format}", response_class=Response)

@@ -7,16 +7,18 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Body, Query, Response, status
 
 from adr_service.benchmark.comparison import table, to_csv
-from adr_service.benchmark.figures import Format, draw
+from adr_service.benchmark.figures import Format, draw, drawable
 from adr_service.benchmark.protocol import Plan, plan
 from adr_service.events import RunState
 from adr_service.specs import RunSpec
 from api.service import Service, ServiceDependency
 from api.views import (
+    DistributionView,
     EventView,
     Page,
     ResultsView,
     RunView,
+    distribution_view,
     event_view,
     page_of,
     results_view,
@@ -24,11 +26,12 @@ from api.views import (
 )
 from db import runs as store
 from db import stages as stage_store
-from db.runs import NotFound, RunRecord
+from db.errors import NotFound
+from db.runs import RunRecord
 
 router = APIRouter(prefix="/v1/runs", tags=["runs"])
 PageSize = Annotated[int, Query(ge=1, le=1000)]
-MEDIA = {"svg": "image/svg+xml", "png": "image/png"}
+MEDIA = {"svg": "image/svg+xml", "png": "image/png", "csv": "text/csv"}
 
 
 @router.post("", status_code=status.HTTP_202_ACCEPTED, response_model=None)
@@ -39,6 +42,7 @@ def submit(
     validate_only: bool = False,
 ) -> RunView | dict[str, Any]:
     """Store a run and start it; with `validate_only`, say what it would cost instead."""
+    service.check_recording(spec)
     if validate_only:
         response.status_code = status.HTTP_200_OK
         return {"spec": spec, "plan": asdict(plan_here(service, [spec]))}
@@ -120,10 +124,26 @@ def results(
     return results_view(outcomes)
 
 
+@router.get("/{run_id}/figures")
+def figures(run_id: str, service: ServiceDependency) -> list[str]:
+    """Names of the figures that can be drawn by now."""
+    return drawable(service.outcomes([store.get_run(service.database, run_id)]))
+
+
 @router.get("/{run_id}/figures/{name}.{file_format}", response_class=Response)
 def figure(run_id: str, name: str, file_format: Format, service: ServiceDependency) -> Response:
     outcomes = service.outcomes([store.get_run(service.database, run_id)])
     return Response(draw(name, outcomes, file_format), media_type=MEDIA[file_format])
+
+
+@router.get("/{run_id}/distribution")
+def distribution(run_id: str, service: ServiceDependency) -> DistributionView:
+    """What the latest policy was trained on: the method's answer, by parameter."""
+    record = store.get_run(service.database, run_id)
+    outcomes = service.outcomes([record])
+    if not outcomes:
+        raise NotFound("finished iteration of run", run_id)
+    return distribution_view(outcomes[-1])
 
 
 @router.get("/{run_id}/policy", response_class=Response)

@@ -1,0 +1,34 @@
+"""What installed packages add: the entry points of our groups, and what they name."""
+
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from adr_service.errors import InvalidInput
+
+
+def installed(group: str) -> list[EntryPoint]:
+    """The entry points of a group, by name."""
+    return sorted(entry_points(group=group), key=lambda point: point.name)
+
+
+def load(point: EntryPoint) -> Any:
+    """What an entry point names."""
+    try:
+        return point.load()
+    # a foreign module may raise anything while it is imported
+    except Exception as error:
+        raise InvalidInput(f"{origin(point)} cannot be loaded: {error!r}") from error
+
+
+def package_of(group: str, name: str) -> str | None:
+    """Name and version of the package that adds `name` to a group; None for our own."""
+    for point in installed(group):
+        if point.name == name and point.dist is not None:
+            return f"{point.dist.name} {point.dist.version}"
+    return None
+
+
+def origin(point: EntryPoint) -> str:
+    """An entry point in words, for errors."""
+    package = f" of the package {point.dist.name}" if point.dist else ""
+    return f"entry point {point.name!r} = {point.value!r}{package} (group {point.group})"

@@ -1,0 +1,19 @@
+"""/v1/claims: what the paper claims, against everything in the database."""
+
+from dataclasses import asdict
+from typing import Any
+
+from fastapi import APIRouter
+
+from adr_service.benchmark.claims import reports
+from api.service import ServiceDependency
+from db import runs as store
+
+router = APIRouter(prefix="/v1/claims", tags=["claims"])
+
+
+@router.get("")
+def claims(service: ServiceDependency) -> list[dict[str, Any]]:
+    """One report per budget: each claim, the numbers that bear on it, and the verdict."""
+    outcomes = service.outcomes(store.list_runs(service.database, limit=-1))
+    return [asdict(report) for report in reports(outcomes)]

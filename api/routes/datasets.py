@@ -1,0 +1,67 @@
+"""/v1/datasets: recordings of real machines, or of anything else, to learn from."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Query, Response, status
+
+from adr_service.simulation.replay import check_recorded
+from adr_service.tasks.catalogue import get_task
+from adr_service.transitions import TransitionDataset
+from api.routes.runs import PageSize
+from api.service import ServiceDependency
+from api.views import DatasetView, Page, dataset_view, page_of
+from db import datasets as store
+
+router = APIRouter(prefix="/v1/datasets", tags=["datasets"])
+_LARGEST = 64_000_000  # bytes of an upload
+_NPZ = "application/octet-stream"
+
+
+@router.post("", status_code=status.HTTP_201_CREATED, max_body_size=_LARGEST)
+def upload(
+    content: Annotated[bytes, Body(media_type=_NPZ, description="an .npz of transitions")],
+    service: ServiceDependency,
+    response: Response,
+    task: Annotated[str | None, Query(description="also check that it is of this task")] = None,
+) -> DatasetView:
+    """Store an `.npz` (docs/recordings.md). The same bytes again are the same dataset."""
+    if task is not None:
+        check_recorded(get_task(task), TransitionDataset.from_npz(content))
+    record, is_new = store.store_dataset(service.database, content)
+    if not is_new:
+        response.status_code = status.HTTP_200_OK
+    response.headers["Location"] = f"/v1/datasets/{record.id}"
+    return dataset_view(record)
+
+
+@router.get("")
+def list_datasets(
+    service: ServiceDependency,
+    page_size: PageSize = 100,
+    page_token: Annotated[int, Query(ge=0, lt=2**63)] = 0,
+) -> Page[DatasetView]:
+    """Datasets in order of upload."""
+    found = store.list_datasets(service.database, after=page_token, limit=page_size + 1)
+    return page_of(found, page_size, dataset_view, lambda record: record.number)
+
+
+@router.get("/{dataset_id}")
+def get_dataset(dataset_id: str, service: ServiceDependency) -> DatasetView:
+    return dataset_view(store.load_dataset(service.database, dataset_id)[0])
+
+
+@router.get("/{dataset_id}/content", response_class=Response)
+def content(dataset_id: str, service: ServiceDependency) -> Response:
+    """The bytes as they were uploaded."""
+    record, found = store.load_dataset(service.database, dataset_id)
+    headers = {
+        "ETag": f'"{record.sha256}"',
+        "Content-Disposition": f'attachment; filename="{record.id}.npz"',
+    }
+    return Response(found, media_type=_NPZ, headers=headers)
+
+
+@router.delete("/{dataset_id}", status_code=status.HTTP_204_NO_CONTENT)
+def delete(dataset_id: str, service: ServiceDependency) -> None:
+    """Delete a dataset from which no run learns."""
+    store.delete_dataset(service.database, dataset_id)
