@@ -65,13 +65,9 @@ def main() -> None:
 
 def recorded() -> TransitionDataset:
     """The first trajectory of `hopper10000` (gabrieletiboni/dropo)."""
-    folder = Path(os.environ["ADR_DATASETS"]) / "dropo_hopper/hopper10000"
-    arrays = [
-        np.load(folder / f"hoppermass_n10000_{name}.npy")[:500]
-        for name in ("observations", "actions", "nextobservations")
-    ]
+    prefix = Path(os.environ["ADR_DATASETS"]) / "dropo_hopper/hopper10000/hoppermass_n10000"
     columns = get_task("hopper").columns
-    return TransitionDataset(*arrays, np.zeros(500, np.int64), 0.008, columns, "dropo")
+    return TransitionDataset.from_npy(prefix, dt=0.008, columns=columns, origin="dropo").first(500)
 
 
 def timed(

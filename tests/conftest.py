@@ -8,7 +8,7 @@ import pytest
 
 from adr_service.transitions import TransitionDataset
 from db.session import Database, open_database
-from tests.published import load_hopper
+from tests.recordings import load_hopper
 from tests.service import RunningService, start_service
 
 

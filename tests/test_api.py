@@ -13,6 +13,7 @@ import pytest
 from adr_service.tasks.catalogue import BUILT_IN
 from adr_service.training.policy import Policy
 from api.client import AdrClient, Refused, Unreachable
+from tests.recordings import recording
 from tests.service import RunningService, wait_until_finished
 
 pytestmark = pytest.mark.ray
@@ -39,6 +40,16 @@ def benchmark(service: RunningService):
     submitted = service.client.submit_benchmark(spec)
     assert wait_until_finished(service.client, submitted["id"], 120)["states"] == {"succeeded": 3}
     return submitted["id"]
+
+
+@pytest.fixture(scope="module")
+def content():
+    return recording("arm", 100, [1.2, 0.6, 2.0, 1.0]).to_npz()
+
+
+@pytest.fixture(scope="module")
+def uploaded(service: RunningService, content):
+    return service.client.upload(content, "arm")
 
 
 class TestRuns:
@@ -103,16 +114,43 @@ class TestBenchmarks:
         assert [float(r["normalised_return"]) for r in table] == [
             row["normalised_return"] for row in rows
         ]
-        for name in ("returns", "parameters"):
+        names = service.client.figures(benchmark)
+        assert names == ["returns", "parameters", "spread", "cost"]
+        for name in names:
             assert service.client.figure(benchmark, f"{name}.png").startswith(b"\x89PNG")
             assert b"<svg" in service.client.figure(benchmark, f"{name}.svg")
+        drawn = csv.DictReader(io.StringIO(service.client.figure(benchmark, "cost.csv").decode()))
+        assert all(float(row["inference_seconds"]) > 0 for row in drawn)
 
     def test_the_page_shows_them(self, http, benchmark):
         page = http.get(f"/benchmarks/{benchmark}").text
         assert "dropo" in page
-        assert f"/v1/benchmarks/{benchmark}/figures/returns.svg" in page
+        for name in ("returns.svg", "spread.png", "cost.csv"):
+            assert f"/v1/benchmarks/{benchmark}/figures/{name}" in page
         assert "these numbers mean nothing" in page
         assert benchmark in http.get("/").text
+
+    def test_seeds_are_added_to_a_finished_one_and_nothing_is_computed_twice(self, service):
+        spec = {"tasks": ["arm"], "methods": ["droid"], "seeds": [0], "preset": "smoke"}
+        id = service.client.submit_benchmark(spec)["id"]
+        wait_until_finished(service.client, id, 120)
+        before = service.client.results(id)["rows"]
+        started = service.started_stages
+        service.client.extend_benchmark(id, {"methods": ["udr"]})
+        assert wait_until_finished(service.client, id, 120)["states"] == {"succeeded": 4}
+        after = service.client.results(id)["rows"]
+        assert [row for row in after if row["method"] != "udr"] == before
+        new = service.started_stages[len(started) :]
+        assert len(new) == 4  # two trainings, two evaluations
+        assert not set(new) & set(started)
+        with pytest.raises(Refused, match="must not repeat"):
+            service.client.extend_benchmark(id, {"seeds": [0]})
+        with pytest.raises(Refused, match="nothing to add"):
+            service.client.extend_benchmark(id, {})
+
+    def test_the_papers_claims_are_held_against_what_there_is(self, service, benchmark):
+        assert service.client.claims(benchmark) == []  # smoke runs mean nothing
+        assert service.client.claims() == []
 
     def test_a_benchmark_is_cancelled_and_deleted(self, service, http):
         spec = {"tasks": ["arm"], "methods": ["udr"], "seeds": [5, 6], "preset": "smoke"}
@@ -130,6 +168,76 @@ class TestBenchmarks:
         body = http.post("/v1/benchmarks?validate_only=true", json={**spec, "preset": "smoke"})
         # per seed: prior, oracle, 2 of UDR, 1 of SimOpt, 1 of DROPO
         assert body.json()["plan"]["trainings"] == 12
+
+
+class TestRecordings:
+    """An offline method learns from an uploaded recording, with no target at all."""
+
+    def test_an_upload_is_stored_once_and_comes_back(self, service, http, content, uploaded):
+        headers = {"Content-Type": "application/octet-stream"}
+        again = http.post("/v1/datasets", content=content, headers=headers)
+        assert (again.status_code, again.json()) == (200, uploaded)
+        assert http.get(again.headers["Location"]).json() == uploaded
+        assert http.get(uploaded["links"]["content"]).content == content
+        assert uploaded["id"] in {data["id"] for data in service.client.list_all("datasets")}
+
+    def test_a_run_gives_a_distribution_and_a_policy(self, service, http, uploaded):
+        target = {"kind": "recorded", "dataset": uploaded["id"]}
+        method = {"name": "sysid", "iterations": 50}
+        run = service.client.submit_run({**SMOKE, "method": method, "target": target})
+        assert wait_until_finished(service.client, run["id"], 120)["state"] == "succeeded"
+        found = service.client.distribution(run["id"])
+        means = {p["name"]: p["mean"][0] for p in found["parameters"]}
+        assert means == pytest.approx(
+            {"upper_mass": 1.2, "fore_mass": 0.6, "shoulder_friction": 2.0, "elbow_friction": 1.0},
+            rel=1e-6,  # there is no noise
+        )
+        assert Policy.from_bytes(service.client.policy(run["id"])).action_low.tolist() == [-1, -1]
+        results = service.client.results(run["id"])
+        assert results["rows"] == []
+        assert {e["truth"] for e in results["estimates"]} == {None}
+        assert service.client.figures(run["id"]) == ["parameters", "cost"]
+        kinds = [
+            e["event"]["kind"]
+            for e in service.client.get_events(run["id"])
+            if e["event"]["type"] == "stage_finished"
+        ]
+        assert kinds == ["infer", "train_policy"]
+        with pytest.raises(Refused, match=f"{run['id']} learns from"):
+            service.client.delete(uploaded["id"])
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"dataset": "data_0"}, "there is no dataset 'data_0'"),
+            ({"episodes": 9}, "has 1 episodes; asked for the first 9"),
+            ({"kind": "robot"}, "'simulated', 'recorded'"),
+        ],
+    )
+    def test_what_cannot_be_learned_from_is_refused(self, service, uploaded, changes, message):
+        target = {"kind": "recorded", "dataset": uploaded["id"], **changes}
+        with pytest.raises(Refused, match=message):
+            service.client.submit_run({**SMOKE, "method": "droid", "target": target})
+
+    def test_a_recording_of_another_robot_is_refused(self, service, content, uploaded):
+        with pytest.raises(Refused, match="hopper measures 11 and takes 3"):
+            service.client.upload(content, "hopper")
+        target = {"kind": "recorded", "dataset": uploaded["id"]}
+        with pytest.raises(Refused, match="hopper measures 11 and takes 3"):
+            service.client.submit_run(
+                {"task": "hopper", "method": "droid", "preset": "smoke", "target": target}
+            )
+
+    def test_methods_that_visit_the_target_are_refused(self, service, uploaded):
+        target = {"kind": "recorded", "dataset": uploaded["id"]}
+        with pytest.raises(Refused, match="serves droid, dropo, sysid"):
+            service.client.submit_run({**SMOKE, "target": target})
+
+    def test_an_upload_that_is_none_is_refused(self, service, http):
+        with pytest.raises(Refused, match="not a readable"):
+            service.client.upload(b"nothing")
+        large = http.post("/v1/datasets", content=b"x" * 64_000_001)
+        assert large.status_code == 413
 
 
 class TestBadInput:
@@ -197,7 +305,7 @@ class TestBadInput:
     def test_an_unknown_figure_is_refused_with_the_list(self, http, finished):
         response = http.get(f"/v1/runs/{finished}/figures/curve.svg")
         assert response.status_code == 404
-        assert "returns, parameters" in response.json()["detail"]
+        assert "returns, collection, parameters" in response.json()["detail"]
 
     def test_a_body_of_megabytes_is_refused(self, http):
         response = http.post("/v1/runs", content=b"[" + b"1," * 1_000_000 + b"1]")

@@ -3,6 +3,7 @@
 import sqlite3
 import threading
 
+import numpy as np
 import pytest
 from alembic import command
 from sqlalchemy import inspect, text
@@ -18,9 +19,11 @@ from adr_service.events import (
     StageFinished,
     state_after,
 )
-from adr_service.specs import BenchmarkSpec, RunSpec
+from adr_service.presets import PRESETS
+from adr_service.specs import BenchmarkExtension, BenchmarkSpec, RunSpec
 from adr_service.stages import Stage, StageResult
-from db import runs, stages
+from adr_service.transitions import TransitionDataset
+from db import datasets, runs, stages
 from db.errors import NotFound, NotPossible
 from db.models import RunRow
 from db.session import DatabaseInUse, alembic_config, open_database
@@ -115,6 +118,30 @@ class TestRuns:
                 runs.delete_run(database, run.id)
         runs.delete_benchmark(database, benchmark.id)
         assert [count(database, t) for t in ("benchmarks", "runs", "events")] == [0, 0, 0]
+
+    def test_a_benchmark_grows_by_what_it_has_not(self, database):
+        given = {"tasks": ["arm"], "methods": ["udr"], "seeds": [0], "preset": "smoke"}
+        id = runs.create_benchmark(database, BenchmarkSpec.model_validate(given)).id
+        before = runs.runs_of(database, id)
+        added = runs.extend_benchmark(
+            database, id, BenchmarkExtension.model_validate({"seeds": [1], "methods": ["droid"]})
+        )
+        assert runs.runs_of(database, id) == [*before, *added]
+        cells = [(run.spec.method.name, run.spec.seed) for run in added]
+        names = ("udr", "droid", "prior", "oracle")
+        assert cells == [("droid", 0), *((name, 1) for name in names)]
+        assert runs.get_benchmark(database, id).spec.seeds == [0, 1]
+        for refused, message in (({"seeds": [1]}, "must not repeat"), ({}, "nothing to add")):
+            with pytest.raises(InvalidInput, match=message):
+                runs.extend_benchmark(database, id, BenchmarkExtension.model_validate(refused))
+        assert len(runs.runs_of(database, id)) == len(before) + len(added)
+
+    def test_a_benchmark_does_not_grow_by_runs_of_another_budget(self, database, monkeypatch):
+        given = {"tasks": ["arm"], "methods": ["udr"], "seeds": [0], "preset": "smoke"}
+        id = runs.create_benchmark(database, BenchmarkSpec.model_validate(given)).id
+        monkeypatch.setitem(PRESETS["smoke"]["run"], "transitions", 30)
+        with pytest.raises(NotPossible, match="'smoke' means something else"):
+            runs.extend_benchmark(database, id, BenchmarkExtension.model_validate({"seeds": [1]}))
 
     def test_the_latest_come_first(self, database):
         ids = [runs.create_run(database, SPEC).id for _ in range(3)]
@@ -242,3 +269,35 @@ class TestMigrations:
         with reopened.read() as session:
             assert "runs" in inspect(session.connection()).get_table_names()
         reopened.close()
+
+
+class TestDatasets:
+    def test_equal_bytes_are_one_dataset(self, database):
+        content = a_recording()
+        record, is_new = datasets.store_dataset(database, content)
+        assert is_new
+        assert datasets.store_dataset(database, content) == (record, False)
+        assert datasets.load_dataset(database, record.id) == (record, content)
+        assert (record.transitions, record.episodes, record.actions) == (4, 2, 2)
+        assert datasets.list_datasets(database) == [record]
+
+    def test_one_that_a_run_learns_from_stays(self, database):
+        record, _ = datasets.store_dataset(database, a_recording())
+        target = {"kind": "recorded", "dataset": record.id}
+        spec = {"task": "arm", "method": "droid", "preset": "smoke", "target": target}
+        run = runs.create_run(database, RunSpec.model_validate(spec))
+        with pytest.raises(NotPossible, match=f"{run.id} learns from {record.id}"):
+            datasets.delete_dataset(database, record.id)
+        runs.append_event(database, run.id, RunFailed(submission=1, code="x", message="y"))
+        runs.delete_run(database, run.id)
+        assert datasets.load_dataset(database, record.id)[0] == record  # its bytes are still there
+        datasets.delete_dataset(database, record.id)
+        assert count(database, "artifacts") == 0
+        with pytest.raises(NotFound, match="dataset"):
+            runs.create_run(database, RunSpec.model_validate(spec))
+
+
+def a_recording():
+    rows = np.arange(16.0).reshape(4, 4)
+    episodes, columns = np.array([0, 0, 1, 1]), tuple("abcd")
+    return TransitionDataset(rows, rows[:, :2], rows, episodes, 0.02, columns, "test").to_npz()

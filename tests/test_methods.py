@@ -26,7 +26,7 @@ from adr_service.simulation.rollout import run_episodes
 from adr_service.tasks.catalogue import get_task, variants_of
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
-from tests.test_rendering import recording
+from tests.recordings import recording
 
 ARM = get_task("arm")
 SOURCE = variants_of(ARM.name)["vanilla"].source

@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 
 from adr_service.errors import InvalidInput
-from adr_service.simulation.batch import Simulations, compiled, control_period
+from adr_service.simulation.batch import compiled
 from adr_service.simulation.rendering import Camera, of_policy, of_recording, save, stride_of
-from adr_service.simulation.rollout import run_episodes
 from adr_service.tasks.catalogue import BUILT_IN, get_task, hidden_of
-from adr_service.transitions import TransitionDataset
+from tests.recordings import recording
 
 
 @pytest.fixture(scope="module")
@@ -26,26 +25,6 @@ def gl():
         Camera(compiled(get_task("arm").xml)).close()
     except InvalidInput as error:
         pytest.skip(str(error))
-
-
-def recording(name, steps):
-    """An episode of small random actions at the truth."""
-    task, hidden, rng = get_task(name), hidden_of(name, "vanilla"), np.random.default_rng(0)
-    simulations = Simulations(task, hidden.source, 1)
-    simulations.set_dynamics(hidden.values[None])
-    act = lambda o: 0.2 * rng.uniform(task.action_low, task.action_high)[None]  # noqa: E731
-    episode = run_episodes(task, simulations, act, task.initial(1, rng), steps)
-    n = int(episode.lengths[0])
-    seen = episode.observations[0]
-    return TransitionDataset(
-        observations=seen[:n],
-        actions=episode.actions[0, :n],
-        next_observations=seen[1 : n + 1],
-        episodes=np.zeros(n, dtype=np.int64),
-        dt=control_period(task),
-        columns=task.columns[: task.measured],
-        origin="test",
-    )
 
 
 def adr(*arguments, **environment):

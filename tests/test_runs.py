@@ -1,20 +1,25 @@
 """Whole runs in this process, on the smoke preset."""
 
+import csv
+import io
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
-from adr_service.benchmark.comparison import Outcome, comparisons, estimates, table, to_csv
-from adr_service.benchmark.figures import FIGURES, draw
+from adr_service.benchmark.comparison import Outcome, comparisons, costs, estimates, table, to_csv
+from adr_service.benchmark.figures import FIGURES, draw, drawable
 from adr_service.benchmark.protocol import plan
-from adr_service.computation import LocalStages
+from adr_service.computation import LocalStages, compute
 from adr_service.errors import BudgetExceeded, InvalidInput, UnknownName
 from adr_service.events import IterationFinished
 from adr_service.runs import run
 from adr_service.specs import BenchmarkSpec, RunSpec
 from adr_service.target import Target
-from adr_service.tasks.catalogue import get_task
+from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.transitions import TransitionDataset
 
 METHODS = ["udr", "bayrn", "simopt", "simopt_1", "droid", "dropo", "sysid"]
 
@@ -29,9 +34,18 @@ def iterations(spec, stages):
 
 @pytest.fixture(scope="module")
 def benchmark():
-    """(spec, stages, outcomes) of one benchmark of all methods with references."""
+    """(spec, stages, outcomes) of the whole protocol, with references, and of the data study."""
     spec = BenchmarkSpec.model_validate(
-        {"tasks": ["arm"], "methods": METHODS, "seeds": [0, 1], "preset": "smoke"}
+        {
+            "tasks": ["arm"],
+            "variants": ["vanilla", "noisy", "unmodeled"],
+            "methods": METHODS,
+            "collectors": ["simopt", "prior", "random"],
+            "seeds": [0, 1],
+            "preset": "smoke",
+            "iterations": 5,
+            "training": {"max_steps": 200, "evaluate_every": 200, "learning_starts": 50},
+        }
     )
     stages = LocalStages()
     outcomes = [Outcome(r, event) for r in spec.runs() for event in iterations(r, stages)]
@@ -49,7 +63,7 @@ def test_the_prior_policy_of_a_seed_is_trained_once_for_all_methods(benchmark):
         if s.inputs["distribution"]["kind"] == "gaussian"
         and set(s.inputs["distribution"]["location"]) == {2.0}
     ]
-    assert len(priors) == len(spec.seeds)
+    assert len(priors) == len(spec.seeds) * len(spec.variants)
 
 
 def test_the_plan_counts_the_trainings_that_happen(benchmark):
@@ -66,15 +80,33 @@ def test_the_plan_counts_the_trainings_that_happen(benchmark):
     assert planned.hours == pytest.approx(planned.core_hours / 2)
 
 
-def test_offline_methods_read_what_simopt_collected(benchmark):
-    """DROPO adds no rollout of its own."""
-    _, stages, _ = benchmark
-    rollouts = [s.digest for s in stages.executed if s.kind == "target_rollout"]
-    alone = LocalStages()
-    iterations(smoke("simopt"), alone)
-    simopts = [s.digest for s in alone.executed if s.kind == "target_rollout"]
-    assert rollouts[: len(simopts)] == simopts
-    assert len(rollouts) == 2 * len(simopts)  # two seeds
+def test_offline_methods_read_what_simopt_or_the_prior_or_chance_collected(benchmark):
+    """They add no rollout of their own: SimOpt's are there, and the prior's are SimOpt-1's."""
+    spec, stages, _ = benchmark
+    rollouts = [s for s in stages.executed if s.kind == "target_rollout"]
+    runs = len(spec.seeds) * len(spec.variants)
+    random = [s for s in rollouts if not s.blobs]
+    assert len(random) == 5 * runs
+    assert len(rollouts) - len(random) == (5 + 4) * runs  # the first is common to both
+
+
+def test_random_actions_are_uniform_within_their_bounds():
+    stages = LocalStages()
+    iterations(smoke("droid", collector="random", transitions=200, iterations=1), stages)
+    rollout = next(s for s in stages.executed if s.kind == "target_rollout")
+    actions = TransitionDataset.from_npz(compute(rollout).blobs["data"]).actions
+    assert len(actions) == 200
+    assert np.abs(actions).max() <= 1
+    np.testing.assert_allclose(actions.var(axis=0), 1 / 3, rtol=0.2)
+    assert len(np.unique(actions)) == actions.size
+
+
+def test_a_collector_is_for_offline_methods():
+    with pytest.raises(ValidationError, match="droid, dropo, sysid"):
+        smoke("simopt", collector="random")
+    spec = {"tasks": ["arm"], "methods": ["udr", "dropo"], "collectors": ["prior", "random"]}
+    columns = [run.column for run in BenchmarkSpec.model_validate({**spec, "seeds": [0]}).runs()]
+    assert columns == ["udr", "dropo on prior", "dropo on random", "prior", "oracle"]
 
 
 def test_a_run_repeats_to_the_last_digit():
@@ -175,36 +207,43 @@ def test_simopt_1_learns_from_the_priors_policy_alone():
 class TestResults:
     def test_the_table_has_every_method_with_its_interval_and_counts(self, benchmark):
         rows = table(benchmark[2])
-        assert [row.method for row in rows] == [
+        assert [row.method for row in rows if row.variant == "noisy"] == [
             "udr",
-            *("bayrn", "bayrn"),
-            *("simopt", "simopt"),
-            *("simopt_1", "simopt_1"),
-            *("droid", "droid"),
-            *("dropo", "dropo"),
-            *("sysid", "sysid"),
+            *["bayrn"] * 6,
+            *["simopt"] * 6,
+            *["simopt_1"] * 6,
+            *["droid"] * 18,
+            *["dropo"] * 18,
+            *["sysid"] * 18,
             "prior",
             "oracle",
         ]
         for row in rows:
             assert row.low <= row.normalised_return <= row.high
             assert (row.seeds, row.episodes) == (2, 4 * row.policies)
-        assert [row.target_transitions for row in rows if row.method == "simopt"] == [0, 20]
+        simopt = [row for row in rows if (row.method, row.variant) == ("simopt", "vanilla")]
+        assert [row.target_transitions for row in simopt] == [0, 20, 40, 60, 80, 100]
+        assert simopt[0].posterior_std == 1
+        assert simopt[-1].posterior_std < 1
+        assert all(
+            row.posterior_std == 0 for row in rows if row.method == "sysid" and row.iteration
+        )
 
     def test_every_pair_of_methods_is_compared_after_its_last_iteration(self, benchmark):
         found = comparisons(benchmark[2])
         for pair in found:
             assert 0 <= pair.low <= pair.probability <= pair.high <= 1
             assert pair.seeds == 2
-        names = {row.method for row in table(benchmark[2])}
-        assert len(found) == len(names) * (len(names) - 1) // 2
+        names = {run.column for run in benchmark[0].runs()}
+        assert len(names) == 6 + 3 * 3
+        assert len(found) == 3 * len(names) * (len(names) - 1) // 2
 
     def test_the_prior_is_iteration_zero_of_every_method(self, benchmark):
         rows = table(benchmark[2])
-        prior = next(row for row in rows if row.method == "prior")
+        prior = {row.variant: row for row in rows if row.method == "prior"}
         for row in rows:
             if row.method in {"simopt", "dropo"} and row.iteration == 0:
-                assert row.normalised_return == prior.normalised_return
+                assert row.normalised_return == prior[row.variant].normalised_return
 
     def test_outcomes_in_any_order_give_the_same_csv(self, benchmark):
         outcomes = benchmark[2]
@@ -226,10 +265,41 @@ class TestResults:
         assert b"</svg>" in svg
         assert draw(name, benchmark[2], "png").startswith(b"\x89PNG")
 
+    def test_the_papers_four_figures_and_three_more_can_be_drawn(self, benchmark):
+        names = [f"returns-{variant}" for variant in ("vanilla", "noisy", "unmodeled")]
+        assert drawable(benchmark[2]) == [*names, "collection", "parameters", "spread", "cost"]
+        alone = [o for o in benchmark[2] if o.spec.variant == "noisy"]
+        assert draw("returns-noisy", benchmark[2], "png") == draw("returns", alone, "png")
+        with pytest.raises(UnknownName, match="vanilla, noisy, unmodeled"):
+            draw("returns-windy", benchmark[2], "png")
+
+    def test_the_csv_of_a_figure_has_the_numbers_it_draws(self, benchmark):
+        read = csv.DictReader(io.StringIO(draw("spread-vanilla", benchmark[2], "csv").decode()))
+        drawn = list(read)
+        assert {row["method"] for row in drawn} == {"simopt", "simopt_1", "droid", "dropo"}
+        assert {row["normalised_std"] for row in drawn if row["iteration"] == "0"} == {"1.0"}
+        assert {row["parameter"] for row in drawn} == set(source_of("arm", "vanilla").space.names)
+
+    def test_inferences_and_trainings_have_their_cost(self, benchmark):
+        _, stages, outcomes = benchmark
+        executed = {stage.digest: stage for stage in stages.executed}
+        for outcome in outcomes:
+            event = outcome.iteration
+            assert {executed[d].kind for d in event.trainings} == {"train_policy"}
+            assert len(event.trainings) == len(event.policies)
+            kinds = {executed[d].kind for d in event.inferences}
+            assert kinds <= ({"propose"} if outcome.spec.method.name == "bayrn" else {"infer"})
+        timed = [replace(o, inference_seconds=2.0 * o.spec.seed) for o in outcomes]
+        found = costs(timed)
+        assert {cost.method for cost in found} == {*METHODS} - {"udr"}
+        assert {cost.inference_seconds for cost in found} == {1.0}  # of two seeds
+        dropo = [c for c in found if (c.method, c.variant) == ("dropo", "vanilla")]
+        assert all(cost.inference_steps > 0 for cost in dropo)
+
     def test_a_figure_of_nothing_or_of_no_such_name_is_refused(self, benchmark):
         with pytest.raises(InvalidInput, match="nothing to draw"):
             draw("returns", [], "svg")
-        with pytest.raises(UnknownName, match="returns, parameters"):
+        with pytest.raises(UnknownName, match="returns, collection, parameters"):
             draw("return", benchmark[2], "svg")
 
 

@@ -16,7 +16,7 @@ from adr_service.tasks.base import Source, State
 from adr_service.tasks.catalogue import BUILT_IN, get_task, variants_of
 from adr_service.transitions import TransitionDataset
 from tests.plain import model_of
-from tests.published import HOPPER_MASSES_KG
+from tests.recordings import HOPPER_MASSES_KG
 
 TASKS = [entry.task for entry in BUILT_IN.values()]
 ROOT = Path(__file__).parent.parent

@@ -90,15 +90,58 @@ def test_bytes_that_are_no_npz_are_refused():
         TransitionDataset.from_npz(b"not a zip")
 
 
-def test_pickled_objects_are_refused():
-    buffer = io.BytesIO()
-    np.savez(buffer, observations=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(InvalidInput, match="not a readable"):
-        TransitionDataset.from_npz(buffer.getvalue())
+GOOD = {
+    "observations": np.zeros((4, 2)),
+    "actions": np.zeros((4, 1)),
+    "next_observations": np.ones((4, 2)),
+    "episodes": np.array([0, 0, 1, 1]),
+    "dt": np.float64(0.02),
+}
 
 
-def test_missing_arrays_are_named():
+def npz(**changes):
     buffer = io.BytesIO()
-    np.savez(buffer, observations=np.zeros((2, 2)))
-    with pytest.raises(InvalidInput, match=r"lacks.*actions"):
-        TransitionDataset.from_npz(buffer.getvalue())
+    np.savez(buffer, **{k: v for k, v in (GOOD | changes).items() if v is not None})
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"actions": None}, r"lacks \['actions'\]"),
+        ({"episodes": None}, r"lacks \['episodes \(or terminals\)'\]"),
+        ({"rewards": np.zeros(4)}, r"unknown \['rewards'\]"),
+        ({"observations": np.array([["a", "b"]] * 4)}, "observations must hold numbers"),
+        ({"episodes": np.array([0, 0, 0.5, 1])}, "episodes must be .* integers"),
+        ({"dt": np.array([0.02, 0.02])}, "dt must be one number"),
+        ({"observations": np.float64(1)}, "observations must be a matrix"),
+    ],
+    ids=lambda given: next(iter(given)) if isinstance(given, dict) else "",
+)
+def test_a_file_that_is_no_recording_is_refused_with_the_reason(changes, message):
+    with pytest.raises(InvalidInput, match=message):
+        TransitionDataset.from_npz(npz(**changes))
+
+
+def test_terminals_mark_the_ends_of_episodes():
+    terminals = np.array([False, True, False, False])
+    data = TransitionDataset.from_npz(npz(episodes=None, terminals=terminals))
+    assert data.episodes.tolist() == [0, 0, 1, 1]
+
+
+def test_the_first_episodes_are_whole():
+    data = TransitionDataset.from_npz(npz())
+    assert data.first_episodes(1).episodes.tolist() == [0, 0]
+    assert len(data.first_episodes(5)) == 4
+
+
+def test_dropos_own_files_are_read(tmp_path):
+    names = {"observations": "observations", "nextobservations": "next_observations"}
+    for name in ("observations", "actions", "nextobservations"):
+        np.save(tmp_path / f"x_{name}.npy", GOOD[names.get(name, name)])
+    np.save(tmp_path / "x_terminals.npy", np.array([0, 1, 0, 1]))
+    columns = ("a [m]", "b [m]")
+    data = TransitionDataset.from_npy(tmp_path / "x", dt=0.1, columns=columns, origin="here")
+    assert (len(data), data.dt, data.columns, data.origin) == (4, 0.1, columns, "here")
+    with pytest.raises(InvalidInput, match="cannot be read"):
+        TransitionDataset.from_npy(tmp_path / "y", dt=0.1, columns=columns, origin="here")

@@ -87,7 +87,7 @@ def _trainings(spec: RunSpec) -> Iterable[Key]:
         case PriorSettings():
             return [("prior", spec.task, rest)]
         case _:
-            names = [f"{spec.column} {i}" for i in _iterations(spec)]
+            names = [_answer(spec, i) for i in _iterations(spec)]
             if isinstance(spec.target, RecordedTarget):
                 return [(name, spec.task, rest) for name in names[:1]]
             if isinstance(spec.method, OfflineSettings) and spec.collector == "simopt":
@@ -105,7 +105,7 @@ def _searches(spec: RunSpec) -> Iterable[tuple[Key, int]]:
         if isinstance(spec.method, OnlineSettings) and not isinstance(spec.method, SimOpt1Settings):
             learned_at_once = 1
         steps = spec.method.planned_steps(parameters, spec.transitions * learned_at_once)
-        yield (f"{spec.column} {iteration}", spec.task, f"{spec.variant} {spec.seed}"), steps
+        yield (_answer(spec, iteration), spec.task, f"{spec.variant} {spec.seed}"), steps
 
 
 def _rollouts(spec: RunSpec) -> Iterable[tuple[tuple[str, str, int, int], int]]:
@@ -124,6 +124,13 @@ def _rollouts(spec: RunSpec) -> Iterable[tuple[tuple[str, str, int, int], int]]:
         for episode in range(spec.method.initial + spec.iterations):
             key = (f"bayrn {spec.task}", spec.variant, spec.seed, episode)
             yield key, get_task(spec.task).horizon
+
+
+def _answer(spec: RunSpec, iteration: int) -> str:
+    """A name of what the method infers after `iteration` rounds of data."""
+    # SimOpt's first trajectory is of the prior's policy too
+    same = iteration == 1 and spec.collector == "prior"
+    return f"{spec.method.name if same else spec.column} {iteration}"
 
 
 def _iterations(spec: RunSpec) -> range:

@@ -30,14 +30,14 @@ BUILT_IN: tuple[type[MethodSettings], ...] = (
     DroidSettings,
     DropoSettings,
     SysidSettings,
-    PriorSettings,
-    OracleSettings,
 )
+REFERENCES: tuple[type[MethodSettings], ...] = (PriorSettings, OracleSettings)
 
 
 @cache
 def methods() -> Mapping[str, type[MethodSettings]]:
-    """The settings classes by the methods' names: ours, then those of installed packages."""
+    """The settings classes by the methods' names: ours, installed packages', the references."""
+    references = {_name(settings): settings for settings in REFERENCES}
     entries = {_name(settings): settings for settings in BUILT_IN}
     for point in installed(GROUP):
         settings = load(point)
@@ -50,10 +50,10 @@ def methods() -> Mapping[str, type[MethodSettings]]:
             raise InvalidInput(
                 f"{origin(point)} gives a method of another name, {_name(settings)!r}"
             )
-        if point.name in entries:
+        if point.name in entries | references:
             raise InvalidInput(f"{origin(point)} gives a method which there is already")
         entries[point.name] = settings
-    return entries
+    return entries | references
 
 
 def parse_settings(document: Any) -> MethodSettings:

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Response
 from pydantic import TypeAdapter
 
 import adr_service
-from adr_service.methods import MethodSettings
+from adr_service.methods import AnyMethod
 from adr_service.presets import PRESETS
 from adr_service.tasks.catalogue import catalogue
 from api.errors import problem
@@ -42,7 +42,7 @@ def tasks() -> list[dict[str, Any]]:
 @router.get("/v1/methods")
 def methods() -> dict[str, Any]:
     """The JSON schema of every method's settings."""
-    return TypeAdapter(MethodSettings).json_schema()
+    return TypeAdapter(AnyMethod).json_schema()
 
 
 @router.get("/v1/presets")

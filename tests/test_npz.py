@@ -1,0 +1,92 @@
+"""Uploads that mean no good, or are merely broken, are refused before they are loaded."""
+
+import io
+import struct
+import zipfile
+
+import numpy as np
+import pytest
+
+from adr_service.errors import InvalidInput
+from adr_service.npz import read_arrays
+
+
+def npz(**arrays):
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def zipped(name, content, **options):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(name, content, **options)
+    return buffer.getvalue()
+
+
+def member(**arrays):
+    """The bytes of the only .npy in an .npz."""
+    with zipfile.ZipFile(io.BytesIO(npz(**arrays))) as archive:
+        return archive.read(archive.namelist()[0])
+
+
+def test_plain_arrays_come_back():
+    given = {"a": np.arange(6.0).reshape(2, 3), "b": np.array(["x", "yz"]), "c": np.float64(0.5)}
+    found = read_arrays(npz(**given))
+    assert found.keys() == given.keys()
+    for name, value in given.items():
+        np.testing.assert_array_equal(found[name], value)
+
+
+def test_compressed_ones_and_those_in_fortran_order_too():
+    buffer, values = io.BytesIO(), np.asfortranarray(np.arange(6.0).reshape(2, 3))
+    np.savez_compressed(buffer, a=values)
+    np.testing.assert_array_equal(read_arrays(buffer.getvalue())["a"], values)
+
+
+def test_a_pickle_is_never_loaded(tmp_path):
+    class Bad:
+        def __reduce__(self):
+            return (open, (str(tmp_path / "written"), "w"))
+
+    with pytest.raises(InvalidInput, match=r"a\.npy holds object"):
+        read_arrays(npz(a=np.array([Bad()], dtype=object)))
+    assert not (tmp_path / "written").exists()
+
+
+def test_a_bomb_is_not_unpacked():
+    bomb = zipped("a.npy", b"\0" * 600_000_000)
+    assert len(bomb) < 1_000_000
+    with pytest.raises(InvalidInput, match="unpacks to 600 MB; accepted are 537 MB"):
+        read_arrays(bomb)
+
+
+def test_a_header_that_promises_more_than_there_is_is_refused():
+    content = member(a=np.zeros(3)).replace(b"(3,), }", b"(9,), }")
+    with pytest.raises(InvalidInput, match="not as long as its shape"):
+        read_arrays(zipped("a.npy", content))
+
+
+def test_a_directory_that_lies_about_the_size_is_refused():
+    content = zipped("a.npy", member(a=np.zeros(1000)))
+    at = content.index(b"PK\x01\x02") + 24  # the uncompressed size in the central directory
+    lying = content[:at] + struct.pack("<I", 200) + content[at + 4 :]
+    with pytest.raises(InvalidInput):
+        read_arrays(lying)
+
+
+@pytest.mark.parametrize("name", ["../a.npy", "a/b.npy", "a.txt", "a"])
+def test_members_that_are_no_arrays_are_named(name):
+    with pytest.raises(InvalidInput, match=r"holds arrays NAME\.npy and nothing else"):
+        read_arrays(zipped(name, b"x"))
+
+
+@pytest.mark.parametrize("content", [b"", b"not a zip", npz(a=np.zeros(9))[:-30]])
+def test_what_is_no_npz_is_refused(content):
+    with pytest.raises(InvalidInput, match="not a readable"):
+        read_arrays(content)
+
+
+def test_an_npy_that_is_none_is_refused():
+    with pytest.raises(InvalidInput, match="not a readable"):
+        read_arrays(zipped("a.npy", b"not an array"))

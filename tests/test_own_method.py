@@ -1,0 +1,87 @@
+"""The page docs/add-a-method.md, followed: its file and its package, installed and run."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PAGE = (ROOT / "docs/add-a-method.md").read_text()
+
+USE = """
+from adr_service.benchmark.comparison import Outcome, table
+from adr_service.benchmark.figures import draw
+from adr_service.computation import LocalStages
+from adr_service.runs import run
+from adr_service.specs import BenchmarkSpec
+
+spec = BenchmarkSpec.model_validate({
+    "tasks": ["arm"], "methods": [{"name": "random_search", "guesses": 300}], "seeds": [0],
+    "preset": "smoke", "transitions": 100})
+stages, outcomes = LocalStages(), []
+for one in spec.runs():
+    outcomes += [Outcome(one, e) for e in run(one, stages) if e.type == "iteration_finished"]
+rows = table(outcomes)
+assert [row.method for row in rows] == ["random_search"] * 2 + ["prior", "oracle"], rows
+assert rows[1].estimation_error < 0.5 * rows[0].estimation_error, rows[:2]
+assert b"random_search" in draw("returns", outcomes, "svg")
+search, = (s for s in stages.executed if s.kind == "infer")
+assert search.inputs["method_package"] == "adr-random-search 0.1.0"
+print("fine")
+"""
+
+
+def block(language, marker):
+    """The page's code block of a language that has the marker."""
+    blocks = re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
+    return next(code for code in blocks if marker in code)
+
+
+def python(code, path):
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=200,
+        env={**os.environ, "PYTHONPATH": f"{path}{os.pathsep}{ROOT}"},
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """A folder to import the page's package from."""
+    folder, source = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("source")
+    (source / "random_search.py").write_text(block("python", "class RandomSearch:"))
+    (source / "pyproject.toml").write_text(block("toml", "entry-points"))
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps"]
+    command += ["--no-build-isolation", "--target", str(folder), str(source)]
+    subprocess.run(command, check=True, timeout=200)
+    return folder
+
+
+def test_the_pages_method_runs_in_a_benchmark(installed):
+    done = python(USE, installed)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "fine"
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("nowhere:Settings", "cannot be loaded"),
+        ("adr_service.methods.udr:UdrSettings", "a subclass of OfflineSettings or OnlineSettings"),
+        ("random_search:RandomSearchSettings", "a method of another name, 'random_search'"),
+    ],
+)
+def test_an_entry_point_that_leads_wrong_is_named(installed, tmp_path, value, message):
+    about = tmp_path / "broken-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(f"[adr_service.methods]\nbroken = {value}\n")
+    done = python("import adr_service.specs", f"{tmp_path}{os.pathsep}{installed}")
+    assert message in done.stderr
+    assert "'broken'" in done.stderr
