@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow lint bench-sim bench-dropo clean
+.PHONY: setup demo serve test test-slow protocol lint bench-sim bench-dropo clean
 
 setup: $(STAMP)
 
@@ -32,6 +32,9 @@ test: lint
 
 test-slow: setup
 	$(BIN)/pytest -m slow --timeout 3600
+
+protocol: setup
+	ADR_KEEP=build/protocol $(BIN)/pytest -m slow --timeout 10800 tests/test_protocol.py
 
 bench-sim: setup
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/simulation.py

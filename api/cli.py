@@ -3,6 +3,7 @@
 import json
 import logging
 import os
+import socket
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,8 +16,8 @@ from adr_service.errors import AdrError, InvalidInput
 from api import demo as demo_story
 from api import recordings
 from api.client import AdrClient
-from api.display import claims_table, comparisons_table, live, results_table
-from api.settings import DEFAULT_URL, read_settings
+from api.display import claims_table, comparisons_table, live, plan_table, results_table
+from api.settings import DEFAULT_URL, Settings, read_settings
 
 app = typer.Typer(
     help="Benchmark adaptive domain randomization.", no_args_is_help=True, add_completion=False
@@ -45,6 +46,7 @@ def serve(
 
     given = {"host": host, "port": port, "data_dir": data_dir, "cpus": cpus, "dashboard": dashboard}
     settings = read_settings(**{name: v for name, v in given.items() if v is not None})
+    _refuse_a_busy_port(settings)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no calls home
     uvicorn.run(create_app(settings), host=settings.host, port=settings.port, log_level="info")
@@ -84,8 +86,10 @@ def submit(
     with _client(url) as client:
         send = client.submit_benchmark if "tasks" in spec else client.submit_run
         answer = send(spec, dry_run=dry_run)
-        if as_json or dry_run:
-            console.print_json(data=answer if as_json else {"plan": answer["plan"]})
+        if as_json:
+            console.print_json(data=answer)
+        elif dry_run:
+            console.print(plan_table(answer["plan"]))
         else:
             console.print(answer["id"])
         if watch and not dry_run:
@@ -307,6 +311,20 @@ def main() -> None:
     except AdrError as error:
         console.print(f"[red]error:[/red] {error}", highlight=False)
         raise SystemExit(2) from error
+
+
+def _refuse_a_busy_port(settings: Settings) -> None:
+    """Before Ray is started, which takes seconds."""
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    with socket.socket(family) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((settings.host, settings.port))
+        except OSError as error:
+            raise InvalidInput(
+                f"cannot listen on {settings.host} port {settings.port} ({error.strerror}); "
+                "choose another with --port, and tell the other commands with ADR_URL"
+            ) from error
 
 
 def _client(url: str) -> AdrClient:

@@ -57,6 +57,20 @@ def results_table(results: Json) -> RenderableType:
     return Text("no iteration has finished yet")
 
 
+def plan_table(plan: Json) -> RenderableType:
+    """What runs would cost."""
+    table = Table("", "", box=None, padding=(0, 2, 0, 0), show_header=False)
+    hours = "unknown, there are no cores" if plan["hours"] is None else f"{plan['hours']:.2g} h"
+    table.add_row("runs", str(plan["runs"]))
+    table.add_row("trainings, shared ones once", str(plan["trainings"]))
+    table.add_row("their environment steps, at most", f"{plan['environment_steps']:,}")
+    table.add_row("target transitions, at most", f"{plan['target_transitions']:,}")
+    table.add_row("computing", f"{plan['core_hours']:.2g} core hours")
+    table.add_row(f"time, with {plan['cores']} cores", hours)
+    table.add_row("policies on disk", f"{plan['policies_mb']:.2g} MB")
+    return Group(table, Text(plan["basis"], style="dim"))
+
+
 def estimates_table(results: Json) -> RenderableType:
     """What was inferred, by parameter."""
     table = Table("method", "seed", "iteration", "parameter", box=None, padding=(0, 2, 0, 0))

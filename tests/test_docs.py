@@ -1,14 +1,18 @@
-"""The tables of docs/tasks.md say what the code does."""
+"""The docs say what the code does."""
 
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from adr_service.simulation.batch import control_period
+from adr_service.specs import BenchmarkSpec
 from adr_service.tasks.catalogue import BUILT_IN
+from adr_service.training.policy import Policy
 
-PAGE = (Path(__file__).parent.parent / "docs/tasks.md").read_text()
+ROOT = Path(__file__).parent.parent
+PAGE = (ROOT / "docs/tasks.md").read_text()
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
@@ -31,9 +35,11 @@ def test_the_table_of_tasks_is_right(name):
 
 
 def test_nothing_is_left_to_fill_in():
-    assert not re.search(r"@\w+@", PAGE)
-    for picture in re.findall(r"\((pictures/[^)]+)\)", PAGE):
-        assert (Path(__file__).parent.parent / "docs" / picture).is_file()
+    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+        text = page.read_text()
+        assert not re.search(r"@[A-Z]+@", text)
+        for path in re.findall(r"\]\(([^)#]+)\)", text):
+            assert path.startswith("http") or (page.parent / path).exists(), (page, path)
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
@@ -54,3 +60,32 @@ def test_the_table_of_a_tasks_parameters_is_right(name):
         cells = [parameter.name, f"{value:.5g}{unit}", bounds, f"{parameter.feasible_low:g}"]
         assert f"| {' | '.join(cells)} | {unmodeled} |" in section
     assert section.count("\n| ") - 1 == len(hidden.values)
+
+
+def test_the_loader_of_the_docs_acts_as_the_policy_does(tmp_path):
+    page = (ROOT / "docs/recordings.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    assert "adr" not in code
+    namespace: dict = {}
+    exec(code, namespace)  # noqa: S102 - our own page
+    rng = np.random.default_rng(0)
+    for activation in ("relu", "tanh"):
+        shapes = ((8, 3), (5, 8), (2, 5))
+        layers = tuple(
+            (
+                rng.normal(size=shape).astype(np.float32),
+                rng.normal(size=shape[0]).astype(np.float32),
+            )
+            for shape in shapes
+        )
+        policy = Policy(layers, activation, np.array([-1.0, -3.0]), np.array([1.0, 2.0]))
+        file = tmp_path / f"{activation}.safetensors"
+        file.write_bytes(policy.to_bytes())
+        observations = rng.normal(size=(20, 3))
+        found = namespace["load_policy"](file)(observations)
+        np.testing.assert_array_equal(found, policy.act(observations))
+
+
+@pytest.mark.parametrize("file", sorted((ROOT / "docs/examples").glob("*.json")), ids=str)
+def test_the_examples_are_valid_benchmarks(file):
+    assert list(BenchmarkSpec.model_validate_json(file.read_text()).runs())
