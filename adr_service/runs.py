@@ -29,7 +29,6 @@ from adr_service.methods.dropo import DropoSettings
 from adr_service.methods.references import OracleSettings, PriorSettings
 from adr_service.methods.simopt import SimOpt1Settings, SimOptSettings
 from adr_service.methods.udr import UdrSettings, random_bounds
-from adr_service.presets import PRESETS
 from adr_service.randomness import stream
 from adr_service.specs import RecordedTarget, RunSpec
 from adr_service.stages import Stage, StageResult, Stages
@@ -90,7 +89,10 @@ def _online(spec: RunSpec, stages: Stages) -> Program:
 
 def _offline(spec: RunSpec, stages: Stages) -> Program:
     target = Target(spec, stages)
-    collector = _OnlineLoop(spec.model_copy(update={"method": _simopt(spec)}), stages, target)
+    simopt = spec.simopt or SimOptSettings.model_validate(
+        {}
+    )  # whoever collects, the first policy is the prior's
+    collector = _OnlineLoop(spec.model_copy(update={"method": simopt}), stages, target)
     prior = Gaussian.prior(_problem(spec).source.space)
     trained = yield from stages.run(_training(spec, prior))
     yield from _report(spec, target, 0, [prior], [trained])
@@ -305,11 +307,6 @@ def _training(spec: RunSpec, distribution: Distribution, variant: str | None = N
 
 def _identity(spec: RunSpec) -> dict[str, Any]:
     return {**identity_of(spec.task), "variant": spec.variant, "seed": spec.seed}
-
-
-def _simopt(spec: RunSpec) -> SimOptSettings:
-    """The SimOpt whose trajectories offline methods read: the preset's."""
-    return SimOptSettings.model_validate(PRESETS[spec.preset]["methods"].get("simopt", {}))
 
 
 def _problem(spec: RunSpec) -> Problem:

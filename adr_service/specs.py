@@ -15,6 +15,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.methods import AnyMethod, methods
 from adr_service.methods.base import OfflineSettings
+from adr_service.methods.simopt import SimOptSettings
 from adr_service.presets import PRESETS
 from adr_service.tasks.catalogue import catalogue, get_task, source_of
 from adr_service.training.settings import TrainingSettings
@@ -54,6 +55,9 @@ class RunSpec(Wire):
         description="whose actions offline methods see: SimOpt's policies' "
         "(the protocol), the prior's policy's, or random ones (the data-collection study)",
     )
+    simopt: SimOptSettings | None = Field(
+        None, description="whose trajectories an offline method learns from; default: the preset's"
+    )
     seed: int = Field(0, ge=0, lt=2**31)
     preset: str = "quick"
     iterations: int = Field(ge=1, le=100, description="target rollouts a method may use")
@@ -75,6 +79,8 @@ class RunSpec(Wire):
             filled["training"] = {**preset["run"]["training"], **training}
         if "method" in given:
             filled["method"] = _fill_method(given["method"], preset["methods"])
+        if _learns_from_simopt(filled):
+            filled["simopt"] = _fill_method(given.get("simopt") or "simopt", preset["methods"])
         return filled
 
     @field_validator("task")
@@ -104,6 +110,10 @@ class RunSpec(Wire):
             raise ValueError(
                 f"method: {self.method.name} needs a target that it can visit; a recorded one "
                 f"serves {', '.join(_offline_methods())}"
+            )
+        if self.simopt is not None and not _learns_from_simopt(self.model_dump()):
+            raise ValueError(
+                "simopt: given, but this run learns nothing from SimOpt's trajectories"
             )
         if self.collector != "simopt" and (not offline or isinstance(self.target, RecordedTarget)):
             raise ValueError(
@@ -191,22 +201,25 @@ class BenchmarkSpec(Wire):
         """The runs, seeds outermost, so that a stopped benchmark has whole repetitions."""
         budget = ("iterations", "transitions", "evaluation_episodes", "training")
         given = {name: getattr(self, name) for name in budget if getattr(self, name) is not None}
+        own = next((m for m in self.methods if isinstance(m, SimOptSettings)), None)
+        simopt = {} if own is None else {"simopt": own.model_dump(exclude_unset=True)}
         chosen = [(m, c) for m in self._all_methods for c in self._collectors_of(m)]
         for seed, task, variant, (method, collector) in product(
             self.seeds, self.tasks, self.variants, chosen
         ):
             # what was not given of a method's settings is the preset's, not the class's default
             settings = method if isinstance(method, str) else method.model_dump(exclude_unset=True)
+            who = {"method": settings, "collector": collector}
             yield RunSpec.model_validate(
                 {
                     "task": task,
                     "variant": variant,
-                    "method": settings,
-                    "collector": collector,
+                    **who,
                     "seed": seed,
                     "preset": self.preset,
                     **given,
                 }
+                | (simopt if _learns_from_simopt(who) else {})
             )
 
 
@@ -223,6 +236,17 @@ def _known(kind: str, name: str, accepted: Any) -> str:
     if name not in accepted:
         raise ValueError(str(UnknownName(kind, name, accepted)))
     return name
+
+
+def _learns_from_simopt(spec: dict[str, Any]) -> bool:
+    """Whether a spec, perhaps not valid, is of a method that sees SimOpt's trajectories."""
+    method, target = spec.get("method"), spec.get("target")
+    name = cast(dict[str, Any], method).get("name") if isinstance(method, dict) else method
+    is_recorded = (
+        isinstance(target, dict) and cast(dict[str, Any], target).get("kind") == "recorded"
+    )
+    by_simopt = spec.get("collector", "simopt") == "simopt"
+    return name in _offline_methods() and by_simopt and not is_recorded
 
 
 def _offline_methods() -> list[str]:

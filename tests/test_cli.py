@@ -2,10 +2,14 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+
+from tests.recordings import recording
 
 pytestmark = pytest.mark.ray
 
@@ -58,7 +62,57 @@ def test_a_benchmark_from_a_file_and_what_it_would_cost(adr, tmp_path):
     )
     code, shown = adr("submit", "b.json", "--dry-run")
     assert code == 0
-    assert json.loads(shown)["plan"]["trainings"] == 4
+    assert re.search(r"trainings, shared ones once +4", shown)
+    assert "core hours" in shown
+    assert json.loads(adr("submit", "b.json", "--dry-run", "--json")[1])["plan"]["trainings"] == 4
+
+
+def test_a_recording_is_uploaded_and_learned_from(adr, tmp_path):
+    data = recording("arm", 40)
+    (tmp_path / "arm.npz").write_bytes(data.to_npz())
+    code, shown = adr("upload", "arm.npz", "--task", "arm")
+    assert code == 0
+    dataset = shown.strip()
+    assert dataset in adr("datasets")[1]
+    options = ["--task", "arm", "--method", "droid", "--preset", "smoke", "--dataset", dataset]
+    code, shown = adr("submit", *options, "--set", "target.episodes=1", "--watch")
+    assert code == 0
+    assert "upper_mass" in shown
+    assert "nothing to evaluate" in shown
+    id = shown.split()[0]
+    assert adr("results", id, "--distribution", "found.json")[0] == 0
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert [p["unit"] for p in found["parameters"]][:2] == ["kg", "kg"]
+    prefix = tmp_path / "dropo"
+    arrays = (("observations", data.observations), ("actions", data.actions))
+    arrays += (("nextobservations", data.next_observations), ("terminals", np.zeros(len(data))))
+    for name, values in arrays:
+        np.save(f"{prefix}_{name}.npy", values)
+    assert adr("upload", "dropo", "--task", "arm")[1].startswith("data_")
+
+
+def test_a_benchmark_is_extended_drawn_and_held_against_the_claims(adr, tmp_path):
+    spec = {"tasks": ["arm"], "methods": ["sysid"], "seeds": [0], "preset": "smoke"}
+    (tmp_path / "b.json").write_text(json.dumps({**spec, "references": False}))
+    id = adr("submit", "b.json", "--watch")[1].split()[0]
+    code, shown = adr("extend", id, "--method", "droid", "--watch")
+    assert code == 0
+    assert "droid" in shown
+    assert adr("results", id, "--figures", "figures")[0] == 0
+    drawn = {file.name for file in (tmp_path / "figures").iterdir()}
+    assert {"returns.svg", "parameters.png", "spread.svg", "cost.csv"} <= drawn
+    assert "nothing has been measured" in adr("claims", id)[1]  # smoke does not count
+
+
+def test_a_port_in_use_is_told_before_anything_starts(service, tmp_path):
+    port = service.client.url.rpartition(":")[2]
+    command = [sys.executable, "-m", "api", "serve", "--port", port, "--data-dir", "other"]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=60, cwd=tmp_path, check=False
+    )
+    assert done.returncode == 2
+    assert "choose another with --port" in done.stdout
+    assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.parametrize(
@@ -71,6 +125,10 @@ def test_a_benchmark_from_a_file_and_what_it_would_cost(adr, tmp_path):
         (["status", "run_x"], "there is no run 'run_x'"),
         (["results", "bench_x"], "there is no benchmark 'bench_x'"),
         (["cancel", "run_x"], "there is no run"),
+        (["upload", "none.npz", "--task", "arm"], "none.npz cannot be read"),
+        (["upload", "none", "--task", "arm"], "none_*.npy cannot be read"),
+        (["extend", "bench_x", "--seed", "3"], "there is no benchmark 'bench_x'"),
+        (["claims", "bench_x"], "there is no benchmark 'bench_x'"),
     ],
 )
 def test_mistakes_are_explained_in_a_line_or_two(adr, arguments, message):
