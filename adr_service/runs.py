@@ -89,9 +89,8 @@ def _online(spec: RunSpec, stages: Stages) -> Program:
 
 def _offline(spec: RunSpec, stages: Stages) -> Program:
     target = Target(spec, stages)
-    simopt = spec.simopt or SimOptSettings.model_validate(
-        {}
-    )  # whoever collects, the first policy is the prior's
+    # whoever collects, the first policy is the prior's
+    simopt = spec.simopt or SimOptSettings.model_validate({})
     collector = _OnlineLoop(spec.model_copy(update={"method": simopt}), stages, target)
     prior = Gaussian.prior(_problem(spec).source.space)
     trained = yield from stages.run(_training(spec, prior))

@@ -1,0 +1,89 @@
+"""The two training backends are one algorithm: the same batch and weights, the same update."""
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.type_aliases import ReplayBufferSamples
+
+from adr_service.distributions import Gaussian
+from adr_service.simulation.vec_env import RandomizedVecEnv
+from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.training.sac import BACKENDS
+from adr_service.training.settings import TrainingSettings
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+ARM, SOURCE = get_task("arm"), source_of("arm", "vanilla")
+BATCH, RATE = 64, 1e-2
+
+
+@pytest.fixture
+def no_noise(monkeypatch):
+    """Both libraries draw the mean of every action: their random numbers cannot be equal."""
+    import jax
+
+    zeros = lambda key, shape=(), dtype=float, **_: jax.numpy.zeros(shape, dtype)  # noqa: E731
+    monkeypatch.setattr(jax.random, "normal", zeros)
+    standard = "torch.distributions.normal._standard_normal"
+    monkeypatch.setattr(standard, lambda shape, dtype, device: torch.zeros(shape, dtype=dtype))
+
+
+def build(name, activation):
+    given = {"hidden": [16, 16], "batch_size": BATCH, "activation": activation}
+    settings = TrainingSettings.model_validate(given)
+    env = RandomizedVecEnv(ARM, SOURCE, Gaussian.prior(SOURCE.space), 4, np.random.default_rng(0))
+    common = {"seed": 1, "learning_rate": RATE, "batch_size": BATCH}
+    model = BACKENDS[name].build(env, settings, common)
+    model.set_logger(configure(None, []))
+    rng = np.random.default_rng(3)
+    draw = lambda *shape: torch.as_tensor(rng.normal(size=shape).astype(np.float32))  # noqa: E731
+    batch = ReplayBufferSamples(
+        draw(BATCH, 4),
+        torch.tanh(draw(BATCH, 2)),
+        draw(BATCH, 4),
+        (draw(BATCH, 1) > 1).float(),
+        draw(BATCH, 1),
+    )
+    model.replay_buffer.sample = lambda *_, **__: batch
+    return model
+
+
+def weights(sbx, target=False):
+    """SBX's weights under SB3's names."""
+    actor = sbx.policy.actor_state.params["params"]
+    names = ("actor.latent_pi.0", "actor.latent_pi.2", "actor.mu", "actor.log_std")
+    found = {name: (actor[f"Dense_{i}"], ()) for i, name in enumerate(names)}
+    for prefix, params in (
+        ("critic", sbx.policy.qf_state.params),
+        ("critic_target", sbx.policy.qf_state.target_params),
+    ):
+        layers = params["params"]["VmapContinuousCritic_0"]
+        for i in range(3):
+            for q in range(2):
+                found[f"{prefix}.qf{q}.{2 * i}"] = (layers[f"Dense_{i}"], (q,))
+    return {
+        f"{name}.{kind}": torch.as_tensor(np.array(layer[key][at]).T.copy())
+        for name, (layer, at) in found.items()
+        for kind, key in (("weight", "kernel"), ("bias", "bias"))
+    }
+
+
+@pytest.mark.parametrize("activation", ["tanh", "relu"])
+def test_one_update_is_the_same(no_noise, activation):
+    """Actor, critics, their targets and the temperature after one update, to float32's rounding
+    after Adam, whose first step is the learning rate times a sign."""
+    sbx, sb3 = build("sbx", activation), build("sb3", activation)
+    before = weights(sbx)
+    sb3.policy.load_state_dict(before)
+    sbx.train(gradient_steps=1, batch_size=BATCH)
+    sb3.train(gradient_steps=1, batch_size=BATCH)
+    after = weights(sbx)
+    for name, found in sb3.policy.state_dict().items():
+        moved = (after[name] - before[name]).abs().max()
+        assert moved > 0.001 * RATE, name
+        # where a gradient is about zero, its sign is rounding's: a few weights in a thousand
+        differ = (found - after[name]).abs() > 0.01 * RATE
+        assert differ.float().mean() < 0.005, name
+    temperature = float(np.exp(sbx.ent_coef_state.params["log_ent_coef"]))
+    assert temperature == pytest.approx(float(torch.exp(sb3.log_ent_coef.detach())), rel=1e-5)
+    assert temperature != 1.0
