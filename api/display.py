@@ -35,12 +35,14 @@ def results_table(results: Json) -> RenderableType:
         table.add_column(heading, justify="right")
     table.add_column("target transitions", justify="right")
     table.add_column("distance from truth", justify="right")
+    table.add_column("posterior std", justify="right")
     for row in results["rows"]:
-        error = row["estimation_error"]
+        error, std = row["estimation_error"], row["posterior_std"]
+        whose = "" if row["collector"] == "simopt" else f" on {row['collector']}"
         table.add_row(
             row["task"],
             row["variant"],
-            row["method"],
+            row["method"] + whose,
             str(row["iteration"]),
             f"{row['normalised_return']:.2f}",
             f"[{row['low']:.2f}, {row['high']:.2f}]".replace("[", r"\["),
@@ -48,6 +50,7 @@ def results_table(results: Json) -> RenderableType:
             str(row["episodes"]),
             f"{row['target_transitions']:.0f}",
             "–" if error is None else f"{error:.2f}",
+            "–" if std is None else f"{std:.2g}",
         )
     if results["rows"]:
         return Group(table, Text(results["note"], style="dim"))
