@@ -8,9 +8,9 @@ import numpy as np
 
 from adr_service.distributions import Uniform, distribution_from_json
 from adr_service.events import RunEvent, StageFinished
-from adr_service.methods import parse_settings
 from adr_service.methods.base import Evidence, OfflineSettings, OnlineSettings, Problem
 from adr_service.methods.bayrn import propose
+from adr_service.methods.catalogue import parse_settings
 from adr_service.progress import Progress, silent
 from adr_service.randomness import stream
 from adr_service.stages import Stage, StageResult

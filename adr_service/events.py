@@ -45,7 +45,6 @@ class IterationFinished(Wire):
     source_returns: list[float]  # best evaluation of each training, so a little high
     reached_threshold: list[bool]
     training_steps: list[int]
-    trainings: list[str] = Field([], description="digests of the stages, one per policy")
     inference_steps: int  # simulated control steps of the inference
     inferences: list[str] = Field([], description="digests of the stages")
     returns: list[list[float]]

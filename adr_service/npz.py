@@ -1,54 +1,86 @@
 """Reading `.npz` files that anybody may have written: checked by headers, then loaded.
 
-arrays = read_arrays(content)           # name -> array; InvalidInput says what is wrong
+arrays = read_arrays(content, ["time", "qpos"])     # InvalidInput says what is wrong
 """
 
 import io
+import lzma
 import math
+import struct
 import zipfile
+import zlib
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.lib import format as npy
 
 from adr_service.errors import InvalidInput
 
-_MOST_BYTES = 2**29  # of all arrays together, unpacked
+_MOST_NUMBERS = 2**25  # of all arrays together: 256 MB as float64
+_MOST_TEXTS = 10_000
 _KINDS = "biufU"  # booleans, integers, floats, texts; never objects
+_BROKEN = (  # what a damaged or contrived file makes its readers raise
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    struct.error,
+    EOFError,
+    OSError,
+    ValueError,  # and so UnicodeError
+    OverflowError,
+    NotImplementedError,
+    RuntimeError,
+    SystemError,
+)
 
 
-def read_arrays(content: bytes) -> dict[str, np.ndarray]:
-    """The arrays of an `.npz`; never runs code from it, nor unpacks more than its headers say."""
+def read_arrays(content: bytes, accepted: Sequence[str]) -> dict[str, np.ndarray]:
+    """The arrays of an `.npz` with these names at most.
+
+    Never runs code from it, nor unpacks more than its headers say.
+    """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()
-            _check_directory(members)
+            _check_names([member.filename for member in members], accepted)
+            numbers = sum(_check_header(archive, member) for member in members)
+            if numbers > _MOST_NUMBERS:
+                raise InvalidInput(
+                    f"the .npz holds {numbers} numbers; accepted are {_MOST_NUMBERS}"
+                )
             return {m.filename.removesuffix(".npy"): _read(archive, m) for m in members}
-    except (ValueError, zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError) as error:
+    except _BROKEN as error:
         raise InvalidInput(f"not a readable .npz of plain arrays: {error}") from error
 
 
-def _check_directory(members: list[zipfile.ZipInfo]) -> None:
-    names = [member.filename for member in members]
-    for name in names:
-        if not name.endswith(".npy") or "/" in name or "\\" in name:
-            raise InvalidInput(f"an .npz holds arrays NAME.npy and nothing else; given {name!r}")
-        if names.count(name) > 1:
-            raise InvalidInput(f"the .npz has two members {name!r}")
-    unpacked = sum(member.file_size for member in members)
-    if unpacked > _MOST_BYTES:
-        raise InvalidInput(
-            f"the .npz unpacks to {unpacked / 1e6:.0f} MB; accepted are {_MOST_BYTES / 1e6:.0f} MB"
-        )
+def _check_names(names: Sequence[str], accepted: Sequence[str]) -> None:
+    files = {f"{name}.npy" for name in accepted}
+    if unknown := [name for name in names if name not in files][:5]:
+        raise InvalidInput(f"the .npz has {unknown}; accepted: {', '.join(sorted(files))}")
+    if len(set(names)) < len(names):
+        raise InvalidInput(f"the .npz has a member twice: {', '.join(sorted(names))}")
 
 
-def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+def _check_header(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
+    """How many numbers the array has."""
     with archive.open(member) as file:
         version = npy.read_magic(file)
         read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
         shape, _, dtype = read_header(file)
-        if dtype.hasobject or dtype.kind not in _KINDS:
+        count = math.prod(shape)
+        if dtype.hasobject or dtype.kind not in _KINDS or dtype.itemsize == 0:
             raise InvalidInput(f"{member.filename} holds {dtype}; accepted are numbers and texts")
-        if file.tell() + math.prod(shape) * dtype.itemsize != member.file_size:
+        if dtype.kind == "U" and count > _MOST_TEXTS:
+            raise InvalidInput(f"{member.filename} holds {count} texts; accepted: {_MOST_TEXTS}")
+        if file.tell() + count * dtype.itemsize != member.file_size:
             raise InvalidInput(f"{member.filename} is not as long as its shape {shape} says")
+    # a text takes as many numbers' room as it has characters
+    return count * (dtype.itemsize // 4 if dtype.kind == "U" else 1)
+
+
+def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
     with archive.open(member) as file:
-        return npy.read_array(file, allow_pickle=False)
+        array = npy.read_array(file, allow_pickle=False)
+    if array.dtype.kind == "U":
+        "".join(array.ravel().tolist()).encode()  # no half characters
+    return array

@@ -22,9 +22,9 @@ import numpy as np
 from adr_service.distributions import Distribution, Gaussian, Uniform, distribution_from_json
 from adr_service.errors import InvalidInput
 from adr_service.events import IterationFinished, RunEvent
-from adr_service.methods import identity_of as identity_of_method
 from adr_service.methods.base import OfflineSettings, OnlineSettings, Problem
 from adr_service.methods.bayrn import BayRnSettings
+from adr_service.methods.catalogue import identity_of as identity_of_method
 from adr_service.methods.dropo import DropoSettings
 from adr_service.methods.references import OracleSettings, PriorSettings
 from adr_service.methods.simopt import SimOpt1Settings, SimOptSettings
@@ -222,7 +222,7 @@ def _train_and_report(
 ) -> Program:
     """For methods without data: one policy per distribution, all at the same time."""
     trained = yield from stages.all([_training(spec, d, variant) for d in distributions])
-    yield from _report(spec, Target(spec, stages), 0, distributions, trained, variant=variant)
+    yield from _report(spec, Target(spec, stages), 0, distributions, trained)
 
 
 class _OnlineLoop:
@@ -269,7 +269,6 @@ def _report(
     distributions: Sequence[Distribution],
     trained: Sequence[StageResult],
     inferred: _Inference | None = None,
-    variant: str | None = None,
 ) -> Program:
     """Evaluate the trained policies on the target, where that can be, and say how it stands."""
     policies = [result.blobs["policy"] for result in trained]
@@ -285,7 +284,6 @@ def _report(
         source_returns=[result.values["source_return"] for result in trained],
         reached_threshold=[result.values["reached_threshold"] for result in trained],
         training_steps=[result.values["steps"] for result in trained],
-        trainings=[_training(spec, d, variant).digest for d in distributions],
         inference_steps=inferred.values["simulated_steps"] if inferred else 0,
         inferences=inferred.stages if inferred else [],
         returns=returns,

@@ -13,8 +13,8 @@ from typing import Annotated, Any, Literal, Self, cast
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from adr_service.errors import InvalidInput, UnknownName
-from adr_service.methods import AnyMethod, methods
 from adr_service.methods.base import OfflineSettings
+from adr_service.methods.catalogue import AnyMethod, methods
 from adr_service.methods.simopt import SimOptSettings
 from adr_service.presets import PRESETS
 from adr_service.tasks.catalogue import catalogue, get_task, source_of
@@ -50,10 +50,10 @@ class RunSpec(Wire):
     variant: str = "vanilla"
     method: AnyMethod
     target: AnyTarget = SimulatedTarget()
-    collector: Collector = Field(
+    collector: Collector | Literal["recording"] = Field(
         "simopt",
-        description="whose actions offline methods see: SimOpt's policies' "
-        "(the protocol), the prior's policy's, or random ones (the data-collection study)",
+        description="whose actions offline methods see: SimOpt's policies' (the protocol), the "
+        "prior's policy's, random ones (the data-collection study), or those of a recorded target",
     )
     simopt: SimOptSettings | None = Field(
         None, description="whose trajectories an offline method learns from; default: the preset's"
@@ -70,7 +70,11 @@ class RunSpec(Wire):
     def _fill_from_preset(cls, given: Any) -> Any:
         if not isinstance(given, dict):
             return given
-        given = cast(dict[str, Any], given)
+        # values of ours are as good as their JSON
+        given = {
+            name: value.model_dump(exclude_unset=True) if isinstance(value, Wire) else value
+            for name, value in cast(dict[str, Any], given).items()
+        }
         preset = PRESETS.get(given.get("preset", "quick"))
         if preset is None:
             return given  # the field's own validation says what is accepted
@@ -79,7 +83,10 @@ class RunSpec(Wire):
             filled["training"] = {**preset["run"]["training"], **training}
         if "method" in given:
             filled["method"] = _fill_method(given["method"], preset["methods"])
-        if _learns_from_simopt(filled):
+        target = filled.get("target")
+        if isinstance(target, dict) and cast(dict[str, Any], target).get("kind") == "recorded":
+            filled.setdefault("collector", "recording")
+        elif _learns_from_simopt(filled):
             filled["simopt"] = _fill_method(given.get("simopt") or "simopt", preset["methods"])
         return filled
 
@@ -111,14 +118,19 @@ class RunSpec(Wire):
                 f"method: {self.method.name} needs a target that it can visit; a recorded one "
                 f"serves {', '.join(_offline_methods())}"
             )
-        if self.simopt is not None and not _learns_from_simopt(self.model_dump()):
+        if (self.collector == "recording") != isinstance(self.target, RecordedTarget):
+            raise ValueError(
+                f"collector: {self.collector!r} given, with a {self.target.kind} target; "
+                "'recording' goes with a recorded one, and nothing else does"
+            )
+        if self.collector != "simopt" and not offline:
+            raise ValueError(
+                f"collector: {self.collector!r} given, but only {', '.join(_offline_methods())} "
+                "learn from what another policy collects"
+            )
+        if (self.simopt is not None) != (offline and self.collector == "simopt"):
             raise ValueError(
                 "simopt: given, but this run learns nothing from SimOpt's trajectories"
-            )
-        if self.collector != "simopt" and (not offline or isinstance(self.target, RecordedTarget)):
-            raise ValueError(
-                f"collector: {self.collector!r} given, but only {', '.join(_offline_methods())} on "
-                "a simulated target learn from what another policy collects"
             )
         return self
 
@@ -239,14 +251,10 @@ def _known(kind: str, name: str, accepted: Any) -> str:
 
 
 def _learns_from_simopt(spec: dict[str, Any]) -> bool:
-    """Whether a spec, perhaps not valid, is of a method that sees SimOpt's trajectories."""
-    method, target = spec.get("method"), spec.get("target")
+    """Whether a spec, perhaps not valid, is of an offline method that sees SimOpt's data."""
+    method = spec.get("method")
     name = cast(dict[str, Any], method).get("name") if isinstance(method, dict) else method
-    is_recorded = (
-        isinstance(target, dict) and cast(dict[str, Any], target).get("kind") == "recorded"
-    )
-    by_simopt = spec.get("collector", "simopt") == "simopt"
-    return name in _offline_methods() and by_simopt and not is_recorded
+    return name in _offline_methods() and spec.get("collector", "simopt") == "simopt"
 
 
 def _offline_methods() -> list[str]:

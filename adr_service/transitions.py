@@ -55,13 +55,15 @@ class TransitionDataset:
                 f"{self.observations.shape}, actions {self.actions.shape}, next_observations "
                 f"{self.next_observations.shape}, episodes {episodes.shape}"
             )
+        if not len(episodes):
+            raise InvalidInput("a recording has at least one transition; this has none")
         if np.any(np.diff(episodes) < 0):
             raise InvalidInput("episode ids must not decrease from row to row")
         if len(self.columns) != self.observations.shape[1]:
             raise InvalidInput(
                 f"{len(self.columns)} column names for {self.observations.shape[1]} columns"
             )
-        if not self.dt > 0:
+        if not 0 < self.dt < np.inf:
             raise InvalidInput(f"the control period must be positive; given {self.dt} s")
 
     def __len__(self) -> int:
@@ -113,30 +115,25 @@ class TransitionDataset:
     @classmethod
     def from_npz(cls, content: bytes) -> "TransitionDataset":
         """The data in an `.npz`; where it has no `episodes`, `terminals` mark their ends."""
-        fields = read_arrays(content)
+        fields = read_arrays(content, [*_NEEDED, *_OPTIONAL])
         missing = [name for name in _NEEDED if name not in fields]
         if not fields.keys() & {"episodes", "terminals"}:
             missing.append("episodes (or terminals)")
-        unused = sorted(fields.keys() - {*_NEEDED, *_OPTIONAL})
-        if missing or unused:
-            raise InvalidInput(
-                f"the .npz lacks {missing} and has the unknown {unused}; it must have "
-                f"{', '.join(_NEEDED)} and episodes or terminals, and may have columns and origin"
-            )
+        if missing:
+            raise InvalidInput(f"the .npz lacks {missing}; it has {sorted(fields)}")
         for name in _NEEDED:
             if fields[name].dtype.kind not in "iuf":
                 raise InvalidInput(f"{name} must hold numbers; given {fields[name].dtype}")
         if fields["dt"].ndim != 0:
             raise InvalidInput(f"dt must be one number; its shape is {fields['dt'].shape}")
         width = fields["observations"].shape[-1] if fields["observations"].ndim else 0
-        default_columns = np.array([f"observation_{i}" for i in range(width)])
         return cls(
             observations=fields["observations"],
             actions=fields["actions"],
             next_observations=fields["next_observations"],
             episodes=_episodes(fields),
             dt=float(fields["dt"]),
-            columns=tuple(str(c) for c in np.atleast_1d(fields.get("columns", default_columns))),
+            columns=tuple(np.atleast_1d(fields.get("columns", unnamed(width))).tolist()),
             origin=str(fields.get("origin", "unknown")),
         )
 
@@ -205,12 +202,28 @@ def dataset_id(content: bytes) -> str:
     return f"data_{sha256(content)[:16]}"
 
 
+def unnamed(width: int) -> np.ndarray:
+    """The column names of data that have none of their own."""
+    return np.array([f"observation_{i}" for i in range(width)], dtype=str)
+
+
 def _episodes(fields: dict[str, np.ndarray]) -> np.ndarray:
     """Episode ids (N,), from `episodes` or from the ends that `terminals` mark."""
-    if "episodes" in fields:
-        ids = fields["episodes"]
-        if ids.dtype.kind not in "iu" or ids.ndim != 1:
-            raise InvalidInput(f"episodes must be (N,) integers; given {ids.dtype} {ids.shape}")
+    ids, terminals = fields.get("episodes"), fields.get("terminals")
+    if ids is not None and (ids.dtype.kind not in "iu" or ids.ndim != 1):
+        raise InvalidInput(f"episodes must be (N,) integers; given {ids.dtype} {ids.shape}")
+    if terminals is None:
+        assert ids is not None
         return ids
-    ends = np.cumsum(fields["terminals"].astype(bool))
-    return np.concatenate([[0], ends[:-1]])
+    if terminals.dtype.kind not in "biuf" or terminals.ndim != 1:
+        raise InvalidInput(f"terminals must be (N,); given {terminals.dtype} {terminals.shape}")
+    if not np.all((terminals == 0) | (terminals == 1)):
+        raise InvalidInput("terminals must be 0 or 1")
+    if not len(terminals):
+        return np.empty(0, np.int64)
+    marked = np.concatenate([[0], np.cumsum(terminals[:-1] != 0)])
+    if ids is None:
+        return marked
+    if not np.array_equal(np.diff(ids) != 0, np.diff(marked) != 0):
+        raise InvalidInput("episodes and terminals disagree about where episodes end")
+    return ids

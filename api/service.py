@@ -36,14 +36,10 @@ class Service:
             for event in store.events_of(self.database, record.id, type="iteration_finished")
             if isinstance(event.event, IterationFinished)
         ]
-        digests = [d for _, event in found for d in (*event.inferences, *event.trainings)]
+        digests = [digest for _, event in found for digest in event.inferences]
         seconds = stage_store.seconds_of(self.database, digests)
-
-        def total(stages: Sequence[str]) -> float | None:
-            return sum(seconds[d] for d in stages) if stages else None
-
         return [
-            Outcome(spec, event, total(event.inferences), total(event.trainings))
+            Outcome(spec, event, sum(seconds[d] for d in event.inferences) or None)
             for spec, event in found
         ]
 

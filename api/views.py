@@ -82,7 +82,7 @@ class ResultsView(BaseModel):
     rows: list[dict[str, Any]]
     comparisons: list[dict[str, Any]]  # probabilities of improvement, of every pair of methods
     estimates: list[dict[str, Any]]  # by parameter, of methods that infer
-    costs: list[dict[str, Any]]  # of inferences and of the trainings after them
+    costs: list[dict[str, Any]]  # of the inferences
 
 
 class DatasetView(BaseModel):

@@ -269,9 +269,11 @@ def extend_benchmark(
             if before is None:
                 added.append(_record(_insert_run(session, run, benchmark_id)))
             elif before != run:
+                differ = [name for name, value in run if value != getattr(before, name)]
                 raise NotPossible(
-                    f"the preset {run.preset!r} means something else than when benchmark "
-                    f"{benchmark_id} was submitted, so new runs would not compare with its own"
+                    f"the runs of {benchmark_id} would differ from those it has in "
+                    f"{', '.join(differ)}, and would not compare with them: either the preset "
+                    f"{run.preset!r} has changed since, or the SimOpt that others learn from"
                 )
         row.spec = spec.model_dump_json(exclude_unset=True)
         return added

@@ -140,7 +140,7 @@ class TestRuns:
         given = {"tasks": ["arm"], "methods": ["udr"], "seeds": [0], "preset": "smoke"}
         id = runs.create_benchmark(database, BenchmarkSpec.model_validate(given)).id
         monkeypatch.setitem(PRESETS["smoke"]["run"], "transitions", 30)
-        with pytest.raises(NotPossible, match="'smoke' means something else"):
+        with pytest.raises(NotPossible, match="differ from those it has in transitions"):
             runs.extend_benchmark(database, id, BenchmarkExtension.model_validate({"seeds": [1]}))
 
     def test_the_latest_come_first(self, database):
@@ -259,6 +259,29 @@ class TestMigrations:
         """`alembic check` finds nothing to add."""
         database.close()
         command.check(alembic_config(database.url))
+
+    def test_rows_survive_the_way_from_the_first_tables(self, tmp_path):
+        """The second recreates `runs`, whose deletion would take the events along."""
+        url = f"sqlite:///{tmp_path / 'old.sqlite'}"
+        command.upgrade(alembic_config(url), "0001")
+        now = "2026-01-01 00:00:00"
+        with sqlite3.connect(tmp_path / "old.sqlite") as old:
+            row = ("run_a", now, now, "arm", "vanilla", "prior", 0, SPEC.model_dump_json())
+            old.execute(
+                "insert into runs (id, created_at, updated_at, task, variant, method, seed, spec,"
+                " state, submission, cancel_requested) values (?,?,?,?,?,?,?,?,'queued',1,0)",
+                row,
+            )
+            event = RunQueued(submission=1)
+            values = ("run_a", event.key, event.type, event.model_dump_json(), now)
+            old.execute("insert into events values (?, 1, ?, ?, ?, ?)", values)
+        old.close()
+        opened = open_database(url)
+        try:
+            assert runs.get_run(opened, "run_a").spec == SPEC
+            assert [e.event for e in runs.events_of(opened, "run_a")] == [event]
+        finally:
+            opened.close()
 
     def test_they_go_down_to_nothing_and_up_again(self, database):
         config = alembic_config(database.url)

@@ -69,9 +69,15 @@ def test_the_pages_method_runs_in_a_benchmark(installed):
     assert done.stdout.strip() == "fine"
 
 
+def test_it_can_be_imported_before_anything_of_ours(installed):
+    done = python("import random_search; import adr_service.specs", installed)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize(
     ("value", "message"),
     [
+        ("adr_service.methods.base:OfflineSettings", "which lacks create, planned_steps"),
         ("nowhere:Settings", "cannot be loaded"),
         ("adr_service.methods.udr:UdrSettings", "a subclass of OfflineSettings or OnlineSettings"),
         ("random_search:RandomSearchSettings", "a method of another name, 'random_search'"),

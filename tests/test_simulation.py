@@ -10,11 +10,12 @@ from adr_service.errors import InvalidInput, UnknownName
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.simulation.batch import Simulations, compiled
 from adr_service.simulation.model import resolve
-from adr_service.simulation.replay import Replay
+from adr_service.simulation.replay import Replay, check_recorded
 from adr_service.simulation.rollout import follow, run_episodes
 from adr_service.tasks.base import Source, State
 from adr_service.tasks.catalogue import BUILT_IN, get_task, variants_of
 from adr_service.transitions import TransitionDataset
+from tests import recordings
 from tests.plain import model_of
 from tests.recordings import HOPPER_MASSES_KG
 
@@ -199,6 +200,28 @@ def test_dynamics_that_are_not_finite_are_refused(bad):
 def test_an_address_that_leads_nowhere_is_explained(address, message):
     with pytest.raises((UnknownName, InvalidInput), match=message):
         resolve(compiled(get_task("hopper").xml), address)
+
+
+class TestWhatIsRefused:
+    """A recording that is not of the task, before it teaches something wrong."""
+
+    data = recordings.recording("arm", 20)
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"columns": ("d", "c", "b", "a")}, "the data's columns are d, c, b, a; arm measures"),
+            ({"actions": np.full((20, 2), 1.5)}, "20 actions lie outside the bounds of arm, .*1.5"),
+            ({"dt": 0.5}, "0.5 s per step; arm has 0.02 s"),
+        ],
+    )
+    def test_a_recording_that_does_not_fit_is_refused(self, changes, message):
+        with pytest.raises(InvalidInput, match=message):
+            check_recorded(get_task("arm"), dataclasses.replace(self.data, **changes))
+
+    def test_columns_without_names_are_the_tasks(self):
+        unnamed = tuple(f"observation_{i}" for i in range(4))
+        check_recorded(get_task("arm"), dataclasses.replace(self.data, columns=unnamed))
 
 
 class TestReplayOfPublishedData:

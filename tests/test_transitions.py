@@ -110,7 +110,12 @@ def npz(**changes):
     [
         ({"actions": None}, r"lacks \['actions'\]"),
         ({"episodes": None}, r"lacks \['episodes \(or terminals\)'\]"),
-        ({"rewards": np.zeros(4)}, r"unknown \['rewards'\]"),
+        ({"rewards": np.zeros(4)}, r"has \['rewards\.npy'\]; accepted: actions\.npy"),
+        ({name: value[:0] for name, value in GOOD.items() if name != "dt"}, "at least one"),
+        ({"dt": np.float64(np.inf)}, "must be positive"),
+        ({"terminals": np.array([0, 0, 1, 1])}, "disagree about where episodes end"),
+        ({"terminals": np.array([0, 2, 0, 1])}, "terminals must be 0 or 1"),
+        ({"terminals": np.array(list("abcd"))}, "terminals must be"),
         ({"observations": np.array([["a", "b"]] * 4)}, "observations must hold numbers"),
         ({"episodes": np.array([0, 0, 0.5, 1])}, "episodes must be .* integers"),
         ({"dt": np.array([0.02, 0.02])}, "dt must be one number"),

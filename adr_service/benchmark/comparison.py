@@ -13,7 +13,7 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.benchmark.statistics import improvement, interquartile_mean, interval, mean
 from adr_service.distributions import Distribution, distribution_from_json
 from adr_service.events import IterationFinished
-from adr_service.methods import is_inferring, methods
+from adr_service.methods.catalogue import is_inferring, methods
 from adr_service.methods.references import OracleSettings, PriorSettings
 from adr_service.randomness import stream
 from adr_service.specs import RunSpec, SimulatedTarget
@@ -28,7 +28,6 @@ class Outcome:
     spec: RunSpec
     iteration: IterationFinished
     inference_seconds: float | None = None  # of computing, where that is known
-    training_seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,7 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class Cost:
-    """What one inference and the training after it cost, mean over seeds."""
+    """What one inference cost, mean over seeds."""
 
     task: str
     variant: str
@@ -89,8 +88,6 @@ class Cost:
     seeds: int
     inference_steps: float  # simulated control steps
     inference_seconds: float | None  # on one core; None where it was not measured
-    training_steps: float  # of all policies of the iteration
-    training_seconds: float | None
 
 
 def table(outcomes: Sequence[Outcome]) -> list[Row]:
@@ -100,7 +97,7 @@ def table(outcomes: Sequence[Outcome]) -> list[Row]:
 
 
 def costs(outcomes: Sequence[Outcome]) -> list[Cost]:
-    """What the iterations of the methods cost that infer something, in the table's order."""
+    """What the inferences cost, in the table's order."""
     inferred = [outcome for outcome in outcomes if outcome.iteration.inferences]
     return [
         Cost(
@@ -108,8 +105,6 @@ def costs(outcomes: Sequence[Outcome]) -> list[Cost]:
             seeds=len(group),
             inference_steps=float(np.mean([o.iteration.inference_steps for o in group])),
             inference_seconds=_mean([o.inference_seconds for o in group]),
-            training_steps=float(np.mean([sum(o.iteration.training_steps) for o in group])),
-            training_seconds=_mean([o.training_seconds for o in group]),
         )
         for key, group in _grouped(inferred).items()
     ]

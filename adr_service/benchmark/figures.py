@@ -22,11 +22,13 @@ from adr_service.benchmark.comparison import (
     ParameterEstimate,
     Row,
     costs,
+    decode,
     estimates,
     table,
     to_csv,
 )
 from adr_service.errors import InvalidInput, UnknownName
+from adr_service.methods.catalogue import is_inferring
 
 Format = Literal["svg", "png", "csv"]
 
@@ -85,7 +87,7 @@ def draw(name: str, outcomes: Sequence[Outcome], file_format: Format) -> bytes:
 
 def drawable(outcomes: Sequence[Outcome]) -> list[str]:
     """Names of the figures that these outcomes fill; the returns once per variant."""
-    names = [name for name, kind in FIGURES.items() if kind.rows(outcomes)]
+    names = [name for name, kind in FIGURES.items() if any(map(kind.is_drawn, outcomes))]
     by_variant = [f"returns-{variant}" for variant in _variants(outcomes)]
     if "returns" in names and len(by_variant) > 1:
         names[names.index("returns") : names.index("returns") + 1] = by_variant
@@ -119,8 +121,22 @@ def _iteration_axis(axis: Axes, last: int) -> None:
     axis.set_xticks(range(last + 1))
 
 
+def _in_the_protocol(outcome: Outcome) -> bool:
+    return bool(outcome.iteration.returns) and outcome.spec.collector == "simopt"
+
+
+def _by_others(outcome: Outcome) -> bool:
+    return bool(outcome.iteration.returns) and outcome.spec.collector != "simopt"
+
+
+def _has_spread(outcome: Outcome) -> bool:
+    """In the protocol; a point estimate (sysid) has none."""
+    inferred = bool(outcome.iteration.inferences) and is_inferring(outcome.spec.method)
+    return inferred and outcome.spec.collector == "simopt" and bool(decode(outcome)[0].std.any())
+
+
 def _protocol_rows(outcomes: Sequence[Outcome]) -> list[Row]:
-    return table([o for o in outcomes if o.spec.collector == "simopt"])
+    return table([outcome for outcome in outcomes if _in_the_protocol(outcome)])
 
 
 def _returns(rows: Sequence[Row]) -> Figure:
@@ -171,9 +187,12 @@ def _explain_bands(figure: Figure, rows: Sequence[Row]) -> None:
 
 def _collection_rows(outcomes: Sequence[Outcome]) -> list[Row]:
     """Rows of the methods for which several collected."""
-    rows = table(outcomes)
-    studied = {(r.task, r.variant, r.method) for r in rows if r.collector != "simopt"}
-    return [row for row in rows if (row.task, row.variant, row.method) in studied]
+
+    def column(outcome: Outcome) -> tuple[str, str, str]:
+        return outcome.spec.task, outcome.spec.variant, outcome.spec.method.name
+
+    studied = {column(outcome) for outcome in outcomes if _by_others(outcome)}
+    return table([outcome for outcome in outcomes if column(outcome) in studied])
 
 
 def _collection(rows: Sequence[Row]) -> Figure:
@@ -236,10 +255,11 @@ def _parameters(found: Sequence[ParameterEstimate]) -> Figure:
 
 
 def _spread_rows(outcomes: Sequence[Outcome]) -> list[ParameterEstimate]:
-    """Estimates that have a spread, in the protocol; a point estimate (sysid) has none."""
-    found = estimates([o for o in outcomes if o.spec.collector == "simopt"])
-    spread = {(e.task, e.variant, e.method) for e in found if e.iteration and e.normalised_std > 0}
-    return [e for e in found if (e.task, e.variant, e.method) in spread]
+    """Estimates of methods that give a spread, from the prior's on."""
+    methods = {outcome.spec.method.name for outcome in outcomes if _has_spread(outcome)}
+    return estimates(
+        [o for o in outcomes if o.spec.method.name in methods and o.spec.collector == "simopt"]
+    )
 
 
 def _spread(found: Sequence[ParameterEstimate]) -> Figure:
@@ -306,6 +326,7 @@ class Kind:
     """What a figure draws, and how."""
 
     caption: str
+    is_drawn: Callable[[Outcome], bool]  # whether an outcome gives the figure something to show
     row_type: type
     rows: Callable[[Sequence[Outcome]], Sequence[Any]]
     draw: Callable[[Any], Figure]
@@ -315,6 +336,7 @@ class Kind:
 FIGURES: Mapping[str, Kind] = {
     "returns": Kind(
         "Target return over iterations",
+        _in_the_protocol,
         Row,
         _protocol_rows,
         _returns,
@@ -322,6 +344,7 @@ FIGURES: Mapping[str, Kind] = {
     ),
     "collection": Kind(
         "Target return by who collected the data",
+        _by_others,
         Row,
         _collection_rows,
         _collection,
@@ -329,6 +352,7 @@ FIGURES: Mapping[str, Kind] = {
     ),
     "parameters": Kind(
         "Inferred parameters against the truth",
+        lambda outcome: is_inferring(outcome.spec.method),
         ParameterEstimate,
         estimates,
         _parameters,
@@ -336,10 +360,18 @@ FIGURES: Mapping[str, Kind] = {
     ),
     "spread": Kind(
         "Standard deviation of the inferred distributions",
+        _has_spread,
         ParameterEstimate,
         _spread_rows,
         _spread,
         "no method has inferred a distribution with a spread",
     ),
-    "cost": Kind("Cost of the inferences", Cost, costs, _cost, "no method has inferred anything"),
+    "cost": Kind(
+        "Cost of the inferences",
+        lambda outcome: bool(outcome.iteration.inferences),
+        Cost,
+        costs,
+        _cost,
+        "no method has inferred anything",
+    ),
 }

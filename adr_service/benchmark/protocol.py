@@ -106,6 +106,9 @@ def _searches(spec: RunSpec) -> Iterable[tuple[Key, int]]:
             learned_at_once = 1
         steps = spec.method.planned_steps(parameters, spec.transitions * learned_at_once)
         yield (_answer(spec, iteration), spec.task, f"{spec.variant} {spec.seed}"), steps
+        if spec.simopt is not None and iteration < spec.iterations:
+            steps = spec.simopt.planned_steps(parameters, spec.transitions)
+            yield (f"simopt {iteration}", spec.task, f"{spec.variant} {spec.seed}"), steps
 
 
 def _rollouts(spec: RunSpec) -> Iterable[tuple[tuple[str, str, int, int], int]]:

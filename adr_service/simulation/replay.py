@@ -6,7 +6,7 @@ from adr_service.arrays import Array3, Matrix
 from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import Simulations, control_period
 from adr_service.tasks.base import Source, State, Task
-from adr_service.transitions import TransitionDataset
+from adr_service.transitions import TransitionDataset, unnamed
 
 
 class Replay:
@@ -70,6 +70,19 @@ def check_recorded(task: Task, data: TransitionDataset) -> None:
         raise InvalidInput(
             f"the data have {given[0]} observations and {given[1]} actions; {task.name} measures "
             f"{expected[0]} and takes {expected[1]}"
+        )
+    columns, named = task.columns[: task.measured], data.columns
+    if named not in (columns, tuple(unnamed(task.measured).tolist())):
+        raise InvalidInput(
+            f"the data's columns are {', '.join(named)}; {task.name} measures {', '.join(columns)}"
+        )
+    outside = np.any((data.actions < task.action_low) | (data.actions > task.action_high), axis=1)
+    if outside.any():
+        row = int(np.argmax(outside))
+        raise InvalidInput(
+            f"{int(outside.sum())} actions lie outside the bounds of {task.name}, the first at row "
+            f"{row}: {data.actions[row].tolist()}; accepted: {task.action_low.tolist()} to "
+            f"{task.action_high.tolist()}"
         )
     period = control_period(task)
     if not np.isclose(data.dt, period, rtol=1e-6):

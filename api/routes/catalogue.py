@@ -6,7 +6,7 @@ from fastapi import APIRouter, Response
 from pydantic import TypeAdapter
 
 import adr_service
-from adr_service.methods import AnyMethod
+from adr_service.methods.catalogue import AnyMethod
 from adr_service.presets import PRESETS
 from adr_service.tasks.catalogue import catalogue
 from api.errors import problem
