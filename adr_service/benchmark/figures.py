@@ -181,7 +181,7 @@ def _band(
 def _explain_bands(figure: Figure, rows: Sequence[Row]) -> None:
     seeds = "–".join(map(str, sorted({row.seeds for row in rows})))
     figure.supxlabel(
-        f"bands: 95 % bootstrap intervals over {seeds} seeds and their episodes", fontsize=7
+        f"bands: 95 % bootstrap intervals over seeds (here {seeds}) and episodes", fontsize=7
     )
 
 
