@@ -39,6 +39,8 @@ def read_arrays(content: bytes, accepted: Sequence[str]) -> dict[str, np.ndarray
 
     Never runs code from it, nor unpacks more than its headers say.
     """
+    if not content.startswith(b"PK"):  # a zip file may hide behind something else
+        raise InvalidInput("not a readable .npz: it does not begin as one")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from adr_service.errors import AdrError, InvalidInput
@@ -23,7 +24,8 @@ app = typer.Typer(
     help="Benchmark adaptive domain randomization.", no_args_is_help=True, add_completion=False
 )
 # a table needs its width where no terminal tells one
-console = Console(width=None if sys.stdout.isatty() else 120)
+console = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 120)
+errors = Console(stderr=True)
 
 Url = Annotated[str, typer.Option(envvar="ADR_URL", help="Address of the service.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the service's JSON.")]
@@ -57,9 +59,13 @@ def submit(
     file: Annotated[Path | None, typer.Argument(help="JSON of a run or a benchmark.")] = None,
     task: Annotated[str | None, typer.Option(help="arm, hopper, half_cheetah, …")] = None,
     method: Annotated[str | None, typer.Option(help="simopt, dropo, droid, udr, …")] = None,
-    variant: Annotated[str, typer.Option(help="vanilla, noisy or unmodeled.")] = "vanilla",
-    seed: Annotated[int, typer.Option()] = 0,
-    preset: Annotated[str, typer.Option(help="smoke, demo, quick or paper.")] = "quick",
+    variant: Annotated[
+        str | None, typer.Option(help="vanilla (the default), noisy or unmodeled.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="0 by default.")] = None,
+    preset: Annotated[
+        str | None, typer.Option(help="smoke, demo, quick (the default) or paper.")
+    ] = None,
     dataset: Annotated[
         str | None, typer.Option(help="Learn from this uploaded recording, without a target.")
     ] = None,
@@ -73,14 +79,21 @@ def submit(
     as_json: AsJson = False,
 ) -> None:
     """Submit a run (by options) or a run or benchmark (by file)."""
-    if (file is None) == (task is None):
-        raise InvalidInput("give either a JSON file, or --task with --method")
+    given: dict[str, Any] = {
+        "task": task,
+        "method": method,
+        "variant": variant,
+        "seed": seed,
+        "preset": preset,
+        "target": None if dataset is None else {"kind": "recorded", "dataset": dataset},
+    }
+    spec = {name: value for name, value in given.items() if value is not None}
+    if (file is None) == (not spec) or (spec and not {"task", "method"} <= spec.keys()):
+        raise InvalidInput(
+            "give either --task and --method, or a JSON file alone (and --set for its fields)"
+        )
     if file is not None:
         spec = _read_json(file)
-    else:
-        spec = {"task": task, "method": method, "variant": variant, "seed": seed, "preset": preset}
-    if dataset is not None:
-        spec = {**spec, "target": {"kind": "recorded", "dataset": dataset}}
     for assignment in setting or []:
         _assign(spec, assignment)
     with _client(url) as client:
@@ -139,6 +152,8 @@ def extend(
         "tasks": task,
         "collectors": collector,
     }
+    if not id.startswith("bench_"):
+        raise InvalidInput(f"only a benchmark can be extended; given {id}")
     with _client(url) as client:
         client.extend_benchmark(id, {name: value for name, value in given.items() if value})
         console.print(f"{id} goes on")
@@ -198,6 +213,8 @@ def results(
     as_json: AsJson = False,
 ) -> None:
     """Show the result table, or write figures, the distribution or the policy."""
+    if (policy or distribution) and not id.startswith("run_"):
+        raise InvalidInput(f"{id} is no run, and has no single policy or distribution; adr list")
     with _client(url) as client:
         if figure is not None:
             figure.write_bytes(client.figure(id, figure.name))
@@ -308,8 +325,8 @@ def main() -> None:
     """The console script: expected errors are messages, not tracebacks."""
     try:
         app()
-    except AdrError as error:
-        console.print(f"[red]error:[/red] {error}", highlight=False)
+    except (AdrError, OSError) as error:
+        errors.print(f"[red]error:[/red] {escape(str(error))}", highlight=False, soft_wrap=True)
         raise SystemExit(2) from error
 
 

@@ -55,8 +55,7 @@ def results_table(results: Json) -> RenderableType:
     if results["rows"]:
         return Group(table, Text(results["note"], style="dim"))
     if results["estimates"]:
-        note = "a recorded target: there is nothing to evaluate the policy on"
-        return Group(estimates_table(results), Text(note, style="dim"))
+        return Group(estimates_table(results), Text(results["note"], style="dim"))
     return Text("no iteration has finished yet")
 
 

@@ -11,7 +11,9 @@ def read(file: Path, task_name: str) -> bytes:
 
     Those say neither the control period nor the columns: the task's are taken.
     """
-    if file.suffix == ".npz":
+    if file.suffix:
+        if file.suffix != ".npz":
+            raise InvalidInput(f"a recording is an .npz, or a prefix of .npy files; given {file}")
         try:
             return file.read_bytes()
         except OSError as error:

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from adr_service.benchmark.comparison import Outcome, comparisons, costs, decode, estimates, table
 from adr_service.events import RunEvent, RunState
-from adr_service.specs import BenchmarkSpec, RunSpec
+from adr_service.specs import BenchmarkSpec, RecordedTarget, RunSpec
 from db.datasets import DatasetRecord
 from db.runs import BenchmarkRecord, EventRecord, RunRecord, states_of
 from workers.dispatcher import Activity
@@ -117,6 +117,7 @@ class DistributionView(BaseModel):
     iteration: int
     parameters: list[ParameterView]
     distributions: list[dict[str, Any]]
+    diagnostics: dict[str, Any]  # of the inference
 
 
 def run_view(record: RunRecord, activities: Sequence[Activity]) -> RunView:
@@ -185,6 +186,8 @@ def event_view(record: EventRecord) -> EventView:
 
 def results_view(outcomes: Sequence[Outcome]) -> ResultsView:
     note = "undiscounted target return / reward threshold; 95 % bootstrap interval"
+    if outcomes and all(isinstance(outcome.spec.target, RecordedTarget) for outcome in outcomes):
+        note = "a recorded target: there is nothing to evaluate the policy on"
     if any(outcome.spec.preset == "smoke" for outcome in outcomes):
         note = "preset 'smoke': a few hundred training steps; these numbers mean nothing"
     return ResultsView(
@@ -220,4 +223,5 @@ def distribution_view(outcome: Outcome) -> DistributionView:
             for i, parameter in enumerate(distributions[0].space.parameters)
         ],
         distributions=list(outcome.iteration.distributions),
+        diagnostics=outcome.iteration.diagnostics,
     )

@@ -340,7 +340,7 @@ class TestService:
             command, capture_output=True, text=True, timeout=60, cwd=tmp_path, check=False
         )
         assert done.returncode == 2
-        assert "set ADR_TOKEN" in done.stdout
+        assert "set ADR_TOKEN" in done.stderr
 
     def test_the_client_explains_a_refusal_and_an_absence(self, service):
         with pytest.raises(Refused, match="did you mean 'arm'"):

@@ -105,7 +105,9 @@ def test_members_that_are_no_arrays_are_named(name):
         read_arrays(zipped(name, b"x"), "a")
 
 
-@pytest.mark.parametrize("content", [b"", b"not a zip", npz(a=np.zeros(9))[:-30]])
+@pytest.mark.parametrize(
+    "content", [b"", b"not a zip", npz(a=np.zeros(9))[:-30], b"--form\r\n" + npz(a=np.zeros(9))]
+)
 def test_what_is_no_npz_is_refused(content):
     with pytest.raises(InvalidInput, match="not a readable"):
         read_arrays(content, "a")

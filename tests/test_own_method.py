@@ -1,14 +1,11 @@
 """The page docs/add-a-method.md, followed: its file and its package, installed and run."""
 
-import os
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+from tests.packages import ROOT, add_entry_point, install, python
+
 PAGE = (ROOT / "docs/add-a-method.md").read_text()
 
 USE = """
@@ -40,26 +37,13 @@ def block(language, marker):
     return next(code for code in blocks if marker in code)
 
 
-def python(code, path):
-    return subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        timeout=200,
-        env={**os.environ, "PYTHONPATH": f"{path}{os.pathsep}{ROOT}"},
-        check=False,
-    )
-
-
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
     """A folder to import the page's package from."""
     folder, source = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("source")
     (source / "random_search.py").write_text(block("python", "class RandomSearch:"))
     (source / "pyproject.toml").write_text(block("toml", "entry-points"))
-    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps"]
-    command += ["--no-build-isolation", "--target", str(folder), str(source)]
-    subprocess.run(command, check=True, timeout=200)
+    install(source, folder)
     return folder
 
 
@@ -84,10 +68,7 @@ def test_it_can_be_imported_before_anything_of_ours(installed):
     ],
 )
 def test_an_entry_point_that_leads_wrong_is_named(installed, tmp_path, value, message):
-    about = tmp_path / "broken-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(f"[adr_service.methods]\nbroken = {value}\n")
-    done = python("import adr_service.specs", f"{tmp_path}{os.pathsep}{installed}")
+    add_entry_point(tmp_path, "adr_service.methods", value)
+    done = python("import adr_service.specs", tmp_path, installed)
     assert message in done.stderr
     assert "'broken'" in done.stderr

@@ -1,13 +1,12 @@
 """The example package of docs/own-task.md, installed and used as a user would."""
 
-import os
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
-EXAMPLE = Path(__file__).parent.parent / "docs/examples/adr-pendulum"
+from tests.packages import ROOT, add_entry_point, install, python
+
+EXAMPLE = ROOT / "docs/examples/adr-pendulum"
 
 USE = """
 import gymnasium, numpy as np
@@ -47,26 +46,12 @@ print("fine")
 """
 
 
-def python(code, path):
-    return subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        timeout=200,
-        cwd=Path(__file__).parent.parent,
-        env={**os.environ, "PYTHONPATH": str(path)},
-        check=False,
-    )
-
-
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
     """A folder to import the example from."""
     folder, copy = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("source") / "example"
     subprocess.run(["cp", "-r", str(EXAMPLE), str(copy)], check=True)
-    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps"]
-    command += ["--no-build-isolation", "--target", str(folder), str(copy)]
-    subprocess.run(command, check=True, timeout=200)
+    install(copy, folder)
     return folder
 
 
@@ -85,11 +70,8 @@ def test_an_installed_task_is_simulated_and_runs_like_ours(installed):
     ],
 )
 def test_an_entry_point_that_leads_wrong_is_named(installed, tmp_path, value, message):
-    about = tmp_path / "broken-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(f"[adr_service.tasks]\nbroken = {value}\n")
-    path = f"{tmp_path}{os.pathsep}{installed}"
-    done = python("from adr_service.tasks.catalogue import get_task; get_task('arm')", path)
+    add_entry_point(tmp_path, "adr_service.tasks", value)
+    code = "from adr_service.tasks.catalogue import get_task; get_task('arm')"
+    done = python(code, tmp_path, installed)
     assert message in done.stderr
     assert "'broken'" in done.stderr

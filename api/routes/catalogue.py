@@ -8,6 +8,7 @@ from pydantic import TypeAdapter
 import adr_service
 from adr_service.methods.catalogue import AnyMethod
 from adr_service.presets import PRESETS
+from adr_service.simulation.batch import control_period
 from adr_service.tasks.catalogue import catalogue
 from api.errors import problem
 from api.routes.runs import artifact_response
@@ -25,6 +26,9 @@ def tasks() -> list[dict[str, Any]]:
             "observation_columns": entry.task.columns,
             "measured_columns": entry.task.measured,
             "actions": len(entry.task.action_low),
+            "action_low": entry.task.action_low.tolist(),
+            "action_high": entry.task.action_high.tolist(),
+            "control_period_s": control_period(entry.task),
             "horizon": entry.task.horizon,
             "reward_threshold": entry.task.reward_threshold,
             "variants": {
