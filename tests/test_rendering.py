@@ -150,5 +150,5 @@ def test_a_machine_that_cannot_draw_says_what_to_install(tmp_path, environment):
         environment = environment | {display: ""}
     done = adr("render", film, "--task", "hopper", "--data", data, **environment)
     assert done.returncode == 2
-    assert "apt install libegl1" in done.stdout
+    assert "apt install libegl1" in done.stderr
     assert not film.exists()
