@@ -1,5 +1,6 @@
 """What installed packages add: the entry points of our groups, and what they name."""
 
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -20,6 +21,7 @@ def load(point: EntryPoint) -> Any:
         raise InvalidInput(f"{origin(point)} cannot be loaded: {error!r}") from error
 
 
+@cache  # asked for every stage; reading what is installed takes milliseconds
 def package_of(group: str, name: str) -> str | None:
     """Name and version of the package that adds `name` to a group; None for our own."""
     for point in installed(group):

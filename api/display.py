@@ -5,6 +5,7 @@ from typing import Any
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
+from rich.markup import escape
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
@@ -97,7 +98,7 @@ def claims_table(report: Json) -> RenderableType:
     for finding in report["findings"]:
         evidence = "\n".join(finding["evidence"]) or "–"
         cells = (finding["claim"], finding["statement"], finding["verdict"], evidence)
-        table.add_row(*(cell.replace("[", r"\[") for cell in cells))
+        table.add_row(*map(escape, cells))
     title = f"preset {report['preset']}" + (f", but {changed}" if changed else "")
     return Group(Text(title, style="bold"), table)
 

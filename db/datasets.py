@@ -52,6 +52,12 @@ def store_dataset(database: Database, content: bytes) -> tuple[DatasetRecord, bo
         return _record(row), True
 
 
+def describe_dataset(database: Database, id: str) -> DatasetRecord:
+    """A dataset without its bytes."""
+    with database.read() as session:
+        return _record(get_dataset(session, id))
+
+
 def load_dataset(database: Database, id: str) -> tuple[DatasetRecord, bytes]:
     """A dataset and its `.npz`."""
     with database.read() as session:

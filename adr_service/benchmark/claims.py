@@ -31,8 +31,8 @@ _POINT = 0.05  # standard deviation in [0, 4] below which a distribution is a po
 _DECISIVE: tuple[Verdict, ...] = ("contradicted", "not measured", "undecided")  # in this order
 _LEVELS = ("udr", "prior", "oracle")  # evaluated once
 _METHODS = ("udr", "bayrn", "simopt", "simopt_1", "droid", "dropo")
-_EASY, _HARD = ("hopper",), ("half_cheetah", "walker2d", "humanoid")
-_TASKS = (*_EASY, *_HARD)
+_HARD = ("half_cheetah", "walker2d", "humanoid")
+_TASKS = ("hopper", *_HARD)
 _VARIANTS = ("vanilla", "noisy", "unmodeled")
 
 

@@ -69,7 +69,6 @@ def hidden_of(task: str, variant: str) -> Hidden:
     return variant_of(task, variant).hidden
 
 
-@cache
 def identity_of(task: str) -> Mapping[str, str]:
     """What a stage's inputs say of a task: its name, and the version of a foreign package.
 

@@ -47,7 +47,7 @@ def list_datasets(
 
 @router.get("/{dataset_id}")
 def get_dataset(dataset_id: str, service: ServiceDependency) -> DatasetView:
-    return dataset_view(store.load_dataset(service.database, dataset_id)[0])
+    return dataset_view(store.describe_dataset(service.database, dataset_id))
 
 
 @router.get("/{dataset_id}/content", response_class=Response)
