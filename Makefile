@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow protocol lint bench-sim bench-dropo clean
+.PHONY: setup demo serve test test-slow protocol lint bench-sim bench-train bench-threshold bench-dropo clean
 
 setup: $(STAMP)
 
@@ -38,6 +38,13 @@ protocol: setup
 
 bench-sim: setup
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/simulation.py
+
+bench-train: setup
+	$(BIN)/python benchmarks/training.py
+
+# about two hours on two cores
+bench-threshold: setup
+	$(BIN)/python benchmarks/threshold.py hopper paper 3
 
 bench-dropo: setup
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/dropo.py

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 from adr_service.distributions import Uniform, distribution_from_json
-from adr_service.events import RunEvent, StageFinished
+from adr_service.events import RunEvent
 from adr_service.methods.base import Evidence, OfflineSettings, OnlineSettings, Problem
 from adr_service.methods.bayrn import propose
 from adr_service.methods.catalogue import parse_settings
+from adr_service.preparation import preparing
 from adr_service.progress import Progress, silent
 from adr_service.randomness import stream
-from adr_service.stages import Stage, StageResult
+from adr_service.stages import Stage, StageResult, events_of
 from adr_service.target import random_actions, simulate_evaluation, simulate_rollout
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.training.policy import Policy
@@ -43,8 +44,9 @@ class LocalStages:
             if stage.digest not in self._memory:
                 self._memory[stage.digest] = compute(stage)
                 self.executed.append(stage)
-            yield StageFinished(kind=stage.kind, digest=stage.digest)
-            results.append(self._memory[stage.digest])
+            result = self._memory[stage.digest]
+            yield from events_of(stage, result)
+            results.append(result)
         return results
 
     def run(self, stage: Stage) -> Generator[RunEvent, None, StageResult]:
@@ -55,7 +57,8 @@ def _train_policy(
     inputs: Inputs, blobs: Blobs, rng: np.random.Generator, progress: Progress
 ) -> StageResult:
     # importing PyTorch and JAX takes seconds: only who trains pays
-    from adr_service.training.sac import train
+    with preparing():
+        from adr_service.training.sac import train
 
     task = get_task(inputs["task"])
     source = source_of(task.name, inputs["variant"])

@@ -1,8 +1,8 @@
 """What happens in a run, as values with a deterministic key: written once, replayed freely.
 
-Science events (`stage_finished`, `iteration_finished`) come from the program and repeat when it
-runs again, so their key is what they speak of. Lifecycle events carry the number of times the
-run was (re)submitted. A run's state is the fold of its events.
+Science events (`stage_finished`, `training_evaluated`, `iteration_finished`) come from the
+program and repeat when it runs again, so their key is what they speak of. Lifecycle events carry
+the number of times the run was (re)submitted. A run's state is the fold of its events.
 """
 
 from collections.abc import Iterable
@@ -26,6 +26,20 @@ class StageFinished(Wire):
     @property
     def key(self) -> str:
         return f"stage_finished:{self.digest}"
+
+
+class TrainingEvaluated(Wire):
+    """A point of a policy's learning curve: its return on the source after so many steps."""
+
+    type: Literal["training_evaluated"] = "training_evaluated"
+    digest: str = Field(description="of the training's stage")
+    steps: int  # of the environments
+    mean_return: float
+    standard_error: float  # over the evaluation episodes
+
+    @property
+    def key(self) -> str:
+        return f"training_evaluated:{self.digest}:{self.steps}"
 
 
 class IterationFinished(Wire):
@@ -106,6 +120,7 @@ class RunStopped(Wire):
 
 RunEvent = Annotated[
     StageFinished
+    | TrainingEvaluated
     | IterationFinished
     | RunQueued
     | RunStarted

@@ -1,6 +1,15 @@
 """How long computations say that they live, and learn that nobody wants them any more."""
 
+from dataclasses import dataclass
 from typing import Any, Protocol
+
+
+@dataclass(frozen=True)
+class SoFar:
+    """The best that a computation has until now, in the form of its result."""
+
+    values: dict[str, Any]
+    blobs: dict[str, bytes]
 
 
 class StageCancelled(Exception):
@@ -10,17 +19,17 @@ class StageCancelled(Exception):
 class Progress(Protocol):
     """Called often from inside a stage; must be cheap. May raise `StageCancelled`."""
 
-    def __call__(self, fraction: float, **facts: Any) -> None: ...
+    def __call__(self, fraction: float, so_far: SoFar | None = None, **facts: Any) -> None: ...
 
 
 def part_of(progress: Progress, done: int, parts: int) -> Progress:
     """Progress of the next of `parts` equal parts, of which `done` are behind."""
 
-    def report(fraction: float, **facts: Any) -> None:
-        progress((done + fraction) / parts, **facts)
+    def report(fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
+        progress((done + fraction) / parts, so_far=so_far, **facts)
 
     return report
 
 
-def silent(fraction: float, **facts: Any) -> None:
+def silent(fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
     """The progress nobody looks at."""

@@ -72,7 +72,8 @@ def run(spec: RunSpec, stages: Stages, recording: bytes | None = None) -> Progra
             yield from _train_and_report(spec, stages, [prior])
         case OracleSettings():
             truth = truth_as_distribution(spec.task, spec.variant)
-            yield from _train_and_report(spec, stages, [truth], variant="vanilla")
+            trained = yield from stages.run(oracle_training(spec))
+            yield from _report(spec, Target(spec, stages), 0, [truth], [trained])
         case _:
             raise InvalidInput(f"no program runs the method {spec.method.name}")
 
@@ -215,13 +216,10 @@ def _joined(visits: Sequence[Visit]) -> bytes:
 
 
 def _train_and_report(
-    spec: RunSpec,
-    stages: Stages,
-    distributions: Sequence[Distribution],
-    variant: str | None = None,
+    spec: RunSpec, stages: Stages, distributions: Sequence[Distribution]
 ) -> Program:
     """For methods without data: one policy per distribution, all at the same time."""
-    trained = yield from stages.all([_training(spec, d, variant) for d in distributions])
+    trained = yield from stages.all([_training(spec, d) for d in distributions])
     yield from _report(spec, Target(spec, stages), 0, distributions, trained)
 
 
@@ -292,10 +290,15 @@ def _report(
     )
 
 
-def _training(spec: RunSpec, distribution: Distribution, variant: str | None = None) -> Stage:
+def oracle_training(spec: RunSpec) -> Stage:
+    """The training on the target's truth, in whose own space it is: the vanilla variant's."""
+    truth = truth_as_distribution(spec.task, spec.variant)
+    return _training(spec.model_copy(update={"variant": "vanilla"}), truth)
+
+
+def _training(spec: RunSpec, distribution: Distribution) -> Stage:
     inputs: dict[str, Any] = {
         **_identity(spec),
-        "variant": variant or spec.variant,
         "distribution": distribution.to_json(),
         "training": spec.training.model_dump(),
     }

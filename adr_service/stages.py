@@ -8,12 +8,12 @@ digest, and its random stream comes from the digest. So equal stages are compute
 whoever asks first, and asking again is free: that is how runs share work and how they resume.
 """
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, Protocol
 
-from adr_service.events import RunEvent
+from adr_service.events import RunEvent, StageFinished, TrainingEvaluated
 from adr_service.wire import canonical_json, sha256
 
 Role = Literal["trainer", "inference", "target"]
@@ -28,7 +28,7 @@ class StageKind:
 
 
 KINDS = {
-    "train_policy": StageKind(version=2, role="trainer"),
+    "train_policy": StageKind(version=3, role="trainer"),
     "infer": StageKind(version=2, role="inference"),
     "target_rollout": StageKind(version=2, role="target"),
     "target_return": StageKind(version=1, role="target"),
@@ -66,6 +66,17 @@ class Stage:
             "inputs": self.inputs,
             "blobs": {name: sha256(content) for name, content in self.blobs.items()},
         }
+
+
+def learning_curve(digest: str, values: Mapping[str, Any]) -> list[RunEvent]:
+    """The learning curve that a training's values hold, finished or not."""
+    return [TrainingEvaluated(digest=digest, **point) for point in values.get("curve", [])]
+
+
+def events_of(stage: Stage, result: StageResult) -> list[RunEvent]:
+    """What a finished stage puts on the record of every run that asked for it."""
+    finished = StageFinished(kind=stage.kind, digest=stage.digest)
+    return [*learning_curve(stage.digest, result.values), finished]
 
 
 class Stages(Protocol):

@@ -17,7 +17,15 @@ from adr_service.errors import AdrError, InvalidInput
 from api import demo as demo_story
 from api import recordings
 from api.client import AdrClient
-from api.display import claims_table, comparisons_table, live, plan_table, results_table
+from api.display import (
+    claims_table,
+    comparisons_table,
+    cost_table,
+    live,
+    plan_table,
+    results_table,
+    trials_table,
+)
 from api.settings import DEFAULT_URL, Settings, read_settings
 
 app = typer.Typer(
@@ -209,6 +217,7 @@ def results(
     ] = None,
     policy: Annotated[Path | None, typer.Option(help="Write a run's policy.")] = None,
     compare: Annotated[bool, typer.Option(help="Probability that a method beats another.")] = False,
+    cost: Annotated[bool, typer.Option(help="What it cost, and how busy the cores were.")] = False,
     url: Url = DEFAULT_URL,
     as_json: AsJson = False,
 ) -> None:
@@ -228,6 +237,9 @@ def results(
             distribution.write_text(json.dumps(client.distribution(id), indent=1))
         elif policy is not None:
             policy.write_bytes(client.policy(id))
+        elif cost:
+            found = client.cost(id)
+            console.print_json(data=found) if as_json else console.print(cost_table(found))
         elif csv:
             typer.echo(client.results_csv(id), nl=False)
         elif as_json:
@@ -311,6 +323,31 @@ def render(
     else:
         raise InvalidInput("give either --policy or --data")
     console.print(f"{out}: {count} pictures", highlight=False)
+
+
+@app.command()
+def tune(
+    task: Annotated[str, typer.Argument(help="arm, hopper, half_cheetah, …")],
+    rates: Annotated[str, typer.Option(help="Learning rates, with commas between.")],
+    seeds: Annotated[int, typer.Option(help="Trainings per rate.", min=1)] = 2,
+    preset: Annotated[str, typer.Option(help="Whose trainings: quick, paper, …")] = "quick",
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", help="A field, training.max_steps=1000.")
+    ] = None,
+    cpus: Annotated[int | None, typer.Option(help="Trainings at once; default: all cores.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Search the learning rate that trains best on the ground truth; needs no service."""
+    from api import tuning  # imports Ray and the simulator
+
+    spec: dict[str, Any] = {"task": task, "method": "oracle", "preset": preset}
+    for assignment in setting or []:
+        _assign(spec, assignment)
+    trials = tuning.search(spec, rates.split(","), seeds, cpus)
+    if as_json:
+        console.print_json(data=trials)
+    else:
+        console.print(trials_table(trials))
 
 
 @app.command()

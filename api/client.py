@@ -78,6 +78,10 @@ class AdrClient:
         """All members of "runs", "benchmarks" or "datasets", page after page."""
         return self._pages(f"/v1/{collection}", "page_token", **filters)
 
+    def cost(self, id: str) -> Json:
+        """What a run or a benchmark has cost so far."""
+        return self._json("GET", f"{_path(id)}/cost")
+
     def get_events(self, run_id: str) -> list[Json]:
         """All events of a run so far."""
         return self._pages(f"{_path(run_id)}/events", "after")

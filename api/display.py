@@ -1,6 +1,6 @@
 """Progress and results on a terminal."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from rich.console import Console, Group, RenderableType
@@ -121,6 +121,46 @@ def comparisons_table(results: Json) -> RenderableType:
     if not results["comparisons"]:
         return Text("there are no two methods to compare yet")
     return Group(table, Text("after each method's last iteration; ties count half", style="dim"))
+
+
+def cost_table(cost: Json) -> RenderableType:
+    """What stages cost, and how busy the cores were."""
+    table = Table("stages", box=None, padding=(0, 2, 0, 0))
+    for heading in ("number", "seconds on a core", "CPU seconds", "of them preparing"):
+        table.add_column(heading, justify="right")
+    for kind in cost["kinds"]:
+        numbers = (kind["seconds"], kind["cpu_seconds"], kind["preparing_seconds"])
+        cells = (f"{number:.1f}" for number in numbers)
+        table.add_row(kind["kind"], str(kind["stages"]), *cells)
+    found = cost["utilisation"]
+    if found is None:
+        return Group(table, Text("there was never work for all cores at once", style="dim"))
+    shares = Table("core seconds", "", box=None, padding=(0, 2, 0, 0))
+    for name in ("computing", "waiting", "orchestration", "starting", "preparing"):
+        shares.add_row(name, f"{found[name]:.1f}")
+    headline = (
+        f"useful work {found['useful']:.1%}, orchestration {found['overhead']:.1%} "
+        f"of {found['cores']:.0f} cores in {found['seconds']:.0f} s"
+    )
+    return Group(table, Text(), shares, Text(headline), Text(cost["note"], style="dim"))
+
+
+def trials_table(trials: Sequence[Json]) -> RenderableType:
+    """The trials of a search, the best first."""
+    table = Table("learning rate", "seed", box=None, padding=(0, 2, 0, 0))
+    for heading in ("steps", "best return", "threshold"):
+        table.add_column(heading, justify="right")
+    table.add_column("")
+    for trial in trials:
+        table.add_row(
+            f"{trial['learning_rate']:g}",
+            str(trial["seed"]),
+            f"{trial['steps']:,}",
+            f"{trial['best_return']:.0f}",
+            "reached" if trial["reached_threshold"] else "–",
+            "stopped early" if trial["stopped_early"] else "",
+        )
+    return table
 
 
 def _runs(seen: Json) -> list[Json]:

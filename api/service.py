@@ -13,12 +13,13 @@ from adr_service.events import IterationFinished
 from adr_service.specs import RecordedTarget, RunSpec
 from adr_service.target import Recording
 from api.settings import Settings
+from api.views import CostView, cost_view
 from db import datasets as dataset_store
 from db import runs as store
 from db import stages as stage_store
 from db.runs import RunRecord
 from db.session import Database, open_database
-from workers.dispatcher import RayOptions
+from workers.cluster import RayOptions
 from workers.orchestrator import Orchestrator
 
 
@@ -42,6 +43,11 @@ class Service:
             Outcome(spec, event, sum(seconds[d] for d in event.inferences) or None)
             for spec, event in found
         ]
+
+    def cost(self, records: Sequence[RunRecord]) -> CostView:
+        """What the runs have cost so far."""
+        timings = stage_store.timings_of(self.database, [record.id for record in records])
+        return cost_view(timings, self.outcomes(records))
 
     def check_recording(self, spec: RunSpec) -> None:
         """Refuse a run that names a dataset which is not there, or not of its task."""

@@ -8,7 +8,8 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel
 
 from adr_service.benchmark.comparison import Outcome, comparisons, costs, decode, estimates, table
-from adr_service.events import RunEvent, RunState
+from adr_service.benchmark.utilisation import Timing, utilisation
+from adr_service.events import RunEvent, RunState, StageFinished, TrainingEvaluated
 from adr_service.specs import BenchmarkSpec, RecordedTarget, RunSpec
 from db.datasets import DatasetRecord
 from db.runs import BenchmarkRecord, EventRecord, RunRecord, states_of
@@ -16,6 +17,10 @@ from workers.dispatcher import Activity
 
 Item = TypeVar("Item")
 Record = TypeVar("Record")
+_COST_NOTE = (
+    "core seconds while there was work for all cores; useful = computing / (computing + waiting + "
+    "orchestration), overhead = orchestration / all"
+)
 
 
 class RunError(BaseModel):
@@ -85,6 +90,40 @@ class ResultsView(BaseModel):
     costs: list[dict[str, Any]]  # of the inferences
 
 
+class KindCost(BaseModel):
+    """All stages of a kind, each counted once."""
+
+    kind: str
+    stages: int
+    seconds: float  # on a core
+    cpu_seconds: float
+    preparing_seconds: float  # of these, imports and compilations
+
+
+class CostView(BaseModel):
+    """What was spent on a run or a benchmark. Stages shared with others are included."""
+
+    note: str
+    kinds: list[KindCost]
+    utilisation: dict[str, float] | None  # null: there was never work for all cores at once
+    inferences: list[dict[str, Any]]
+
+
+class CurvePoint(BaseModel):
+    steps: int
+    mean_return: float  # on the source distribution
+    standard_error: float
+
+
+class TrainingView(BaseModel):
+    """A policy's training, finished or not."""
+
+    digest: str
+    is_finished: bool
+    curve: list[CurvePoint]
+    links: dict[str, str]
+
+
 class DatasetView(BaseModel):
     """A stored recording."""
 
@@ -142,6 +181,8 @@ def run_view(record: RunRecord, activities: Sequence[Activity]) -> RunView:
             "results": f"{here}/results",
             "policy": f"{here}/policy",
             "distribution": f"{here}/distribution",
+            "trainings": f"{here}/trainings",
+            "cost": f"{here}/cost",
         },
     )
 
@@ -164,6 +205,7 @@ def benchmark_view(
             "csv": f"{here}/results?format=csv",
             "figures": f"{here}/figures",
             "claims": f"{here}/claims",
+            "cost": f"{here}/cost",
         },
     )
 
@@ -197,6 +239,50 @@ def results_view(outcomes: Sequence[Outcome]) -> ResultsView:
         estimates=[asdict(estimate) for estimate in estimates(outcomes)],
         costs=[asdict(cost) for cost in costs(outcomes)],
     )
+
+
+def cost_view(timings: Sequence[tuple[str, Timing]], outcomes: Sequence[Outcome]) -> CostView:
+    kinds: dict[str, list[Timing]] = {}
+    for kind, timing in timings:
+        kinds.setdefault(kind, []).append(timing)
+    found = utilisation([timing for _, timing in timings])
+    shares = found and {"useful": found.useful, "overhead": found.overhead, **asdict(found)}
+    return CostView(
+        note=_COST_NOTE,
+        kinds=[
+            KindCost(
+                kind=kind,
+                stages=len(group),
+                seconds=sum(t.ended - t.began for t in group),
+                cpu_seconds=sum(t.cpu for t in group),
+                preparing_seconds=sum(t.preparing for t in group),
+            )
+            for kind, group in sorted(kinds.items())
+        ],
+        utilisation=shares,
+        inferences=[asdict(cost) for cost in costs(outcomes)],
+    )
+
+
+def training_views(run_id: str, records: Sequence[EventRecord]) -> list[TrainingView]:
+    """The trainings of a run, in the order of their first evaluation."""
+    curves: dict[str, list[CurvePoint]] = {}
+    finished: set[str] = set()
+    for event in (record.event for record in records):
+        if isinstance(event, TrainingEvaluated):
+            point = event.model_dump(include=set(CurvePoint.model_fields))
+            curves.setdefault(event.digest, []).append(CurvePoint(**point))
+        elif isinstance(event, StageFinished):
+            finished.add(event.digest)
+    return [
+        TrainingView(
+            digest=digest,
+            is_finished=digest in finished,
+            curve=sorted(curve, key=lambda point: point.steps),
+            links={"policy": f"/v1/runs/{run_id}/trainings/{digest}/policy"},
+        )
+        for digest, curve in curves.items()
+    ]
 
 
 def dataset_view(record: DatasetRecord) -> DatasetView:

@@ -7,7 +7,8 @@ medians of three interleaved rounds, after imports, compilation and a thousand s
     python benchmarks/training.py [environment steps per measurement, 6000]
 
 `stock` is SB3's SAC on Gymnasium's Hopper-v5 in a SubprocVecEnv of 12 processes, with PyTorch's own
-number of threads; `sb3` and `sbx` are ours on the randomised batch. Writes
+number of threads; `sb3` and `sbx` are ours on the randomised batch, as the service's workers run
+them: one thread. Writes
 build/bench/training.json: subject -> {env_steps_per_s, updates_per_s, cores}, where cores are CPU
 seconds of the process and its children per second.
 """
@@ -23,6 +24,9 @@ from typing import Any
 
 import psutil
 
+from workers.cluster import worker_environment
+
+FOLDER = Path("build/bench")
 SUBJECTS = ("stock", "sb3", "sbx")
 ROUNDS, WARM_UP, ENVIRONMENTS = 3, 1200, 12
 TARGET = 5.0  # times stock's environment steps per CPU second
@@ -38,9 +42,8 @@ def main() -> None:
         subject: {name: statistics.median(m[name] for m in measured) for name in measured[0]}
         for subject, measured in found.items()
     }
-    path = Path("build/bench/training.json")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(result, indent=1))
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    (FOLDER / "training.json").write_text(json.dumps(result, indent=1))
     stock = result["stock"]["env_steps_per_s"] / result["stock"]["cores"]
     for subject, rates in result.items():
         per_core = rates["env_steps_per_s"] / rates["cores"]
@@ -55,7 +58,7 @@ def main() -> None:
 def in_a_process_of_its_own(subject: str, steps: int) -> dict[str, float]:
     environment = dict(os.environ)
     if subject != "stock":
-        environment |= {"OMP_NUM_THREADS": "1"}
+        environment |= worker_environment(FOLDER.absolute() / "jax")
     command = [sys.executable, __file__, subject, str(steps)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:

@@ -114,6 +114,7 @@ class StageRow(Base):
     attempt: Mapped[int]
     started_by: Mapped[str] = mapped_column(String(40))  # run id; the run may be deleted since
     seconds: Mapped[float]
+    timing: Mapped[str | None] = mapped_column(Text)  # JSON; NULL: stored before it was measured
     provenance: Mapped[str] = mapped_column(Text)
     created_at: Mapped[datetime] = mapped_column(Utc)
 
@@ -126,6 +127,15 @@ class ArtifactRow(Base):
     sha256: Mapped[str] = mapped_column(String(64), primary_key=True)
     size: Mapped[int]
     content: Mapped[bytes] = mapped_column(LargeBinary)
+
+
+class CheckpointRow(Base):
+    """The best policy so far of a training that has no result yet."""
+
+    __tablename__ = "checkpoints"
+
+    digest: Mapped[str] = mapped_column(String(64), primary_key=True)  # of the stage to be
+    sha256: Mapped[str] = mapped_column(ForeignKey("artifacts.sha256"), index=True)
 
 
 class DatasetRow(Base):

@@ -2,19 +2,31 @@
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
 
 from sqlalchemy import delete, exists, select
 from sqlalchemy.orm import Session
 
+from adr_service.benchmark.utilisation import Timing
 from adr_service.stages import Stage, StageResult
 from adr_service.wire import canonical_json, sha256
-from db.models import ArtifactRow, DatasetRow, EventRow, StageArtifactRow, StageRow
+from db.models import (
+    ArtifactRow,
+    CheckpointRow,
+    DatasetRow,
+    EventRow,
+    StageArtifactRow,
+    StageRow,
+)
 from db.session import Database
 
 _CHUNK = 10_000  # of a query's variables
+_UNUSED = [  # artifacts that nothing has
+    ~exists().where(owner.sha256 == ArtifactRow.sha256)
+    for owner in (StageArtifactRow, DatasetRow, CheckpointRow)
+]
 
 
 @dataclass(frozen=True)
@@ -23,7 +35,7 @@ class Execution:
 
     attempt: int
     started_by: str  # run id
-    seconds: float
+    timing: Timing
     provenance: dict[str, Any]  # package versions, CPU
 
 
@@ -61,7 +73,8 @@ def commit_result(
                     result=canonical_json(result.values),
                     attempt=execution.attempt,
                     started_by=execution.started_by,
-                    seconds=execution.seconds,
+                    seconds=execution.timing.ended - execution.timing.began,
+                    timing=canonical_json(asdict(execution.timing)),
                     provenance=canonical_json(execution.provenance),
                     created_at=datetime.now(UTC),
                 )
@@ -70,7 +83,56 @@ def commit_result(
             for name, content in result.blobs.items():
                 key = add_artifact(session, content)
                 session.add(StageArtifactRow(digest=stage.digest, name=name, sha256=key))
+        _drop_checkpoint(session, stage.digest)
         also(session)
+
+
+def note_checkpoint(session: Session, digest: str, policy: bytes) -> None:
+    """Keep the best policy so far of a training, in the place of the one before."""
+    if session.get(StageRow, digest) is not None:
+        return  # it has finished meanwhile
+    key = add_artifact(session, policy)
+    row = session.get(CheckpointRow, digest)
+    if row is not None and row.sha256 != key:
+        _drop_checkpoint(session, digest)
+        row = None
+    if row is None:
+        session.add(CheckpointRow(digest=digest, sha256=key))
+        session.flush()
+
+
+def timings_of(database: Database, run_ids: Sequence[str]) -> list[tuple[str, Timing]]:
+    """(kind, timing) of the stages that the runs have results of, in order of their beginning."""
+    found: dict[str, tuple[str, Timing]] = {}
+    with database.read() as session:
+        for first in range(0, len(run_ids), _CHUNK):
+            rows = session.execute(
+                select(StageRow.digest, StageRow.kind, StageRow.timing)
+                .join(EventRow, EventRow.key == "stage_finished:" + StageRow.digest)
+                .where(EventRow.run_id.in_(run_ids[first : first + _CHUNK]))
+                .where(StageRow.timing.is_not(None))
+            )
+            found |= {row.digest: (row.kind, Timing(**json.loads(row.timing))) for row in rows}
+    return sorted(found.values(), key=lambda item: item[1].began)
+
+
+def policy_of_training(database: Database, digest: str) -> bytes | None:
+    """The policy of a training: the best so far, where it has not finished."""
+    with database.read() as session:
+        result = find_result(session, digest)
+        if result is not None:
+            return result.blobs.get("policy")
+        checkpoint = session.get(CheckpointRow, digest)
+        row = session.get(ArtifactRow, checkpoint.sha256) if checkpoint else None
+        return row.content if row else None
+
+
+def _drop_checkpoint(session: Session, digest: str) -> None:
+    row = session.get(CheckpointRow, digest)
+    if row is not None:
+        session.delete(row)
+        session.flush()
+        session.execute(delete(ArtifactRow).where(ArtifactRow.sha256 == row.sha256, *_UNUSED))
 
 
 def artifact(database: Database, digest: str) -> bytes | None:
@@ -81,12 +143,14 @@ def artifact(database: Database, digest: str) -> bytes | None:
 
 
 def delete_unreferenced(session: Session) -> None:
-    """Delete stages that no run's events mention, then artifacts that no stage has."""
+    """Delete stages that no run's events mention, then artifacts that nothing has."""
     mentioned = exists().where(EventRow.key == "stage_finished:" + StageRow.digest)
     session.execute(delete(StageRow).where(~mentioned))
-    used = exists().where(StageArtifactRow.sha256 == ArtifactRow.sha256)
-    uploaded = exists().where(DatasetRow.sha256 == ArtifactRow.sha256)
-    session.execute(delete(ArtifactRow).where(~used, ~uploaded))
+    evaluated = exists().where(
+        EventRow.key.startswith("training_evaluated:" + CheckpointRow.digest + ":")
+    )
+    session.execute(delete(CheckpointRow).where(~evaluated))
+    session.execute(delete(ArtifactRow).where(*_UNUSED))
 
 
 def add_artifact(session: Session, content: bytes) -> str:

@@ -6,6 +6,7 @@ import json
 import stat
 import subprocess
 import sys
+import time
 
 import httpx2
 import pytest
@@ -68,6 +69,36 @@ class TestRuns:
         assert "mean nothing" in service.client.results(finished)["note"]
         policy = Policy.from_bytes(service.client.policy(finished))
         assert policy.action_low.tolist() == [-1, -1]
+
+    def test_it_has_the_learning_curves_of_its_policies(self, http, finished):
+        trainings = http.get(f"/v1/runs/{finished}/trainings").json()
+        assert [[point["steps"] for point in t["curve"]] for t in trainings] == [[300, 600]] * 2
+        assert all(training["is_finished"] for training in trainings)
+        content = http.get(trainings[0]["links"]["policy"]).content
+        assert Policy.from_bytes(content).action_low.tolist() == [-1, -1]
+
+    def test_a_training_that_was_stopped_leaves_its_curve_and_its_best_policy(self, service, http):
+        long = {**SMOKE, "method": "prior", "seed": 78}
+        long["training"] = {"max_steps": 1_000_000, "evaluate_every": 600}
+        id = service.client.submit_run(long)["id"]
+        while not (trainings := http.get(f"/v1/runs/{id}/trainings").json()):
+            time.sleep(0.2)
+        service.client.cancel(id)
+        assert wait_until_finished(service.client, id, 60)["state"] == "cancelled"
+        (training,) = http.get(f"/v1/runs/{id}/trainings").json()
+        assert training["curve"][: len(trainings[0]["curve"])] == trainings[0]["curve"]
+        assert not training["is_finished"]
+        policy = Policy.from_bytes(http.get(training["links"]["policy"]).content)
+        assert policy.action_low.tolist() == [-1, -1]
+
+    def test_it_says_what_it_cost(self, service, finished):
+        cost = service.client.cost(finished)
+        kinds = {kind["kind"]: kind for kind in cost["kinds"]}
+        assert kinds.keys() == {"train_policy", "target_rollout", "infer", "evaluate"}
+        assert kinds["train_policy"]["stages"] == 2
+        for kind in kinds.values():
+            assert 0 < kind["cpu_seconds"] < 2 * kind["seconds"]
+            assert kind["preparing_seconds"] < kind["seconds"]
 
     def test_events_are_paged(self, http, finished):
         whole = http.get(f"/v1/runs/{finished}/events").json()["items"]

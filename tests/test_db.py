@@ -9,6 +9,7 @@ from alembic import command
 from sqlalchemy import inspect, text
 from sqlalchemy.exc import IntegrityError, OperationalError
 
+from adr_service.benchmark.utilisation import Timing
 from adr_service.errors import InvalidInput
 from adr_service.events import (
     RunFailed,
@@ -17,6 +18,7 @@ from adr_service.events import (
     RunStopped,
     RunSucceeded,
     StageFinished,
+    TrainingEvaluated,
     state_after,
 )
 from adr_service.presets import PRESETS
@@ -30,7 +32,8 @@ from db.session import DatabaseInUse, alembic_config, open_database
 
 SPEC = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})
 STAGE = Stage("evaluate", {"x": 1})
-EXECUTION = stages.Execution(1, "run_a", 0.5, {"python": "3.11"})
+TIMING = Timing(100.0, 101.0, 101.5, 102.0, cpu=0.4, preparing=0.1, is_first=True, cores=2)
+EXECUTION = stages.Execution(1, "run_a", TIMING, {"python": "3.11"})
 
 
 def commit(database, stage, result, *run_ids):
@@ -206,6 +209,39 @@ class TestStages:
         runs.delete_run(database, second.id)
         tables = ("runs", "events", "stages", "artifacts", "stage_artifacts")
         assert [count(database, table) for table in tables] == [0] * 5
+
+    def test_how_long_it_took_is_kept_beside_it(self, database):
+        run = runs.create_run(database, SPEC)
+        commit(database, STAGE, self.result, run.id)
+        assert stages.timings_of(database, [run.id]) == [("evaluate", TIMING)]
+        assert stages.seconds_of(database, [STAGE.digest]) == {STAGE.digest: 0.5}
+
+    def test_the_best_policy_so_far_can_be_had_until_there_is_the_final_one(self, database):
+        run = runs.create_run(database, SPEC)
+        for policy in (b"poor", b"better", b"better"):
+            with database.write() as session:
+                stages.note_checkpoint(session, STAGE.digest, policy)
+            assert stages.policy_of_training(database, STAGE.digest) == policy
+            assert count(database, "artifacts") == 1
+        commit(database, STAGE, StageResult({}, {"policy": b"best"}), run.id)
+        assert stages.policy_of_training(database, STAGE.digest) == b"best"
+        with database.write() as session:  # it comes late
+            stages.note_checkpoint(session, STAGE.digest, b"better")
+        assert [count(database, t) for t in ("checkpoints", "artifacts")] == [0, 1]
+
+    def test_a_policy_so_far_stays_as_long_as_a_run_speaks_of_it(self, database):
+        """A training that was cancelled has no more than that."""
+        one, other = (runs.create_run(database, SPEC) for _ in range(2))
+        point = TrainingEvaluated(
+            digest=STAGE.digest, steps=10, mean_return=1.0, standard_error=0.1
+        )
+        with database.write() as session:
+            stages.note_checkpoint(session, STAGE.digest, b"so far")
+            runs.append(session, one.id, point)
+        for run, left in ((other, 1), (one, 0)):
+            runs.append_event(database, run.id, RunSucceeded())
+            runs.delete_run(database, run.id)
+            assert [count(database, t) for t in ("checkpoints", "artifacts")] == [left, left]
 
 
 class TestSession:

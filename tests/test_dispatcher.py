@@ -12,7 +12,9 @@ from adr_service.errors import RunCancelled, StageFailed
 from adr_service.runs import run
 from adr_service.specs import RunSpec
 from adr_service.stages import Stage
-from workers.dispatcher import Dispatcher, RayOptions
+from adr_service.training.policy import Policy
+from workers.cluster import RayOptions
+from workers.dispatcher import Dispatcher
 from workers.stages import RayStages
 
 pytestmark = [
@@ -51,16 +53,19 @@ class Store:
     """A memory in place of the database."""
 
     def __init__(self):
-        self.results, self.commits = {}, []
+        self.results, self.commits, self.notes = {}, [], []
 
     def find(self, stage, run_id):
         return self.results.get(stage.digest)
 
-    def commit(self, stage, finished, attempt, started_by, run_ids):
+    def note(self, stage, so_far, run_ids):
+        self.notes.append((stage.digest, so_far, run_ids))
+
+    def commit(self, stage, finished, attempt, run_ids):
         if "run_unlucky" in run_ids:
             raise OSError("no space left on device")
         self.results[stage.digest] = finished.result
-        self.commits.append((stage.digest, attempt, started_by, sorted(run_ids)))
+        self.commits.append((stage.digest, attempt.number, attempt.started_by, sorted(run_ids)))
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +77,7 @@ def started(tmp_path_factory):
     token.write_text("t" * 40)
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     options = RayOptions(cpus=2, dashboard=False, compile_cache=folder / "jax", token_file=token)
-    dispatcher = Dispatcher(options, store.find, store.commit)
+    dispatcher = Dispatcher(options, store.find, store.commit, store.note)
     dispatcher.start()
     yield dispatcher, store
     dispatcher.close()
@@ -95,6 +100,20 @@ def test_a_stage_gives_the_same_on_ray_as_here(started):
     dispatcher, _ = started
     stage = training(1)
     assert dispatcher.submit(stage, "run_a").result(60) == compute(stage)
+
+
+def test_what_a_training_has_so_far_is_told_while_it_goes_on(started):
+    dispatcher, store = started
+    stage = training(5, max_steps=10_000_000, evaluate_every=1000)
+    result = dispatcher.submit(stage, "run_watched")
+    noted = until(lambda: [n for n in store.notes if n[0] == stage.digest])
+    finished = result.done()
+    dispatcher.withdraw("run_watched")
+    until(lambda: not running(dispatcher, "run_watched"))
+    _, so_far, run_ids = noted[0]
+    assert (finished, run_ids) == (False, ["run_watched"])
+    assert so_far.values["curve"][0]["steps"] == 1008  # of twelve environments
+    assert Policy.from_bytes(so_far.blobs["policy"]).action_low.tolist() == [-1, -1]
 
 
 def test_equal_stages_are_computed_once_for_all_who_ask(started):

@@ -149,6 +149,11 @@ class TestSac:
         assert first.policy.to_bytes() == second.policy.to_bytes()
         assert first.curve == second.curve
 
+    def test_nothing_is_left_on_the_disk(self, backend, tmp_path, monkeypatch):
+        monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+        self.train(backend)
+        assert list(tmp_path.iterdir()) == []
+
     def test_the_policy_kept_is_the_best_evaluated(self, backend):
         training = self.train(backend)
         assert [point.steps for point in training.curve] == [240, 480]

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3.common.logger import configure
-from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
 from adr_service.distributions import Gaussian
 from adr_service.simulation.vec_env import RandomizedVecEnv
@@ -35,17 +34,27 @@ def build(name, activation):
     common = {"seed": 1, "learning_rate": RATE, "batch_size": BATCH}
     model = BACKENDS[name].build(env, settings, common)
     model.set_logger(configure(None, []))
+    model._last_obs = env.reset()
     rng = np.random.default_rng(3)
-    draw = lambda *shape: torch.as_tensor(rng.normal(size=shape).astype(np.float32))  # noqa: E731
-    batch = ReplayBufferSamples(
-        draw(BATCH, 4),
-        torch.tanh(draw(BATCH, 2)),
-        draw(BATCH, 4),
-        (draw(BATCH, 1) > 1).float(),
-        draw(BATCH, 1),
-    )
-    model.replay_buffer.sample = lambda *_, **__: batch
+    for _ in range(30):
+        observations, following = rng.normal(size=(2, 4, 4))
+        ended = rng.random(4) < 0.3
+        infos = [{"TimeLimit.truncated": bool(cut)} for cut in ended & (rng.random(4) < 0.5)]
+        model.replay_buffer.add(
+            observations,
+            following,
+            np.tanh(rng.normal(size=(4, 2))),
+            rng.normal(size=4),
+            ended,
+            infos,
+        )
     return model
+
+
+def update(model):
+    """One update, on a batch of SB3's own indices."""
+    np.random.seed(5)  # noqa: NPY002 - which SB3 draws from
+    model.train(gradient_steps=1, batch_size=BATCH)
 
 
 def weights(sbx, target=False):
@@ -75,8 +84,9 @@ def test_one_update_is_the_same(no_noise, activation):
     sbx, sb3 = build("sbx", activation), build("sb3", activation)
     before = weights(sbx)
     sb3.policy.load_state_dict(before)
-    sbx.train(gradient_steps=1, batch_size=BATCH)
-    sb3.train(gradient_steps=1, batch_size=BATCH)
+    update(sbx)
+    update(sb3)
+    sbx.publish()
     after = weights(sbx)
     for name, found in sb3.policy.state_dict().items():
         moved = (after[name] - before[name]).abs().max()

@@ -19,7 +19,8 @@ from ray.exceptions import RayError
 
 from adr_service.computation import compute
 from adr_service.errors import AdrError
-from adr_service.progress import StageCancelled
+from adr_service.preparation import preparation_seconds
+from adr_service.progress import SoFar, StageCancelled
 from adr_service.stages import Stage, StageResult
 
 SIGN_OF_LIFE_S = 1.0
@@ -32,8 +33,19 @@ _PROVENANCE_PACKAGES = (
 @dataclass(frozen=True)
 class Finished:
     result: StageResult
-    seconds: float
+    work: "Work"
     provenance: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a process did for a stage; see `Timing`."""
+
+    began: float
+    ended: float
+    cpu: float
+    preparing: float
+    is_first: bool
 
 
 @dataclass(frozen=True)
@@ -60,6 +72,7 @@ class SignOfLife:
     fraction: float
     facts: dict[str, Any]
     pid: int
+    so_far: SoFar | None = None  # where there is a new one since the last sign
 
 
 class Board:
@@ -67,17 +80,21 @@ class Board:
 
     def __init__(self) -> None:
         self._latest: dict[str, SignOfLife] = {}
+        self._so_far: dict[str, SoFar] = {}  # of stages that reported one since the last call
         self._unwanted: set[str] = set()
 
     def report(self, sign: SignOfLife) -> bool:
         """Note a sign of life; True tells the stage to stop."""
         self._latest[sign.digest] = sign
+        if sign.so_far is not None:
+            self._so_far[sign.digest] = sign.so_far
         return sign.digest in self._unwanted
 
-    def signs(self) -> list[SignOfLife]:
-        """Everything reported since the last call."""
-        signs, self._latest = list(self._latest.values()), {}
-        return signs
+    def news(self) -> tuple[list[SignOfLife], dict[str, SoFar]]:
+        """The latest signs since the last call, and by digest what was found so far."""
+        news = list(self._latest.values()), self._so_far
+        self._latest, self._so_far = {}, {}
+        return news
 
     def set_unwanted(self, digest: str, unwanted: bool) -> None:
         (self._unwanted.add if unwanted else self._unwanted.discard)(digest)
@@ -92,8 +109,7 @@ class StageActor:
 
 def compute_with_signs_of_life(stage: Stage, board: Any) -> Ending:
     """Compute a stage, reporting at least every `SIGN_OF_LIFE_S`."""
-    reporter = _Reporter(stage.digest, board)
-    started = time.perf_counter()
+    reporter, clock = _Reporter(stage.digest, board), _Clock()
     try:
         with reporter:
             result = compute(stage, reporter.progress)
@@ -104,7 +120,29 @@ def compute_with_signs_of_life(stage: Stage, board: Any) -> Ending:
     except Exception as error:  # noqa: BLE001 - a defect must reach the run as its failure
         trace = "".join(traceback.format_exception(error)[-4:])
         return Failed("internal", f"{type(error).__name__}: {error}\n{trace}")
-    return Finished(result, time.perf_counter() - started, _provenance())
+    work = clock.read()
+    return Finished(result, work, _provenance())
+
+
+class _Clock:
+    """Started when a stage is begun."""
+
+    _stages = 0  # that this process has begun
+
+    def __init__(self) -> None:
+        self._is_first = _Clock._stages == 0
+        _Clock._stages += 1
+        self._began, self._preparing = time.time(), preparation_seconds()
+        self._cpu = time.process_time()
+
+    def read(self) -> Work:
+        return Work(
+            began=self._began,
+            ended=time.time(),
+            cpu=time.process_time() - self._cpu,
+            preparing=preparation_seconds() - self._preparing,
+            is_first=self._is_first,
+        )
 
 
 class _Reporter:
@@ -113,6 +151,7 @@ class _Reporter:
     def __init__(self, digest: str, board: Any):
         self._digest, self._board = digest, board
         self._latest: tuple[float, dict[str, Any]] = (0.0, {})
+        self._so_far: SoFar | None = None
         self._unwanted, self._done = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._report, daemon=True)
 
@@ -124,17 +163,23 @@ class _Reporter:
         self._done.set()
         self._thread.join()
 
-    def progress(self, fraction: float, **facts: Any) -> None:
+    def progress(self, fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
         if self._unwanted.is_set():
             raise StageCancelled
         self._latest = (fraction, facts)
+        if so_far is not None:
+            self._so_far = so_far
 
     def _report(self) -> None:
+        told: SoFar | None = None
         while not self._done.is_set():
-            sign = SignOfLife(self._digest, *self._latest, os.getpid())
+            so_far = self._so_far
+            news = None if so_far is told else so_far
+            sign = SignOfLife(self._digest, *self._latest, os.getpid(), news)
             try:
                 if ray.get(self._board.report.remote(sign)):
                     self._unwanted.set()
+                told = so_far
             except RayError:
                 pass  # the board is starting again; the next sign reaches it
             self._done.wait(SIGN_OF_LIFE_S)

@@ -10,14 +10,12 @@ processes die with the thread that started them, and on the main thread Ray woul
 """
 
 import logging
-import os
 import queue
 import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, cast
 
 import ray
@@ -25,6 +23,7 @@ from ray.exceptions import RayError, RayTaskError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from adr_service.errors import AdrError, RunCancelled, StageFailed
+from adr_service.progress import SoFar
 from adr_service.stages import KINDS, Role, Stage, StageResult
 from workers.actors import (
     Board,
@@ -36,6 +35,7 @@ from workers.actors import (
     Stopped,
     compute_with_signs_of_life,
 )
+from workers.cluster import ClusterUnavailable, RayOptions, join
 
 log = logging.getLogger(__name__)
 MAX_ATTEMPTS = 3
@@ -43,23 +43,6 @@ _TICK_S = 0.05
 _READ_BOARD_S = 0.5
 # light stages first: they are short, and trainings wait for them
 _PRIORITY: dict[Role, int] = {"target": 0, "inference": 1, "trainer": 2}
-
-
-class ClusterUnavailable(AdrError):
-    """Ray could not be started or joined."""
-
-    code = "cluster_unavailable"
-
-
-@dataclass(frozen=True)
-class RayOptions:
-    """How to start or join a cluster."""
-
-    address: str = "local"  # "local" starts one; else an address, or "auto"
-    cpus: int | None = None  # of a local cluster; None: all
-    dashboard: bool = True
-    compile_cache: Path = Path.home() / ".cache" / "adr_service" / "jax"
-    token_file: Path | None = None  # of a local cluster; None: Ray's own
 
 
 @dataclass(frozen=True)
@@ -79,6 +62,8 @@ class _Job:
     started_by: str
     waiters: list[_Waiter] = field(default_factory=list[_Waiter])
     attempt: int = 0
+    asked: float = field(default_factory=time.time)
+    placed: float = 0.0
     losses: int = 0  # attempts whose process was lost
     ref: Any = None  # of the running call
     actor: "_Actor | None" = None
@@ -89,8 +74,12 @@ class _Job:
     def role(self) -> Role:
         return KINDS[self.stage.kind].role
 
+    @property
+    def run_ids(self) -> list[str]:
+        return list(dict.fromkeys(waiter.run_id for waiter in self.waiters))
+
     def is_wanted_by(self, run_id: str) -> bool:
-        return any(waiter.run_id == run_id for waiter in self.waiters)
+        return run_id in self.run_ids
 
 
 @dataclass
@@ -119,15 +108,27 @@ class Activity:
     started_by: str
 
 
+@dataclass(frozen=True)
+class Attempt:
+    """One try at a stage; times in seconds since the epoch."""
+
+    number: int
+    started_by: str  # run id
+    asked: float  # when the stage was, for the first time
+    placed: float  # when it was given a core
+    cores: int  # of the cluster
+
+
 Find = Callable[[Stage, str], StageResult | None]  # (stage, run id)
-Commit = Callable[[Stage, Finished, int, str, list[str]], None]
+Commit = Callable[[Stage, Finished, "Attempt", list[str]], None]
+Note = Callable[[Stage, SoFar, list[str]], None]
 
 
 class Dispatcher:
     """Runs stages for many runs at once. `submit` and `withdraw` may be called by any thread."""
 
-    def __init__(self, options: RayOptions, find: Find, commit: Commit):
-        self._options, self._find, self._commit = options, find, commit
+    def __init__(self, options: RayOptions, find: Find, commit: Commit, note: Note):
+        self._options, self._find, self._commit, self._note = options, find, commit, note
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._jobs: dict[str, _Job] = {}
         self._actors: list[_Actor] = []
@@ -193,22 +194,7 @@ class Dispatcher:
         ray.shutdown()
 
     def _start_ray(self) -> None:
-        options = self._options
-        if options.token_file is not None:
-            # the mode stays unset: Ray turns it on for a local cluster, and notices
-            os.environ["RAY_AUTH_TOKEN_PATH"] = str(options.token_file)
-        local = options.address == "local"
-        arguments: dict[str, Any] = {"log_to_driver": False, "configure_logging": False}
-        if local:
-            arguments["num_cpus"] = options.cpus
-            arguments["include_dashboard"] = options.dashboard
-            arguments["object_store_memory"] = 200_000_000
-        context = ray.init(
-            address=options.address,
-            namespace="adr",
-            runtime_env={"env_vars": _worker_environment(options.compile_cache)},
-            **arguments,
-        )
+        context = join(self._options)
         if url := context.dashboard_url:
             self.dashboard_url = f"http://{url}"
         self.cores = _cores()
@@ -283,7 +269,7 @@ class Dispatcher:
         if warm is None and not self._free_slot():
             return False
         job.attempt += 1
-        job.since = time.monotonic()
+        job.since, job.placed = time.monotonic(), time.time()
         name = f"adr:{job.started_by}:{job.role}"
         log.info("stage %s %s: attempt %d", job.stage.kind, job.stage.digest, job.attempt)
         if job.role == "target":
@@ -355,9 +341,9 @@ class Dispatcher:
 
     def _deliver(self, job: _Job, ending: Finished) -> None:
         """Commit a result, then hand it to those who wait."""
-        run_ids = list(dict.fromkeys(waiter.run_id for waiter in job.waiters))
         try:
-            self._commit(job.stage, ending, job.attempt, job.started_by, run_ids)
+            attempt = Attempt(job.attempt, job.started_by, job.asked, job.placed, self.cores)
+            self._commit(job.stage, ending, attempt, job.run_ids)
         except Exception as error:  # the database's trouble must not stop other runs
             log.exception("stage %s could not be stored", job.stage.digest)
             _fail(job, _not_stored(job.stage, error))
@@ -386,17 +372,26 @@ class Dispatcher:
                 return
             reference, self._board_ref = self._board_ref, None
             try:
-                signs = ray.get(reference)
+                signs, found = cast(tuple[list[SignOfLife], dict[str, SoFar]], ray.get(reference))
             except RayError as error:  # its process was lost; Ray starts another
                 log.warning("the board was lost: %s", error)
                 return
             for sign in signs:
                 if (job := self._jobs.get(sign.digest)) is not None:
                     job.sign = sign
+            for digest, so_far in found.items():
+                if (job := self._jobs.get(digest)) is not None:
+                    self._note_so_far(job, so_far)
         if time.monotonic() - self._board_read > _READ_BOARD_S:
             self._board_read = time.monotonic()
-            self._board_ref = self._board.signs.remote()
+            self._board_ref = self._board.news.remote()
             self.cores = _cores()
+
+    def _note_so_far(self, job: _Job, so_far: SoFar) -> None:
+        try:
+            self._note(job.stage, so_far, job.run_ids)
+        except Exception:  # the result will be stored, or fail, by itself
+            log.exception("what stage %s has so far could not be stored", job.stage.digest)
 
 
 def _activity(job: _Job, now: float) -> Activity:
@@ -428,16 +423,3 @@ def _not_stored(stage: Stage, error: Exception) -> StageFailed:
 
 def _cores() -> int:
     return int(ray.cluster_resources().get("CPU", 0))
-
-
-def _worker_environment(compile_cache: Path) -> dict[str, str]:
-    """One thread per process, and compiled programs kept between processes."""
-    single = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    return {
-        **dict.fromkeys(single, "1"),
-        "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
-        "JAX_PLATFORMS": "cpu",
-        "JAX_COMPILATION_CACHE_DIR": str(compile_cache),
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-    }

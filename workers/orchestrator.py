@@ -7,9 +7,11 @@ service that starts simply runs whatever is unfinished, whether it was stopped o
 import logging
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict
 
 from sqlalchemy.orm import Session
 
+from adr_service.benchmark.utilisation import Timing
 from adr_service.errors import AdrError, RunCancelled, StageFailed
 from adr_service.events import (
     RunEvent,
@@ -17,18 +19,19 @@ from adr_service.events import (
     RunStarted,
     RunStopped,
     RunSucceeded,
-    StageFinished,
 )
+from adr_service.progress import SoFar
 from adr_service.runs import run
 from adr_service.specs import RecordedTarget
-from adr_service.stages import Stage, StageResult
+from adr_service.stages import Stage, StageResult, events_of, learning_curve
 from db import datasets as dataset_store
 from db import runs as run_store
 from db import stages as stage_store
 from db.runs import RunRecord
 from db.session import Database
 from workers.actors import Finished
-from workers.dispatcher import Activity, ClusterUnavailable, Dispatcher, RayOptions
+from workers.cluster import ClusterUnavailable, RayOptions
+from workers.dispatcher import Activity, Attempt, Dispatcher
 from workers.stages import RayStages
 
 log = logging.getLogger(__name__)
@@ -40,7 +43,7 @@ class Orchestrator:
 
     def __init__(self, database: Database, options: RayOptions):
         self._database = database
-        self._dispatcher = Dispatcher(options, self._find, self._commit)
+        self._dispatcher = Dispatcher(options, self._find, self._commit, self._note)
         self._pool = ThreadPoolExecutor(_RUNS_AT_ONCE, thread_name_prefix="run")
         self._cancelled: dict[str, threading.Event] = {}
         self._waiting: dict[str, Future[None]] = {}
@@ -128,30 +131,42 @@ class Orchestrator:
 
     def _find(self, stage: Stage, run_id: str) -> StageResult | None:
         """A stored result, which from now on this run refers to as well."""
-        event = StageFinished(kind=stage.kind, digest=stage.digest)
         with self._database.write() as session:
             result = stage_store.find_result(session, stage.digest)
             if result is not None:
-                run_store.append(session, run_id, event)
+                _append_to_all(session, [run_id], events_of(stage, result))
             return result
 
+    def _note(self, stage: Stage, so_far: SoFar, run_ids: list[str]) -> None:
+        """Store the learning curve and the best policy of a training that goes on."""
+        with self._database.write() as session:
+            stage_store.note_checkpoint(session, stage.digest, so_far.blobs["policy"])
+            _append_to_all(session, run_ids, learning_curve(stage.digest, so_far.values))
+
     def _commit(
-        self, stage: Stage, finished: Finished, attempt: int, started_by: str, run_ids: list[str]
+        self, stage: Stage, finished: Finished, attempt: Attempt, run_ids: list[str]
     ) -> None:
-        event = StageFinished(kind=stage.kind, digest=stage.digest)
-
-        def append_to_all(session: Session) -> None:
-            for run_id in run_ids:
-                if run_store.exists(session, run_id):  # it may have been deleted meanwhile
-                    run_store.append(session, run_id, event)
-
+        events = events_of(stage, finished.result)
+        timing = Timing(
+            asked=attempt.asked,
+            placed=attempt.placed,
+            cores=attempt.cores,
+            **asdict(finished.work),
+        )
         stage_store.commit_result(
             self._database,
             stage,
             finished.result,
-            stage_store.Execution(attempt, started_by, finished.seconds, finished.provenance),
-            append_to_all,
+            stage_store.Execution(attempt.number, attempt.started_by, timing, finished.provenance),
+            lambda session: _append_to_all(session, run_ids, events),
         )
+
+
+def _append_to_all(session: Session, run_ids: list[str], events: list[RunEvent]) -> None:
+    for run_id in run_ids:
+        if run_store.exists(session, run_id):  # it may have been deleted meanwhile
+            for event in events:
+                run_store.append(session, run_id, event)
 
 
 def _failure(record: RunRecord, code: str, message: str) -> RunFailed:

@@ -4,9 +4,10 @@ from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 
 from adr_service.errors import RunCancelled
-from adr_service.events import RunEvent, StageFinished
-from adr_service.stages import Stage, StageResult
-from workers.dispatcher import ClusterUnavailable, Dispatcher
+from adr_service.events import RunEvent
+from adr_service.stages import Stage, StageResult, events_of
+from workers.cluster import ClusterUnavailable
+from workers.dispatcher import Dispatcher
 
 _POLL_S = 0.2
 
@@ -30,8 +31,7 @@ class RayStages:
             done, _ = wait(asked, timeout=_POLL_S, return_when=FIRST_COMPLETED)
             for future in [f for f in futures if f in done]:
                 stage = asked.pop(future)
-                future.result()  # raises what went wrong
-                yield StageFinished(kind=stage.kind, digest=stage.digest)
+                yield from events_of(stage, future.result())  # or raises what went wrong
         return [future.result() for future in futures]
 
     def run(self, stage: Stage) -> Generator[RunEvent, None, StageResult]:

@@ -13,15 +13,18 @@ from our stream.
 import importlib.util
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 
 from adr_service.distributions import Distribution
 from adr_service.errors import InvalidInput
-from adr_service.progress import Progress, silent
+from adr_service.preparation import add_preparation, preparing
+from adr_service.progress import Progress, SoFar, silent
 from adr_service.randomness import integer_seed
 from adr_service.simulation.batch import Simulations
 from adr_service.simulation.rollout import run_episodes
@@ -72,7 +75,8 @@ def train(
     stop_at = task.reward_threshold if settings.stop_at_threshold else math.inf
     judge = _Judge(task, source, distribution, settings, evaluation_rng)
     monitor = _Monitor(backend, judge, settings, stop_at, progress)
-    model.learn(settings.max_steps, callback=monitor)
+    model.set_logger(Logger(None, []))  # SB3's own would make a folder per training
+    model.learn(settings.max_steps, callback=monitor, log_interval=None)
     if not judge.curve or judge.curve[-1].steps < model.num_timesteps:
         judge.evaluate(backend.policy(model, task, settings.activation), model.num_timesteps)
     assert judge.best is not None
@@ -94,6 +98,12 @@ class _Judge:
         self._simulations = Simulations(task, source, settings.evaluation_episodes)
         self.curve: list[Evaluation] = []
         self.best: Policy | None = None
+
+    @property
+    def so_far(self) -> SoFar:
+        assert self.best is not None
+        curve = [asdict(point) for point in self.curve]
+        return SoFar({"curve": curve}, {"policy": self.best.to_bytes()})
 
     def evaluate(self, policy: Policy, steps: int) -> Evaluation:
         n = self._simulations.n
@@ -126,16 +136,20 @@ class _Monitor(BaseCallback):
         self._stop_at, self._progress = stop_at, progress
 
     def _on_step(self) -> bool:
-        done, settings, curve = self.num_timesteps, self._settings, self._judge.curve
-        self._progress(
-            done / settings.max_steps,
-            steps=done,
-            source_return=curve[-1].mean_return if curve else None,
-        )
-        if done // settings.evaluate_every == len(curve):
+        judge, done = self._judge, self.num_timesteps
+        if done // self._settings.evaluate_every == len(judge.curve):
+            self._report(None)
             return True
-        policy = self._backend.policy(self.model, self._judge.task, settings.activation)
-        return self._judge.evaluate(policy, done).mean_return < self._stop_at
+        policy = self._backend.policy(self.model, judge.task, self._settings.activation)
+        point = judge.evaluate(policy, done)
+        self._report(judge.so_far)
+        return point.mean_return < self._stop_at
+
+    def _report(self, so_far: SoFar | None) -> None:
+        done, curve = self.num_timesteps, self._judge.curve
+        latest = curve[-1].mean_return if curve else None
+        fraction = done / self._settings.max_steps
+        self._progress(fraction, so_far=so_far, steps=done, source_return=latest)
 
 
 class _Backend(Protocol):
@@ -164,8 +178,9 @@ class _Sb3:
     """Stable-Baselines3 (PyTorch): the reference."""
 
     def build(self, env: RandomizedVecEnv, settings: TrainingSettings, common: Any) -> Any:
-        import stable_baselines3
-        import torch
+        with preparing():
+            import stable_baselines3
+            import torch
 
         torch.set_num_threads(1)
         functions = {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}
@@ -191,14 +206,18 @@ class _Sbx:
             raise InvalidInput(
                 "backend 'sbx' needs the package sbx-rl: pip install sbx-rl; or 'sb3'"
             )
-        import flax.linen
-        import sbx
+        with preparing():
+            import flax.linen
 
+            from adr_service.training.fused_sac import FusedSac
+
+        _count_compilations()
         functions = {"relu": flax.linen.relu, "tanh": flax.linen.tanh}
         kwargs = {"net_arch": settings.hidden, "activation_fn": functions[settings.activation]}
-        return sbx.SAC("MlpPolicy", env, policy_kwargs=kwargs, **common)
+        return FusedSac("MlpPolicy", env, policy_kwargs=kwargs, **common)
 
     def policy(self, model: Any, task: Task, activation: str) -> Policy:
+        model.publish()
         dense = model.policy.actor_state.params["params"]
         # Dense_0 .. Dense_{k-1} hidden, Dense_k the mean, Dense_{k+1} the log deviation
         layers = tuple(
@@ -209,6 +228,18 @@ class _Sbx:
             for i in range(len(dense) - 1)
         )
         return _actor(task, activation, layers)
+
+
+@cache
+def _count_compilations() -> None:
+    """Let JAX report what it spends on compiling, once per process."""
+    import jax
+
+    def listen(event: str, duration_secs: float, **_: Any) -> None:
+        if event.startswith("/jax/core/compile/") and "trace" not in event:  # traces are nested
+            add_preparation(duration_secs)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
 
 
 def _actor(task: Task, activation: str, layers: tuple[Layer, ...]) -> Policy:

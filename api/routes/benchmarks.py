@@ -15,6 +15,7 @@ from api.routes.runs import MEDIA, PageSize, plan_here
 from api.service import Service, ServiceDependency
 from api.views import (
     BenchmarkView,
+    CostView,
     Page,
     ResultsView,
     benchmark_view,
@@ -115,6 +116,12 @@ def claims(benchmark_id: str, service: ServiceDependency) -> list[dict[str, Any]
     """What the paper claims, against this benchmark alone."""
     outcomes = service.outcomes(store.runs_of(service.database, benchmark_id))
     return [asdict(report) for report in reports(outcomes)]
+
+
+@router.get("/{benchmark_id}/cost")
+def cost(benchmark_id: str, service: ServiceDependency) -> CostView:
+    """What its stages cost, and how busy the cores were."""
+    return service.cost(store.runs_of(service.database, benchmark_id))
 
 
 @router.get("/{benchmark_id}/figures")

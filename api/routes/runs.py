@@ -11,18 +11,22 @@ from adr_service.benchmark.figures import Format, draw, drawable
 from adr_service.benchmark.protocol import Plan, plan
 from adr_service.events import RunState
 from adr_service.specs import RunSpec
+from adr_service.wire import sha256
 from api.service import Service, ServiceDependency
 from api.views import (
+    CostView,
     DistributionView,
     EventView,
     Page,
     ResultsView,
     RunView,
+    TrainingView,
     distribution_view,
     event_view,
     page_of,
     results_view,
     run_view,
+    training_views,
 )
 from db import runs as store
 from db import stages as stage_store
@@ -124,6 +128,28 @@ def results(
     return results_view(outcomes)
 
 
+@router.get("/{run_id}/cost")
+def cost(run_id: str, service: ServiceDependency) -> CostView:
+    """What its stages cost, and how busy the cores were."""
+    return service.cost([store.get_run(service.database, run_id)])
+
+
+@router.get("/{run_id}/trainings")
+def trainings(run_id: str, service: ServiceDependency) -> list[TrainingView]:
+    """The learning curves of its policies, of those in training as well."""
+    return training_views(run_id, store.events_of(service.database, run_id))
+
+
+@router.get("/{run_id}/trainings/{digest}/policy", response_class=Response)
+def policy_of_training(run_id: str, digest: str, service: ServiceDependency) -> Response:
+    """The policy of a training; the best so far, while it goes on."""
+    store.get_run(service.database, run_id)
+    content = stage_store.policy_of_training(service.database, digest)
+    if content is None:
+        raise NotFound("policy of training", digest)
+    return _bytes_response(content, sha256(content), f"{digest[:12]}.safetensors")
+
+
 @router.get("/{run_id}/figures")
 def figures(run_id: str, service: ServiceDependency) -> list[str]:
     """Names of the figures that can be drawn by now."""
@@ -160,6 +186,10 @@ def artifact_response(service: Service, digest: str, filename: str) -> Response:
     content = stage_store.artifact(service.database, digest)
     if content is None:
         raise NotFound("artifact", digest)
+    return _bytes_response(content, digest, filename)
+
+
+def _bytes_response(content: bytes, digest: str, filename: str) -> Response:
     return Response(
         content,
         media_type="application/octet-stream",

@@ -1,0 +1,112 @@
+"""Ray Tune: which learning rate trains a task's policies best.
+
+    spec = RunSpec.model_validate({"task": "hopper", "method": "oracle", "preset": "paper"})
+    trials = tune(spec, rates=[3e-4, 1e-3], seeds=[0, 1], options=RayOptions())
+
+Every trial is a training on the task's own ground truth (the oracle's), with one learning rate
+and one seed. Trials that fall behind are stopped early (asynchronous successive halving, Li et
+al. 2020): of three at the same step count, the best goes on. A search of its own, apart from the
+service: what it finds becomes a task's default in the code, or a spec's `training`.
+"""
+
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import ray
+from ray import tune as ray_tune
+from ray.tune.schedulers import ASHAScheduler
+
+from adr_service.computation import compute
+from adr_service.errors import InvalidInput
+from adr_service.progress import SoFar
+from adr_service.runs import oracle_training
+from adr_service.specs import RunSpec
+from adr_service.tasks.catalogue import get_task
+from workers.cluster import RayOptions, join
+
+_HALVING = 3
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One training of the search."""
+
+    learning_rate: float
+    seed: int
+    steps: int  # that it was given
+    best_return: float  # of its evaluations
+    reached_threshold: bool
+    stopped_early: bool  # it had fallen behind
+
+
+def tune(
+    spec: RunSpec, rates: Sequence[float], seeds: Sequence[int], options: RayOptions
+) -> list[Trial]:
+    """One trial for every rate and seed, the best first; as many at once as there are cores."""
+    training = spec.training
+    if not rates or not all(math.isfinite(rate) and rate > 0 for rate in rates):
+        raise InvalidInput(f"learning rates must be positive; given {list(rates)}")
+    grid = ray_tune.grid_search
+    space = {"learning_rate": grid(sorted(set(rates))), "seed": grid(sorted(set(seeds)))}
+    scheduler = ASHAScheduler(
+        time_attr="steps",
+        max_t=training.max_steps,
+        grace_period=max(training.evaluate_every, training.max_steps // _HALVING**2),
+        reduction_factor=_HALVING,
+    )
+    join(options)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            tuner = ray_tune.Tuner(
+                ray_tune.with_parameters(_train, spec=spec),
+                param_space=space,
+                tune_config=ray_tune.TuneConfig("mean_return", "max", scheduler=scheduler),
+                run_config=ray_tune.RunConfig(storage_path=Path(folder).as_uri(), verbose=0),
+            )
+            found = [_trial(spec.task, result) for result in tuner.fit()]
+    finally:
+        ray.shutdown()
+    return sorted(found, key=_worst_last)
+
+
+def _train(config: dict[str, Any], spec: RunSpec) -> None:
+    """A trial, in a process of its own; reports every evaluation."""
+    best = -math.inf
+
+    def report(point: dict[str, Any], done: bool) -> None:
+        nonlocal best
+        best = max(best, point["mean_return"])
+        ray_tune.report({**point, "best_return": best, "finished": done})
+
+    def progress(fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
+        if so_far is not None:
+            report(so_far.values["curve"][-1], done=False)
+
+    training = spec.training.model_copy(update={"learning_rate": config["learning_rate"]})
+    given = spec.model_copy(update={"seed": config["seed"], "training": training})
+    values = compute(oracle_training(given), progress).values
+    report(values["curve"][-1], done=True)
+
+
+def _worst_last(trial: Trial) -> tuple[bool, float]:
+    """Who reached the threshold, soonest first; then the others by their return."""
+    reached = trial.reached_threshold
+    return (not reached, trial.steps if reached else -trial.best_return)
+
+
+def _trial(task: str, result: Any) -> Trial:
+    if result.error is not None:
+        raise result.error
+    metrics = result.metrics
+    return Trial(
+        learning_rate=metrics["config"]["learning_rate"],
+        seed=metrics["config"]["seed"],
+        steps=metrics["steps"],
+        best_return=metrics["best_return"],
+        reached_threshold=metrics["best_return"] >= get_task(task).reward_threshold,
+        stopped_early=not metrics["finished"],
+    )
