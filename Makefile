@@ -28,7 +28,7 @@ lint: setup
 	$(BIN)/pyright
 
 test: lint
-	$(BIN)/pytest -m "not slow"
+	$(BIN)/pytest -m "not slow" --durations 15
 
 test-slow: setup
 	$(BIN)/pytest -m slow --timeout 3600

@@ -4,7 +4,7 @@ import hashlib
 import json
 from typing import Any, cast
 
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from adr_service.errors import UnknownName
 
@@ -32,3 +32,9 @@ def canonical_json(value: Any) -> str:
 
 def sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
+
+
+def explain(error: ValidationError, whole: str) -> str:
+    """What is wrong where, in a line; `whole` names what has no field of its own."""
+    told = "; ".join(f"{'.'.join(map(str, e['loc'])) or whole}: {e['msg']}" for e in error.errors())
+    return told.replace("Value error, ", "")

@@ -7,6 +7,7 @@ from pydantic import Field, ValidationError, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from adr_service.errors import InvalidInput
+from adr_service.wire import explain
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 
@@ -44,7 +45,4 @@ def read_settings(**given: Any) -> Settings:
     try:
         return Settings(**given)
     except ValidationError as error:
-        told = "; ".join(
-            f"{'.'.join(map(str, e['loc'])) or 'settings'}: {e['msg']}" for e in error.errors()
-        )
-        raise InvalidInput(told.replace("Value error, ", "")) from error
+        raise InvalidInput(explain(error, "settings")) from error

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from adr_service.errors import InvalidInput
 from adr_service.specs import RunSpec
+from adr_service.wire import explain
 from workers.cluster import RayOptions
 from workers.tuning import tune
 
@@ -21,7 +22,7 @@ def search(
         given = RunSpec.model_validate(spec)
         numbers = [float(rate) for rate in rates]
     except ValidationError as error:
-        raise InvalidInput(str(error)) from error
+        raise InvalidInput(explain(error, "spec")) from error
     except ValueError as error:
         raise InvalidInput(f"learning rates must be numbers: {error}") from error
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no calls home

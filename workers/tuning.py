@@ -9,7 +9,9 @@ al. 2020): of three at the same step count, the best goes on. A search of its ow
 service: what it finds becomes a task's default in the code, or a spec's `training`.
 """
 
+import contextlib
 import math
+import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -64,10 +66,14 @@ def tune(
             tuner = ray_tune.Tuner(
                 ray_tune.with_parameters(_train, spec=spec),
                 param_space=space,
-                tune_config=ray_tune.TuneConfig("mean_return", "max", scheduler=scheduler),
+                tune_config=ray_tune.TuneConfig(
+                    metric="mean_return", mode="max", scheduler=scheduler
+                ),
                 run_config=ray_tune.RunConfig(storage_path=Path(folder).as_uri(), verbose=0),
             )
-            found = [_trial(spec.task, result) for result in tuner.fit()]
+            with contextlib.redirect_stdout(sys.stderr):  # Tune announces itself
+                results = tuner.fit()
+            found = [_trial(spec, result) for result in results]
     finally:
         ray.shutdown()
     return sorted(found, key=_worst_last)
@@ -75,21 +81,18 @@ def tune(
 
 def _train(config: dict[str, Any], spec: RunSpec) -> None:
     """A trial, in a process of its own; reports every evaluation."""
-    best = -math.inf
 
-    def report(point: dict[str, Any], done: bool) -> None:
-        nonlocal best
-        best = max(best, point["mean_return"])
-        ray_tune.report({**point, "best_return": best, "finished": done})
+    def report(curve: list[dict[str, Any]]) -> None:
+        best = max(point["mean_return"] for point in curve)
+        ray_tune.report({**curve[-1], "best_return": best})
 
     def progress(fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
         if so_far is not None:
-            report(so_far.values["curve"][-1], done=False)
+            report(so_far.values["curve"])
 
     training = spec.training.model_copy(update={"learning_rate": config["learning_rate"]})
     given = spec.model_copy(update={"seed": config["seed"], "training": training})
-    values = compute(oracle_training(given), progress).values
-    report(values["curve"][-1], done=True)
+    report(compute(oracle_training(given), progress).values["curve"])
 
 
 def _worst_last(trial: Trial) -> tuple[bool, float]:
@@ -98,15 +101,16 @@ def _worst_last(trial: Trial) -> tuple[bool, float]:
     return (not reached, trial.steps if reached else -trial.best_return)
 
 
-def _trial(task: str, result: Any) -> Trial:
+def _trial(spec: RunSpec, result: Any) -> Trial:
     if result.error is not None:
         raise result.error
-    metrics = result.metrics
+    metrics, threshold = result.metrics, get_task(spec.task).reward_threshold
+    reached = metrics["best_return"] >= threshold
     return Trial(
         learning_rate=metrics["config"]["learning_rate"],
         seed=metrics["config"]["seed"],
         steps=metrics["steps"],
         best_return=metrics["best_return"],
-        reached_threshold=metrics["best_return"] >= get_task(task).reward_threshold,
-        stopped_early=not metrics["finished"],
+        reached_threshold=reached,
+        stopped_early=not reached and metrics["steps"] < spec.training.max_steps,
     )

@@ -20,9 +20,9 @@ from adr_service.tasks.catalogue import get_task, source_of, variants_of
 from adr_service.training.settings import TrainingSettings
 from adr_service.wire import canonical_json
 
-# Seconds of one gradient step on one core of an AMD EPYC: what does not shrink with the networks,
-# and what grows with them, for 2x128 and batches of 256. From trainings of `arm` and `hopper`.
-_UPDATE_S = {"sbx": (0.0001, 0.0044), "sb3": (0.0025, 0.0125)}
+# Seconds of one gradient step on one server core: what does not shrink with the networks, and what
+# grows with them, for 2x128 and batches of 256. From trainings of `hopper`, docs/training.md.
+_UPDATE_S = {"sbx": (0.0005, 0.0030), "sb3": (0.0025, 0.0125)}
 _REFERENCE_WORK = 256 * 128**2  # batch size x weights of the hidden layers' product
 _VECTOR_STEP_S = 0.0007  # acting and storing, per step of all environments
 

@@ -33,6 +33,7 @@ class FusedSac(sbx.SAC):
         return (self.policy.qf_state, self.policy.actor_state, self.ent_coef_state, self.key)
 
     def learn(self, *args: Any, **kwargs: Any) -> "FusedSac":
+        self._next_actions = None  # those drawn were for other observations
         super().learn(*args, **kwargs)
         self.publish()
         return self

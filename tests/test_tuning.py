@@ -1,0 +1,48 @@
+"""`adr tune`: a search over learning rates on Ray Tune, as a user runs it."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from tests.test_training import TINY  # a training of a second
+
+pytestmark = pytest.mark.ray
+
+
+def tune(*arguments):
+    command = [sys.executable, "-m", "api", "tune", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+
+
+def test_every_rate_and_seed_is_tried_and_the_best_comes_first():
+    given = {**TINY, "backend": "sb3"}
+    settings = [
+        argument
+        for name, value in given.items()
+        for argument in ("--set", f"training.{name}={json.dumps(value)}")
+    ]
+    done = tune("arm", "--rates", "0.001,0.01", "--seeds", "2", "--cpus", "2", "--json", *settings)
+    assert done.returncode == 0, done.stderr
+    trials = json.loads(done.stdout)
+    tried = {(trial["learning_rate"], trial["seed"]) for trial in trials}
+    assert tried == {(0.001, 0), (0.001, 1), (0.01, 0), (0.01, 1)}
+    returns = [trial["best_return"] for trial in trials]
+    assert returns == sorted(returns, reverse=True)
+    assert {trial["steps"] for trial in trials} <= {240, 480}
+    assert not any(trial["stopped_early"] and trial["steps"] == 480 for trial in trials)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("arm", "--rates", "fast"), "learning rates must be numbers"),
+        (("arm", "--rates", "0"), "learning rates must be positive; given [0.0]"),
+        (("amr", "--rates", "0.1"), "task: there is no task 'amr'"),
+    ],
+)
+def test_what_cannot_be_tried_is_refused(arguments, message):
+    done = tune(*arguments)
+    assert done.returncode == 2
+    assert message in done.stderr.replace("\n", " ")
