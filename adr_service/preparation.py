@@ -3,7 +3,8 @@
     with preparing():
         import torch
 
-They are paid once per process, so reports of what stages cost name them apart.
+Imports are paid once per process, compilations once per training: reports of what stages cost
+name them apart. JAX's tracing, which is nested, is not counted.
 """
 
 import time

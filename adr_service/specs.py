@@ -19,7 +19,7 @@ from adr_service.methods.simopt import SimOptSettings
 from adr_service.presets import PRESETS
 from adr_service.tasks.catalogue import catalogue, get_task, source_of
 from adr_service.training.settings import TrainingSettings
-from adr_service.wire import Wire
+from adr_service.wire import Wire, explain
 
 MAX_RUNS = 5000  # of one benchmark
 Collector = Literal["simopt", "prior", "random"]
@@ -207,7 +207,7 @@ class BenchmarkSpec(Wire):
         try:
             return BenchmarkSpec.model_validate(self.model_dump(exclude_unset=True) | wider)
         except ValidationError as error:
-            raise InvalidInput("; ".join(e["msg"] for e in error.errors())) from error
+            raise InvalidInput(explain(error, "benchmark")) from error
 
     def runs(self) -> Iterator[RunSpec]:
         """The runs, seeds outermost, so that a stopped benchmark has whole repetitions."""

@@ -126,7 +126,7 @@ def comparisons_table(results: Json) -> RenderableType:
 def cost_table(cost: Json) -> RenderableType:
     """What stages cost, and how busy the cores were."""
     table = Table("stages", box=None, padding=(0, 2, 0, 0))
-    for heading in ("number", "seconds on a core", "CPU seconds", "of them preparing"):
+    for heading in ("number", "seconds on a core", "CPU seconds", "preparing"):
         table.add_column(heading, justify="right")
     for kind in cost["kinds"]:
         numbers = (kind["seconds"], kind["cpu_seconds"], kind["preparing_seconds"])
@@ -134,13 +134,14 @@ def cost_table(cost: Json) -> RenderableType:
         table.add_row(kind["kind"], str(kind["stages"]), *cells)
     found = cost["utilisation"]
     if found is None:
-        return Group(table, Text("there was never work for all cores at once", style="dim"))
+        told = "utilisation: not finished, or never work for all cores at once"
+        return Group(table, Text(told, style="dim"))
     shares = Table("core seconds", "", box=None, padding=(0, 2, 0, 0))
     for name in ("computing", "waiting", "orchestration", "starting", "preparing"):
         shares.add_row(name, f"{found[name]:.1f}")
     headline = (
         f"useful work {found['useful']:.1%}, orchestration {found['overhead']:.1%} "
-        f"of {found['cores']:.0f} cores in {found['seconds']:.0f} s"
+        f"of {found['cores']} cores in {found['seconds']:.0f} s"
     )
     return Group(table, Text(), shares, Text(headline), Text(cost["note"], style="dim"))
 
@@ -156,9 +157,9 @@ def trials_table(trials: Sequence[Json]) -> RenderableType:
             f"{trial['learning_rate']:g}",
             str(trial["seed"]),
             f"{trial['steps']:,}",
-            f"{trial['best_return']:.0f}",
+            "–" if trial["error"] else f"{trial['best_return']:.0f}",
             "reached" if trial["reached_threshold"] else "–",
-            "stopped early" if trial["stopped_early"] else "",
+            escape(trial["error"] or "") or ("stopped early" if trial["stopped_early"] else ""),
         )
     return table
 

@@ -9,6 +9,7 @@ from typing import Annotated
 from fastapi import Depends, Request
 
 from adr_service.benchmark.comparison import Outcome
+from adr_service.benchmark.utilisation import utilisation
 from adr_service.events import IterationFinished
 from adr_service.specs import RecordedTarget, RunSpec
 from adr_service.target import Recording
@@ -47,7 +48,13 @@ class Service:
     def cost(self, records: Sequence[RunRecord]) -> CostView:
         """What the runs have cost so far."""
         timings = stage_store.timings_of(self.database, [record.id for record in records])
-        return cost_view(timings, self.outcomes(records))
+        used = None
+        if timings and all(record.is_finished for record in records):
+            first = min(timing.asked for _, timing in timings)
+            last = max(timing.ended for _, timing in timings)
+            # others' stages keep cores busy too
+            used = utilisation(stage_store.timings_between(self.database, first, last))
+        return cost_view(timings, used, self.outcomes(records))
 
     def check_recording(self, spec: RunSpec) -> None:
         """Refuse a run that names a dataset which is not there, or not of its task."""

@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel
 
 from adr_service.benchmark.comparison import Outcome, comparisons, costs, decode, estimates, table
-from adr_service.benchmark.utilisation import Timing, utilisation
+from adr_service.benchmark.utilisation import Timing, Utilisation
 from adr_service.events import RunEvent, RunState, StageFinished, TrainingEvaluated
 from adr_service.specs import BenchmarkSpec, RecordedTarget, RunSpec
 from db.datasets import DatasetRecord
@@ -18,8 +18,9 @@ from workers.dispatcher import Activity
 Item = TypeVar("Item")
 Record = TypeVar("Record")
 _COST_NOTE = (
-    "core seconds while there was work for all cores; useful = computing / (computing + waiting + "
-    "orchestration), overhead = orchestration / all"
+    "core seconds of everything the service computed while there was work for all cores; useful = "
+    "computing / (computing + waiting + orchestration), overhead = orchestration / all; told when "
+    "the runs have finished"
 )
 
 
@@ -97,7 +98,21 @@ class KindCost(BaseModel):
     stages: int
     seconds: float  # on a core
     cpu_seconds: float
-    preparing_seconds: float  # of these, imports and compilations
+    preparing_seconds: float  # imports and compilations, by the clock
+
+
+class UtilisationView(BaseModel):
+    """Core seconds while there was work for all cores; see the glossary."""
+
+    useful: float
+    overhead: float
+    cores: int
+    seconds: float
+    computing: float
+    starting: float
+    preparing: float
+    waiting: float
+    orchestration: float
 
 
 class CostView(BaseModel):
@@ -105,7 +120,8 @@ class CostView(BaseModel):
 
     note: str
     kinds: list[KindCost]
-    utilisation: dict[str, float] | None  # null: there was never work for all cores at once
+    # null: it has not finished, or there was never work for all cores at once
+    utilisation: UtilisationView | None
     inferences: list[dict[str, Any]]
 
 
@@ -241,12 +257,14 @@ def results_view(outcomes: Sequence[Outcome]) -> ResultsView:
     )
 
 
-def cost_view(timings: Sequence[tuple[str, Timing]], outcomes: Sequence[Outcome]) -> CostView:
+def cost_view(
+    timings: Sequence[tuple[str, Timing]],
+    used: Utilisation | None,
+    outcomes: Sequence[Outcome],
+) -> CostView:
     kinds: dict[str, list[Timing]] = {}
     for kind, timing in timings:
         kinds.setdefault(kind, []).append(timing)
-    found = utilisation([timing for _, timing in timings])
-    shares = found and {"useful": found.useful, "overhead": found.overhead, **asdict(found)}
     return CostView(
         note=_COST_NOTE,
         kinds=[
@@ -259,7 +277,8 @@ def cost_view(timings: Sequence[tuple[str, Timing]], outcomes: Sequence[Outcome]
             )
             for kind, group in sorted(kinds.items())
         ],
-        utilisation=shares,
+        utilisation=used
+        and UtilisationView(useful=used.useful, overhead=used.overhead, **asdict(used)),
         inferences=[asdict(cost) for cost in costs(outcomes)],
     )
 

@@ -21,19 +21,18 @@ from adr_service.methods.simopt import SimOpt, SimOptSettings
 from adr_service.methods.sysid import Sysid, SysidSettings
 from adr_service.progress import silent
 from adr_service.randomness import stream
-from adr_service.target import simulate_rollout
+from adr_service.target import estimation_error, simulate_rollout
 from adr_service.tasks.catalogue import get_task, variants_of
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
 
 HOPPER, VANILLA = get_task("hopper"), variants_of("hopper")["vanilla"]
-PROBLEM, SPACE = Problem(HOPPER, VANILLA.source), VANILLA.source.space
+PROBLEM = Problem(HOPPER, VANILLA.source)
 RECORDING = "dropo_hopper/hopper10000/hoppermass_n10000"
 
 
 def distance(mean: np.ndarray) -> float:
-    miss = SPACE.normalise(mean) - SPACE.normalise(VANILLA.truth)
-    return float(np.sqrt(np.mean(miss**2)))
+    return estimation_error("hopper", "vanilla", mean)
 
 
 def from_noisy_states(recording: TransitionDataset, variance: float) -> None:

@@ -8,6 +8,7 @@ as .json (per seed: seconds, CPU seconds, steps and the learning curve) and as .
 """
 
 import json
+import math
 import os
 import statistics
 import subprocess
@@ -48,23 +49,36 @@ def main(task: str = "hopper", preset: str = "paper", seeds: str = "3", *changes
         "changes": changes,
         "threshold": threshold,
         "reached": sum(f["reached"] for f in found),
-        "median_steps": statistics.median(f["steps"] for f in found),
-        "median_seconds": statistics.median(f["seconds"] for f in found),
+        # None: fewer than half of the seeds reached it
+        "median_steps": median([f["steps"] if f["reached"] else math.inf for f in found]),
+        "median_seconds": median([f["seconds"] if f["reached"] else math.inf for f in found]),
         "seeds": found,
     }
     FOLDER.mkdir(parents=True, exist_ok=True)
-    path = FOLDER / f"threshold-{task}-{preset}.json"
+    path = FOLDER / f"{'-'.join(('threshold', task, preset, *changes))}.json"
     path.write_text(json.dumps(report, indent=1))
     draw(report, path.with_suffix(".svg"))
     print(
         f"{task}, {preset}: {report['reached']} of {len(found)} seeds reached {threshold:g}; "
-        f"median {report['median_steps']:,} steps, {report['median_seconds']:.0f} s; {path}"
+        f"median steps {report['median_steps']}, seconds {report['median_seconds']}; {path}"
     )
+
+
+def median(values: list[float]) -> float | None:
+    middle = statistics.median(values)
+    return middle if math.isfinite(middle) else None
+
+
+def read(value: str) -> Any:
+    try:
+        return json.loads(value)
+    except ValueError:
+        return value
 
 
 def train(seed: str, task: str, preset: str, *changes: str) -> None:
     """One training; its report as the last line of the output."""
-    training = {name: json.loads(value) for name, _, value in (c.partition("=") for c in changes)}
+    training = {name: read(value) for name, _, value in (c.partition("=") for c in changes)}
     given = {"task": task, "method": "oracle", "preset": preset, "seed": int(seed)}
     spec = RunSpec.model_validate({**given, "training": training})
     started, cpu = time.perf_counter(), time.process_time()

@@ -135,6 +135,7 @@ class CheckpointRow(Base):
     __tablename__ = "checkpoints"
 
     digest: Mapped[str] = mapped_column(String(64), primary_key=True)  # of the stage to be
+    steps: Mapped[int]  # of training, after which this was the best policy
     sha256: Mapped[str] = mapped_column(ForeignKey("artifacts.sha256"), index=True)
 
 

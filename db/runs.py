@@ -21,7 +21,7 @@ from adr_service.specs import BenchmarkExtension, BenchmarkSpec, RecordedTarget,
 from db.datasets import get_dataset
 from db.errors import NotFound, NotPossible
 from db.models import BenchmarkRow, EventRow, RunRow
-from db.session import Database
+from db.session import CHUNK, Database
 from db.stages import delete_unreferenced
 
 
@@ -179,6 +179,18 @@ def append(session: Session, run_id: str, event: RunEvent) -> bool:
         row.error_code, row.error_message = None, None
     row.updated_at = _now()
     return True
+
+
+def append_all(session: Session, run_id: str, events: Sequence[RunEvent]) -> None:
+    """`append` for many; those that were written before cost nothing."""
+    mine = select(EventRow.key).where(EventRow.run_id == run_id)
+    known: set[str] = set()
+    for first in range(0, len(events), CHUNK):
+        keys = [event.key for event in events[first : first + CHUNK]]
+        known |= set(session.scalars(mine.where(EventRow.key.in_(keys))))
+    for event in events:
+        if event.key not in known:
+            append(session, run_id, event)
 
 
 def events_of(

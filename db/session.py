@@ -19,6 +19,7 @@ from sqlalchemy.orm import Session
 
 from adr_service.errors import AdrError, InvalidInput
 
+CHUNK = 10_000  # of a query's variables, of which SQLite has 32,766
 _BUSY_TIMEOUT_MS = 30_000  # for other processes, such as a backup
 
 

@@ -20,9 +20,8 @@ from db.models import (
     StageArtifactRow,
     StageRow,
 )
-from db.session import Database
+from db.session import CHUNK, Database
 
-_CHUNK = 10_000  # of a query's variables
 _UNUSED = [  # artifacts that nothing has
     ~exists().where(owner.sha256 == ArtifactRow.sha256)
     for owner in (StageArtifactRow, DatasetRow, CheckpointRow)
@@ -87,29 +86,45 @@ def commit_result(
         also(session)
 
 
-def note_checkpoint(session: Session, digest: str, policy: bytes) -> None:
-    """Keep the best policy so far of a training, in the place of the one before."""
-    if session.get(StageRow, digest) is not None:
-        return  # it has finished meanwhile
-    key = add_artifact(session, policy)
+def note_checkpoint(session: Session, digest: str, steps: int, policy: bytes) -> None:
+    """Keep the best policy so far of a training, in the place of the one before.
+
+    A training that was lost and starts again knows less for a while than what is kept.
+    """
     row = session.get(CheckpointRow, digest)
-    if row is not None and row.sha256 != key:
-        _drop_checkpoint(session, digest)
-        row = None
-    if row is None:
-        session.add(CheckpointRow(digest=digest, sha256=key))
-        session.flush()
+    if session.get(StageRow, digest) is not None or (row is not None and row.steps >= steps):
+        return
+    _drop_checkpoint(session, digest)
+    key = add_artifact(session, policy)
+    session.add(CheckpointRow(digest=digest, steps=steps, sha256=key))
+    session.flush()
+
+
+def timings_between(database: Database, first: float, last: float) -> list[Timing]:
+    """Of all stages that were computed at some time between `first` and `last`, for any run.
+
+    A result is stored soon after it was computed, and an hour is soon.
+    """
+    late, early = (datetime.fromtimestamp(at, UTC) for at in (last + 3600, first))
+    with database.read() as session:
+        rows = session.scalars(
+            select(StageRow.timing)
+            .where(StageRow.timing.is_not(None))
+            .where(StageRow.created_at >= early, StageRow.created_at <= late)
+        )
+        found = [Timing(**json.loads(row)) for row in rows if row is not None]
+    return [timing for timing in found if timing.placed < last and timing.ended > first]
 
 
 def timings_of(database: Database, run_ids: Sequence[str]) -> list[tuple[str, Timing]]:
     """(kind, timing) of the stages that the runs have results of, in order of their beginning."""
     found: dict[str, tuple[str, Timing]] = {}
     with database.read() as session:
-        for first in range(0, len(run_ids), _CHUNK):
+        for first in range(0, len(run_ids), CHUNK):
             rows = session.execute(
                 select(StageRow.digest, StageRow.kind, StageRow.timing)
                 .join(EventRow, EventRow.key == "stage_finished:" + StageRow.digest)
-                .where(EventRow.run_id.in_(run_ids[first : first + _CHUNK]))
+                .where(EventRow.run_id.in_(run_ids[first : first + CHUNK]))
                 .where(StageRow.timing.is_not(None))
             )
             found |= {row.digest: (row.kind, Timing(**json.loads(row.timing))) for row in rows}
@@ -166,8 +181,8 @@ def seconds_of(database: Database, digests: Sequence[str]) -> dict[str, float]:
     """How long stages took to compute, of those that have a result."""
     found: dict[str, float] = {}
     with database.read() as session:
-        for first in range(0, len(digests), _CHUNK):
-            chunk = StageRow.digest.in_(digests[first : first + _CHUNK])
+        for first in range(0, len(digests), CHUNK):
+            chunk = StageRow.digest.in_(digests[first : first + CHUNK])
             rows = session.execute(select(StageRow.digest, StageRow.seconds).where(chunk))
             found |= {row.digest: row.seconds for row in rows}
     return found

@@ -2,6 +2,8 @@
 
 import sqlite3
 import threading
+from dataclasses import replace
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -214,19 +216,30 @@ class TestStages:
         run = runs.create_run(database, SPEC)
         commit(database, STAGE, self.result, run.id)
         assert stages.timings_of(database, [run.id]) == [("evaluate", TIMING)]
+        now = datetime.now(UTC).timestamp()
+        recent = replace(TIMING, placed=now - 2, began=now - 1, ended=now)
+        other = Stage("evaluate", {"x": 3})
+        stages.commit_result(
+            database, other, self.result, replace(EXECUTION, timing=recent), lambda session: None
+        )
+        assert stages.timings_between(database, now - 1, now) == [recent]
+        assert stages.timings_between(database, now - 9, now - 3) == []
         assert stages.seconds_of(database, [STAGE.digest]) == {STAGE.digest: 0.5}
 
     def test_the_best_policy_so_far_can_be_had_until_there_is_the_final_one(self, database):
         run = runs.create_run(database, SPEC)
-        for policy in (b"poor", b"better", b"better"):
+        for steps, policy in ((10, b"poor"), (20, b"better"), (30, b"better")):
             with database.write() as session:
-                stages.note_checkpoint(session, STAGE.digest, policy)
+                stages.note_checkpoint(session, STAGE.digest, steps, policy)
             assert stages.policy_of_training(database, STAGE.digest) == policy
             assert count(database, "artifacts") == 1
+        with database.write() as session:  # its process was lost, and it starts again
+            stages.note_checkpoint(session, STAGE.digest, 10, b"poor")
+        assert stages.policy_of_training(database, STAGE.digest) == b"better"
         commit(database, STAGE, StageResult({}, {"policy": b"best"}), run.id)
         assert stages.policy_of_training(database, STAGE.digest) == b"best"
         with database.write() as session:  # it comes late
-            stages.note_checkpoint(session, STAGE.digest, b"better")
+            stages.note_checkpoint(session, STAGE.digest, 40, b"better")
         assert [count(database, t) for t in ("checkpoints", "artifacts")] == [0, 1]
 
     def test_a_policy_so_far_stays_as_long_as_a_run_speaks_of_it(self, database):
@@ -236,7 +249,7 @@ class TestStages:
             digest=STAGE.digest, steps=10, mean_return=1.0, standard_error=0.1
         )
         with database.write() as session:
-            stages.note_checkpoint(session, STAGE.digest, b"so far")
+            stages.note_checkpoint(session, STAGE.digest, 10, b"so far")
             runs.append(session, one.id, point)
         for run, left in ((other, 1), (one, 0)):
             runs.append_event(database, run.id, RunSucceeded())

@@ -13,6 +13,7 @@ from adr_service.events import (
     RunStopped,
     RunSucceeded,
     StageFinished,
+    TrainingEvaluated,
     event_from_json,
     state_after,
 )
@@ -164,6 +165,7 @@ EVENTS = [
     RunQueued(submission=1),
     RunStarted(submission=1),
     StageFinished(kind="evaluate", digest="0" * 64),
+    TrainingEvaluated(digest="0" * 64, steps=40, mean_return=1 / 3, standard_error=0.0),
     IterationFinished(
         iteration=1,
         target_rollouts=1,
@@ -191,9 +193,9 @@ def test_events_survive_json(event):
 
 
 def test_the_state_is_the_fold_of_the_events():
-    queued, started, stage, _, failed, stopped, succeeded = EVENTS
+    queued, started, stage, curve, _, failed, stopped, succeeded = EVENTS
     assert state_after([queued]) == "queued"
-    assert state_after([queued, started, stage]) == "running"
+    assert state_after([queued, started, stage, curve]) == "running"
     assert state_after([queued, started, failed]) == "failed"
     assert state_after([queued, started, failed, RunQueued(submission=2)]) == "queued"
     assert state_after([queued, started, stopped]) == "cancelled"

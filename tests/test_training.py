@@ -174,8 +174,8 @@ class TestSac:
         model = library.build(env, settings, {"seed": 1, "learning_starts": 0, "batch_size": 16})
         model.learn(64)
         observations = np.random.default_rng(1).normal(size=(50, 4)).astype(np.float32)
-        expected, _ = model.predict(observations, deterministic=True)
         policy = library.policy(model, ARM, settings.activation)
+        expected, _ = model.predict(observations, deterministic=True)
         np.testing.assert_allclose(policy.act(observations), expected, atol=2e-6)
 
     def test_it_can_be_cancelled_from_inside(self, backend):

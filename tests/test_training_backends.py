@@ -112,6 +112,19 @@ def test_one_update_is_the_same(no_noise, activation):
     assert temperature != 1.0
 
 
+def test_it_acts_on_what_it_sees_with_what_it_has_learned(no_noise):
+    """Without noise, an action is the mode of the updated actor's distribution."""
+    sbx = build("sbx", "tanh")
+    before, _ = sbx.predict(sbx._last_obs, deterministic=True)
+    update(sbx)
+    sbx.publish()
+    expected, _ = sbx.predict(sbx._last_obs, deterministic=True)
+    actions, unit = sbx._sample_action(0, None, 4)
+    np.testing.assert_allclose(actions, expected, atol=1e-6)
+    np.testing.assert_allclose(unit, actions, atol=1e-6)  # the arm's bounds are -1 and 1
+    assert np.abs(expected - before).max() > 1e-4
+
+
 @pytest.mark.slow
 def test_learning_curves_overlap():
     """Five seeds each, by the mean of their evaluations: an exact Mann-Whitney test at 1 %, which

@@ -10,7 +10,7 @@ import platform
 import threading
 import time
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +85,7 @@ class Board:
 
     def report(self, sign: SignOfLife) -> bool:
         """Note a sign of life; True tells the stage to stop."""
-        self._latest[sign.digest] = sign
+        self._latest[sign.digest] = replace(sign, so_far=None)
         if sign.so_far is not None:
             self._so_far[sign.digest] = sign.so_far
         return sign.digest in self._unwanted

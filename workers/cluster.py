@@ -28,7 +28,7 @@ class RayOptions:
 
 
 def join(options: RayOptions) -> Any:
-    """`ray.init` for our processes; what it returns."""
+    """`ray.init` for our processes; what it returns. Raises ClusterUnavailable with the reason."""
     if options.token_file is not None:
         # the mode stays unset: Ray turns it on for a local cluster, and notices
         os.environ["RAY_AUTH_TOKEN_PATH"] = str(options.token_file)
@@ -37,12 +37,13 @@ def join(options: RayOptions) -> Any:
         arguments["num_cpus"] = options.cpus
         arguments["include_dashboard"] = options.dashboard
         arguments["object_store_memory"] = 200_000_000
-    return ray.init(
-        address=options.address,
-        namespace="adr",
-        runtime_env={"env_vars": worker_environment(options.compile_cache)},
-        **arguments,
-    )
+    environment = {"env_vars": worker_environment(options.compile_cache)}
+    try:
+        return ray.init(
+            address=options.address, namespace="adr", runtime_env=environment, **arguments
+        )
+    except Exception as error:  # whatever Ray raises
+        raise ClusterUnavailable(f"Ray did not start: {error}") from error
 
 
 def worker_environment(compile_cache: Path) -> dict[str, str]:

@@ -178,8 +178,8 @@ class Dispatcher:
     def _main(self) -> None:
         try:
             self._start_ray()
-        except Exception as error:  # noqa: BLE001 - whatever Ray raises, the service must hear it
-            self._ready.set_exception(ClusterUnavailable(f"Ray did not start: {error}"))
+        except Exception as error:  # noqa: BLE001 - whatever it is, the service must hear it
+            self._ready.set_exception(error)
             return
         self._ready.set_result(None)
         ending: AdrError = RunCancelled("the service is stopping")
@@ -380,7 +380,7 @@ class Dispatcher:
                 if (job := self._jobs.get(sign.digest)) is not None:
                     job.sign = sign
             for digest, so_far in found.items():
-                if (job := self._jobs.get(digest)) is not None:
+                if (job := self._jobs.get(digest)) is not None and job.waiters:
                     self._note_so_far(job, so_far)
         if time.monotonic() - self._board_read > _READ_BOARD_S:
             self._board_read = time.monotonic()

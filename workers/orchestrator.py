@@ -140,7 +140,8 @@ class Orchestrator:
     def _note(self, stage: Stage, so_far: SoFar, run_ids: list[str]) -> None:
         """Store the learning curve and the best policy of a training that goes on."""
         with self._database.write() as session:
-            stage_store.note_checkpoint(session, stage.digest, so_far.blobs["policy"])
+            steps = so_far.values["curve"][-1]["steps"]
+            stage_store.note_checkpoint(session, stage.digest, steps, so_far.blobs["policy"])
             _append_to_all(session, run_ids, learning_curve(stage.digest, so_far.values))
 
     def _commit(
@@ -165,8 +166,7 @@ class Orchestrator:
 def _append_to_all(session: Session, run_ids: list[str], events: list[RunEvent]) -> None:
     for run_id in run_ids:
         if run_store.exists(session, run_id):  # it may have been deleted meanwhile
-            for event in events:
-                run_store.append(session, run_id, event)
+            run_store.append_all(session, run_id, events)
 
 
 def _failure(record: RunRecord, code: str, message: str) -> RunFailed:

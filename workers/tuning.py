@@ -43,6 +43,7 @@ class Trial:
     best_return: float  # of its evaluations
     reached_threshold: bool
     stopped_early: bool  # it had fallen behind
+    error: str | None = None  # a rate may be too high for any training
 
 
 def tune(
@@ -57,7 +58,9 @@ def tune(
     scheduler = ASHAScheduler(
         time_attr="steps",
         max_t=training.max_steps,
-        grace_period=max(training.evaluate_every, training.max_steps // _HALVING**2),
+        grace_period=min(
+            training.max_steps, max(training.evaluate_every, training.max_steps // _HALVING**2)
+        ),
         reduction_factor=_HALVING,
     )
     join(options)
@@ -76,7 +79,7 @@ def tune(
             found = [_trial(spec, result) for result in results]
     finally:
         ray.shutdown()
-    return sorted(found, key=_worst_last)
+    return sorted(found, key=_rank)
 
 
 def _train(config: dict[str, Any], spec: RunSpec) -> None:
@@ -95,15 +98,20 @@ def _train(config: dict[str, Any], spec: RunSpec) -> None:
     report(compute(oracle_training(given), progress).values["curve"])
 
 
-def _worst_last(trial: Trial) -> tuple[bool, float]:
+def _rank(trial: Trial) -> tuple[bool, float]:
     """Who reached the threshold, soonest first; then the others by their return."""
     reached = trial.reached_threshold
     return (not reached, trial.steps if reached else -trial.best_return)
 
 
+def _last_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[-1]
+
+
 def _trial(spec: RunSpec, result: Any) -> Trial:
     if result.error is not None:
-        raise result.error
+        rate, seed = result.config["learning_rate"], result.config["seed"]
+        return Trial(rate, seed, 0, -math.inf, False, False, _last_line(result.error))
     metrics, threshold = result.metrics, get_task(spec.task).reward_threshold
     reached = metrics["best_return"] >= threshold
     return Trial(

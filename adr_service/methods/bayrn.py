@@ -22,6 +22,7 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.distributions import Uniform
 from adr_service.methods.base import MethodSettings
 from adr_service.parameters import ParameterSpace
+from adr_service.preparation import preparing
 
 
 class BayRnSettings(MethodSettings):
@@ -41,7 +42,8 @@ class Proposal:
 def propose(boxes: list[Uniform], returns: Vector, rng: np.random.Generator) -> Proposal:
     """Where to look after `boxes` earned `returns` (n,) on the target."""
     # importing BoTorch takes seconds: only who optimises pays
-    from adr_service.search.bayesian import Surrogate
+    with preparing():
+        from adr_service.search.bayesian import Surrogate
 
     points = np.array([encode(box) for box in boxes])
     surrogate = Surrogate(points, returns, rng)

@@ -2,7 +2,8 @@
 
 SBX's own `train` calls a compiled update once and the compiled actor once more, each with some
 seventy arrays in nested dataclasses, converts batches to PyTorch and back, and reads its losses
-off the device: a third of a step's time for networks of our size. Here a batch goes from the
+off the device: a sixth of a step's time for networks of our size. SBX has no settings for that, so
+this class overrides what SB3 calls (docs/decisions.md). Here a batch goes from the
 replay buffer's arrays straight into one compiled function, which updates the networks and draws
 the actions that come next. What is computed is SBX's own `_train` and actor.
 """
@@ -20,7 +21,10 @@ Arrays = list[jax.Array]
 
 
 class FusedSac(sbx.SAC):
-    """For a constant learning rate, one-step returns and no dropout; no losses are logged."""
+    """For a constant learning rate, one-step returns and no dropout; no losses are logged.
+
+    One `learn` per model, and `publish` before anybody else looks at its policy.
+    """
 
     def _setup_model(self) -> None:
         super()._setup_model()
@@ -31,12 +35,6 @@ class FusedSac(sbx.SAC):
     @property
     def _learned(self) -> tuple[Any, ...]:
         return (self.policy.qf_state, self.policy.actor_state, self.ent_coef_state, self.key)
-
-    def learn(self, *args: Any, **kwargs: Any) -> "FusedSac":
-        self._next_actions = None  # those drawn were for other observations
-        super().learn(*args, **kwargs)
-        self.publish()
-        return self
 
     def train(self, gradient_steps: int, batch_size: int) -> None:
         """Update `gradient_steps` times, and draw the next actions with the updated actor."""

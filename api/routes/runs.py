@@ -143,9 +143,9 @@ def trainings(run_id: str, service: ServiceDependency) -> list[TrainingView]:
 @router.get("/{run_id}/trainings/{digest}/policy", response_class=Response)
 def policy_of_training(run_id: str, digest: str, service: ServiceDependency) -> Response:
     """The policy of a training; the best so far, while it goes on."""
-    store.get_run(service.database, run_id)
+    known = training_views(run_id, store.events_of(service.database, run_id))
     content = stage_store.policy_of_training(service.database, digest)
-    if content is None:
+    if content is None or digest not in {training.digest for training in known}:
         raise NotFound("policy of training", digest)
     return _bytes_response(content, sha256(content), f"{digest[:12]}.safetensors")
 

@@ -13,6 +13,7 @@ def upgrade() -> None:
     op.create_table(
         "checkpoints",
         sa.Column("digest", sa.String(length=64), nullable=False),
+        sa.Column("steps", sa.Integer(), nullable=False),
         sa.Column("sha256", sa.String(length=64), nullable=False),
         sa.ForeignKeyConstraint(
             ["sha256"], ["artifacts.sha256"], name=op.f("fk_checkpoints_sha256")
