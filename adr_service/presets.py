@@ -2,7 +2,7 @@
 
 - `smoke`: hundreds of steps, for tests. Its numbers mean nothing.
 - `demo`: minutes, for the task `arm`: policies of 40,000 steps.
-- `quick`: one task in under an hour on two cores; shorter trainings, smaller searches.
+- `quick`: a seed of one task in under an hour on two cores; shorter trainings, smaller searches.
 - `paper`: the benchmark's protocol (Tiboni et al., Sec. 3.2 and 3.4).
 """
 
