@@ -9,6 +9,7 @@ from stable_baselines3.common.logger import configure
 from adr_service.distributions import Gaussian
 from adr_service.randomness import stream
 from adr_service.simulation.vec_env import RandomizedVecEnv
+from adr_service.target import truth_as_distribution
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.training.sac import BACKENDS, train
 from adr_service.training.settings import TrainingSettings
@@ -17,7 +18,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 ARM, SOURCE = get_task("arm"), source_of("arm", "vanilla")
 BATCH, RATE = 64, 1e-2
 CURVE = {
-    "max_steps": 10_000,
+    "max_steps": 20_000,
     "gradient_steps": 6,
     "hidden": [64, 64],
     "activation": "relu",
@@ -134,8 +135,8 @@ def test_learning_curves_overlap():
     def areas(backend, **changes):
         given = {**CURVE, "backend": backend, **changes}
         settings = TrainingSettings.model_validate(given)
-        prior = Gaussian.prior(SOURCE.space)
-        trained = [train(ARM, SOURCE, prior, settings, stream("curve", seed)) for seed in range(5)]
+        truth = truth_as_distribution("arm", "vanilla")
+        trained = [train(ARM, SOURCE, truth, settings, stream("curve", seed)) for seed in range(5)]
         return [np.mean([point.mean_return for point in training.curve]) for training in trained]
 
     sbx, sb3, slow = areas("sbx"), areas("sb3"), areas("sbx", learning_rate=ARM.learning_rate / 30)
