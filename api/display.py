@@ -157,7 +157,7 @@ def trials_table(trials: Sequence[Json]) -> RenderableType:
             f"{trial['learning_rate']:g}",
             str(trial["seed"]),
             f"{trial['steps']:,}",
-            "–" if trial["error"] else f"{trial['best_return']:.0f}",
+            "–" if trial["best_return"] is None else f"{trial['best_return']:.0f}",
             "reached" if trial["reached_threshold"] else "–",
             escape(trial["error"] or "") or ("stopped early" if trial["stopped_early"] else ""),
         )

@@ -40,7 +40,7 @@ class Trial:
     learning_rate: float
     seed: int
     steps: int  # that it was given
-    best_return: float  # of its evaluations
+    best_return: float | None  # of its evaluations; None where it failed
     reached_threshold: bool
     stopped_early: bool  # it had fallen behind
     error: str | None = None  # a rate may be too high for any training
@@ -99,9 +99,13 @@ def _train(config: dict[str, Any], spec: RunSpec) -> None:
 
 
 def _rank(trial: Trial) -> tuple[bool, float]:
-    """Who reached the threshold, soonest first; then the others by their return."""
-    reached = trial.reached_threshold
-    return (not reached, trial.steps if reached else -trial.best_return)
+    """Who reached the threshold, soonest first; the others by their return; the failed."""
+    if trial.best_return is None:
+        return (True, math.inf)
+    return (
+        not trial.reached_threshold,
+        trial.steps if trial.reached_threshold else -trial.best_return,
+    )
 
 
 def _last_line(error: Exception) -> str:
@@ -111,7 +115,7 @@ def _last_line(error: Exception) -> str:
 def _trial(spec: RunSpec, result: Any) -> Trial:
     if result.error is not None:
         rate, seed = result.config["learning_rate"], result.config["seed"]
-        return Trial(rate, seed, 0, -math.inf, False, False, _last_line(result.error))
+        return Trial(rate, seed, 0, None, False, False, _last_line(result.error))
     metrics, threshold = result.metrics, get_task(spec.task).reward_threshold
     reached = metrics["best_return"] >= threshold
     return Trial(
