@@ -1,9 +1,11 @@
 """Ray itself: sharing, cancelling, losing processes; one core or two, the same bytes."""
 
 import os
+import re
 import signal
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -54,6 +56,7 @@ class Store:
 
     def __init__(self):
         self.results, self.commits, self.notes = {}, [], []
+        self.first = {}  # by digest: whether the stage was the first of its process
 
     def find(self, stage, run_id):
         return self.results.get(stage.digest)
@@ -65,6 +68,7 @@ class Store:
         if "run_unlucky" in run_ids:
             raise OSError("no space left on device")
         self.results[stage.digest] = finished.result
+        self.first[stage.digest] = finished.work.is_first
         self.commits.append((stage.digest, attempt.number, attempt.started_by, sorted(run_ids)))
 
 
@@ -76,7 +80,9 @@ def started(tmp_path_factory):
     token = folder / "token"
     token.write_text("t" * 40)
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    options = RayOptions(cpus=2, dashboard=False, compile_cache=folder / "jax", token_file=token)
+    options = RayOptions(
+        cpus=2, dashboard=False, compile_cache=folder / "jax", token_file=token, keep_idle_s=8
+    )
     dispatcher = Dispatcher(options, store.find, store.commit, store.note)
     dispatcher.start()
     yield dispatcher, store
@@ -132,15 +138,20 @@ def test_a_run_may_ask_for_the_same_stage_twice_at_once(started):
     assert first.result(60) == second.result(60)
 
 
-def test_actors_carry_the_run_that_started_them_and_stay_warm_for_it(started):
-    dispatcher, _ = started
-    names = set()
-    for seed in (10, 11):
-        future = dispatcher.submit(training(seed, max_steps=6_000), "run_named")
-        names |= {a.actor for a in until(lambda: running(dispatcher, "run_named"))}
-        future.result(60)
-    assert len(names) == 1
-    assert names.pop().startswith("adr:run_named:trainer:")
+def test_a_process_serves_one_run_after_the_other_and_ends_when_idle(started):
+    dispatcher, store = started
+    policy = dispatcher.submit(training(9), "run_before").result(60).blobs["policy"]
+    stage = training(10, max_steps=6_000)
+    future = dispatcher.submit(stage, "run_after")
+    seen = until(lambda: [a for a in running(dispatcher, "run_after") if a.pid])[0]
+    future.result(60)
+    assert re.fullmatch(r"adr:run_\w+:trainer:\d+", seen.actor)
+    assert "run_after" not in seen.actor  # it bears the name of the run that it was started for
+    task = {"task": "arm", "variant": "vanilla"}
+    evaluation = Stage("evaluate", {**task, "episodes": 1, "seed": 0}, {"policy": policy})
+    dispatcher.submit(evaluation, "run_after").result(60)
+    assert [store.first[s.digest] for s in (stage, evaluation)] == [False, False]
+    until(lambda: not Path(f"/proc/{seen.pid}").exists())
 
 
 def test_a_running_stage_shows_life(started):

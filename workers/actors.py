@@ -101,7 +101,7 @@ class Board:
 
 
 class StageActor:
-    """A process that computes stages of one run and one role, and stays warm between them."""
+    """A process that computes stages, one after the other."""
 
     def compute(self, stage: Stage, board: Any) -> Ending:
         return compute_with_signs_of_life(stage, board)

@@ -25,6 +25,7 @@ class RayOptions:
     dashboard: bool = True
     compile_cache: Path = Path.home() / ".cache" / "adr_service" / "jax"
     token_file: Path | None = None  # of a local cluster; None: Ray's own
+    keep_idle_s: float = 600.0  # how long a process stays warm for the next stage
 
 
 def join(options: RayOptions) -> Any:

@@ -1,8 +1,6 @@
 """Decides which stage runs where and when; the one thread that talks to Ray.
 
-Every core is a slot. A training or an inference takes a slot for an actor of its run and role,
-which stays warm for the run's next stage of that role until another run needs the slot; a
-visit to a simulated target takes a slot for a Ray task. Equal stages are computed once: who
+Each core computes one stage at a time (see `workers.slots`). Equal stages are computed once: who
 asks later waits for the same result. A lost process means another attempt, three at most.
 
 `ray.init` and everything after it happen on one thread that lives as long as the service: Ray's
@@ -25,17 +23,9 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 from adr_service.errors import AdrError, RunCancelled, StageFailed
 from adr_service.progress import SoFar
 from adr_service.stages import KINDS, Role, Stage, StageResult
-from workers.actors import (
-    Board,
-    Ending,
-    Failed,
-    Finished,
-    SignOfLife,
-    StageActor,
-    Stopped,
-    compute_with_signs_of_life,
-)
+from workers.actors import Board, Ending, Failed, Finished, SignOfLife, Stopped
 from workers.cluster import ClusterUnavailable, RayOptions, join
+from workers.slots import Actor, Slots
 
 log = logging.getLogger(__name__)
 MAX_ATTEMPTS = 3
@@ -65,8 +55,9 @@ class _Job:
     asked: float = field(default_factory=time.time)
     placed: float = 0.0
     losses: int = 0  # attempts whose process was lost
+    lost_on: str | None = None  # the node of the last one
     ref: Any = None  # of the running call
-    actor: "_Actor | None" = None
+    actor: Actor | None = None
     sign: SignOfLife | None = None
     since: float = field(default_factory=time.monotonic)
 
@@ -80,16 +71,6 @@ class _Job:
 
     def is_wanted_by(self, run_id: str) -> bool:
         return run_id in self.run_ids
-
-
-@dataclass
-class _Actor:
-    name: str
-    run_id: str
-    role: Role
-    handle: Any  # of a StageActor
-    used: float = field(default_factory=time.monotonic)
-    busy: bool = False
 
 
 @dataclass(frozen=True)
@@ -131,9 +112,7 @@ class Dispatcher:
         self._options, self._find, self._commit, self._note = options, find, commit, note
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._jobs: dict[str, _Job] = {}
-        self._actors: list[_Actor] = []
         self._numbers = 0
-        self._actors_started = 0
         self._stop = threading.Event()
         self._ready: Future[None] = Future()
         self._thread = threading.Thread(target=self._main, name="ray", daemon=True)
@@ -163,7 +142,7 @@ class Dispatcher:
         return future
 
     def withdraw(self, run_id: str) -> None:
-        """The run wants nothing any more: its waiting stages and idle actors go."""
+        """The run wants nothing any more: its stages go, unless another run wants them."""
         self._inbox.put(lambda: self._withdraw(run_id))
 
     def activities(self, run_id: str) -> list[Activity]:
@@ -197,7 +176,8 @@ class Dispatcher:
         context = join(self._options)
         if url := context.dashboard_url:
             self.dashboard_url = f"http://{url}"
-        self.cores = _cores()
+        self._slots = Slots(self._options.keep_idle_s)
+        self.cores = len(self._slots)
         here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=True)
         board = ray.remote(Board).options(num_cpus=0, max_restarts=-1, scheduling_strategy=here)
         self._board: Any = board.remote()
@@ -254,69 +234,21 @@ class Dispatcher:
                 del self._jobs[digest]
             else:
                 self._board.set_unwanted.remote(digest, True)
-        for actor in [a for a in self._actors if a.run_id == run_id and not a.busy]:
-            self._end(actor)
 
     def _schedule(self) -> None:
         waiting = [job for job in self._jobs.values() if job.ref is None and job.waiters]
         for job in sorted(waiting, key=lambda job: (_PRIORITY[job.role], job.number)):
-            if not self._place(job):
+            actor = self._slots.take(job.role, job.started_by, avoid=job.lost_on)
+            if actor is None:
                 return
-
-    def _place(self, job: _Job) -> bool:
-        """Start a job if a slot can be had for it."""
-        warm = self._warm(job)
-        if warm is None and not self._free_slot():
-            return False
-        job.attempt += 1
-        job.since, job.placed = time.monotonic(), time.time()
-        name = f"adr:{job.started_by}:{job.role}"
-        log.info("stage %s %s: attempt %d", job.stage.kind, job.stage.digest, job.attempt)
-        if job.role == "target":
-            remote = ray.remote(compute_with_signs_of_life)
-            options = remote.options(name=name, num_cpus=1, max_retries=0)
-            job.ref = options.remote(job.stage, self._board)
-            return True
-        if warm is None:
-            warm = self._start_actor(name, job)
-        warm.busy, warm.used = True, time.monotonic()
-        job.actor = warm
-        job.ref = warm.handle.compute.remote(job.stage, self._board)
-        return True
-
-    def _warm(self, job: _Job) -> _Actor | None:
-        matching = (a for a in self._actors if not a.busy and a.role == job.role)
-        return next((a for a in matching if a.run_id == job.started_by), None)
-
-    def _free_slot(self) -> bool:
-        """Whether there is a free core, after ending the idlest actor if need be."""
-        tasks = [j for j in self._jobs.values() if j.ref is not None and j.actor is None]
-        if len(self._actors) + len(tasks) < self.cores:
-            return True
-        idle = [actor for actor in self._actors if not actor.busy]
-        if not idle:
-            return False
-        self._end(min(idle, key=lambda actor: actor.used))
-        return True
-
-    def _start_actor(self, name: str, job: _Job) -> _Actor:
-        self._actors_started += 1  # Ray frees the name of a dead actor late, if at all
-        unique = f"{name}:{self._actors_started}"
-        handle = (
-            ray.remote(StageActor)
-            .options(name=unique, num_cpus=1, max_restarts=0, max_task_retries=0)
-            .remote()
-        )
-        actor = _Actor(unique, job.started_by, job.role, handle)
-        self._actors.append(actor)
-        return actor
-
-    def _end(self, actor: _Actor) -> None:
-        self._actors.remove(actor)
-        ray.kill(actor.handle)
+            job.attempt += 1
+            job.since, job.placed = time.monotonic(), time.time()
+            log.info("stage %s %s: attempt %d", job.stage.kind, job.stage.digest, job.attempt)
+            job.actor, job.ref = actor, actor.handle.compute.remote(job.stage, self._board)
 
     def _finish(self, job: _Job) -> None:
         ref, actor = job.ref, job.actor
+        assert actor is not None
         job.ref, job.actor, job.sign = None, None, None
         try:
             ending = cast(Ending, ray.get(ref))
@@ -325,8 +257,7 @@ class Dispatcher:
         except RayError as error:
             self._lost(job, actor, error)
             return
-        if actor is not None:
-            actor.busy = False
+        self._slots.give_back(actor)
         match ending:
             case Finished():
                 del self._jobs[job.stage.digest]
@@ -351,12 +282,11 @@ class Dispatcher:
         for waiter in job.waiters:
             waiter.future.set_result(ending.result)
 
-    def _lost(self, job: _Job, actor: _Actor | None, error: RayError) -> None:
+    def _lost(self, job: _Job, actor: Actor, error: RayError) -> None:
         """A process died under a job: another attempt, or the end."""
         log.warning("%s: lost attempt %d: %s", job.stage.kind, job.attempt, error)
-        if actor is not None:
-            self._actors.remove(actor)
-        job.losses += 1
+        self._slots.lose(actor)
+        job.losses, job.lost_on = job.losses + 1, actor.slot.node
         if not job.waiters:
             del self._jobs[job.stage.digest]
         elif job.losses >= MAX_ATTEMPTS:
@@ -385,7 +315,8 @@ class Dispatcher:
         if time.monotonic() - self._board_read > _READ_BOARD_S:
             self._board_read = time.monotonic()
             self._board_ref = self._board.news.remote()
-            self.cores = _cores()
+            self._slots.refresh()
+            self.cores = len(self._slots)
 
     def _note_so_far(self, job: _Job, so_far: SoFar) -> None:
         try:
@@ -419,7 +350,3 @@ def _fail(job: _Job, error: AdrError) -> None:
 
 def _not_stored(stage: Stage, error: Exception) -> StageFailed:
     return StageFailed(stage.kind, "not_stored", f"the database refused: {error}")
-
-
-def _cores() -> int:
-    return int(ray.cluster_resources().get("CPU", 0))
