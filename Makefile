@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow protocol lint bench-sim bench-train bench-threshold bench-dropo clean
+.PHONY: setup demo serve test test-slow protocol lint bench-sim bench-train bench-threshold bench-dropo bench-criticism clean
 
 setup: $(STAMP)
 
@@ -42,12 +42,16 @@ bench-sim: setup
 bench-train: setup
 	$(BIN)/python benchmarks/training.py
 
-# about two hours on two cores
+# about an hour on two cores
 bench-threshold: setup
 	$(BIN)/python benchmarks/threshold.py hopper paper 3
 
 bench-dropo: setup
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/dropo.py
+
+# hours on two cores
+bench-criticism: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/criticism.py
 
 clean:
 	rm -rf $(VENV) build *.egg-info

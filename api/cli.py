@@ -14,6 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from adr_service.errors import AdrError, InvalidInput
+from adr_service.progress import silent
 from api import demo as demo_story
 from api import recordings
 from api.client import AdrClient
@@ -25,6 +26,7 @@ from api.display import (
     plan_table,
     results_table,
     trials_table,
+    verdict_table,
 )
 from api.settings import DEFAULT_URL, Settings, read_settings
 
@@ -323,6 +325,33 @@ def render(
     else:
         raise InvalidInput("give either --policy or --data")
     console.print(f"{out}: {count} pictures", highlight=False)
+
+
+@app.command()
+def criticise(
+    data: Annotated[Path, typer.Option(help="The measurement, an .npz; see docs/criticism.md.")],
+    out: Annotated[Path, typer.Option(help="Folder for verdict, report and extended model.")],
+    task: Annotated[str | None, typer.Option(help="A task's simulator: arm, hopper, …")] = None,
+    variant: Annotated[str, typer.Option(help="Of the task: what its simulator has wrong.")] = (
+        "vanilla"
+    ),
+    model: Annotated[Path | None, typer.Option(help="Or your own MJCF, a file you trust.")] = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(help="What may be fitted of --model: body:thigh.mass=1:5, …"),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the bootstraps.")] = 0,
+) -> None:
+    """Name what a simulator gets wrong, given measured data; needs no service."""
+    from api import criticism  # imports the simulator
+
+    nominal, name = criticism.nominal_of(task, variant, model, free or [])
+    with console.status("fitting"):
+        found = criticism.criticise_files(nominal, name, data, out, seed, silent)
+    console.print(verdict_table(found.verdict.to_json()))
+    console.print(
+        f"{out}: verdict.json, report.html" + (", extended.xml" if found.extension else "")
+    )
 
 
 @app.command()

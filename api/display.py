@@ -146,6 +146,30 @@ def cost_table(cost: Json) -> RenderableType:
     return Group(table, Text(), shares, Text(headline), Text(cost["note"], style="dim"))
 
 
+def verdict_table(verdict: Json) -> RenderableType:
+    """What a criticism named, with strengths and their intervals."""
+    headline = f"{verdict['verdict']}, {verdict['confidence']:.1%} sure"
+    if not verdict["causes"]:
+        return Text(headline)
+    table = Table("cause", "location", "strength", box=None, padding=(0, 2, 0, 0))
+    for heading in ("value", "95 % interval", "evidence [nats]"):
+        table.add_column(heading, justify="right")
+    for cause, tied in zip(verdict["causes"], verdict["tied"], strict=True):
+        for prefix, named in [("", cause), *(("or ", other) for other in tied)]:
+            for name, found in named["parameters"].items():
+                interval = f"[{found['low']:.4g}, {found['high']:.4g}]"
+                cells = (f"{found['value']:.4g} {found['unit']}", interval)
+                evidence = f"{named['gain_nats']:.0f}"
+                where = (prefix + named["kind"], named["location"], name)
+                table.add_row(*map(escape, (*where, *cells)), evidence)
+    gain = verdict["gain"]
+    told = (
+        f"{headline}; {gain['sse_removed']:.1%} [{gain['low']:.1%}, {gain['high']:.1%}] of the "
+        "squared one-step error removed on sealed episodes"
+    )
+    return Group(table, Text(told))
+
+
 def trials_table(trials: Sequence[Json]) -> RenderableType:
     """The trials of a search, the best first."""
     table = Table("learning rate", "seed", box=None, padding=(0, 2, 0, 0))

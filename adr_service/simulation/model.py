@@ -4,6 +4,7 @@
     body:thigh.inertial      mass, the inertia scaled with it ("consistent")
     joint:slide.damping      viscous damping [N s/m or N m s/rad]
     actuator:push.gear       motor gear, force per unit of control [N or N m]
+    actuator:push.bias       constant of an affine bias, in the unit of its force before the gear
     pair:left.friction       sliding friction of an explicit contact pair, both directions
     pair:*.friction          of all pairs alike; so with every kind above
     link:thigh.length        [m]; the task reshapes the model, which is compiled anew (batch.py)
@@ -40,6 +41,7 @@ FIELDS: dict[tuple[str, str], tuple[str, tuple[tuple[int, ...], ...], str | None
     ("body", "inertial"): ("body_mass", ((),), "body_inertia"),
     ("joint", "damping"): ("dof_damping", ((),), None),
     ("actuator", "gear"): ("actuator_gear", ((0,),), None),
+    ("actuator", "bias"): ("actuator_biasprm", ((0,),), None),
     ("pair", "friction"): ("pair_friction", ((0,), (1,)), None),
 }
 
@@ -68,6 +70,20 @@ def resolve(model: mujoco.MjModel, address: str) -> Slot:
     if field.startswith("dof_"):  # a joint's first degree of freedom
         rows = [int(model.jnt_dofadr[row]) for row in rows]
     return Slot(field, tuple((row, *column) for row in rows for column in columns), scaled)
+
+
+def write(model: mujoco.MjModel, slot: Slot, value: float) -> None:
+    """Put a parameter's value into one model; derived constants are the caller's."""
+    for element in slot.elements:
+        array = getattr(model, slot.field)
+        if slot.scaled is not None:
+            getattr(model, slot.scaled)[element] *= value / array[element]
+        array[element] = value
+
+
+def read(model: mujoco.MjModel, slot: Slot) -> float:
+    """The value that a model has where a parameter goes."""
+    return float(getattr(model, slot.field)[slot.elements[0]])
 
 
 class Writer:

@@ -1,0 +1,351 @@
+"""Measurements that hide an effect, to see whether criticism finds it.
+
+    case = draw_case(nominal, start, rng, ratio=0.3)
+    case.measurement                    # all that the diagnosis may see, besides the nominal model
+    case.causes                         # what it should say
+
+The hidden robot is not the diagnosed model: it is integrated four times more finely by another
+integrator, its parameters differ from those that the diagnosis starts from, and its sensors are
+noisy. The size of an effect is set by its ratio to the noise: root mean squares, over all columns,
+of what it changes in one control step and of what noise adds to a difference of two readings.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from adr_service.arrays import Array3, Matrix, Vector
+from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.simulator import Nominal, Simulator, other_integrator
+from adr_service.errors import InvalidInput
+from adr_service.simulation.mechanisms import MECHANISMS, Cause, element_of, get_mechanism
+from adr_service.tasks.base import Task
+
+EPISODES, STEPS = 30, 75
+_FINER = 4
+_POSITION_NOISE, _VELOCITY_NOISE = 1e-3, 1e-2  # [rad or m], [rad/s or m/s]
+_ADJUSTMENTS = 6  # of an effect's size, which is not always in proportion to its strength
+_OFF = 0.1  # relative error of the parameters that the diagnosis starts from
+
+Outside = Literal[
+    "torque_ripple", "cross_coupling", "position_dependent_friction", "gain_drift", "disturbance"
+]
+OUTSIDE: tuple[Outside, ...] = (
+    "torque_ripple",
+    "cross_coupling",
+    "position_dependent_friction",
+    "gain_drift",
+    "disturbance",
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A measurement, the model to be diagnosed, and the truth that is hidden in it."""
+
+    nominal: Nominal
+    measurement: Measurement
+    causes: tuple[Cause, ...]  # in the catalogue
+    outside: Outside | None  # not in it
+    ratio: float  # of the effect to the noise
+    truth: Vector  # (d,) parameters of the hidden robot
+
+
+@dataclass(frozen=True)
+class _Force:
+    """An effect outside the catalogue, on one degree of freedom."""
+
+    kind: Outside
+    dof: int
+    actuator: int
+    other: int  # actuator
+    size: float
+
+    def at(self, data: mujoco.MjData, seconds: float, gear: float, length: float) -> float:
+        """Generalised force [N or N m] at a moment of the whole recording."""
+        position, velocity = data.qpos[self.dof], data.qvel[self.dof]
+        match self.kind:
+            case "torque_ripple":
+                return self.size * float(np.sin(12 * position))
+            case "cross_coupling":
+                return self.size * float(data.ctrl[self.other])
+            case "position_dependent_friction":
+                turn = 1 + np.sin(6 * position)
+                return -self.size * float(turn * np.tanh(velocity / 0.05))
+            case "gain_drift":
+                return self.size * float(data.ctrl[self.actuator]) * (seconds / length - 0.5)
+            case "disturbance":
+                return self.size * float(np.sin(2 * np.pi * 2.7 * seconds))
+
+
+def draw_case(
+    task: Task,
+    nominal: Nominal,
+    rng: np.random.Generator,
+    ratio: float,
+    causes: int = 1,
+    outside: bool = False,
+) -> Case:
+    """A case with `causes` random effects of the catalogue, or one outside of it.
+
+    `nominal.start` is the hidden truth; the case's nominal starts elsewhere.
+    """
+    truth = nominal.start
+    start = truth * (1 + _OFF * rng.uniform(-1, 1, len(truth)))
+    wrong = replace(nominal, start=start)
+    robot = _Robot(task, nominal)
+    hidden: list[Cause] = []
+    force: _Force | None = None
+    if outside:
+        force = robot.sized_force(rng, ratio)
+    while len(hidden) < causes and not outside:
+        cause = robot.sized_cause(rng, ratio)
+        if cause is not None and cause.location not in [c.location for c in hidden]:
+            hidden.append(cause)
+    measurement = robot.record(rng, hidden, force)
+    return Case(wrong, measurement, tuple(hidden), force.kind if force else None, ratio, truth)
+
+
+@dataclass(frozen=True)
+class _Pilot:
+    """A short recording of the hidden robot, and what its free parameters would change of it."""
+
+    simulator: Simulator
+    states: Matrix  # (rows, m)
+    predicted: Matrix  # (N, m)
+    columns: Matrix  # (N m, d) in units of the noise
+
+
+class _Robot:
+    """The hidden robot: the nominal model at its truth, integrated well."""
+
+    def __init__(self, task: Task, nominal: Nominal):
+        self._task, self._nominal = task, nominal
+        self._base = nominal.model(nominal.start)
+        self._places = [
+            (kind, place)
+            for kind, mechanism in MECHANISMS.items()
+            for place in mechanism.locations(self._base)
+        ]
+
+    def sized_cause(self, rng: np.random.Generator, ratio: float) -> Cause | None:
+        """A random effect as strong as `ratio` says; None where it cannot be."""
+        kind, place = self._places[int(rng.integers(len(self._places)))]
+        mechanism = get_mechanism(kind)
+        typical = np.array(mechanism.typical(self._base, element_of(self._base, place)))
+        mixed = rng.uniform(0.5, 1.0, len(typical)) if len(typical) > 1 else np.ones(1)
+        signs = [1.0 if s.low == 0 else rng.choice([-1.0, 1.0]) for s in mechanism.strengths]
+        values = typical * mixed * np.array(signs)
+        if kind == "contact_friction":
+            values = np.abs(values) * signs
+        found = 0.0
+        for _ in range(_ADJUSTMENTS):
+            found = self._ratio_of(Cause(kind, place, tuple(values.tolist())))
+            if not np.isfinite(found) or found <= 1e-9:
+                return None
+            if abs(found / ratio - 1) < 0.05:
+                break
+            values = values * np.clip(ratio / found, 0.1, 10.0)
+        cause = Cause(kind, place, tuple(values.tolist()))
+        low = np.array([s.low for s in mechanism.strengths])
+        if np.any(values < low) or abs(found / ratio - 1) > 0.3 or not self._is_physical(cause):
+            return None
+        return cause
+
+    def _is_physical(self, cause: Cause) -> bool:
+        """Whether nothing that must not be negative is, and delays are shorter than a step."""
+        model = self._nominal.model(self._nominal.start, [cause])
+        fields = (model.dof_damping, model.dof_armature, model.jnt_stiffness, model.body_mass)
+        sensible = all(np.all(field >= 0) for field in fields) and np.all(model.geom_margin >= 0)
+        late = cause.kind in ("actuator_delay", "sensor_delay") and cause.values[0] > self._period
+        return bool(sensible and not late)
+
+    def sized_force(self, rng: np.random.Generator, ratio: float) -> _Force:
+        kind = OUTSIDE[int(rng.integers(len(OUTSIDE)))]
+        actuator, other = rng.permutation(self._base.nu)[:2].tolist()
+        joint = int(self._base.actuator_trnid[actuator, 0])
+        dof = int(self._base.jnt_dofadr[joint])
+        pilot = self._pilot
+        gear = abs(float(self._base.actuator_gear[actuator, 0]))
+        force = 0.01 * gear
+        pushed = pilot.simulator.predict_pushed(self._nominal.start, (), pilot.states, dof, force)
+        changed = (pushed - pilot.predicted) / self._noise
+        per_newton = float(np.sqrt(np.nanmean(changed**2))) / force
+        shape = {"gain_drift": 0.17, "cross_coupling": 0.55}.get(
+            kind, 0.7
+        )  # its own root mean square
+        return _Force(kind, dof, actuator, other, ratio / (per_newton * shape))
+
+    def record(
+        self, rng: np.random.Generator, causes: list[Cause], force: _Force | None
+    ) -> Measurement:
+        """What the sensors of the robot show."""
+        commands = np.stack([_commands(rng, self._task, STEPS + 1) for _ in range(EPISODES)])
+        states = self._run(rng, commands, causes, force)
+        shown = _through_sensors(self._base, states, causes, self._period)
+        nq = self._base.nq
+        scale = np.repeat([_POSITION_NOISE, _VELOCITY_NOISE], nq)
+        return self._measurement(shown + scale * rng.standard_normal(shown.shape), commands)
+
+    @property
+    def _period(self) -> float:
+        return self._base.opt.timestep * self._task.frame_skip
+
+    def _ratio_of(self, cause: Cause) -> float:
+        pilot = self._pilot
+        start = self._nominal.start
+        with_cause = pilot.simulator.predict(start, [cause], pilot.states)
+        return self._in_noise(with_cause - pilot.predicted)
+
+    def _in_noise(self, effect: Matrix) -> float:
+        """Root mean square of what the free parameters cannot absorb of an effect (N, m)."""
+        effect = np.nan_to_num(effect / self._noise).ravel()
+        absorbed = np.linalg.lstsq(self._pilot.columns, effect, rcond=None)[0]
+        return float(np.sqrt(np.mean((effect - self._pilot.columns @ absorbed) ** 2)))
+
+    @property
+    def _noise(self) -> Vector:
+        """(m,) deviation of a difference of two readings."""
+        return np.sqrt(2) * np.repeat([_POSITION_NOISE, _VELOCITY_NOISE], self._base.nq)
+
+    @cached_property
+    def _pilot(self) -> _Pilot:
+        """A recording without any effect and without noise, to size effects with."""
+        rng = np.random.default_rng(0)
+        commands = np.stack([_commands(rng, self._task, STEPS + 1) for _ in range(8)])
+        states = self._run(rng, commands, [], None)
+        simulator = Simulator(self._nominal, self._measurement(states, commands), threads=1)
+        start = self._nominal.start
+        predicted = simulator.predict(start, (), simulator.measured)
+        columns: list[Vector] = []
+        for number in range(len(start)):
+            moved = start.copy()
+            moved[number] *= 1.001
+            changed = simulator.predict(moved, (), simulator.measured)
+            columns.append(np.nan_to_num((changed - predicted) / self._noise).ravel())
+        design = np.stack(columns, axis=1) if columns else np.zeros((predicted.size, 1))
+        return _Pilot(simulator, simulator.measured, predicted, design)
+
+    def _measurement(self, states: Array3, commands: Array3) -> Measurement:
+        episodes, rows, _ = states.shape
+        flat, nq = states.reshape(episodes * rows, -1), self._base.nq
+        return Measurement(
+            time=np.tile(np.arange(rows) * self._period, episodes),
+            qpos=flat[:, :nq],
+            qvel=flat[:, nq:],
+            ctrl=commands.reshape(episodes * rows, -1),
+            episode=np.repeat(np.arange(episodes), rows),
+        )
+
+    def _run(
+        self,
+        rng: np.random.Generator,
+        commands: Array3,
+        causes: list[Cause],
+        force: _Force | None,
+    ) -> Array3:
+        """True states (episodes, rows, 2 nv); raises InvalidInput where they diverge."""
+        model = self._nominal.model(self._nominal.start, causes)
+        model.opt.timestep /= _FINER
+        model.opt.integrator = other_integrator(self._base.opt.integrator)
+        data, skip = mujoco.MjData(model), self._task.frame_skip * _FINER
+        episodes, rows = commands.shape[:2]
+        initial = self._task.initial(episodes, rng)
+        states = np.empty((episodes, rows, 2 * model.nv))
+        told = _obeyed(self._base, np.repeat(commands, skip, axis=1), model.opt.timestep, causes)
+        length = episodes * rows * self._period
+        for episode in range(episodes):
+            mujoco.mj_resetData(model, data)
+            data.qpos[:] = initial.qpos[episode] + 0.05 * rng.standard_normal(model.nq)
+            data.qvel[:] = initial.qvel[episode] + 0.3 * rng.standard_normal(model.nv)
+            lifted = _lift(model)
+            if lifted is not None:
+                data.qpos[lifted] += rng.uniform(0.05, 0.4)
+            for row in range(rows):
+                states[episode, row] = np.concatenate([data.qpos, data.qvel])
+                for step in range(row * skip, (row + 1) * skip):
+                    data.ctrl[: told.shape[2]] = told[episode, step]
+                    if force is not None:
+                        seconds = (episode * rows + row) * self._period + (
+                            step % skip
+                        ) * model.opt.timestep
+                        gear = float(model.actuator_gear[force.actuator, 0])
+                        data.qfrc_applied[force.dof] = force.at(data, seconds, gear, length)
+                    mujoco.mj_step(model, data)
+        if not np.all(np.abs(states) < 1e6):
+            raise InvalidInput("the hidden robot diverged; draw another")
+        return states
+
+
+def _lift(model: mujoco.MjModel) -> int | None:
+    """The position that raises the whole robot: a vertical slide of its root."""
+    for joint in range(model.njnt):
+        is_slide = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
+        if is_slide and abs(model.jnt_axis[joint, 2]) > 0.9:
+            return int(model.jnt_qposadr[joint])
+    return None
+
+
+def _commands(rng: np.random.Generator, task: Task, rows: int) -> Matrix:
+    """(rows, nu) coloured noise within the task's bounds, each actuator at its own pace."""
+    low, high = task.action_low, task.action_high
+    keep = rng.uniform(0.6, 0.95, len(low))
+    noise = rng.standard_normal((rows, len(low)))
+    values = np.empty_like(noise)
+    state = np.zeros(len(low))
+    for row in range(rows):
+        state = keep * state + np.sqrt(1 - keep**2) * noise[row]
+        values[row] = state
+    return low + (np.clip(0.6 * values, -1, 1) + 1) / 2 * (high - low)
+
+
+def _obeyed(
+    model: mujoco.MjModel, commands: Array3, timestep: float, causes: list[Cause]
+) -> Array3:
+    from adr_service.simulation.mechanisms import Commands
+
+    told = commands.copy()
+    for cause in causes:
+        mechanism = get_mechanism(cause.kind)
+        if mechanism.command is not None:
+            actuator = element_of(model, cause.location)
+            largest = float(np.abs(model.actuator_ctrlrange[actuator]).max())
+            known = Commands(told[:, :, actuator], timestep, largest)
+            told[:, :, actuator] = mechanism.command(known, actuator, np.array(cause.values))
+    return told
+
+
+def _through_sensors(
+    model: mujoco.MjModel, states: Array3, causes: list[Cause], period: float
+) -> Array3:
+    """What sensors show of true states (episodes, rows, 2 nv), without noise."""
+    shown = states.copy()
+    for cause in causes:
+        sense, size = get_mechanism(cause.kind).sense, cause.values[0]
+        if sense is None:
+            continue
+        if sense == "backlash":
+            column = int(model.jnt_dofadr[element_of(model, cause.location)])
+            shown[:, :, column] = _play(states[:, :, column], size)
+            continue
+        column = element_of(model, cause.location)
+        if sense == "bias":
+            shown[:, :, column] += size
+        elif sense == "scale":
+            shown[:, :, column] *= 1 + size
+        else:
+            slope = np.diff(states[:, :, column], axis=1, prepend=states[:, :1, column]) / period
+            shown[:, :, column] -= size * slope
+    return shown
+
+
+def _play(positions: Matrix, gap: float) -> Matrix:
+    """(episodes, rows) the play operator of width `gap`: it follows only what pushes it."""
+    shown, state = np.empty_like(positions), positions[:, 0].copy()
+    for row, position in enumerate(positions.T):
+        state = np.clip(state, position - gap / 2, position + gap / 2)
+        shown[:, row] = state
+    return shown

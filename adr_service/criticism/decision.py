@@ -1,0 +1,61 @@
+"""Which cause the evidence names: one, several alike, none, or none that we know.
+
+The rules and their numbers are those of the blind study (docs/criticism.md): a gain counts from
+`THRESHOLD` nats, what the largest gain of cases without any cause stayed below; and only where
+it does not hang on a single episode. Two causes are told apart by more than `TIE` nats and two
+standard errors of their difference, episode by episode. Where a flexible force still explains
+more than a fifth of what the causes do, they are not what is wrong.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adr_service.arrays import Matrix, Vector
+
+THRESHOLD = 25.0  # nats
+TIE = 4.0  # nats
+UNEXPLAINED = 0.2  # of what causes explain: what a flexible force may still add to them
+_DRAWS = 1000
+
+
+@dataclass(frozen=True)
+class Decision:
+    alike: tuple[int, ...]  # the best candidate and all that explain as much; empty: none
+    confidence: Vector  # (candidates + 1,) of each, and that it is none of them
+
+
+def decide(gains: Matrix, rng: np.random.Generator) -> Decision:
+    """From nats by episode of candidates (c, E)."""
+    confidence = _confidence(gains, rng)
+    totals = gains.sum(axis=1)
+    best = int(np.argmax(totals)) if len(totals) else -1
+    if best < 0 or not is_evidence(gains[best]):
+        return Decision((), confidence)
+    alike = [i for i in np.argsort(-totals).tolist() if not _beats(gains[best], gains[i])]
+    return Decision(tuple(alike), confidence)
+
+
+def is_unknown(flexible: Vector, named: float) -> bool:
+    """Whether a flexible force (E,) still explains more than `named` nats leave room for."""
+    return is_evidence(flexible) and float(flexible.sum()) > UNEXPLAINED * named
+
+
+def is_evidence(gains: Vector) -> bool:
+    return bool(gains.sum() > THRESHOLD and gains.sum() - gains.max() > TIE)
+
+
+def _beats(one: Vector, other: Vector) -> bool:
+    difference = one - other
+    error = np.sqrt(len(difference)) * difference.std(ddof=1)
+    return bool(difference.sum() > max(TIE, 2 * error))
+
+
+def _confidence(gains: Matrix, rng: np.random.Generator) -> Vector:
+    """Pseudo-BMA+: softmax of the gains under Bayesian bootstraps of the episodes (Yao et al.,
+    2018). None of them has the gain that chance can reach."""
+    episodes = gains.shape[1]
+    weights = episodes * rng.dirichlet(np.ones(episodes), _DRAWS)
+    totals = np.concatenate([weights @ gains.T, np.full((_DRAWS, 1), THRESHOLD)], axis=1)
+    likely = np.exp(totals - totals.max(axis=1, keepdims=True))
+    return np.mean(likely / likely.sum(axis=1, keepdims=True), axis=0)

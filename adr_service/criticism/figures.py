@@ -1,0 +1,160 @@
+"""The pictures of a criticism, as SVG texts by name; the same criticism gives the same bytes."""
+
+import io
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from adr_service.arrays import Matrix, Vector
+from adr_service.criticism.decision import THRESHOLD
+from adr_service.criticism.evidence import Fit
+from adr_service.criticism.pipeline import Criticism
+
+_BEFORE, _AFTER = "#D55E00", "#0072B2"  # Okabe and Ito
+_MOST_RANKED, _MOST_POINTS = 12, 1500
+_FEATURES = ("position", "velocity", "direction", "command", "time", "contact")
+
+
+def draw_all(criticism: Criticism) -> dict[str, str]:
+    """SVG by name; those of causes only where there are any."""
+    found = {"where": _draw(_where, criticism, 1.0), "ranking": _draw(_ranking, criticism, 1.2)}
+    if criticism.verdict.gain is not None:
+        found["residual"] = _draw(_residual, criticism, 1.0)
+        found["horizons"] = _draw(_horizons, criticism, 0.8)
+    return found
+
+
+def _draw(painter: object, criticism: Criticism, height: float) -> str:
+    figure = Figure(figsize=(8, 4 * height), layout="constrained")
+    assert callable(painter)
+    painter(figure, criticism)
+    with mpl.rc_context({"svg.hashsalt": "adr", "svg.fonttype": "none"}):
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return buffer.getvalue()
+
+
+def _where(figure: Figure, criticism: Criticism) -> None:
+    """How much of each joint's misfit goes with what."""
+    shares = np.array([_explained(criticism.baseline, d) for d in range(_width(criticism))])
+    axes = figure.subplots()
+    image = axes.imshow(100 * shares, cmap="magma_r", vmin=0, vmax=max(5.0, 100 * shares.max()))
+    axes.set_xticks(range(len(_FEATURES)), _FEATURES)
+    axes.set_yticks(range(len(shares)), _joints(criticism))
+    figure.colorbar(image, label="% of the misfit")
+    axes.set_title("What the simulator's error at each joint goes with")
+
+
+def _ranking(figure: Figure, criticism: Criticism) -> None:
+    """Evidence for each candidate of the first scan."""
+    best = [c for c in criticism.candidates[:_MOST_RANKED] if c.gain > 0]
+    axes = figure.subplots()
+    names = [f"{c.cause.kind}, {c.cause.location}" for c in best]
+    errors = [np.sqrt(len(c.gains)) * c.gains.std(ddof=1) for c in best]
+    gains = [c.gain for c in best]
+    axes.barh(range(len(best)), gains, xerr=errors, color=_AFTER, ecolor="#555555")
+    axes.set_yticks(range(len(best)), names)
+    axes.invert_yaxis()
+    axes.axvline(THRESHOLD, color="black", linestyle="--", linewidth=0.8)
+    axes.set_xlabel("evidence [nats, ± standard error]; the line is what chance can reach")
+    axes.set_title("Candidates, each added alone")
+
+
+def _residual(figure: Figure, criticism: Criticism) -> None:
+    """The most affected velocity's error against what it may depend on, and the cause's share."""
+    before, after = criticism.baseline, criticism.final
+    dof = _most_changed(before, after)
+    error = _unexplained(before)[:, dof]
+    left = _unexplained(after)[:, dof]
+    share = error - left
+    axes = figure.subplots(1, 4, sharey=True)
+    rng = np.random.default_rng(0)  # which points are drawn
+    shown = rng.permutation(len(error))[:_MOST_POINTS]
+    for ax, (name, values) in zip(axes, _against(before, dof).items(), strict=True):
+        ax.plot(values[shown], error[shown], ".", color=_BEFORE, markersize=2, alpha=0.4)
+        ax.plot(values[shown], share[shown], ".", color=_AFTER, markersize=2)
+        ax.set_xlabel(name)
+    axes[0].set_ylabel("velocity error of one step [1/s]")
+    figure.suptitle(
+        f"{_joints(criticism)[dof]}: the error (orange) and what the cause explains of it (blue)"
+    )
+
+
+def _horizons(figure: Figure, criticism: Criticism) -> None:
+    gain = criticism.verdict.gain
+    assert gain is not None
+    axes = figure.subplots()
+    steps = list(gain.horizons)
+    for label, colour, column in (("as it is", _BEFORE, 0), ("extended", _AFTER, 1)):
+        axes.plot(steps, [gain.horizons[s][column] for s in steps], "o-", color=colour, label=label)
+    axes.set(xscale="log", yscale="log", xlabel="control steps ahead")
+    axes.set_ylabel("error, in units of sensor noise")
+    axes.set_title("Prediction of episodes that nothing was fitted to")
+    axes.legend(frameon=False)
+    _plain(axes, steps)
+
+
+def _plain(axes: Axes, steps: list[int]) -> None:
+    axes.set_xticks(steps, [str(s) for s in steps])
+    axes.minorticks_off()
+
+
+def _width(criticism: Criticism) -> int:
+    return criticism.baseline.simulator.base.nv
+
+
+def _joints(criticism: Criticism) -> list[str]:
+    model = criticism.baseline.simulator.base
+    return [model.joint(int(model.dof_jntid[d])).name for d in range(model.nv)]
+
+
+def _unexplained(fit: Fit) -> Matrix:
+    """(N, nv) velocity residuals that the fitted columns leave."""
+    change, _ = fit.normal.change()
+    left = fit.linear.residual - fit.linear.columns @ change
+    nv = fit.simulator.base.nv
+    return left[fit.linear.chain.mask][:, nv:]
+
+
+def _against(fit: Fit, dof: int) -> dict[str, Vector]:
+    """(N,) what an error may depend on, at one joint."""
+    simulator, mask = fit.simulator, fit.linear.chain.mask
+    rows = simulator.starts[fit.layout.index[mask]]
+    nv = simulator.base.nv
+    drives = [
+        i
+        for i in range(simulator.data.ctrl.shape[1])
+        if simulator.base.actuator_trnid[i, 0] == simulator.base.dof_jntid[dof]
+    ]
+    told = simulator.data.ctrl[rows][:, drives].sum(axis=1)
+    return {
+        "position": fit.states[rows, dof],
+        "velocity": fit.states[rows, nv + dof],
+        "command": told,
+        "time [s]": simulator.data.time[rows],
+    }
+
+
+def _explained(fit: Fit, dof: int) -> Vector:
+    """(features,) share of a joint's squared error that goes with each, by itself."""
+    error = _unexplained(fit)[:, dof]
+    known = _against(fit, dof)
+    contact = fit.linear.chain.stiff[fit.linear.chain.mask].astype(float)
+    order = np.argsort(np.argsort(np.arange(len(error)))) / len(error)
+    features = [
+        known["position"],
+        known["velocity"],
+        np.sign(known["velocity"]),
+        known["command"],
+        order,
+        contact,
+    ]
+    shares = [np.corrcoef(f, error)[0, 1] ** 2 if f.std() > 0 else 0.0 for f in features]
+    return np.array(shares)
+
+
+def _most_changed(before: Fit, after: Fit) -> int:
+    removed = (_unexplained(before) ** 2).sum(axis=0) - (_unexplained(after) ** 2).sum(axis=0)
+    return int(np.argmax(removed / (_unexplained(before) ** 2).sum(axis=0)))

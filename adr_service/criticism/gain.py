@@ -1,0 +1,90 @@
+"""What an extension is worth on episodes that nothing was fitted to.
+
+Both simulators are stepped more finely than the model says, so that errors of integration, which
+both share, do not hide the difference.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from adr_service.arrays import Matrix, Vector
+from adr_service.criticism.evidence import FINER, Fit
+from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.simulator import Simulator
+from adr_service.criticism.verdict import Gain
+from adr_service.simulation.mechanisms import Cause
+
+_HORIZONS = (1, 5, 25)  # control steps
+_DRAWS = 1000
+
+
+def measure_gain(
+    before: Fit,
+    after: Fit,
+    sealed: Measurement,
+    rng: np.random.Generator,
+    threads: int | None = None,
+) -> Gain:
+    """Errors of one and more control steps, without and with the causes, from measured states."""
+    with Simulator(before.simulator.nominal, sealed, threads) as simulator:
+        scale = _expected_deviation(after, simulator)
+        errors = [
+            _errors(simulator, fit.parameters, fit.causes, max(_HORIZONS), scale)
+            for fit in (before, after)
+        ]
+    episodes = simulator.data.episode[simulator.starts]
+    without, with_causes = (_by_episode(e[0], episodes) for e in errors)
+    count = _by_episode(np.ones_like(errors[0][0]), episodes)
+    draws = rng.integers(len(without), size=(_DRAWS, len(without)))
+    removed = 1 - with_causes[draws].sum(axis=1) / without[draws].sum(axis=1)
+    low, high = np.quantile(removed, [0.025, 0.975]).tolist()
+    explainable = without.sum() - count.sum()  # sensors' noise alone leaves one per number
+    reached = [[float(np.sqrt(np.nanmean(e[steps - 1]))) for steps in _HORIZONS] for e in errors]
+    horizons = {
+        steps: (before, after) for steps, before, after in zip(_HORIZONS, *reached, strict=True)
+    }
+    return Gain(
+        sse_removed=float(1 - with_causes.sum() / without.sum()),
+        low=low,
+        high=high,
+        explainable_fraction=float((without.sum() - with_causes.sum()) / explainable),
+        horizons=horizons,
+    )
+
+
+def _expected_deviation(fit: Fit, simulator: Simulator) -> Matrix:
+    """(N, m) of a one-step error, from the sensors' noise alone; by the fit's typical spread."""
+    transition, mask = fit.linear.chain.transition, fit.linear.chain.mask
+    variance = (transition[mask] ** 2) @ fit.noise.sensor + fit.noise.sensor
+    return np.tile(np.sqrt(np.median(variance, axis=0)), (len(simulator.starts), 1))
+
+
+def _errors(
+    simulator: Simulator,
+    parameters: Vector,
+    causes: Sequence[Cause],
+    horizon: int,
+    scale: Matrix,
+) -> list[Matrix]:
+    """Squared errors (N, m) after 1 .. horizon control steps, in units of `scale`; NaN past the
+    end of an episode, or where the simulation diverged."""
+    starts, measured = simulator.starts, simulator.measured
+    states, known = measured.copy(), np.ones(len(measured), dtype=np.bool_)
+    found: list[Matrix] = []
+    for _ in range(horizon):
+        here = np.where(known[:, None], states, measured)
+        predicted = simulator.predict_finer(parameters, causes, here, FINER)
+        error = ((predicted - measured[starts + 1]) / scale) ** 2
+        error[~known[starts]] = np.nan
+        found.append(error)
+        followed = known[starts] & np.all(np.isfinite(predicted), axis=1)
+        states, known = measured.copy(), np.zeros(len(measured), dtype=np.bool_)
+        states[starts[followed] + 1], known[starts[followed] + 1] = predicted[followed], True
+    return found
+
+
+def _by_episode(values: Matrix, episodes: np.ndarray) -> Vector:
+    """Sums over each episode."""
+    _, numbers = np.unique(episodes, return_inverse=True)
+    return np.bincount(numbers, weights=np.nansum(values, axis=1)).astype(np.float64)

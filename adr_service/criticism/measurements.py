@@ -1,0 +1,129 @@
+"""What was measured of a robot: full states and commands over time, episode by episode.
+
+    measurement = Measurement.from_npz(path.read_bytes())
+
+Row k's command is applied from `time[k]` to `time[k + 1]`; the last row of an episode has a state
+and a command that leads nowhere. Positions and velocities are in the order of the model's
+degrees of freedom, in SI units.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adr_service.arrays import Indices, Matrix, Vector, frozen
+from adr_service.errors import InvalidInput
+from adr_service.npz import read_arrays
+
+_NEEDED = ("time", "qpos", "qvel", "ctrl", "episode")
+_OPTIONAL = ("qpos_std", "qvel_std")
+LEAST_EPISODES, LEAST_TRANSITIONS = 4, 100
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """N rows in recording order; rows of one episode are consecutive."""
+
+    time: Vector  # (N,) [s], increasing within an episode
+    qpos: Matrix  # (N, nq)
+    qvel: Matrix  # (N, nv)
+    ctrl: Matrix  # (N, nu)
+    episode: Indices  # (N,) non-decreasing
+    qpos_std: Vector | None = None  # (nq,) of the sensors' noise, where known; inf: not measured
+    qvel_std: Vector | None = None  # (nv,)
+
+    def __post_init__(self) -> None:
+        rows = len(self.time)
+        for name, dimensions in (("time", 1), ("qpos", 2), ("qvel", 2), ("ctrl", 2)):
+            values = frozen(getattr(self, name))
+            object.__setattr__(self, name, values)
+            if values.ndim != dimensions or len(values) != rows:
+                raise InvalidInput(
+                    f"{name} has shape {values.shape}; expected are {rows} rows, as many as `time`"
+                    f" has, in {dimensions} dimension{'s' * (dimensions > 1)}"
+                )
+            if not np.all(np.isfinite(values)):
+                where = np.argwhere(~np.isfinite(values))[0].tolist()
+                raise InvalidInput(f"{name} is not finite at row {where[0]}{_column(where)}")
+        episode = np.array(self.episode)
+        if episode.shape != (rows,) or episode.dtype.kind not in "iu":
+            raise InvalidInput(
+                f"episode has shape {episode.shape} and type {episode.dtype}; expected are {rows} "
+                "whole numbers"
+            )
+        if (back := np.flatnonzero(np.diff(episode) < 0)).size:
+            raise InvalidInput(f"episode numbers must not decrease; they do at row {back[0] + 1}")
+        object.__setattr__(self, "episode", episode.astype(np.int64))
+        for name, width in (("qpos_std", self.qpos.shape[1]), ("qvel_std", self.qvel.shape[1])):
+            if (given := getattr(self, name)) is not None:
+                values = frozen(np.broadcast_to(given, (width,)))
+                if not np.all(values >= 0):
+                    raise InvalidInput(f"{name} must not be negative; given {values.tolist()}")
+                object.__setattr__(self, name, values)
+
+    @classmethod
+    def from_npz(cls, content: bytes) -> "Measurement":
+        """Raises InvalidInput with what is missing or wrong."""
+        fields = read_arrays(content, [*_NEEDED, *_OPTIONAL])
+        if missing := [name for name in _NEEDED if name not in fields]:
+            raise InvalidInput(f"the .npz lacks {missing}; it has {sorted(fields)}")
+        for name, values in fields.items():
+            if values.dtype.kind not in "iuf":
+                raise InvalidInput(f"{name} must hold numbers; given {values.dtype}")
+        return cls(**fields)
+
+    def spans(self) -> list[tuple[int, int]]:
+        """Half-open row ranges of the episodes."""
+        edges = [0, *(np.flatnonzero(np.diff(self.episode)) + 1).tolist(), len(self.time)]
+        return [(a, b) for a, b in itertools.pairwise(edges)]
+
+    def episodes(self, chosen: Sequence[int]) -> "Measurement":
+        """The episodes at these positions, in order."""
+        spans = self.spans()
+        rows = np.concatenate([np.arange(*spans[number]) for number in chosen])
+        return replace(
+            self,
+            time=self.time[rows],
+            qpos=self.qpos[rows],
+            qvel=self.qvel[rows],
+            ctrl=self.ctrl[rows],
+            episode=self.episode[rows],
+        )
+
+    def sensor_variance(self) -> Vector:
+        """(nq + nv,) of the noise in positions and velocities, NaN where it is not known.
+
+        What was not measured has the variance that the recording shows.
+        """
+        parts: list[Vector] = []
+        for values, std in ((self.qpos, self.qpos_std), (self.qvel, self.qvel_std)):
+            given = np.full(values.shape[1], np.nan) if std is None else std
+            parts.append(np.where(np.isinf(given), values.std(axis=0) + 1e-3, given) ** 2)
+        return np.concatenate(parts)
+
+    def period(self) -> float:
+        """Seconds between rows; raises InvalidInput where it is not the same throughout."""
+        steps = np.diff(self.time)[np.diff(self.episode) == 0]
+        if len(steps) < LEAST_TRANSITIONS or len(self.spans()) < LEAST_EPISODES:
+            raise InvalidInput(
+                f"{len(steps)} transitions in {len(self.spans())} episodes are too few to tell a "
+                f"cause from noise; at least {LEAST_TRANSITIONS} in {LEAST_EPISODES} are needed "
+                "(cut a long recording into episodes of about a second)"
+            )
+        period = float(np.median(steps))
+        if (wrong := np.flatnonzero(np.abs(np.diff(self.time) - period) > 0.02 * period)).size:
+            inside = [row for row in wrong.tolist() if self.episode[row] == self.episode[row + 1]]
+            if inside:
+                row = inside[0]
+                raise InvalidInput(
+                    f"time advances by {self.time[row + 1] - self.time[row]:g} s from row {row} "
+                    f"to {row + 1}, elsewhere by {period:g} s; rows must be evenly spaced within "
+                    "an episode (start another episode at a gap)"
+                )
+        return period
+
+
+def _column(where: list[int]) -> str:
+    return f", column {where[1]}" if len(where) > 1 else ""

@@ -1,0 +1,231 @@
+"""From a measurement to a verdict: what the simulator gets wrong, and what it costs.
+
+    report = criticise(nominal, measurement, rng)
+    report.verdict.finding              # "cause"
+    report.extension.xml                # the simulator with the cause
+
+Three quarters of the episodes tell causes apart, each judged by episodes that its fit has not
+seen; the last quarter is opened once, for the gain. Causes are named one after the other, and
+dropped again where the others make them superfluous.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+from scipy.special import expit
+
+from adr_service.arrays import Vector
+from adr_service.criticism.decision import THRESHOLD, TIE, Decision, decide, is_unknown
+from adr_service.criticism.evidence import (
+    INTEGRATION,
+    Candidate,
+    Fit,
+    fit,
+    places,
+    refine,
+    scan,
+)
+from adr_service.criticism.extension import Extension, extend
+from adr_service.criticism.gain import measure_gain
+from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.simulator import Nominal, Simulator
+from adr_service.criticism.verdict import Estimate, Finding, NamedCause, Residual, Verdict
+from adr_service.criticism.yardstick import flexible_gains
+from adr_service.progress import Progress, silent
+from adr_service.simulation.mechanisms import get_mechanism
+
+_SEALED = 4  # every fourth episode
+_REFINED, _CLOSE, _MOST_REFINED = 6, 0.9, 10  # the best, and all as good as that, but no more
+_MOST_CAUSES = 3
+_INTERVAL = 0.95
+
+
+@dataclass(frozen=True)
+class Criticism:
+    """All that a report tells."""
+
+    verdict: Verdict
+    baseline: Fit
+    final: Fit
+    candidates: tuple[Candidate, ...]  # of the first scan, the best first
+    extension: Extension | None  # None: nothing was named
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """A candidate as the newest cause of a fit, and the evidence for it."""
+
+    fit: Fit
+    gains: Vector  # (E,) nats
+    confidence: float
+
+    @property
+    def gain(self) -> float:
+        return float(self.gains.sum())
+
+
+_Named = tuple[_Weighed, ...]  # the best candidate, and all that explain as much
+
+
+def criticise(
+    nominal: Nominal,
+    data: Measurement,
+    rng: np.random.Generator,
+    progress: Progress = silent,
+    threads: int | None = None,
+) -> Criticism:
+    """What the data say of the simulator, on `threads` threads (None: all cores).
+
+    Raises InvalidInput where the data do not fit the model, or are too few.
+    """
+    started = time.perf_counter()
+    numbers = np.arange(len(data.spans()))
+    is_sealed = numbers % _SEALED == _SEALED - 1
+    learned, sealed = (data.episodes(numbers[which].tolist()) for which in (~is_sealed, is_sealed))
+    sensor = data.sensor_variance()
+    with Simulator(nominal, learned, threads) as simulator:
+        baseline = fit(simulator, sensor, nominal.start)
+        first = scan(baseline, places(simulator))
+        found, final, chance = _name(baseline, first, sensor, rng, progress)
+        found, final = _pruned(found, final, sensor)
+        flexible = flexible_gains(refine(final, final.causes, sensor), sensor)
+    finding: Finding = "none"
+    if is_unknown(flexible, sum(named[0].gain for named in found)):
+        finding, found, final = "unknown", [], baseline
+    elif found:
+        finding = "tie" if any(len(named) > 1 for named in found) else "cause"
+    verdict = Verdict(
+        finding,
+        confidence=_confidence(found, chance, flexible),
+        causes=tuple(_describe(final, number, named[0]) for number, named in enumerate(found)),
+        tied=tuple(tuple(_alternative(other) for other in named[1:]) for named in found),
+        residual=_residual(baseline, final, first, float(flexible.sum())),
+        gain=measure_gain(baseline, final, sealed, rng, threads) if found else None,
+        seconds=time.perf_counter() - started,
+    )
+    extension = extend(nominal, final.parameters, final.causes) if found else None
+    return Criticism(verdict, baseline, final, tuple(first), extension)
+
+
+def _name(
+    baseline: Fit,
+    candidates: Sequence[Candidate],
+    sensor: Vector,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> tuple[list[_Named], Fit, float]:
+    """Causes one after the other, each on its own evidence; the fit with all of them; and the
+    probability that the next one would be chance."""
+    found: list[_Named] = []
+    current, chance = baseline, 1.0
+    for count in range(_MOST_CAUSES):
+        progress((1 + count) / (2 + _MOST_CAUSES), causes=count)
+        if count > 0:
+            candidates = scan(current, places(current.simulator))
+        decision, weighed = _weigh(current, candidates, sensor, rng)
+        chance = float(decision.confidence[-1])
+        if not decision.alike:
+            break
+        found.append(tuple(weighed[number] for number in decision.alike))
+        best = found[-1][0].fit
+        current = fit(current.simulator, sensor, best.parameters, best.causes)
+    return found, current, chance
+
+
+def _weigh(
+    current: Fit, candidates: Sequence[Candidate], sensor: Vector, rng: np.random.Generator
+) -> tuple[Decision, list[_Weighed]]:
+    """The evidence for the best candidates, refined."""
+    close = [c for c in candidates if c.gain > max(TIE, _CLOSE * candidates[0].gain)]
+    chosen = [c for c in candidates[:_REFINED] if c.gain > TIE]
+    chosen = max(chosen, close, key=len)[:_MOST_REFINED]
+    without = refine(current, current.causes, sensor)
+    fits = [refine(current, [*current.causes, c.cause], sensor) for c in chosen]
+    gains = np.array([f.held_out - without.held_out for f in fits])
+    gains = gains.reshape(len(fits), len(without.held_out))
+    decision = decide(gains, rng)
+    weighed = zip(fits, gains, decision.confidence[:-1].tolist(), strict=True)
+    return decision, [_Weighed(*each) for each in weighed]
+
+
+def _pruned(found: list[_Named], current: Fit, sensor: Vector) -> tuple[list[_Named], Fit]:
+    """Without the causes that the others make superfluous."""
+    while len(found) > 1:
+        everything = refine(current, current.causes, sensor).held_out.sum()
+        without = [
+            [c for other, c in enumerate(current.causes) if other != number]
+            for number in range(len(found))
+        ]
+        losses = [everything - refine(current, rest, sensor).held_out.sum() for rest in without]
+        least = int(np.argmin(losses))
+        if losses[least] > THRESHOLD:
+            break
+        found = [named for number, named in enumerate(found) if number != least]
+        current = fit(current.simulator, sensor, current.parameters, without[least])
+    return found, current
+
+
+def _confidence(found: Sequence[_Named], chance: float, flexible: Vector) -> float:
+    """Of the whole verdict: that the first cause is among those named; of none; or of unknown.
+
+    `chance` is the probability that no candidate is real.
+    """
+    if found:
+        return min(1.0, sum(each.confidence for each in found[0]))
+    unknown = float(expit(flexible.sum() - THRESHOLD))
+    return unknown if is_unknown(flexible, 0.0) else chance * (1 - unknown)
+
+
+def _describe(final: Fit, number: int, named: _Weighed) -> NamedCause:
+    """A cause with the strengths that it has beside all others."""
+    before = sum(len(cause.values) for cause in final.causes[:number])
+    return _named(final, number, before, named.confidence, named.gain)
+
+
+def _alternative(other: _Weighed) -> NamedCause:
+    """A cause with the strengths that it has in the place of the named one."""
+    causes = other.fit.causes
+    before = sum(len(cause.values) for cause in causes[:-1])
+    return _named(other.fit, len(causes) - 1, before, other.confidence, other.gain)
+
+
+def _named(fit: Fit, number: int, before: int, confidence: float, gain: float) -> NamedCause:
+    """A cause of a fit with intervals; `before` strengths belong to the causes before it."""
+    cause, first = fit.causes[number], len(fit.parameters) + INTEGRATION + before
+    change, covariance = fit.normal.change()[0], fit.normal.covariance()
+    freedom = max(len(fit.held_out) - len(change), 1)
+    reach = float(stats.t.ppf(0.5 + _INTERVAL / 2, freedom))
+    estimates: list[Estimate] = []
+    for offset, strength in enumerate(get_mechanism(cause.kind).strengths):
+        value = max(cause.values[offset] + float(change[first + offset]), strength.low)
+        error = reach * float(np.sqrt(max(covariance[first + offset, first + offset], 0.0)))
+        estimates.append(
+            Estimate(value, max(value - error, strength.low), value + error, strength.unit)
+        )
+    return NamedCause(cause.kind, cause.location, tuple(estimates), confidence, gain)
+
+
+def _residual(
+    baseline: Fit, final: Fit, first: Sequence[Candidate], unexplained: float
+) -> Residual:
+    """`unexplained` nats are those of a flexible force over the final simulator."""
+    moved = {
+        name: (before, after)
+        for name, before, after in zip(
+            baseline.simulator.nominal.space.names,
+            baseline.parameters.tolist(),
+            final.parameters.tolist(),
+            strict=True,
+        )
+    }
+    reach = np.sqrt(2 * THRESHOLD)  # standard deviations that gain as much
+    detectable = {
+        f"{c.cause.kind} {c.cause.location}": float(reach * c.deviations[0])
+        for c in first
+        if np.isfinite(c.deviations[0])
+    }
+    noise = tuple(np.sqrt(final.noise.sensor).tolist())
+    return Residual(noise, unexplained, moved, detectable)

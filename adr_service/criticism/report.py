@@ -1,0 +1,143 @@
+"""The page that tells a criticism to somebody who never heard of its statistics."""
+
+from html import escape
+from typing import Any
+
+from adr_service.criticism.decision import THRESHOLD
+from adr_service.criticism.figures import draw_all
+from adr_service.criticism.pipeline import Criticism
+from adr_service.criticism.verdict import NamedCause, Verdict
+from adr_service.simulation.mechanisms import get_mechanism
+
+_PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
+<style>
+body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 52rem; margin: 2rem auto }}
+table {{ border-collapse: collapse }} td, th {{ padding: .2rem .8rem; text-align: left }}
+th {{ border-bottom: 1px solid #999 }} svg {{ max-width: 100%; height: auto }}
+.finding {{ font-size: 1.3rem }}
+</style></head><body>
+<h1>{title}</h1>
+{body}
+</body></html>
+"""
+
+
+def report_page(criticism: Criticism, name: str) -> str:
+    """HTML with its figures inside; `name` is what was criticised."""
+    verdict, pictures = criticism.verdict, draw_all(criticism)
+    parts = [f'<p class="finding">{_finding(verdict)}</p>']
+    if verdict.causes:
+        parts += [_causes(verdict), _gain(verdict)]
+    parts.append("<h2>Where the error is</h2>" + pictures["where"])
+    parts.append("<h2>What would explain it</h2>" + _EVIDENCE + pictures["ranking"])
+    if "residual" in pictures:
+        parts.append("<h2>The cause in the data</h2>" + pictures["residual"])
+        parts.append("<h2>What the extended simulator is worth</h2>" + pictures["horizons"])
+    parts += [_moved(verdict), _detectable(verdict)]
+    return _PAGE.format(title=escape(f"What {name} gets wrong"), body="\n".join(parts))
+
+
+_EVIDENCE = (
+    "<p>Evidence is how much better episodes are predicted that the fit has not seen, as the "
+    "logarithm of a probability: 4.6 nats mean a hundred times more probable. Below "
+    f"{THRESHOLD:g} nats we call it chance.</p>"
+)
+
+
+def _finding(verdict: Verdict) -> str:
+    sure = f"{100 * verdict.confidence:.0f} % sure"
+    match verdict.finding:
+        case "none":
+            return (
+                f"Nothing is missing that these data could show ({sure}). The table at the end "
+                "says how large an effect would have been seen."
+            )
+        case "unknown":
+            return (
+                f"Something is missing that is none of the effects we know ({sure}): a flexible "
+                f"force predicts {verdict.residual.unexplained_nats:.0f} nats better."
+            )
+        case "cause" | "tie":
+            names = "; ".join(_words(cause) for cause in verdict.causes)
+            tie = " Other causes explain as much; see below." if verdict.finding == "tie" else ""
+            return f"The simulator lacks {names} ({sure}).{tie}"
+
+
+def _words(cause: NamedCause) -> str:
+    kind = escape(cause.kind.replace("_", " "))
+    place = "" if cause.location == "global" else f" at {escape(cause.location)}"
+    return f"<b>{kind}{place}</b>"
+
+
+def _causes(verdict: Verdict) -> str:
+    rows: list[list[Any]] = []
+    for cause, tied in zip(verdict.causes, verdict.tied, strict=True):
+        rows += _rows(cause, "")
+        for other in tied:
+            rows += _rows(other, "or: ")
+    heads = ["cause", "strength", "value", "95 % interval", "unit", "evidence [nats]"]
+    return "<h2>Causes</h2>" + _table(heads, rows)
+
+
+def _rows(cause: NamedCause, prefix: str) -> list[list[Any]]:
+    names = [strength.name for strength in get_mechanism(cause.kind).strengths]
+    return [
+        [
+            prefix + _words(cause),
+            escape(name),
+            f"{e.value:.4g}",
+            f"{e.low:.4g} to {e.high:.4g}",
+            escape(e.unit),
+            f"{cause.gain:.0f}",
+        ]
+        for name, e in zip(names, cause.strengths, strict=True)
+    ]
+
+
+def _gain(verdict: Verdict) -> str:
+    gain = verdict.gain
+    assert gain is not None
+    return (
+        f"<p>On episodes that nothing was fitted to, the extended simulator removes "
+        f"{100 * gain.sse_removed:.1f} % [{100 * gain.low:.1f}, {100 * gain.high:.1f}] of the "
+        f"squared error of one control step: {100 * gain.explainable_fraction:.0f} % of what is "
+        "not sensor noise.</p>"
+    )
+
+
+def _moved(verdict: Verdict) -> str:
+    moved = verdict.residual.moved
+    if not moved:
+        return ""
+    rows = [[escape(n), f"{before:.4g}", f"{after:.4g}"] for n, (before, after) in moved.items()]
+    heads = ["parameter", "fitted to the simulator as it is", "to the extended one"]
+    text = (
+        "<p>A parameter that moves was bent to hide what the simulator lacks: a wider "
+        "distribution of it would not have helped.</p>"
+    )
+    return "<h2>The free parameters</h2>" + (text if verdict.causes else "") + _table(heads, rows)
+
+
+def _detectable(verdict: Verdict) -> str:
+    rows = [
+        [escape(name), f"{size:.3g}", escape(_unit(name))]
+        for name, size in sorted(verdict.residual.detectable.items())
+    ]
+    heads = ["effect", "smallest strength that would have been seen", "unit"]
+    return (
+        "<details><summary>How large an effect would have been seen</summary>"
+        + _table(heads, rows)
+        + "</details>"
+    )
+
+
+def _unit(name: str) -> str:
+    return get_mechanism(name.partition(" ")[0]).strengths[0].unit
+
+
+def _table(heads: list[str], rows: list[list[Any]]) -> str:
+    """Cells are HTML already."""
+    head = "".join(f"<th>{escape(h)}</th>" for h in heads)
+    body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>" for row in rows)
+    return f"<table><tr>{head}</tr>{body}</table>"

@@ -1,0 +1,328 @@
+"""The simulator under criticism: what it predicts one control step ahead of every measured state.
+
+    simulator = Simulator(nominal, measurement)
+    predicted = simulator.predict(parameters, causes, states)      # (N, 2 nv)
+
+States are in the sensors' coordinates, positions then velocities. An effect in a sensor is undone
+before the simulation and applied again after it.
+"""
+
+import os
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from adr_service.arrays import Array3, Indices, Matrix, Vector
+from adr_service.criticism.measurements import Measurement
+from adr_service.errors import InvalidInput
+from adr_service.parameters import ParameterSpace
+from adr_service.simulation.mechanisms import (
+    Cause,
+    Commands,
+    element_of,
+    get_mechanism,
+    is_added,
+    with_causes,
+)
+from adr_service.simulation.model import link_of, read, resolve, write
+from adr_service.tasks.base import Reshapable, Source, Task
+
+_CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
+_Inferred = mujoco.mjtInertiaFromGeom
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """A simulator that may be wrong: a model and its free parameters."""
+
+    xml: str
+    space: ParameterSpace  # what may be fitted before anything is called wrong
+    start: Vector  # (d,) where the fit begins [SI]
+    fixed: Mapping[str, float] = field(default_factory=dict[str, float])  # address -> value
+    task: Task | None = None  # whose links can be reshaped, where lengths are parameters
+
+    @classmethod
+    def of_task(cls, task: Task, source: Source) -> "Nominal":
+        """A task's simulator as its file has it; all of a source's parameters are free, but for
+        link lengths, which stay."""
+        free = [p.name for p in source.space.parameters if link_of(p.address) is None]
+        return cls.of_model(task.xml, source.space.subset(tuple(free)), source.fixed, task)
+
+    @classmethod
+    def of_model(
+        cls,
+        xml: str,
+        space: ParameterSpace,
+        fixed: Mapping[str, float] | None = None,
+        task: Task | None = None,
+    ) -> "Nominal":
+        """A model whose free parameters start at the values that its file has."""
+        whole = cls(xml, ParameterSpace(()), np.empty(0), fixed or {}, task)
+        model = whole.model(whole.start)
+        start = [read(model, resolve(model, p.address)) for p in space.parameters]
+        return cls(xml, space, np.array(start), fixed or {}, task)
+
+    def model(self, values: Vector, causes: Sequence[Cause] = ()) -> mujoco.MjModel:
+        """The compiled model with parameters (d,) and causes."""
+        return with_causes(self.spec(values), lambda model: self.write(model, values), causes)
+
+    def spec(self, values: Vector) -> mujoco.MjSpec:
+        """The model's source, reshaped where lengths are parameters."""
+        try:
+            spec = mujoco.MjSpec.from_string(self.xml)
+        except ValueError as error:
+            raise InvalidInput(f"MuJoCo cannot read the model: {error}") from error
+        for kind in ("bodies", "joints", "geoms", "actuators"):
+            for number, element in enumerate(getattr(spec, kind)):
+                element.name = element.name or f"unnamed_{number}"  # a cause needs a place
+        inferred = spec.compiler.inertiafromgeom == _Inferred.mjINERTIAFROMGEOM_TRUE
+        spec.compiler.inertiafromgeom = _Inferred.mjINERTIAFROMGEOM_AUTO
+        for body in spec.bodies[1:]:
+            body.simple = False  # such bodies keep their centre of mass where it is
+            if inferred or not body.explicitinertial:
+                body.explicitinertial = False
+                spec.adopt_inertial(body)  # so that a cause may change it
+        spec.compiler.inertiafromgeom = _Inferred.mjINERTIAFROMGEOM_FALSE
+        known = self.addressed(values)
+        lengths = {link: value for a, value in known.items() if (link := link_of(a)) is not None}
+        if lengths:
+            assert isinstance(self.task, Reshapable)
+            self.task.reshape(spec, lengths)
+        return spec
+
+    def addressed(self, values: Vector) -> dict[str, float]:
+        """All values that the simulator takes, by address."""
+        addresses = [parameter.address for parameter in self.space.parameters]
+        return {**self.fixed, **dict(zip(addresses, values.tolist(), strict=True))}
+
+    def write(self, model: mujoco.MjModel, values: Vector) -> None:
+        """Put parameters (d,) into a compiled model."""
+        for address, value in self.addressed(values).items():
+            if link_of(address) is None:
+                write(model, resolve(model, address), value)
+
+
+class Simulator:
+    """Predicts all transitions of one measurement, under any parameters and causes."""
+
+    def __init__(self, nominal: Nominal, data: Measurement, threads: int | None = None):
+        self.nominal, self.data = nominal, data
+        self.base = nominal.model(nominal.start)
+        _check(self.base, data)
+        self.period = data.period()
+        self.steps = _steps(self.period, self.base.opt.timestep)
+        self.starts: Indices = np.flatnonzero(np.diff(data.episode) == 0)  # (N,) of transitions
+        self.measured = np.concatenate([data.qpos, data.qvel], axis=1)  # (rows, 2 nv)
+        self._pool = rollout.Rollout(nthread=_threads(threads))
+        self._scratch = [mujoco.MjData(self.base) for _ in range(max(1, _threads(threads)))]
+
+    def __enter__(self) -> "Simulator":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Ends its threads; it predicts nothing more."""
+        self._pool.close()
+
+    def predict(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
+        """Measured states (N, 2 nv) one control step after `states` (rows, 2 nv).
+
+        NaN where the simulation diverged.
+        """
+        return self._predict(values, causes, states, self.nominal.model(values, causes))
+
+    def predict_finer(
+        self,
+        values: Vector,
+        causes: Sequence[Cause],
+        states: Matrix,
+        finer: int,
+        another: bool = False,
+    ) -> Matrix:
+        """`predict` with a simulator's step `finer` times smaller, and maybe another integrator."""
+        model = self.nominal.model(values, causes)
+        model.opt.timestep /= finer
+        if another:
+            model.opt.integrator = other_integrator(model.opt.integrator)
+        return self._predict(values, causes, states, model, finer=finer)
+
+    def predict_free(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
+        """`predict` without contacts and joint limits."""
+        model = self.nominal.model(values, causes)
+        bits = mujoco.mjtDisableBit
+        model.opt.disableflags |= bits.mjDSBL_CONTACT | bits.mjDSBL_LIMIT
+        return self._predict(values, causes, states, model)
+
+    def predict_pushed(
+        self, values: Vector, causes: Sequence[Cause], states: Matrix, dof: int, force: float
+    ) -> Matrix:
+        """`predict` with a constant generalised force [N or N m] on one degree of freedom."""
+        model = self.nominal.model(values, causes)
+        return self._predict(values, causes, states, model, push=(dof, force))
+
+    def predict_commanded(
+        self, values: Vector, causes: Sequence[Cause], states: Matrix, actuator: int, more: float
+    ) -> Matrix:
+        """`predict` with more told to one actuator than was."""
+        model = self.nominal.model(values, causes)
+        return self._predict(values, causes, states, model, command=(actuator, more))
+
+    def _predict(
+        self,
+        values: Vector,
+        causes: Sequence[Cause],
+        states: Matrix,
+        model: mujoco.MjModel,
+        finer: int = 1,
+        push: tuple[int, float] = (0, 0.0),
+        command: tuple[int, float] = (0, 0.0),
+    ) -> Matrix:
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must show
+        steps, n = self.steps * finer, len(self.starts)
+        nq, nv = model.nq, model.nv
+        told = self.told(causes)
+        full = np.zeros((n, 1 + nq + nv))
+        full[:, 1:] = self._true(values, causes, states)[self.starts]
+        control = np.zeros((n, steps, model.nu + nv))
+        control[..., : told.shape[2]] = np.repeat(told, finer, axis=1)
+        control[..., command[0]] += command[1]
+        control[..., model.nu + push[0]] = push[1]
+        with _quiet():
+            after, _ = self._pool.rollout(
+                model, self._data(model), full, control, control_spec=int(_CONTROL)
+            )
+        ends = after[:, -1, 1:].copy()
+        ends[~np.all(np.abs(ends) < mujoco.mjMAXVAL, axis=1)] = np.nan
+        return self._shown(causes, full[:, 1:], ends)
+
+    def _data(self, model: mujoco.MjModel) -> list[mujoco.MjData]:
+        if (model.nu, model.nsite) == (self.base.nu, self.base.nsite):
+            return self._scratch
+        return [mujoco.MjData(model) for _ in self._scratch]
+
+    def told(self, causes: Sequence[Cause]) -> Array3:
+        """(N, steps, nu) what the actuators obey in each simulator step."""
+        told = np.repeat(self.data.ctrl[self.starts][:, None], self.steps, axis=1)
+        for cause in causes:
+            mechanism = get_mechanism(cause.kind)
+            if mechanism.command is None:
+                continue
+            actuator = element_of(self.base, cause.location)
+            limited = bool(self.base.actuator_ctrllimited[actuator])
+            bounds = self.base.actuator_ctrlrange[actuator]
+            for first, last in self._transitions():
+                known = told[first:last, :, actuator].reshape(1, -1)
+                known = np.clip(known, *bounds) if limited else known
+                largest = float(np.abs(bounds).max()) if limited else np.inf
+                commands = Commands(known, self.base.opt.timestep, largest)
+                done = mechanism.command(commands, actuator, np.array(cause.values))
+                told[first:last, :, actuator] = done.reshape(last - first, self.steps)
+        return told
+
+    def _transitions(self) -> list[tuple[int, int]]:
+        """Half-open ranges of each episode's transitions among `starts`."""
+        lengths = [last - first - 1 for first, last in self.data.spans()]
+        ends = np.cumsum(lengths).tolist()
+        return [(end - length, end) for end, length in zip(ends, lengths, strict=True) if length]
+
+    def _true(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
+        """The robot's states (rows, 2 nv) behind what its sensors show."""
+        felt = [cause for cause in causes if get_mechanism(cause.kind).sense is not None]
+        if not felt:
+            return states
+        true, slope = states.copy(), self.slope(values, causes, states)
+        for cause in reversed(felt):
+            column, added = self.felt(cause, states, slope)
+            true[:, column] -= added
+        return true
+
+    def _shown(self, causes: Sequence[Cause], before: Matrix, after: Matrix) -> Matrix:
+        """What sensors show after a control step, from true states before and after it."""
+        shown = after.copy()
+        for cause in causes:
+            if get_mechanism(cause.kind).sense is not None:
+                column, added = self.felt(cause, after, (after - before) / self.period)
+                shown[:, column] += added
+        return shown
+
+    def felt(self, cause: Cause, states: Matrix, slope: Matrix) -> tuple[int, Vector]:
+        """What a sensor adds to states (n, 2 nv) that change by `slope` [1/s], and its column."""
+        place, size = element_of(self.base, cause.location), cause.values[0]
+        match get_mechanism(cause.kind).sense:
+            case "bias":
+                return place, np.full(len(states), size)
+            case "scale":
+                return place, size * states[:, place]
+            case "delay":
+                return place, -size * slope[:, place]
+            case "backlash":  # of a joint, in its position
+                column = int(self.base.jnt_dofadr[place])
+                return column, -size / 2 * np.sign(states[:, self.base.nv + column])
+            case None:
+                raise InvalidInput(f"{cause.kind} is not in a sensor")
+
+    def slope(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
+        """(rows, 2 nv) rate of change since the row before; of first rows, as after them.
+
+        Simulated: the measured one would tell the simulator what it is to predict.
+        """
+        others = [cause for cause in causes if get_mechanism(cause.kind).sense is None]
+        ends = self.predict(values, others, states)
+        slope = np.zeros_like(states)
+        slope[self.starts + 1] = (np.nan_to_num(ends) - states[self.starts]) / self.period
+        first = np.array([first for first, last in self.data.spans() if last > first + 1])
+        slope[first] = slope[first + 1]
+        return slope
+
+
+def other_integrator(integrator: int) -> int:
+    """One of another kind: implicit, or where that is it, of fourth order."""
+    kinds = mujoco.mjtIntegrator
+    implicit = kinds.mjINT_IMPLICITFAST
+    return int(kinds.mjINT_RK4 if integrator == implicit else implicit)
+
+
+@contextmanager
+def _quiet() -> Generator[None]:
+    """Without MuJoCo's warnings of divergence, on the terminal and in a file: we see it as NaN."""
+    mujoco.set_mju_user_warning(lambda text: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(None)
+
+
+def _check(model: mujoco.MjModel, data: Measurement) -> None:
+    if model.nq != model.nv:
+        raise InvalidInput(
+            f"the model has {model.nq} positions for {model.nv} velocities: free and ball joints "
+            "cannot be criticised yet; accepted are slides and hinges"
+        )
+    if model.na:
+        raise InvalidInput(
+            f"the model has {model.na} actuator states, which nobody measured; accepted are "
+            "actuators without dynamics (a lag is among the causes)"
+        )
+    commanded = [i for i in range(model.nu) if not is_added(model.actuator(i).name)]
+    widths = {"qpos": model.nq, "qvel": model.nv, "ctrl": len(commanded)}
+    for name, width in widths.items():
+        if (given := getattr(data, name).shape[1]) != width:
+            raise InvalidInput(f"{name} has {given} columns; the model has {width}")
+
+
+def _steps(period: float, timestep: float) -> int:
+    steps = period / timestep
+    if round(steps) < 1 or abs(steps - round(steps)) > 0.02:
+        raise InvalidInput(
+            f"rows are {period:g} s apart, which is no multiple of the model's step of "
+            f"{timestep:g} s"
+        )
+    return round(steps)
+
+
+def _threads(asked: int | None) -> int:
+    cores = len(os.sched_getaffinity(0)) if asked is None else asked
+    return 0 if cores == 1 else cores

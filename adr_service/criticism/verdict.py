@@ -1,0 +1,119 @@
+"""What a criticism found: causes with their evidence, or none, or that none of ours explains it.
+
+`Verdict.to_json` is the file `verdict.json`, version 1.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from adr_service.simulation.mechanisms import get_mechanism
+
+VERSION = 1
+Finding = Literal["cause", "none", "unknown", "tie"]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A strength with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+    def to_json(self) -> dict[str, Any]:
+        return {"value": self.value, "low": self.low, "high": self.high, "unit": self.unit}
+
+
+@dataclass(frozen=True)
+class NamedCause:
+    """An effect that the simulator lacks, at its place."""
+
+    kind: str
+    location: str
+    strengths: tuple[Estimate, ...]  # in the mechanism's order
+    confidence: float  # probability, among everything that was asked
+    gain: float  # nats by which episodes are predicted better that no fit has seen
+
+    def to_json(self) -> dict[str, Any]:
+        names = [strength.name for strength in get_mechanism(self.kind).strengths]
+        found = [estimate.to_json() for estimate in self.strengths]
+        return {
+            "kind": self.kind,
+            "location": self.location,
+            "parameters": dict(zip(names, found, strict=True)),
+            "confidence": self.confidence,
+            "gain_nats": self.gain,
+        }
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What is left when all is said."""
+
+    noise: tuple[float, ...]  # standard deviation of each sensor, in its unit
+    unexplained_nats: float  # what a flexible force would still gain
+    moved: dict[str, tuple[float, float]]  # parameter -> fitted without and with the causes
+    detectable: dict[str, float]  # "kind location" -> smallest strength that would have been seen
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "sensor_noise": list(self.noise),
+            "unexplained_nats": self.unexplained_nats,
+            "parameters": {
+                name: {"without": before, "with": after}
+                for name, (before, after) in self.moved.items()
+            },
+            "detectable": self.detectable,
+        }
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What the causes are worth on episodes that were opened once, at the end."""
+
+    sse_removed: float  # share of the squared one-step error, columns in units of their noise
+    low: float  # 95 % bootstrap over episodes
+    high: float
+    explainable_fraction: float  # of the squared error beyond the sensors' noise
+    horizons: dict[int, tuple[float, float]]  # control steps -> error without and with
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "sse_removed": self.sse_removed,
+            "low": self.low,
+            "high": self.high,
+            "explainable_fraction": self.explainable_fraction,
+            "error_by_horizon": {
+                str(steps): {"without": before, "with": after}
+                for steps, (before, after) in self.horizons.items()
+            },
+        }
+
+
+@dataclass(frozen=True)
+class Verdict:
+    finding: Finding
+    confidence: float
+    causes: tuple[NamedCause, ...]
+    tied: tuple[tuple[NamedCause, ...], ...]  # what would explain a cause as well, cause by cause
+    residual: Residual
+    gain: Gain | None  # None: nothing was named
+    seconds: float
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "version": VERSION,
+            "verdict": self.finding,
+            "confidence": self.confidence,
+            "causes": _all(self.causes),
+            "tied": [_all(group) for group in self.tied],
+            "residual": self.residual.to_json(),
+            "gain": None if self.gain is None else self.gain.to_json(),
+            "seconds": self.seconds,
+        }
+
+
+def _all(causes: Sequence[NamedCause]) -> list[dict[str, Any]]:
+    return [cause.to_json() for cause in causes]

@@ -1,0 +1,77 @@
+"""How much better any force on the joints could predict, whatever its cause.
+
+A ridge regression of the whitened residuals on generalised forces that are smooth or kinked
+functions of a joint's position and velocity, of all commands, and of time. Where it predicts
+episodes that it has not seen better than the best cause does, that cause is not the whole story.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from adr_service.arrays import Matrix, Vector
+from adr_service.criticism.evidence import Fit, Linear, Normal
+from adr_service.criticism.noise import Whitener, estimate
+
+_RIDGES = (0.01, 0.1, 1.0)  # prior precisions, relative to what all data say of a coefficient
+_ROUNDS = 10  # of the noise
+
+
+def flexible_gains(fit: Fit, sensor: Vector) -> Vector:
+    """(E,) nats by episode left out: the best ridge over no force at all."""
+    base = fit.linear.columns.shape[3]
+    columns = np.concatenate([fit.linear.columns, _forces(fit)], axis=3)
+    linear = replace(fit.linear, columns=columns)
+    normal = Normal.of(Whitener.of(linear.chain, fit.noise), linear)
+    penalties = [ridge * _precision(normal, base) for ridge in _RIDGES]
+    penalty = max(penalties, key=lambda penalty: normal.left_out(penalty).sum())
+    with_force = _judged(fit, linear, penalty, sensor).left_out(penalty)
+    return with_force - _judged(fit, fit.linear, 0.0, sensor).left_out()
+
+
+def _judged(fit: Fit, linear: Linear, penalty: Vector | float, sensor: Vector) -> Normal:
+    """Normal equations under the noise of what a ridge leaves."""
+    change, _ = Normal.of(Whitener.of(linear.chain, fit.noise), linear).change(penalty)
+    left = linear.residual - linear.columns @ change
+    noise = estimate(linear.chain, left, fit.noise, _ROUNDS, ~np.isnan(sensor))
+    return Normal.of(Whitener.of(linear.chain, noise), linear)
+
+
+def _precision(normal: Normal, base: int) -> Vector:
+    """(p,) what the data say of each coefficient; nothing for the first `base`."""
+    diagonal = np.diagonal(normal.information.sum(axis=0)).copy()
+    diagonal[:base] = 0.0
+    return diagonal
+
+
+def _forces(fit: Fit) -> np.ndarray:
+    """(E, T, m, k) effects of each force on each degree of freedom."""
+    simulator, nv = fit.simulator, fit.simulator.base.nv
+    predicted = simulator.predict(fit.parameters, fit.causes, fit.states)
+    sizes = 0.01 * simulator.base.dof_M0 / simulator.period
+    effects: list[Matrix] = []
+    for dof, size in enumerate(sizes.tolist()):
+        pushed = simulator.predict_pushed(fit.parameters, fit.causes, fit.states, dof, size)
+        response = (pushed - predicted) / size  # (N, m)
+        effects.append(response[:, :, None] * _features(fit, dof)[:, None, :])
+    folded = fit.layout.fold(np.nan_to_num(np.concatenate(effects, axis=2)))
+    folded[~fit.linear.chain.mask] = 0.0
+    assert len(effects) == nv
+    return folded
+
+
+def _features(fit: Fit, dof: int) -> Matrix:
+    """(N, k) what a force on a degree of freedom may depend on."""
+    simulator = fit.simulator
+    starts, nv = simulator.starts, simulator.base.nv
+    q, v = fit.states[starts, dof], fit.states[starts, nv + dof]
+    slow = 0.1 * max(float(v.std()), 1e-6)
+    told = simulator.data.ctrl[starts]
+    first = np.diff(simulator.data.episode[starts], prepend=-1) != 0
+    before = np.where(first[:, None], 0.0, np.roll(told, 1, axis=0))
+    time = np.linspace(-1.0, 1.0, len(starts))
+    own = [np.ones_like(q), q, v, np.tanh(v / slow), v * np.abs(v), np.maximum(v, 0.0)]
+    waves = [f(k * q) for k in (1, 2, 4, 8) for f in (np.sin, np.cos)]
+    mixed = [*(told * v[:, None]).T, *(told * time[:, None]).T, *np.abs(told).T]
+    kinked = [np.tanh(v / slow) * np.sin(q), np.tanh(v / slow) * np.cos(q), time]
+    return np.stack([*own, *waves, *kinked, *told.T, *before.T, *mixed], axis=1)

@@ -1,0 +1,159 @@
+"""Blind test of criticism: effects hidden in measurements, and whether they are named.
+
+    python benchmarks/criticism.py [cases, 320] [tasks, arm,hopper,half_cheetah,walker2d] [seed, 1]
+
+Of the cases 20 % hide nothing, 15 % an effect outside the catalogue, 5 % two effects, the rest one,
+at effect-to-noise ratios .03, .1, .3 and 1. Every measurement has 30 episodes of 75 control steps.
+As many processes at once as there are cores, each with one thread (set OMP_NUM_THREADS=1). Writes
+build/bench/criticism.json.
+"""
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from adr_service.criticism.blind import Case, draw_case
+from adr_service.criticism.pipeline import criticise
+from adr_service.criticism.simulator import Nominal
+from adr_service.errors import AdrError
+from adr_service.tasks.catalogue import get_task, source_of
+
+FOLDER = Path("build/bench")
+RATIOS = (0.03, 0.1, 0.3, 1.0)
+_MOST_TIED = 3
+
+
+def one(job: tuple[int, str, int]) -> dict[str, Any]:
+    """A case, diagnosed; what was hidden and what was found."""
+    number, name, seed = job
+
+    rng = np.random.default_rng([seed, number])
+    task = get_task(name)
+    nominal = Nominal.of_task(task, source_of(name, "vanilla"))
+    kind = rng.choice(["none", "outside", "two", "one"], p=[0.20, 0.15, 0.05, 0.60])
+    ratio = float(rng.choice(RATIOS)) if kind != "none" else 0.0
+    case: Case | None = None
+    while case is None:
+        try:
+            count = {"one": 1, "two": 2}.get(kind, 0)
+            case = draw_case(task, nominal, rng, ratio, count, kind == "outside")
+        except AdrError:
+            continue
+    started = time.perf_counter()
+    found = criticise(case.nominal, case.measurement, rng, threads=1)
+    seconds = time.perf_counter() - started
+    verdict = found.verdict.to_json()
+    detectable = verdict["residual"].pop("detectable")
+    return {
+        "number": number,
+        "task": name,
+        "hidden": kind,
+        "ratio": ratio,
+        "causes": [[c.kind, c.location, c.values] for c in case.causes],
+        "outside": case.outside,
+        "verdict": verdict,
+        "detectable": [detectable.get(f"{c.kind} {c.location}") for c in case.causes],
+        "ranking": [[c.cause.kind, c.cause.location, c.gain] for c in found.candidates[:6]],
+        "seconds": seconds,
+    }
+
+
+def is_named(case: dict[str, Any]) -> bool:
+    """Whether the first hidden cause is the first that was named, or in its tie of at most 3."""
+    verdict = case["verdict"]
+    if not verdict["causes"]:
+        return False
+    hidden = [tuple(c[:2]) for c in case["causes"]]
+    for cause, tied in zip(verdict["causes"], verdict["tied"], strict=True):
+        group = [(c["kind"], c["location"]) for c in [cause, *tied]]
+        if not set(hidden) & set(group) or len(group) > _MOST_TIED:
+            return False
+    return True
+
+
+def share(cases: Sequence[dict[str, Any]], right: Callable[[dict[str, Any]], bool]) -> str:
+    count = sum(map(right, cases))
+    if not cases:
+        return "no cases"
+    interval = stats.binomtest(count, len(cases)).proportion_ci(0.95)
+    reach = f"[{interval.low:.0%}, {interval.high:.0%}]"
+    return f"{count} of {len(cases)} = {count / len(cases):.0%} {reach}"
+
+
+def errors_of(cases: Sequence[dict[str, Any]]) -> tuple[list[float], list[bool]]:
+    """Relative errors of the first strength, and whether its interval covers the truth."""
+    errors, covered = [], []
+    for case in cases:
+        first = case["verdict"]["causes"][0]
+        for kind, location, values in case["causes"]:
+            if (first["kind"], first["location"]) == (kind, location):
+                found = next(iter(first["parameters"].values()))
+                errors.append(abs(found["value"] / values[0] - 1))
+                covered.append(found["low"] <= values[0] <= found["high"])
+    return errors, covered
+
+
+def table(cases: Sequence[dict[str, Any]]) -> str:
+    lines: list[str] = []
+    singles = [c for c in cases if c["hidden"] == "one"]
+    for ratio in RATIOS:
+        chosen = [c for c in singles if c["ratio"] == ratio]
+        lines.append(f"one cause, ratio {ratio:g}: named {share(chosen, is_named)}")
+    nulls = [c for c in cases if c["hidden"] == "none"]
+    alarm = lambda c: c["verdict"]["verdict"] != "none"  # noqa: E731
+    lines.append(f"nothing hidden: false alarms {share(nulls, alarm)}")
+    unknown = lambda c: c["verdict"]["verdict"] == "unknown"  # noqa: E731
+    for ratio in RATIOS:
+        chosen = [c for c in cases if c["hidden"] == "outside" and c["ratio"] == ratio]
+        lines.append(f"outside, ratio {ratio:g}: called unknown {share(chosen, unknown)}")
+    known = [c for c in cases if c["hidden"] in ("one", "two", "none")]
+    lines.append(f"false unknown: {share(known, unknown)}")
+    pairs = [c for c in cases if c["hidden"] == "two"]
+    lines.append(f"two causes: all that was named is true {share(pairs, is_named)}")
+    right = [c for c in singles if is_named(c)]
+    errors, covered = errors_of(right)
+    if errors:
+        lines.append(
+            f"strength: median relative error {np.median(errors):.1%}; 95 % intervals cover "
+            f"{np.mean(covered):.0%} of {len(covered)}"
+        )
+    lines.append(
+        f"seconds per case on one core: median {np.median([c['seconds'] for c in cases]):.1f}"
+    )
+    return "\n".join(lines)
+
+
+def main(
+    cases: str = "320", tasks: str = "arm,hopper,half_cheetah,walker2d", seed: str = "1"
+) -> None:
+    names = tasks.split(",")
+    jobs = [(number, names[number % len(names)], int(seed)) for number in range(int(cases))]
+    found: list[dict[str, Any]] = []
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        for case in pool.map(one, jobs):
+            found.append(case)
+            first = case["verdict"]["causes"][:1]
+            said = [f"{c['kind']} {c['location']}" for c in first] or [case["verdict"]["verdict"]]
+            tied = len(case["verdict"]["tied"][0]) if first else 0
+            hidden = [f"{k} {p}" for k, p, _ in case["causes"]] or [case["outside"] or "nothing"]
+            good = is_named(case) if case["causes"] else ""
+            print(
+                f"{case['number']:4d} {case['task']:12s} {case['ratio']:4g} {'+'.join(hidden):50s} "
+                f"-> {said[0]} (+{tied}) {good} {case['seconds']:.0f} s",
+                flush=True,
+            )
+            (FOLDER / "criticism.json").write_text(json.dumps({"cases": found}, indent=1))
+    print(table(found))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
