@@ -332,9 +332,9 @@ def criticise(
     data: Annotated[Path, typer.Option(help="The measurement, an .npz; see docs/criticism.md.")],
     out: Annotated[Path, typer.Option(help="Folder for verdict, report and extended model.")],
     task: Annotated[str | None, typer.Option(help="A task's simulator: arm, hopper, …")] = None,
-    variant: Annotated[str, typer.Option(help="Of the task: what its simulator has wrong.")] = (
-        "vanilla"
-    ),
+    variant: Annotated[
+        str | None, typer.Option(help="Of the task, what its simulator has wrong: vanilla, …")
+    ] = None,
     model: Annotated[Path | None, typer.Option(help="Or your own MJCF, a file you trust.")] = None,
     free: Annotated[
         list[str] | None,

@@ -3,10 +3,12 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import mujoco
 import numpy as np
 
-from adr_service.criticism.extension import Extension
+from adr_service.criticism.extension import Extension, written_out
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.pipeline import Criticism, criticise
 from adr_service.criticism.report import report_page
@@ -18,7 +20,7 @@ from adr_service.tasks.catalogue import get_task, source_of
 
 
 def nominal_of(
-    task: str | None, variant: str, model: Path | None, free: Sequence[str]
+    task: str | None, variant: str | None, model: Path | None, free: Sequence[str]
 ) -> tuple[Nominal, str]:
     """What is criticised, and its name. Raises InvalidInput where it is not one thing."""
     if (task is None) == (model is None):
@@ -26,14 +28,20 @@ def nominal_of(
     if task is not None:
         if free:
             raise InvalidInput("--free goes with --model; a task has its own parameters")
-        return Nominal.of_task(get_task(task), source_of(task, variant)), f"{task}, {variant}"
+        chosen = variant or "vanilla"
+        return Nominal.of_task(get_task(task), source_of(task, chosen)), f"{task}, {chosen}"
+    if variant is not None:
+        raise InvalidInput("--variant goes with --task")
     assert model is not None
-    try:
-        xml = model.read_text()
-    except OSError as error:
-        raise InvalidInput(f"{model} cannot be read: {error}") from error
     space = ParameterSpace(tuple(_parameter(text) for text in free))
-    return Nominal.of_model(xml, space), model.name
+    if not model.is_file():
+        raise InvalidInput(f"{model} cannot be read: it is no file")
+    try:
+        files: Any = mujoco.MjSpec  # whose stub lacks `from_file`
+        xml = written_out(files.from_file(str(model)))  # with everything that it includes
+    except ValueError as error:
+        raise InvalidInput(f"MuJoCo cannot read {model}: {error}") from error
+    return Nominal.of_model(xml, space, folder=str(model.parent.absolute())), model.name
 
 
 def _parameter(text: str) -> Parameter:
@@ -61,12 +69,16 @@ def criticise_files(
     out.mkdir(parents=True, exist_ok=True)
     (out / "verdict.json").write_text(json.dumps(found.verdict.to_json(), indent=1))
     (out / "report.html").write_text(report_page(found, name))
-    if found.extension is not None:
-        write_extension(found.extension, out)
+    _write_extension(found.extension, out)
     return found
 
 
-def write_extension(extension: Extension, out: Path) -> None:
-    (out / "extended.xml").write_text(extension.xml)
-    if extension.causes:
-        (out / "extended.json").write_text(json.dumps(extension.sidecar, indent=1))
+def _write_extension(extension: Extension | None, out: Path) -> None:
+    """Its files, and none of an earlier verdict."""
+    model, beside = out / "extended.xml", out / "extended.json"
+    model.unlink(missing_ok=True)
+    beside.unlink(missing_ok=True)
+    if extension is not None:
+        model.write_text(extension.xml)
+        if extension.causes:
+            beside.write_text(json.dumps(extension.sidecar, indent=1))

@@ -67,7 +67,7 @@ def one(job: tuple[int, str, int]) -> dict[str, Any]:
 
 
 def is_named(case: dict[str, Any]) -> bool:
-    """Whether the first hidden cause is the first that was named, or in its tie of at most 3."""
+    """Whether something was named, and all of it is hidden there, or tied (3 at most) with it."""
     verdict = case["verdict"]
     if not verdict["causes"]:
         return False

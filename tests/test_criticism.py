@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from adr_service.criticism.blind import draw_case
+from adr_service.criticism.blind import draw_case, hide
 from adr_service.criticism.decision import THRESHOLD, decide, is_unknown
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.simulator import Nominal, Simulator
 from adr_service.errors import InvalidInput
+from adr_service.parameters import ParameterSpace
+from adr_service.simulation.mechanisms import Cause
 from adr_service.tasks.catalogue import get_task, source_of
 from api.cli import app
 
@@ -141,7 +143,6 @@ class TestBadInput:
             ("time", lambda a: np.where(np.arange(len(a)) == 7, a - 0.1, a), "from row 6 to 7"),
             ("time", lambda a: 1.3 * a, "no multiple of the model's step of 0.01"),
             ("ctrl", lambda a: a[:, :1], "ctrl has 1 columns; the model has 2"),
-            ("episode", lambda a: 0 * a, "in 1 episodes are too few"),
         ],
     )
     def test_measurements_that_no_simulation_can_follow(self, good, name, change, message):
@@ -149,10 +150,67 @@ class TestBadInput:
         with pytest.raises(InvalidInput, match=message):
             Simulator(arm()[1], measurement)
 
-    def test_a_model_that_is_none(self, good):
-        nominal = Nominal("<mujoco><nonsense/></mujoco>", arm()[1].space, arm()[1].start)
-        with pytest.raises(InvalidInput, match="MuJoCo cannot read the model"):
-            Simulator(nominal, Measurement(**good))
+    @pytest.mark.parametrize(
+        ("xml", "message"),
+        [
+            ("<mujoco><nonsense/></mujoco>", "MuJoCo cannot read the model"),
+            (
+                '<mujoco><worldbody><body><joint type="slide"/></body></worldbody></mujoco>',
+                "compile",
+            ),
+            (
+                '<mujoco><compiler settotalmass="2"/><worldbody><body><joint type="slide"/>'
+                '<geom size="1"/></body></worldbody></mujoco>',
+                "settotalmass",
+            ),
+            (
+                '<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>',
+                "free and ball joints",
+            ),
+        ],
+    )
+    def test_models_that_cannot_be_criticised(self, good, xml, message):
+        with pytest.raises(InvalidInput, match=message):
+            Simulator(Nominal.of_model(xml, ParameterSpace(())), Measurement(**good))
+
+    def test_too_little_data(self, good):
+        measurement = Measurement(**good).episodes(range(7))
+        with pytest.raises(InvalidInput, match="in 7 episodes are too few"):
+            criticise(arm()[1], measurement, np.random.default_rng(0))
+
+    def test_an_episode_of_one_row(self, good):
+        ids = good["episode"].copy()
+        ids[-1] += 1
+        with pytest.raises(InvalidInput, match="the episode at row 2279 has a single row"):
+            Measurement(**{**good, "episode": ids})
+
+    def test_a_simulation_that_diverges(self, good):
+        wild = Measurement(**{**good, "qvel": 1e12 * good["qvel"]})
+        with pytest.raises(InvalidInput, match="the simulation diverges from"):
+            criticise(arm()[1], wild, np.random.default_rng(0), threads=1)
+
+
+def test_the_least_that_is_accepted_is_enough(good):
+    """Eight episodes, of which two are sealed."""
+    data = case(100).measurement.episodes(range(8))
+    found = criticise(arm()[1], data, np.random.default_rng(0), threads=1)
+    assert found.verdict.gain is not None
+    assert found.verdict.residual.used == 6 * 75
+
+
+def test_a_second_cause_is_found_beside_the_first():
+    hidden = [
+        Cause("joint_coulomb_friction", "joint:elbow", (0.05,)),
+        Cause("joint_spring", "joint:shoulder", (0.5,)),
+    ]
+    task, nominal = arm()
+    data = hide(task, nominal, np.random.default_rng(400), hidden)
+    found = criticise(nominal, data, np.random.default_rng(0), threads=1).verdict
+    assert found.finding == "cause"
+    assert len(found.causes) == 2
+    for cause in hidden:
+        (named,) = (n for n in found.causes if (n.kind, n.location) == (cause.kind, cause.location))
+        assert named.strengths[0].value == pytest.approx(cause.values[0], rel=0.05)
 
 
 class TestCommandLine:

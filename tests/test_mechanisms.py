@@ -9,6 +9,7 @@ from adr_service.criticism.extension import extend
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Nominal, Simulator
 from adr_service.errors import UnknownName
+from adr_service.parameters import ParameterSpace
 from adr_service.simulation.mechanisms import (
     MECHANISMS,
     Cause,
@@ -117,7 +118,65 @@ def test_a_payload_is_a_point_mass_at_the_end_of_its_body():
     assert after.body("fore").mass[0] - before.body("fore").mass[0] == pytest.approx(0.2)
 
 
-def test_a_case_is_as_strong_as_asked_for_and_the_same_for_the_same_generator():
+def brakes(default):
+    """A slide with these defaults of actuators, that starts at 1 m/s and at -1 m/s."""
+    xml = f"""
+    <mujoco><default><general {default}/></default>
+    <worldbody><body name="cart"><joint name="x" type="slide" axis="1 0 0"/>
+    <geom size=".1" mass="2"/></body></worldbody>
+    <actuator><general name="push" joint="x" gear="3" dyntype="none"/></actuator></mujoco>"""
+    rows = np.arange(120)
+    data = Measurement(
+        time=0.002 * rows,
+        qpos=np.zeros((120, 1)),
+        qvel=np.where(rows % 2, 1.0, -1.0)[:, None],
+        ctrl=np.zeros((120, 1)),
+        episode=rows // 12,
+    )
+    return Simulator(Nominal.of_model(xml, ParameterSpace(())), data, threads=1)
+
+
+@pytest.mark.parametrize("default", ["", 'gear="50" dyntype="integrator" forcerange="-1 1"'])
+@pytest.mark.parametrize("damping", [4.0, -4.0])
+def test_a_brake_acts_one_way_whatever_the_defaults_are(default, damping):
+    """v(t) = v exp(-|d| t / m) for one sign of v; implicit Euler to first order."""
+    slide = brakes(default)
+    cause = Cause("joint_asymmetric_viscous_friction", "joint:x", (damping,))
+    after = slide.predict(np.empty(0), [cause], slide.measured)[:, 1]
+    before = slide.measured[slide.starts, 1]
+    braked = np.sign(before) == np.sign(damping)
+    np.testing.assert_array_equal(after[~braked], before[~braked])
+    np.testing.assert_allclose(after[braked], before[braked] * np.exp(-0.002 * 4 / 2), rtol=1e-4)
+
+
+def test_an_extended_model_can_be_criticised_again_and_a_zero_still_is_nothing():
+    slide = brakes("")
+    causes = [
+        Cause("joint_asymmetric_viscous_friction", "joint:x", (4.0,)),
+        Cause("external_force", "body:cart", (1.0, 0.0, 0.0)),
+    ]
+    extended = extend(slide.nominal, np.empty(0), causes).nominal()
+    again = Simulator(extended, slide.data, threads=1)
+    assert not [p for m in MECHANISMS.values() for p in m.locations(again.base) if "adr_" in p]
+    without = again.predict(np.empty(0), [], again.measured)
+    for cause in causes:
+        nothing = Cause(cause.kind, cause.location, (0.0,) * len(cause.values))
+        np.testing.assert_array_equal(
+            again.predict(np.empty(0), [nothing], again.measured), without
+        )
+
+
+def test_a_sensor_with_a_scale_shows_what_a_robot_without_it_does():
+    slide = brakes("")
+    cause = Cause("sensor_scale", "sensor:x.velocity", (0.2,))
+    shown = slide.measured * [1.0, 1.2]
+    found = slide.predict(np.empty(0), [cause], shown)
+    expected = slide.predict(np.empty(0), [], slide.measured)
+    np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-12)
+    np.testing.assert_allclose(found[:, 1], 1.2 * expected[:, 1], atol=1e-12)
+
+
+def test_a_case_is_the_same_for_the_same_generator_and_starts_off_the_truth():
     task = get_task("arm")
     nominal = Nominal.of_task(task, source_of("arm", "vanilla"))
     one, other = (draw_case(task, nominal, np.random.default_rng(5), 0.3) for _ in range(2))

@@ -1,6 +1,6 @@
 """Measurements that hide an effect, to see whether criticism finds it.
 
-    case = draw_case(nominal, start, rng, ratio=0.3)
+    case = draw_case(task, nominal, rng, ratio=0.3)
     case.measurement                    # all that the diagnosis may see, besides the nominal model
     case.causes                         # what it should say
 
@@ -10,6 +10,7 @@ noisy. The size of an effect is set by its ratio to the noise: root mean squares
 of what it changes in one control step and of what noise adds to a difference of two readings.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -21,7 +22,13 @@ from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Nominal, Simulator, other_integrator
 from adr_service.errors import InvalidInput
-from adr_service.simulation.mechanisms import MECHANISMS, Cause, element_of, get_mechanism
+from adr_service.simulation.mechanisms import (
+    MECHANISMS,
+    Cause,
+    Commands,
+    element_of,
+    get_mechanism,
+)
 from adr_service.tasks.base import Task
 
 EPISODES, STEPS = 30, 75
@@ -64,7 +71,7 @@ class _Force:
     other: int  # actuator
     size: float
 
-    def at(self, data: mujoco.MjData, seconds: float, gear: float, length: float) -> float:
+    def at(self, data: mujoco.MjData, seconds: float, length: float) -> float:
         """Generalised force [N or N m] at a moment of the whole recording."""
         position, velocity = data.qpos[self.dof], data.qvel[self.dof]
         match self.kind:
@@ -107,6 +114,13 @@ def draw_case(
             hidden.append(cause)
     measurement = robot.record(rng, hidden, force)
     return Case(wrong, measurement, tuple(hidden), force.kind if force else None, ratio, truth)
+
+
+def hide(
+    task: Task, nominal: Nominal, rng: np.random.Generator, causes: Sequence[Cause]
+) -> Measurement:
+    """What a robot's sensors show that has `nominal.start` for parameters, and these causes."""
+    return _Robot(task, nominal).record(rng, causes, None)
 
 
 @dataclass(frozen=True)
@@ -180,7 +194,7 @@ class _Robot:
         return _Force(kind, dof, actuator, other, ratio / (per_newton * shape))
 
     def record(
-        self, rng: np.random.Generator, causes: list[Cause], force: _Force | None
+        self, rng: np.random.Generator, causes: Sequence[Cause], force: _Force | None
     ) -> Measurement:
         """What the sensors of the robot show."""
         commands = np.stack([_commands(rng, self._task, STEPS + 1) for _ in range(EPISODES)])
@@ -244,7 +258,7 @@ class _Robot:
         self,
         rng: np.random.Generator,
         commands: Array3,
-        causes: list[Cause],
+        causes: Sequence[Cause],
         force: _Force | None,
     ) -> Array3:
         """True states (episodes, rows, 2 nv); raises InvalidInput where they diverge."""
@@ -272,8 +286,7 @@ class _Robot:
                         seconds = (episode * rows + row) * self._period + (
                             step % skip
                         ) * model.opt.timestep
-                        gear = float(model.actuator_gear[force.actuator, 0])
-                        data.qfrc_applied[force.dof] = force.at(data, seconds, gear, length)
+                        data.qfrc_applied[force.dof] = force.at(data, seconds, length)
                     mujoco.mj_step(model, data)
         if not np.all(np.abs(states) < 1e6):
             raise InvalidInput("the hidden robot diverged; draw another")
@@ -303,10 +316,8 @@ def _commands(rng: np.random.Generator, task: Task, rows: int) -> Matrix:
 
 
 def _obeyed(
-    model: mujoco.MjModel, commands: Array3, timestep: float, causes: list[Cause]
+    model: mujoco.MjModel, commands: Array3, timestep: float, causes: Sequence[Cause]
 ) -> Array3:
-    from adr_service.simulation.mechanisms import Commands
-
     told = commands.copy()
     for cause in causes:
         mechanism = get_mechanism(cause.kind)
@@ -319,7 +330,7 @@ def _obeyed(
 
 
 def _through_sensors(
-    model: mujoco.MjModel, states: Array3, causes: list[Cause], period: float
+    model: mujoco.MjModel, states: Array3, causes: Sequence[Cause], period: float
 ) -> Array3:
     """What sensors show of true states (episodes, rows, 2 nv), without noise."""
     shown = states.copy()

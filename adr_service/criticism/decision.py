@@ -32,7 +32,8 @@ def decide(gains: Matrix, rng: np.random.Generator) -> Decision:
     best = int(np.argmax(totals)) if len(totals) else -1
     if best < 0 or not is_evidence(gains[best]):
         return Decision((), confidence)
-    alike = [i for i in np.argsort(-totals).tolist() if not _beats(gains[best], gains[i])]
+    order = [i for i in np.argsort(-totals).tolist() if is_evidence(gains[i])]
+    alike = [i for i in order if not _beats(gains[best], gains[i])]
     return Decision(tuple(alike), confidence)
 
 

@@ -2,7 +2,7 @@
 
     baseline = fit(simulator, sensor, start)           # free parameters, noise, smoothed states
     found = scan(baseline, places(simulator))         # every (kind, location), linearised
-    refined = refine(baseline, [found[0].cause])      # nonlinear, with its own noise
+    refined = refine(baseline, [found[0].cause], sensor)      # nonlinear, with its own noise
 
 All fits are Gauss-Newton steps on whitened one-step residuals around smoothed states. A gain is
 the log-likelihood, in nats, of episodes that were left out one at a time from the fit, with the
@@ -19,9 +19,10 @@ import numpy as np
 from adr_service.arrays import Array3, Indices, Mask, Matrix, Vector
 from adr_service.criticism.noise import Chain, Noise, Whitener, at_start, estimate
 from adr_service.criticism.simulator import Simulator
+from adr_service.errors import InvalidInput
 from adr_service.simulation.mechanisms import MECHANISMS, Cause, element_of, get_mechanism
 
-FINER = 4  # how much smaller a step shows what numerical integration adds
+FINER = 3  # how much smaller a step shows what numerical integration adds
 # how much of what a finer step changes is really there, and of what another integrator changes at
 # that step: prior means and deviations. Nothing, where the data were simulated alike; 4/3 of the
 # first, where they are real and the integrator is of first order
@@ -30,6 +31,7 @@ INTEGRATION = len(_INTEGRATION)  # columns
 _DIFFERENCE = 1e-4  # of a parameter's range
 _TINY = 1e-5  # of a state's spread over the recording, where its uncertainty is not known yet
 _ABSORBED = 1e2  # how much less the data may say of a strength once parameters are fitted as well
+_SIMULATED = 0.5  # of all transitions, at least
 _TOUCHED = 1e-9  # what a contact or a limit changes at least, in units of that spread
 
 
@@ -236,12 +238,16 @@ def refine(fit: Fit, causes: Sequence[Cause], sensor: Vector, rounds: int = 4) -
     before = fit.simulator.predict(fit.parameters, fit.causes, fit.states)
     integration = slice(len(fit.parameters), len(fit.parameters) + INTEGRATION)
     best = _evaluated(fit, before, fit.parameters, tuple(causes), fit.noise, sensor)
+    if best is None:
+        return fit
     step = best.normal.change()[0]
     for _ in range(rounds - 1):
         parameters = _moved(fit.simulator, best.parameters, step)
         moved = _strengthened(best.causes, step[integration.stop :])
         tried = _evaluated(fit, before, parameters, moved, best.noise, sensor)
-        if tried.normal.settled(integration) > best.normal.settled(integration):
+        if tried is not None and tried.normal.settled(integration) > best.normal.settled(
+            integration
+        ):
             best, step = tried, tried.normal.change()[0]
         else:
             step = step / 2
@@ -255,10 +261,10 @@ def _evaluated(
     causes: tuple[Cause, ...],
     noise: Noise,
     sensor: Vector,
-) -> Fit:
+) -> Fit | None:
     """Another fit's states and sensitivities, with other parameters and causes.
 
-    `before` is what the other fit predicts.
+    `before` is what the other fit predicts. None: some transition diverges.
     """
     simulator, layout, count = fit.simulator, fit.layout, len(parameters)
     predicted = simulator.predict(parameters, causes, fit.states)
@@ -269,7 +275,8 @@ def _evaluated(
     ]
     moved = layout.fold(np.stack([predicted - before, *effects], axis=2))
     moved[~fit.linear.chain.mask] = 0.0
-    moved = np.nan_to_num(moved)
+    if not np.all(np.isfinite(moved)):
+        return None
     linear = Linear(
         fit.linear.chain,
         fit.linear.residual - moved[..., 0],
@@ -322,6 +329,12 @@ def _linearise(
     everything = np.concatenate([residual[..., None], transition, np.stack(columns, axis=2)], 2)
     folded = layout.fold(everything)
     mask = layout.mask & np.all(np.isfinite(folded), axis=(2, 3))
+    if mask.sum() < _SIMULATED * layout.mask.sum():
+        raise InvalidInput(
+            f"the simulation diverges from {int(layout.mask.sum() - mask.sum())} of "
+            f"{int(layout.mask.sum())} measured states within a control step; the model's timestep "
+            "may be too long, or its state is in other units than the measurement"
+        )
     folded[~mask] = 0.0
     chain = Chain(mask, folded[..., 1 : m + 1], layout.fold(stiff))
     return Linear(chain, folded[..., 0], folded[..., m + 1 :], len(parameters))
@@ -374,7 +387,7 @@ class _Scan:
         best = Candidate(Cause(kind, location, nothing), np.zeros(len(self._without)), unseen)
         base = self._simulator.base
         typical = np.array(mechanism.typical(base, element_of(base, location)))
-        for factor in (0.3, 1.0, 4.0) if mechanism.command else (1.0,):
+        for factor in mechanism.sizes:
             found = self._at(kind, location, factor * typical)
             if found is not None and (found.gain > best.gain or best.gain <= 0):
                 best = found if found.gain > 0 else replace(best, deviations=found.deviations)
@@ -384,7 +397,9 @@ class _Scan:
         """None where the data ask for a strength that makes no sense, or cannot tell."""
         effects = self._effects(kind, location, sizes)
         effects[~self._fit.linear.chain.mask] = 0.0
-        design = self._whitener.whiten(np.nan_to_num(effects))
+        if not np.all(np.isfinite(effects)):
+            return None
+        design = self._whitener.whiten(effects)
         own = products(design, design)
         cross = products(self._z[..., :-1], design)
         score = products(design, self._z[..., -1:])[..., 0]
@@ -393,13 +408,14 @@ class _Scan:
         count = len(sizes)
         variance, alone = np.diagonal(covariance)[-count:], np.diagonal(own.sum(axis=0))
         seen = (variance > 0) & (variance * alone < _ABSORBED)
-        if not seen[0]:
+        if not seen.any():
             return None
         deviations = np.where(seen, np.sqrt(np.abs(variance)) * np.abs(sizes), np.inf)
         strengths = np.where(seen, change[-count:] * sizes, 0.0)
         low = np.array([strength.low for strength in get_mechanism(kind).strengths])
         gains = normal.left_out() - self._without
-        if np.any(strengths < low):
+        has_sides = len(get_mechanism(kind).sizes) > 1  # and each size stands for its own
+        if np.any(strengths < low) or (has_sides and np.any(change[-count:] < 0)):
             strengths, gains = np.zeros(count), np.zeros(len(gains))
         return Candidate(Cause(kind, location, tuple(strengths.tolist())), gains, deviations)
 
@@ -442,9 +458,12 @@ class _Scan:
     @cache  # noqa: B019 - of a scan, which ends with it
     def _response(self, actuator: int) -> Matrix:
         """(N, m) what one unit of command adds."""
-        fit, size = self._fit, 0.01
-        told = (fit.parameters, fit.causes, fit.states)
-        return (self._simulator.predict_commanded(*told, actuator, size) - self._predicted) / size
+        fit, size = self._fit, 0.01 * self._simulator.reach(actuator)
+        known = (fit.parameters, fit.causes, fit.states)
+        without, more = (
+            self._simulator.predict_unclamped(*known, actuator, s) for s in (0.0, size)
+        )
+        return (more - without) / size
 
 
 def _derivatives(
@@ -488,12 +507,13 @@ def _strengthened(causes: tuple[Cause, ...], change: Vector) -> tuple[Cause, ...
 
 
 def _moved(simulator: Simulator, parameters: Vector, change: Vector) -> Vector:
-    """Parameters after a step; what must be positive is multiplied, by e² at most."""
-    low = simulator.nominal.space.feasible_low
+    """Parameters after a step, within their bounds; what is positive moves in proportion."""
+    space = simulator.nominal.space
+    low, high = space.feasible_low, np.maximum(space.high, parameters)
     step = change[: len(parameters)]
     positive = low > 0
     factor = np.exp(np.clip(step / np.where(positive, parameters, 1.0), -2.0, 2.0))
-    return np.maximum(np.where(positive, parameters * factor, parameters + step), low)
+    return np.clip(np.where(positive, parameters * factor, parameters + step), low, high)
 
 
 def _root(covariance: np.ndarray, tiny: Matrix) -> np.ndarray:

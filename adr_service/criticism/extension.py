@@ -45,10 +45,14 @@ def extend(nominal: Nominal, parameters: Vector, causes: Sequence[Cause]) -> Ext
     spec = nominal.spec(parameters)
     model = with_causes(spec, lambda model: nominal.write(model, parameters), causes)
     spec.copy_back(model)
-    with _all_digits():
-        xml = spec.to_xml()
     beside = [cause for cause in causes if get_mechanism(cause.kind).change is None]
-    return Extension(xml, tuple(beside))
+    return Extension(written_out(spec), tuple(beside))
+
+
+def written_out(spec: mujoco.MjSpec) -> str:
+    """MJCF with all digits of all numbers."""
+    with _all_digits():
+        return spec.to_xml()
 
 
 @contextmanager

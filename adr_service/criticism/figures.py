@@ -3,6 +3,7 @@
 import io
 
 import matplotlib as mpl
+import mujoco
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -66,13 +67,14 @@ def _residual(figure: Figure, criticism: Criticism) -> None:
     """The most affected velocity's error against what it may depend on, and the cause's share."""
     before, after = criticism.baseline, criticism.final
     dof = _most_changed(before, after)
-    error = _unexplained(before)[:, dof]
-    left = _unexplained(after)[:, dof]
-    share = error - left
+    both = after.linear.chain.mask[before.linear.chain.mask]
+    error = _unexplained(before)[both, dof]
+    share = error - _unexplained(after)[before.linear.chain.mask[after.linear.chain.mask], dof]
     axes = figure.subplots(1, 4, sharey=True)
     rng = np.random.default_rng(0)  # which points are drawn
     shown = rng.permutation(len(error))[:_MOST_POINTS]
-    for ax, (name, values) in zip(axes, _against(before, dof).items(), strict=True):
+    for ax, (name, known) in zip(axes, _against(before, dof).items(), strict=True):
+        values = known[both]
         ax.plot(values[shown], error[shown], ".", color=_BEFORE, markersize=2, alpha=0.4)
         ax.plot(values[shown], share[shown], ".", color=_AFTER, markersize=2)
         ax.set_xlabel(name)
@@ -126,7 +128,8 @@ def _against(fit: Fit, dof: int) -> dict[str, Vector]:
     drives = [
         i
         for i in range(simulator.data.ctrl.shape[1])
-        if simulator.base.actuator_trnid[i, 0] == simulator.base.dof_jntid[dof]
+        if simulator.base.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+        and simulator.base.actuator_trnid[i, 0] == simulator.base.dof_jntid[dof]
     ]
     told = simulator.data.ctrl[rows][:, drives].sum(axis=1)
     return {
@@ -142,13 +145,12 @@ def _explained(fit: Fit, dof: int) -> Vector:
     error = _unexplained(fit)[:, dof]
     known = _against(fit, dof)
     contact = fit.linear.chain.stiff[fit.linear.chain.mask].astype(float)
-    order = np.argsort(np.argsort(np.arange(len(error)))) / len(error)
     features = [
         known["position"],
         known["velocity"],
         np.sign(known["velocity"]),
         known["command"],
-        order,
+        np.arange(len(error)),
         contact,
     ]
     shares = [np.corrcoef(f, error)[0, 1] ** 2 if f.std() > 0 else 0.0 for f in features]

@@ -34,8 +34,12 @@ def measure_gain(
             for fit in (before, after)
         ]
     episodes = simulator.data.episode[simulator.starts]
-    without, with_causes = (_by_episode(e[0], episodes) for e in errors)
-    count = _by_episode(np.ones_like(errors[0][0]), episodes)
+    measured = simulator.data.is_measured()
+    diverged = [int(np.isnan(e[0][:, measured]).any(axis=1).sum()) for e in errors]
+    for one, other in zip(*errors, strict=True):  # what either cannot predict says nothing of both
+        one[np.isnan(other)], other[np.isnan(one)] = np.nan, np.nan
+    without, with_causes = (_by_episode(np.nan_to_num(e[0]), episodes) for e in errors)
+    count = _by_episode(np.isfinite(errors[0][0]).astype(np.float64), episodes)
     draws = rng.integers(len(without), size=(_DRAWS, len(without)))
     removed = 1 - with_causes[draws].sum(axis=1) / without[draws].sum(axis=1)
     low, high = np.quantile(removed, [0.025, 0.975]).tolist()
@@ -48,16 +52,23 @@ def measure_gain(
         sse_removed=float(1 - with_causes.sum() / without.sum()),
         low=low,
         high=high,
-        explainable_fraction=float((without.sum() - with_causes.sum()) / explainable),
+        explainable_fraction=(
+            float((without.sum() - with_causes.sum()) / explainable) if explainable > 0 else None
+        ),
         horizons=horizons,
+        diverged=(diverged[0], diverged[1]),
     )
 
 
 def _expected_deviation(fit: Fit, simulator: Simulator) -> Matrix:
-    """(N, m) of a one-step error, from the sensors' noise alone; by the fit's typical spread."""
+    """(N, m) of a one-step error, from the sensors' noise alone; by the fit's typical spread.
+
+    NaN of what was not measured, which no error is counted of.
+    """
     transition, mask = fit.linear.chain.transition, fit.linear.chain.mask
     variance = (transition[mask] ** 2) @ fit.noise.sensor + fit.noise.sensor
-    return np.tile(np.sqrt(np.median(variance, axis=0)), (len(simulator.starts), 1))
+    deviation = np.where(simulator.data.is_measured(), np.sqrt(np.median(variance, axis=0)), np.nan)
+    return np.tile(deviation, (len(simulator.starts), 1))
 
 
 def _errors(
@@ -87,4 +98,4 @@ def _errors(
 def _by_episode(values: Matrix, episodes: np.ndarray) -> Vector:
     """Sums over each episode."""
     _, numbers = np.unique(episodes, return_inverse=True)
-    return np.bincount(numbers, weights=np.nansum(values, axis=1)).astype(np.float64)
+    return np.bincount(numbers, weights=values.sum(axis=1)).astype(np.float64)

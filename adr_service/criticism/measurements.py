@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adr_service.arrays import Indices, Matrix, Vector, frozen
+from adr_service.arrays import Indices, Mask, Matrix, Vector, frozen
 from adr_service.errors import InvalidInput
 from adr_service.npz import read_arrays
 
 _NEEDED = ("time", "qpos", "qvel", "ctrl", "episode")
 _OPTIONAL = ("qpos_std", "qvel_std")
-LEAST_EPISODES, LEAST_TRANSITIONS = 4, 100
+_LEAST_EPISODES, _LEAST_TRANSITIONS = 8, 200
 
 
 @dataclass(frozen=True)
@@ -56,11 +56,19 @@ class Measurement:
         if (back := np.flatnonzero(np.diff(episode) < 0)).size:
             raise InvalidInput(f"episode numbers must not decrease; they do at row {back[0] + 1}")
         object.__setattr__(self, "episode", episode.astype(np.int64))
+        if single := [first for first, last in self.spans() if last - first == 1]:
+            raise InvalidInput(
+                f"the episode at row {single[0]} has a single row, which says nothing; leave it out"
+            )
         for name, width in (("qpos_std", self.qpos.shape[1]), ("qvel_std", self.qvel.shape[1])):
             if (given := getattr(self, name)) is not None:
-                values = frozen(np.broadcast_to(given, (width,)))
-                if not np.all(values >= 0):
-                    raise InvalidInput(f"{name} must not be negative; given {values.tolist()}")
+                values = frozen(given)
+                if values.shape not in ((), (width,)) or not np.all(values >= 0):
+                    raise InvalidInput(
+                        f"{name} must be {width} numbers that are not negative; given "
+                        f"{values.tolist()}"
+                    )
+                values = frozen(np.broadcast_to(values, (width,)))
                 object.__setattr__(self, name, values)
 
     @classmethod
@@ -103,15 +111,25 @@ class Measurement:
             parts.append(np.where(np.isinf(given), values.std(axis=0) + 1e-3, given) ** 2)
         return np.concatenate(parts)
 
+    def is_measured(self) -> Mask:
+        """(nq + nv,) whose noise is not infinite."""
+        stds = ((self.qpos, self.qpos_std), (self.qvel, self.qvel_std))
+        known = [np.zeros(v.shape[1]) if std is None else std for v, std in stds]
+        return np.isfinite(np.concatenate(known))
+
+    def check_amount(self) -> None:
+        """Refuse what is too little to tell a cause from noise."""
+        steps = int(np.sum(np.diff(self.episode) == 0))
+        if steps < _LEAST_TRANSITIONS or len(self.spans()) < _LEAST_EPISODES:
+            raise InvalidInput(
+                f"{steps} transitions in {len(self.spans())} episodes are too few to tell a "
+                f"cause from noise; at least {_LEAST_TRANSITIONS} in {_LEAST_EPISODES} are needed "
+                "(cut a long recording into episodes of about a second)"
+            )
+
     def period(self) -> float:
         """Seconds between rows; raises InvalidInput where it is not the same throughout."""
         steps = np.diff(self.time)[np.diff(self.episode) == 0]
-        if len(steps) < LEAST_TRANSITIONS or len(self.spans()) < LEAST_EPISODES:
-            raise InvalidInput(
-                f"{len(steps)} transitions in {len(self.spans())} episodes are too few to tell a "
-                f"cause from noise; at least {LEAST_TRANSITIONS} in {LEAST_EPISODES} are needed "
-                "(cut a long recording into episodes of about a second)"
-            )
         period = float(np.median(steps))
         if (wrong := np.flatnonzero(np.abs(np.diff(self.time) - period) > 0.02 * period)).size:
             inside = [row for row in wrong.tolist() if self.episode[row] == self.episode[row + 1]]

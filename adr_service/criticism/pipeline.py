@@ -82,6 +82,7 @@ def criticise(
     Raises InvalidInput where the data do not fit the model, or are too few.
     """
     started = time.perf_counter()
+    data.check_amount()
     numbers = np.arange(len(data.spans()))
     is_sealed = numbers % _SEALED == _SEALED - 1
     learned, sealed = (data.episodes(numbers[which].tolist()) for which in (~is_sealed, is_sealed))
@@ -195,12 +196,15 @@ def _alternative(other: _Weighed) -> NamedCause:
 def _named(fit: Fit, number: int, before: int, confidence: float, gain: float) -> NamedCause:
     """A cause of a fit with intervals; `before` strengths belong to the causes before it."""
     cause, first = fit.causes[number], len(fit.parameters) + INTEGRATION + before
-    change, covariance = fit.normal.change()[0], fit.normal.covariance()
-    freedom = max(len(fit.held_out) - len(change), 1)
+    covariance = fit.normal.covariance()
+    freedom = max(len(fit.held_out) - len(covariance), 1)
     reach = float(stats.t.ppf(0.5 + _INTERVAL / 2, freedom))
     estimates: list[Estimate] = []
     for offset, strength in enumerate(get_mechanism(cause.kind).strengths):
-        value = max(cause.values[offset] + float(change[first + offset]), strength.low)
+        value = cause.values[offset]
+        if covariance[first + offset, first + offset] == 0:  # the data say nothing of it
+            estimates.append(Estimate(value, strength.low, np.inf, strength.unit))
+            continue
         error = reach * float(np.sqrt(max(covariance[first + offset, first + offset], 0.0)))
         estimates.append(
             Estimate(value, max(value - error, strength.low), value + error, strength.unit)
@@ -227,5 +231,14 @@ def _residual(
         for c in first
         if np.isfinite(c.deviations[0])
     }
-    noise = tuple(np.sqrt(final.noise.sensor).tolist())
-    return Residual(noise, unexplained, moved, detectable)
+    space, used = final.simulator.nominal.space, int(final.linear.chain.mask.sum())
+    at_bound = (final.parameters <= space.feasible_low) | (final.parameters >= space.high)
+    return Residual(
+        noise=tuple(np.sqrt(final.noise.sensor).tolist()),
+        unexplained_nats=unexplained,
+        moved=moved,
+        at_bound=tuple(n for n, is_at in zip(space.names, at_bound, strict=True) if is_at),
+        used=used,
+        diverged=int(final.layout.mask.sum()) - used,
+        detectable=detectable,
+    )

@@ -98,11 +98,12 @@ def _rows(cause: NamedCause, prefix: str) -> list[list[Any]]:
 def _gain(verdict: Verdict) -> str:
     gain = verdict.gain
     assert gain is not None
+    share = gain.explainable_fraction
+    rest = "" if share is None else f": {100 * share:.0f} % of what is not sensor noise"
     return (
         f"<p>On episodes that nothing was fitted to, the extended simulator removes "
         f"{100 * gain.sse_removed:.1f} % [{100 * gain.low:.1f}, {100 * gain.high:.1f}] of the "
-        f"squared error of one control step: {100 * gain.explainable_fraction:.0f} % of what is "
-        "not sensor noise.</p>"
+        f"squared error of one control step{rest}.</p>"
     )
 
 

@@ -11,6 +11,8 @@ import os
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -44,6 +46,7 @@ class Nominal:
     start: Vector  # (d,) where the fit begins [SI]
     fixed: Mapping[str, float] = field(default_factory=dict[str, float])  # address -> value
     task: Task | None = None  # whose links can be reshaped, where lengths are parameters
+    folder: str = ""  # in which the model looks for meshes and textures; written out as well
 
     @classmethod
     def of_task(cls, task: Task, source: Source) -> "Nominal":
@@ -59,12 +62,13 @@ class Nominal:
         space: ParameterSpace,
         fixed: Mapping[str, float] | None = None,
         task: Task | None = None,
+        folder: str = "",
     ) -> "Nominal":
         """A model whose free parameters start at the values that its file has."""
-        whole = cls(xml, ParameterSpace(()), np.empty(0), fixed or {}, task)
+        whole = cls(xml, ParameterSpace(()), np.empty(0), fixed or {}, task, folder)
         model = whole.model(whole.start)
         start = [read(model, resolve(model, p.address)) for p in space.parameters]
-        return cls(xml, space, np.array(start), fixed or {}, task)
+        return cls(xml, space, np.array(start), fixed or {}, task, folder)
 
     def model(self, values: Vector, causes: Sequence[Cause] = ()) -> mujoco.MjModel:
         """The compiled model with parameters (d,) and causes."""
@@ -76,6 +80,10 @@ class Nominal:
             spec = mujoco.MjSpec.from_string(self.xml)
         except ValueError as error:
             raise InvalidInput(f"MuJoCo cannot read the model: {error}") from error
+        if self.folder:
+            paths: Any = spec  # whose stub lacks these two
+            paths.meshdir = str(Path(self.folder) / paths.meshdir)
+            paths.texturedir = str(Path(self.folder) / paths.texturedir)
         for kind in ("bodies", "joints", "geoms", "actuators"):
             for number, element in enumerate(getattr(spec, kind)):
                 element.name = element.name or f"unnamed_{number}"  # a cause needs a place
@@ -87,6 +95,11 @@ class Nominal:
                 body.explicitinertial = False
                 spec.adopt_inertial(body)  # so that a cause may change it
         spec.compiler.inertiafromgeom = _Inferred.mjINERTIAFROMGEOM_FALSE
+        if spec.compiler.settotalmass > 0:
+            raise InvalidInput(
+                "the model scales its masses by settotalmass, which no cause in a body survives; "
+                "write the masses out (MjSpec.to_xml does) and leave it away"
+            )
         known = self.addressed(values)
         lengths = {link: value for a, value in known.items() if (link := link_of(a)) is not None}
         if lengths:
@@ -163,11 +176,16 @@ class Simulator:
         model = self.nominal.model(values, causes)
         return self._predict(values, causes, states, model, push=(dof, force))
 
-    def predict_commanded(
+    def reach(self, actuator: int) -> float:
+        """The largest command that was given to an actuator, in its unit."""
+        return float(np.abs(self.data.ctrl[:, actuator]).max()) or 1.0
+
+    def predict_unclamped(
         self, values: Vector, causes: Sequence[Cause], states: Matrix, actuator: int, more: float
     ) -> Matrix:
-        """`predict` with more told to one actuator than was."""
+        """`predict` with more told to one actuator than was, and no limits of commands."""
         model = self.nominal.model(values, causes)
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
         return self._predict(values, causes, states, model, command=(actuator, more))
 
     def _predict(
@@ -236,6 +254,8 @@ class Simulator:
         true, slope = states.copy(), self.slope(values, causes, states)
         for cause in reversed(felt):
             column, added = self.felt(cause, states, slope)
+            if get_mechanism(cause.kind).sense == "scale":
+                added = added / (1 + cause.values[0])  # of what is shown
             true[:, column] -= added
         return true
 
@@ -301,10 +321,12 @@ def _check(model: mujoco.MjModel, data: Measurement) -> None:
             f"the model has {model.nq} positions for {model.nv} velocities: free and ball joints "
             "cannot be criticised yet; accepted are slides and hinges"
         )
-    if model.na:
+    beyond = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS) - 1 - 2 * model.nv
+    if beyond:
         raise InvalidInput(
-            f"the model has {model.na} actuator states, which nobody measured; accepted are "
-            "actuators without dynamics (a lag is among the causes)"
+            f"the model's state has {beyond} numbers besides positions and velocities, which "
+            "nobody measured; accepted are actuators without dynamics or delay (both are among "
+            "the causes), and springs that do not yield"
         )
     commanded = [i for i in range(model.nu) if not is_added(model.actuator(i).name)]
     widths = {"qpos": model.nq, "qvel": model.nv, "ctrl": len(commanded)}
@@ -315,7 +337,7 @@ def _check(model: mujoco.MjModel, data: Measurement) -> None:
 
 def _steps(period: float, timestep: float) -> int:
     steps = period / timestep
-    if round(steps) < 1 or abs(steps - round(steps)) > 0.02:
+    if round(steps) < 1 or abs(steps - round(steps)) > 1e-3 * steps:
         raise InvalidInput(
             f"rows are {period:g} s apart, which is no multiple of the model's step of "
             f"{timestep:g} s"

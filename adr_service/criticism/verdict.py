@@ -55,6 +55,9 @@ class Residual:
     noise: tuple[float, ...]  # standard deviation of each sensor, in its unit
     unexplained_nats: float  # what a flexible force would still gain
     moved: dict[str, tuple[float, float]]  # parameter -> fitted without and with the causes
+    at_bound: tuple[str, ...]  # parameters that went as far as they may
+    used: int  # transitions
+    diverged: int  # transitions that could not be simulated, and were left out
     detectable: dict[str, float]  # "kind location" -> smallest strength that would have been seen
 
     def to_json(self) -> dict[str, Any]:
@@ -62,9 +65,10 @@ class Residual:
             "sensor_noise": list(self.noise),
             "unexplained_nats": self.unexplained_nats,
             "parameters": {
-                name: {"without": before, "with": after}
+                name: {"without": before, "with": after, "at_bound": name in self.at_bound}
                 for name, (before, after) in self.moved.items()
             },
+            "transitions": {"used": self.used, "diverged": self.diverged},
             "detectable": self.detectable,
         }
 
@@ -76,8 +80,9 @@ class Gain:
     sse_removed: float  # share of the squared one-step error, columns in units of their noise
     low: float  # 95 % bootstrap over episodes
     high: float
-    explainable_fraction: float  # of the squared error beyond the sensors' noise
+    explainable_fraction: float | None  # of what is beyond the sensors' noise; None: nothing is
     horizons: dict[int, tuple[float, float]]  # control steps -> error without and with
+    diverged: tuple[int, int]  # transitions that cannot be simulated, without and with
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -85,6 +90,7 @@ class Gain:
             "low": self.low,
             "high": self.high,
             "explainable_fraction": self.explainable_fraction,
+            "diverged": {"without": self.diverged[0], "with": self.diverged[1]},
             "error_by_horizon": {
                 str(steps): {"without": before, "with": after}
                 for steps, (before, after) in self.horizons.items()

@@ -77,6 +77,7 @@ class Mechanism:
     command: Command | None = None
     sense: Literal["bias", "scale", "delay", "backlash"] | None = None
     applies: Where = lambda model, element: True  # whether it makes sense at a place
+    sizes: tuple[float, ...] = (1.0,)  # times typical, where effects are not in proportion
 
     def locations(self, model: mujoco.MjModel) -> list[str]:
         """Where in a model the effect may be."""
@@ -94,7 +95,7 @@ class Mechanism:
         return [
             f"{self.place}:{getattr(model, self.place)(i).name}"
             for i in range(first, count[self.place])
-            if self.applies(model, i)
+            if self.applies(model, i) and not is_added(getattr(model, self.place)(i).name)
         ]
 
 
@@ -115,7 +116,10 @@ def with_causes(
         mechanism = get_mechanism(cause.kind)
         if mechanism.prepare is not None:
             mechanism.prepare(spec, cause.name)
-    model = spec.compile()
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise InvalidInput(f"MuJoCo cannot compile the model: {error}") from error
     write(model)
     for cause in causes:
         mechanism = get_mechanism(cause.kind)
@@ -125,9 +129,9 @@ def with_causes(
     return model
 
 
-def is_added(actuator: str) -> bool:
-    """Whether an actuator is one that a mechanism added, which nobody commands."""
-    return actuator.startswith((_BRAKE, _HOLD))
+def is_added(name: str) -> bool:
+    """Whether an element is one that a mechanism added; nobody commands such an actuator."""
+    return name.startswith((_BRAKE, _HOLD))
 
 
 def element_of(model: mujoco.MjModel, location: str) -> int:
@@ -207,19 +211,37 @@ def _viscous(model: mujoco.MjModel, joint: int, values: Vector) -> None:
 def _add_brake(spec: mujoco.MjSpec, joint: str) -> None:
     """An actuator that can only pull one way; its sign and strength come with `_brake`."""
     if spec.actuator(_BRAKE + joint) is None:
-        actuator = spec.add_actuator(name=_BRAKE + joint, target=joint)
-        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        actuator.gainprm = np.zeros_like(actuator.gainprm)
+        actuator = _passive(spec, _BRAKE + joint, joint, mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.gear = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         actuator.forcerange = [-1e10, 1e10]
 
 
+def _passive(
+    spec: mujoco.MjSpec, name: str, target: str, transmission: mujoco.mjtTrn
+) -> mujoco.MjsActuator:
+    """An actuator whose force is a bias alone, whatever the model's defaults are."""
+    actuator = spec.add_actuator(name=name, target=target)
+    actuator.trntype = transmission
+    actuator.dyntype, actuator.actdim = mujoco.mjtDyn.mjDYN_NONE, 0
+    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.gainprm, actuator.biasprm = (
+        np.zeros_like(actuator.gainprm),
+        np.zeros_like(actuator.biasprm),
+    )
+    for limited in ("ctrllimited", "forcelimited", "actlimited"):
+        setattr(actuator, limited, mujoco.mjtLimited.mjLIMITED_FALSE)
+    actuator.nsample = 0
+    return actuator
+
+
 def _brake(model: mujoco.MjModel, joint: int, values: Vector) -> None:
     """Damping of one direction: of positive velocities for positive values, else of negative."""
+    if values[0] == 0:
+        return
     actuator = model.actuator(_BRAKE + model.joint(joint).name).id
     model.actuator_biasprm[actuator, 2] = -abs(values[0])
-    model.actuator_forcerange[actuator] = (-1e10, 0.0) if values[0] >= 0 else (0.0, 1e10)
+    model.actuator_forcerange[actuator] = (-1e10, 0.0) if values[0] > 0 else (0.0, 1e10)
 
 
 def _spring(model: mujoco.MjModel, joint: int, values: Vector) -> None:
@@ -291,6 +313,11 @@ def _saturation(commands: Commands, actuator: int, values: Vector) -> Matrix:
     return np.clip(commands.values, -most, most)
 
 
+def _turns_a_joint(model: mujoco.MjModel, actuator: int) -> bool:
+    on_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+    return bool(on_joint and model.actuator_gear[actuator, 0] != 0)
+
+
 def _is_limited(model: mujoco.MjModel, actuator: int) -> bool:
     return bool(model.actuator_ctrllimited[actuator])
 
@@ -334,10 +361,15 @@ def _far_end(model: mujoco.MjModel, body: int) -> Vector:
     ends = [model.body_ipos[body]]
     first = int(model.body_geomadr[body])
     for geom in range(first, first + int(model.body_geomnum[body])):
-        axis = np.empty(3)
-        mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, 1.0]), model.geom_quat[geom])
-        half = model.geom_size[geom, 1] * axis
-        ends += [model.geom_pos[geom] + half, model.geom_pos[geom] - half]
+        centre, halves = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:].copy()
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE:
+            halves[2] = model.geom_size[geom, 1]  # without the cap
+        longest = int(np.argmax(halves))
+        for side in (-1.0, 1.0):
+            end = np.empty(3)
+            along = centre + side * halves[longest] * np.eye(3)[longest]
+            mujoco.mju_rotVecQuat(end, along, model.geom_quat[geom])
+            ends.append(model.geom_pos[geom] + end)
     return max(ends, key=lambda end: float(end @ end))
 
 
@@ -350,17 +382,15 @@ def _add_force(spec: mujoco.MjSpec, body: str) -> None:
             _HOLD + "world"
         ) is None else None
         spec.body(body).add_site(name=name, pos=compiled.body(body).ipos)
-        actuator = spec.add_actuator(name=name, target=name, refsite=_HOLD + "world")
-        actuator.trntype = mujoco.mjtTrn.mjTRN_SITE
-        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        actuator.gainprm = np.zeros_like(actuator.gainprm)
+        actuator = _passive(spec, name, name, mujoco.mjtTrn.mjTRN_SITE)
+        actuator.refsite = _HOLD + "world"
         actuator.biasprm = [1.0, *[0.0] * (len(actuator.biasprm) - 1)]
         actuator.gear = np.zeros(6)
 
 
 def _force(model: mujoco.MjModel, body: int, values: Vector) -> None:
     actuator = model.actuator(_HOLD + model.body(body).name).id
-    model.actuator_gear[actuator, :3] = values
+    model.actuator_gear[actuator, :3] += values
 
 
 def _has_mass(model: mujoco.MjModel, body: int) -> bool:
@@ -445,6 +475,7 @@ _ALL: tuple[Mechanism, ...] = (
         lambda model, joint: (_torque(model, joint),),
         _brake,
         _add_brake,
+        sizes=(1.0, -1.0),
     ),
     Mechanism(
         "joint_spring",
@@ -491,6 +522,7 @@ _ALL: tuple[Mechanism, ...] = (
         lambda model, actuator: (0.01 * _largest_force(model, actuator),),
         _bias,
         _add_bias,
+        applies=_turns_a_joint,
     ),
     Mechanism(
         "actuator_delay",
@@ -512,6 +544,7 @@ _ALL: tuple[Mechanism, ...] = (
         (Strength("half width", "control", low=0.0),),
         lambda model, actuator: (0.03 * _largest_command(model, actuator),),
         command=_deadband,
+        sizes=(0.3, 1.0, 4.0),
     ),
     Mechanism(
         "actuator_saturation",
@@ -519,6 +552,7 @@ _ALL: tuple[Mechanism, ...] = (
         (Strength("lost range", "control", low=0.0),),
         lambda model, actuator: (0.1 * _largest_command(model, actuator),),
         command=_saturation,
+        sizes=(0.3, 1.0, 4.0),
         applies=_is_limited,
     ),
     Mechanism(
@@ -598,9 +632,10 @@ _ALL: tuple[Mechanism, ...] = (
         "contact_friction",
         "geom",
         (Strength("relative change", "1", low=-1.0),),
-        lambda model, geom: (-0.1,),
+        lambda model, geom: (0.1,),
         _contact_friction,
         applies=_can_touch,
+        sizes=(1.0, -1.0),  # of two geoms the larger friction counts
     ),
     Mechanism(
         "contact_softness",
