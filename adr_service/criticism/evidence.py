@@ -12,7 +12,6 @@ nor is what a smaller simulator step would change, which is fitted as if it were
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from adr_service.arrays import Array3, Indices, Mask, Matrix, Vector
 from adr_service.criticism.noise import Chain, Noise, Whitener, at_start, estimate
 from adr_service.criticism.simulator import Simulator
 from adr_service.errors import InvalidInput
-from adr_service.simulation.mechanisms import MECHANISMS, Cause, element_of, get_mechanism
+from adr_service.simulation.mechanisms import Cause, element_of, get_mechanism
 
 FINER = 3  # how much smaller a step shows what numerical integration adds
 # how much of what a finer step changes is really there, and of what another integrator changes at
@@ -30,7 +29,6 @@ _INTEGRATION = ((2 / 3, 2 / 3), (0.0, 1.0))
 INTEGRATION = len(_INTEGRATION)  # columns
 _DIFFERENCE = 1e-4  # of a parameter's range
 _TINY = 1e-5  # of a state's spread over the recording, where its uncertainty is not known yet
-_ABSORBED = 1e2  # how much less the data may say of a strength once parameters are fitted as well
 _SIMULATED = 0.5  # of all transitions, at least
 _TOUCHED = 1e-9  # what a contact or a limit changes at least, in units of that spread
 
@@ -158,19 +156,6 @@ class Fit:
         return self.normal.left_out()
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """One possible cause, at the strengths that the data ask for."""
-
-    cause: Cause
-    gains: Vector  # (E,) nats by episode, each left out of the fit
-    deviations: Vector  # of the strengths, were the cause there alone; inf: data say nothing
-
-    @property
-    def gain(self) -> float:
-        return float(self.gains.sum())
-
-
 def fit(
     simulator: Simulator,
     sensor: Vector,
@@ -212,21 +197,6 @@ def _fitted(
     noise, normal = _judge(linear, sensor)
     found = Fit(simulator, layout, parameters, causes, states, linear, noise, normal)
     return refine(found, causes, sensor)
-
-
-def scan(fit: Fit, places: Sequence[tuple[str, str]]) -> list[Candidate]:
-    """Every (kind, location) at the strengths the data ask for; the best first."""
-    look = _Scan(fit)
-    return sorted((look(*place) for place in places), key=lambda candidate: -candidate.gain)
-
-
-def places(simulator: Simulator) -> list[tuple[str, str]]:
-    """Every kind at every location of the model."""
-    return [
-        (mechanism.kind, location)
-        for mechanism in MECHANISMS.values()
-        for location in mechanism.locations(simulator.base)
-    ]
 
 
 def refine(fit: Fit, causes: Sequence[Cause], sensor: Vector, rounds: int = 4) -> Fit:
@@ -361,109 +331,6 @@ def _judge_again(
         noise = estimate(linear.chain, left, noise, count, ~np.isnan(sensor))
         normal = Normal.of(Whitener.of(linear.chain, noise), linear)
     return noise, normal
-
-
-class _Scan:
-    """Looks at one possible cause after the other, linearised.
-
-    What acts in a sensor or on a command is a combination of what is known of states and commands
-    already; all else is simulated once for each strength.
-    """
-
-    def __init__(self, fit: Fit):
-        self._fit, self._simulator = fit, fit.simulator
-        self._without = fit.held_out
-        self._whitener = Whitener.of(fit.linear.chain, fit.noise)
-        known = np.concatenate([fit.linear.columns, fit.linear.residual[..., None]], axis=3)
-        self._z = self._whitener.whiten(known)
-        self._predicted = self._simulator.predict(fit.parameters, fit.causes, fit.states)
-        self._slope = self._simulator.slope(fit.parameters, fit.causes, fit.states)
-
-    def __call__(self, kind: str, location: str) -> Candidate:
-        """The candidate at the best of the sizes where its effect may differ."""
-        mechanism = get_mechanism(kind)
-        nothing = tuple(strength.nothing for strength in mechanism.strengths)
-        unseen = np.full(len(nothing), np.inf)
-        best = Candidate(Cause(kind, location, nothing), np.zeros(len(self._without)), unseen)
-        base = self._simulator.base
-        typical = np.array(mechanism.typical(base, element_of(base, location)))
-        for factor in mechanism.sizes:
-            found = self._at(kind, location, factor * typical)
-            if found is not None and (found.gain > best.gain or best.gain <= 0):
-                best = found if found.gain > 0 else replace(best, deviations=found.deviations)
-        return best
-
-    def _at(self, kind: str, location: str, sizes: Vector) -> Candidate | None:
-        """None where the data ask for a strength that makes no sense, or cannot tell."""
-        effects = self._effects(kind, location, sizes)
-        effects[~self._fit.linear.chain.mask] = 0.0
-        if not np.all(np.isfinite(effects)):
-            return None
-        design = self._whitener.whiten(effects)
-        own = products(design, design)
-        cross = products(self._z[..., :-1], design)
-        score = products(design, self._z[..., -1:])[..., 0]
-        normal = self._fit.normal.with_columns(own, cross, score)
-        change, covariance = normal.change()
-        count = len(sizes)
-        variance, alone = np.diagonal(covariance)[-count:], np.diagonal(own.sum(axis=0))
-        seen = (variance > 0) & (variance * alone < _ABSORBED)
-        if not seen.any():
-            return None
-        deviations = np.where(seen, np.sqrt(np.abs(variance)) * np.abs(sizes), np.inf)
-        strengths = np.where(seen, change[-count:] * sizes, 0.0)
-        low = np.array([strength.low for strength in get_mechanism(kind).strengths])
-        gains = normal.left_out() - self._without
-        has_sides = len(get_mechanism(kind).sizes) > 1  # and each size stands for its own
-        if np.any(strengths < low) or (has_sides and np.any(change[-count:] < 0)):
-            strengths, gains = np.zeros(count), np.zeros(len(gains))
-        return Candidate(Cause(kind, location, tuple(strengths.tolist())), gains, deviations)
-
-    def _effects(self, kind: str, location: str, sizes: Vector) -> np.ndarray:
-        """(E, T, m, strengths) what each strength adds, one after the other."""
-        mechanism, fit = get_mechanism(kind), self._fit
-        if mechanism.sense is not None:
-            return self._felt(Cause(kind, location, tuple(sizes.tolist())))
-        if mechanism.command is not None:
-            return self._told(Cause(kind, location, tuple(sizes.tolist())))
-        nothing = [strength.nothing for strength in mechanism.strengths]
-        steps = [self._predicted]
-        for count in range(1, len(sizes) + 1):
-            values = np.where(np.arange(len(sizes)) < count, sizes, nothing)
-            cause = Cause(kind, location, tuple(values.tolist()))
-            causes = (*fit.causes, cause)
-            steps.append(self._simulator.predict(fit.parameters, causes, fit.states))
-        return fit.layout.fold(np.diff(np.stack(steps, axis=2), axis=2))
-
-    def _felt(self, cause: Cause) -> np.ndarray:
-        """A sensor shows something else before the step, and after it."""
-        simulator, fit = self._simulator, self._fit
-        column, before = simulator.felt(cause, fit.states, self._slope)
-        starts = fit.states[simulator.starts]
-        slope = (self._predicted - starts) / simulator.period
-        _, after = simulator.felt(cause, self._predicted, slope)
-        folded = fit.layout.fold(np.column_stack([before[simulator.starts], after]))
-        effect = -fit.linear.chain.transition[..., column] * folded[..., :1]
-        effect[..., column] += folded[..., 1]
-        return effect[..., None]
-
-    def _told(self, cause: Cause) -> np.ndarray:
-        """An actuator obeys something else, on average over a control step."""
-        simulator, fit = self._simulator, self._fit
-        actuator = element_of(simulator.base, cause.location)
-        obeyed = simulator.told((*fit.causes, cause)) - simulator.told(fit.causes)
-        change = obeyed[:, :, actuator].mean(axis=1)
-        return fit.layout.fold(self._response(actuator) * change[:, None])[..., None]
-
-    @cache  # noqa: B019 - of a scan, which ends with it
-    def _response(self, actuator: int) -> Matrix:
-        """(N, m) what one unit of command adds."""
-        fit, size = self._fit, 0.01 * self._simulator.reach(actuator)
-        known = (fit.parameters, fit.causes, fit.states)
-        without, more = (
-            self._simulator.predict_unclamped(*known, actuator, s) for s in (0.0, size)
-        )
-        return (more - without) / size
 
 
 def _derivatives(

@@ -19,18 +19,11 @@ from scipy.special import expit
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import THRESHOLD, TIE, Decision, decide, is_unknown
-from adr_service.criticism.evidence import (
-    INTEGRATION,
-    Candidate,
-    Fit,
-    fit,
-    places,
-    refine,
-    scan,
-)
+from adr_service.criticism.evidence import INTEGRATION, Fit, fit, refine
 from adr_service.criticism.extension import Extension, extend
 from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.scan import Candidate, places, scan
 from adr_service.criticism.simulator import Nominal, Simulator
 from adr_service.criticism.verdict import Estimate, Finding, NamedCause, Residual, Verdict
 from adr_service.criticism.yardstick import flexible_gains
