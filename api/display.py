@@ -149,6 +149,9 @@ def cost_table(cost: Json) -> RenderableType:
 def verdict_table(verdict: Json) -> RenderableType:
     """What a criticism named, with strengths and their intervals."""
     headline = f"{verdict['verdict']}, {verdict['confidence']:.1%} sure"
+    moved = verdict["residual"]["parameters"]
+    if at_bound := [name for name, found in moved.items() if found["at_bound"]]:
+        headline += f"; not to be relied on: {', '.join(at_bound)} went to its bound, widen it"
     if not verdict["causes"]:
         return Text(headline)
     table = Table("cause", "location", "strength", box=None, padding=(0, 2, 0, 0))

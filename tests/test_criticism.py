@@ -13,7 +13,7 @@ from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.simulator import Nominal, Simulator
 from adr_service.errors import InvalidInput
-from adr_service.parameters import ParameterSpace
+from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.simulation.mechanisms import Cause
 from adr_service.tasks.catalogue import get_task, source_of
 from api.cli import app
@@ -56,7 +56,8 @@ def test_where_nothing_is_hidden_nothing_is_found_but_detection_limits(seed):
     assert found.extension is None
     assert found.verdict.gain is None
     limits = found.verdict.residual.detectable
-    assert 0 < limits["joint_coulomb_friction joint:elbow"] < 0.1  # [N m], of a motor of 12
+    size, unit = limits["joint_coulomb_friction joint:elbow"]
+    assert (0 < size < 0.1, unit) == (True, "N m")  # of a motor of 12
     # the parameters were off by up to 10 %, and are found
     np.testing.assert_allclose(found.final.parameters, hidden.truth, rtol=0.01)
 
@@ -141,6 +142,7 @@ class TestBadInput:
         ("name", "change", "message"),
         [
             ("time", lambda a: np.where(np.arange(len(a)) == 7, a - 0.1, a), "from row 6 to 7"),
+            ("time", lambda a: 1000 * a, "2000 of the model's steps; accepted are 500 at most"),
             ("time", lambda a: 1.3 * a, "no multiple of the model's step of 0.01"),
             ("ctrl", lambda a: a[:, :1], "ctrl has 1 columns; the model has 2"),
         ],
@@ -172,6 +174,11 @@ class TestBadInput:
     def test_models_that_cannot_be_criticised(self, good, xml, message):
         with pytest.raises(InvalidInput, match=message):
             Simulator(Nominal.of_model(xml, ParameterSpace(())), Measurement(**good))
+
+    def test_a_start_outside_of_the_bounds(self):
+        space = ParameterSpace((Parameter("mass", "body:fore.mass", "kg", 2.0, 3.0, 2.0),))
+        with pytest.raises(InvalidInput, match=r"the model has 0\.7 for mass, .* bounds: 2 to 3"):
+            Nominal.of_model(get_task("arm").xml, space)
 
     def test_too_little_data(self, good):
         measurement = Measurement(**good).episodes(range(7))

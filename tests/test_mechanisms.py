@@ -16,6 +16,7 @@ from adr_service.simulation.mechanisms import (
     Commands,
     element_of,
     get_mechanism,
+    unit_of,
 )
 from adr_service.tasks.catalogue import get_task, source_of
 
@@ -174,6 +175,15 @@ def test_a_sensor_with_a_scale_shows_what_a_robot_without_it_does():
     expected = slide.predict(np.empty(0), [], slide.measured)
     np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-12)
     np.testing.assert_allclose(found[:, 1], 1.2 * expected[:, 1], atol=1e-12)
+
+
+def test_a_slide_has_units_of_its_own():
+    model = brakes("").base
+    assert unit_of(model, "joint:x", "N m s/rad") == "N s/m"
+    assert unit_of(model, "actuator:push", "N m") == "N"
+    assert unit_of(model, "sensor:x.velocity", "of the sensor") == "m/s"
+    hinge = Nominal.of_task(get_task("arm"), source_of("arm", "vanilla"))
+    assert unit_of(hinge.model(hinge.start), "joint:elbow", "N m s/rad") == "N m s/rad"
 
 
 def test_a_case_is_the_same_for_the_same_generator_and_starts_off_the_truth():

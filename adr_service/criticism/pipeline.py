@@ -28,7 +28,7 @@ from adr_service.criticism.simulator import Nominal, Simulator
 from adr_service.criticism.verdict import Estimate, Finding, NamedCause, Residual, Verdict
 from adr_service.criticism.yardstick import flexible_gains
 from adr_service.progress import Progress, silent
-from adr_service.simulation.mechanisms import get_mechanism
+from adr_service.simulation.mechanisms import get_mechanism, unit_of
 
 _SEALED = 4  # every fourth episode
 _REFINED, _CLOSE, _MOST_REFINED = 6, 0.9, 10  # the best, and all as good as that, but no more
@@ -195,13 +195,12 @@ def _named(fit: Fit, number: int, before: int, confidence: float, gain: float) -
     estimates: list[Estimate] = []
     for offset, strength in enumerate(get_mechanism(cause.kind).strengths):
         value = cause.values[offset]
+        unit = unit_of(fit.simulator.base, cause.location, strength.unit)
         if covariance[first + offset, first + offset] == 0:  # the data say nothing of it
-            estimates.append(Estimate(value, strength.low, np.inf, strength.unit))
+            estimates.append(Estimate(value, strength.low, np.inf, unit))
             continue
         error = reach * float(np.sqrt(max(covariance[first + offset, first + offset], 0.0)))
-        estimates.append(
-            Estimate(value, max(value - error, strength.low), value + error, strength.unit)
-        )
+        estimates.append(Estimate(value, max(value - error, strength.low), value + error, unit))
     return NamedCause(cause.kind, cause.location, tuple(estimates), confidence, gain)
 
 
@@ -220,7 +219,14 @@ def _residual(
     }
     reach = np.sqrt(2 * THRESHOLD)  # standard deviations that gain as much
     detectable = {
-        f"{c.cause.kind} {c.cause.location}": float(reach * c.deviations[0])
+        f"{c.cause.kind} {c.cause.location}": (
+            float(reach * c.deviations[0]),
+            unit_of(
+                final.simulator.base,
+                c.cause.location,
+                get_mechanism(c.cause.kind).strengths[0].unit,
+            ),
+        )
         for c in first
         if np.isfinite(c.deviations[0])
     }

@@ -26,7 +26,7 @@ th {{ border-bottom: 1px solid #999 }} svg {{ max-width: 100%; height: auto }}
 def report_page(criticism: Criticism, name: str) -> str:
     """HTML with its figures inside; `name` is what was criticised."""
     verdict, pictures = criticism.verdict, draw_all(criticism)
-    parts = [f'<p class="finding">{_finding(verdict)}</p>']
+    parts = [f'<p class="finding">{_finding(verdict)}</p>', _bounds(verdict)]
     if verdict.causes:
         parts += [_causes(verdict), _gain(verdict)]
     parts.append("<h2>Where the error is</h2>" + pictures["where"])
@@ -41,7 +41,8 @@ def report_page(criticism: Criticism, name: str) -> str:
 _EVIDENCE = (
     "<p>Evidence is how much better episodes are predicted that the fit has not seen, as the "
     "logarithm of a probability: 4.6 nats mean a hundred times more probable. Below "
-    f"{THRESHOLD:g} nats we call it chance.</p>"
+    f"{THRESHOLD:g} nats we call it chance. The figure has the first look, to first order and with "
+    "the noise that the simulator had without a cause; the table above the refined evidence.</p>"
 )
 
 
@@ -62,6 +63,17 @@ def _finding(verdict: Verdict) -> str:
             names = "; ".join(_words(cause) for cause in verdict.causes)
             tie = " Other causes explain as much; see below." if verdict.finding == "tie" else ""
             return f"The simulator lacks {names} ({sure}).{tie}"
+
+
+def _bounds(verdict: Verdict) -> str:
+    """A warning where a parameter wanted to go further than it may."""
+    names = ", ".join(map(escape, verdict.residual.at_bound))
+    if not names:
+        return ""
+    return (
+        f"<p><b>Not to be relied on:</b> {names} went to the edge of what it may be. Give it wider "
+        "bounds, and judge again.</p>"
+    )
 
 
 def _words(cause: NamedCause) -> str:
@@ -113,6 +125,8 @@ def _moved(verdict: Verdict) -> str:
         return ""
     rows = [[escape(n), f"{before:.4g}", f"{after:.4g}"] for n, (before, after) in moved.items()]
     heads = ["parameter", "fitted to the simulator as it is", "to the extended one"]
+    if not verdict.causes:
+        rows, heads = [row[:2] for row in rows], heads[:2]
     text = (
         "<p>A parameter that moves was bent to hide what the simulator lacks: a wider "
         "distribution of it would not have helped.</p>"
@@ -122,19 +136,16 @@ def _moved(verdict: Verdict) -> str:
 
 def _detectable(verdict: Verdict) -> str:
     rows = [
-        [escape(name), f"{size:.3g}", escape(_unit(name))]
-        for name, size in sorted(verdict.residual.detectable.items())
+        [escape(name), f"{size:.3g}", escape(unit)]
+        for name, (size, unit) in sorted(verdict.residual.detectable.items())
     ]
     heads = ["effect", "smallest strength that would have been seen", "unit"]
     return (
-        "<details><summary>How large an effect would have been seen</summary>"
+        "<details><summary>How large an effect would have been seen, alone, by the simulator as it "
+        "is; what is not listed cannot be seen in these data</summary>"
         + _table(heads, rows)
         + "</details>"
     )
-
-
-def _unit(name: str) -> str:
-    return get_mechanism(name.partition(" ")[0]).strengths[0].unit
 
 
 def _table(heads: list[str], rows: list[list[Any]]) -> str:

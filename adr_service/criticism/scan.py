@@ -20,6 +20,7 @@ from adr_service.criticism.simulator import Simulator
 from adr_service.simulation.mechanisms import MECHANISMS, Cause, element_of, get_mechanism
 
 _ABSORBED = 1e2  # how much less the data may say of a strength once parameters are fitted as well
+_UNSEEN = 1e8  # variance of a strength, in typical ones, that no sensible robot has
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ class _Scan:
         change, covariance = normal.change()
         count = len(sizes)
         variance, alone = np.diagonal(covariance)[-count:], np.diagonal(own.sum(axis=0))
-        seen = (variance > 0) & (variance * alone < _ABSORBED)
+        seen = (variance > 0) & (variance * alone < _ABSORBED) & (variance < _UNSEEN)
         if not seen.any():
             return None
         deviations = np.where(seen, np.sqrt(np.abs(variance)) * np.abs(sizes), np.inf)

@@ -34,6 +34,7 @@ from adr_service.simulation.model import link_of, read, resolve, write
 from adr_service.tasks.base import Reshapable, Source, Task
 
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
+_MOST_STEPS = 500  # of the simulator between two rows
 _Inferred = mujoco.mjtInertiaFromGeom
 
 
@@ -68,6 +69,12 @@ class Nominal:
         whole = cls(xml, ParameterSpace(()), np.empty(0), fixed or {}, task, folder)
         model = whole.model(whole.start)
         start = [read(model, resolve(model, p.address)) for p in space.parameters]
+        for p, value in zip(space.parameters, start, strict=True):
+            if not p.feasible_low <= value <= p.high:
+                raise InvalidInput(
+                    f"the model has {value:g} for {p.name}, which is outside of its bounds: "
+                    f"{p.feasible_low:g} to {p.high:g}"
+                )
         return cls(xml, space, np.array(start), fixed or {}, task, folder)
 
     def model(self, values: Vector, causes: Sequence[Cause] = ()) -> mujoco.MjModel:
@@ -341,6 +348,11 @@ def _steps(period: float, timestep: float) -> int:
         raise InvalidInput(
             f"rows are {period:g} s apart, which is no multiple of the model's step of "
             f"{timestep:g} s"
+        )
+    if steps > _MOST_STEPS:
+        raise InvalidInput(
+            f"rows are {period:g} s apart, {round(steps)} of the model's steps; accepted are "
+            f"{_MOST_STEPS} at most (is `time` in seconds?)"
         )
     return round(steps)
 

@@ -58,7 +58,8 @@ class Residual:
     at_bound: tuple[str, ...]  # parameters that went as far as they may
     used: int  # transitions
     diverged: int  # transitions that could not be simulated, and were left out
-    detectable: dict[str, float]  # "kind location" -> smallest strength that would have been seen
+    # "kind location" -> smallest first strength that would have been seen, and its unit
+    detectable: dict[str, tuple[float, str]]
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -69,7 +70,10 @@ class Residual:
                 for name, (before, after) in self.moved.items()
             },
             "transitions": {"used": self.used, "diverged": self.diverged},
-            "detectable": self.detectable,
+            "detectable": {
+                name: {"value": size, "unit": unit}
+                for name, (size, unit) in self.detectable.items()
+            },
         }
 
 

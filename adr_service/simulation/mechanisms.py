@@ -20,6 +20,14 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.errors import InvalidInput, UnknownName
 
 Place = Literal["joint", "actuator", "body", "geom", "sensor", "global"]
+_OF_SLIDES = {
+    "N m": "N",
+    "N m/rad": "N/m",
+    "N m s/rad": "N s/m",
+    "kg m²": "kg",
+    "rad": "m",
+    "rad/s": "m/s",
+}
 _BRAKE, _HOLD = "adr_brake_", "adr_force_"  # names of elements that mechanisms add
 _GRAVITY = 9.81  # [m/s²] for typical sizes alone
 
@@ -103,6 +111,20 @@ def sensors(model: mujoco.MjModel) -> list[str]:
     """The measured columns: positions, then velocities, by joint."""
     names = [model.joint(int(model.dof_jntid[dof])).name for dof in range(model.nv)]
     return [f"{n}.position" for n in names] + [f"{n}.velocity" for n in names]
+
+
+def unit_of(model: mujoco.MjModel, location: str, unit: str) -> str:
+    """A strength's unit at a place: catalogue units are those of hinges."""
+    place, _, name = location.partition(":")
+    joint = name.rpartition(".")[0] if place == "sensor" else name
+    if place == "actuator":
+        joint = model.joint(int(model.actuator_trnid[model.actuator(name).id, 0])).name
+    is_slide = place in ("joint", "actuator", "sensor") and (
+        model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE
+    )
+    if unit == "of the sensor":
+        unit = "rad/s" if name.endswith(".velocity") else "rad"
+    return _OF_SLIDES.get(unit, unit) if is_slide else unit
 
 
 def with_causes(
