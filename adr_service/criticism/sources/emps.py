@@ -54,7 +54,7 @@ def read(path: Path) -> Measurement:
     try:
         content = io.loadmat(path)
         position, output = (content[name].ravel() for name in ("qm", "vir"))
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, LookupError) as error:
         raise InvalidInput(f"{path} is no EMPS record: {error}") from error
     smooth = _low_pass(position)
     velocity = np.gradient(smooth, 1 / _RATE_HZ)
