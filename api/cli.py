@@ -348,7 +348,7 @@ def criticise(
     nominal, name = criticism.nominal_of(task, variant, model, free or [])
     with console.status("fitting"):
         found = criticism.criticise_files(nominal, name, data, out, seed, silent)
-    console.print(verdict_table(found.verdict.to_json()))
+    console.print(verdict_table(found.verdict))
     console.print(
         f"{out}: verdict.json, report.html" + (", extended.xml" if found.extension else "")
     )

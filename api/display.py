@@ -1,7 +1,7 @@
 """Progress and results on a terminal."""
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -11,6 +11,9 @@ from rich.table import Table
 from rich.text import Text
 
 from api.client import AdrClient, Json, is_finished
+
+if TYPE_CHECKING:  # its imports are the simulator's, and take time at every command
+    from adr_service.criticism.verdict import Verdict
 
 _REPORT_EVERY = 20  # looks, where the output is not a terminal
 
@@ -146,28 +149,25 @@ def cost_table(cost: Json) -> RenderableType:
     return Group(table, Text(), shares, Text(headline), Text(cost["note"], style="dim"))
 
 
-def verdict_table(verdict: Json) -> RenderableType:
+def verdict_table(verdict: "Verdict") -> RenderableType:
     """What a criticism named, with strengths and their intervals."""
-    headline = f"{verdict['verdict']}, {verdict['confidence']:.1%} sure"
-    moved = verdict["residual"]["parameters"]
-    if at_bound := [name for name, found in moved.items() if found["at_bound"]]:
-        headline += f"; not to be relied on: {', '.join(at_bound)} went to its bound, widen it"
-    if not verdict["causes"]:
+    headline = f"{verdict.finding}, {verdict.confidence:.1%} sure"
+    if at_bound := ", ".join(verdict.residual.at_bound):
+        headline += f"; not to be relied on: {at_bound} went to its bound, widen it"
+    gain = verdict.gain
+    if gain is None:
         return Text(headline)
     table = Table("cause", "location", "strength", box=None, padding=(0, 2, 0, 0))
     for heading in ("value", "95 % interval", "evidence [nats]"):
         table.add_column(heading, justify="right")
-    for cause, tied in zip(verdict["causes"], verdict["tied"], strict=True):
+    for cause, tied in zip(verdict.causes, verdict.tied, strict=True):
         for prefix, named in [("", cause), *(("or ", other) for other in tied)]:
-            for name, found in named["parameters"].items():
-                interval = f"[{found['low']:.4g}, {found['high']:.4g}]"
-                cells = (f"{found['value']:.4g} {found['unit']}", interval)
-                evidence = f"{named['gain_nats']:.0f}"
-                where = (prefix + named["kind"], named["location"], name)
-                table.add_row(*map(escape, (*where, *cells)), evidence)
-    gain = verdict["gain"]
+            for strength, found in zip(named.mechanism.strengths, named.strengths, strict=True):
+                where = (prefix + named.kind, named.location, strength.name)
+                cells = (f"{found.value:.4g} {found.unit}", found.interval, f"{named.gain:.0f}")
+                table.add_row(*map(escape, (*where, *cells)))
     told = (
-        f"{headline}; {gain['sse_removed']:.1%} [{gain['low']:.1%}, {gain['high']:.1%}] of the "
+        f"{headline}; {gain.sse_removed:.1%} [{gain.low:.1%}, {gain.high:.1%}] of the "
         "squared one-step error removed on sealed episodes"
     )
     return Group(table, Text(told))

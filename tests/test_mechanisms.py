@@ -53,7 +53,7 @@ def simulator(request):
 def test_zero_strength_is_nothing_and_what_is_written_out_predicts_the_same(kind, simulator):
     mechanism, start = get_mechanism(kind), simulator.nominal.start
     for place in mechanism.locations(simulator.base)[-2:]:
-        nothing = Cause(kind, place, tuple(s.nothing for s in mechanism.strengths))
+        nothing = Cause(kind, place, (0.0,) * len(mechanism.strengths))
         typical = mechanism.typical(simulator.base, element_of(simulator.base, place))
         cause = Cause(kind, place, tuple(typical))
         without = simulator.predict(start, [], simulator.measured)

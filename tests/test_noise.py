@@ -63,7 +63,7 @@ def test_an_episode_is_whitened_as_its_dense_covariance_says(episode):
         np.testing.assert_allclose(variance[episode, state], posterior[block, block], atol=1e-10)
 
 
-def test_variances_of_sensors_and_of_both_regimes_of_misfit_are_recovered():
+def test_variances_of_sensors_and_of_stiff_misfit_are_recovered_and_regimes_told_apart():
     """Within 15 %: with 590 transitions a variance has a relative error of about 6 % (2/n)."""
     chain, residual, _ = drawn(SENSOR, MISFIT, np.random.default_rng(1))
     start = at_start(chain, residual, UNKNOWN)
@@ -71,6 +71,7 @@ def test_variances_of_sensors_and_of_both_regimes_of_misfit_are_recovered():
     np.testing.assert_allclose(heavy.sensor, SENSOR, rtol=0.15)
     # the t distribution of the misfit has a smaller scale where what was drawn is Gaussian
     np.testing.assert_allclose(heavy.misfit[1], MISFIT[1], rtol=0.5)
+    assert np.all(heavy.misfit[0] < 0.2 * heavy.misfit[1])  # drawn: a fiftieth
 
 
 def test_known_variances_of_sensors_stay():

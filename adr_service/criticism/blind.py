@@ -153,8 +153,6 @@ class _Robot:
         mixed = rng.uniform(0.5, 1.0, len(typical)) if len(typical) > 1 else np.ones(1)
         signs = [1.0 if s.low == 0 else rng.choice([-1.0, 1.0]) for s in mechanism.strengths]
         values = typical * mixed * np.array(signs)
-        if kind == "contact_friction":
-            values = np.abs(values) * signs
         found = 0.0
         for _ in range(_ADJUSTMENTS):
             found = self._ratio_of(Cause(kind, place, tuple(values.tolist())))
@@ -188,10 +186,9 @@ class _Robot:
         pushed = pilot.simulator.predict_pushed(self._nominal.start, (), pilot.states, dof, force)
         changed = (pushed - pilot.predicted) / self._noise
         per_newton = float(np.sqrt(np.nanmean(changed**2))) / force
-        shape = {"gain_drift": 0.17, "cross_coupling": 0.55}.get(
-            kind, 0.7
-        )  # its own root mean square
-        return _Force(kind, dof, actuator, other, ratio / (per_newton * shape))
+        # root mean square of a force of size one, roughly
+        unit = {"gain_drift": 0.17, "cross_coupling": 0.55}.get(kind, 0.7)
+        return _Force(kind, dof, actuator, other, ratio / (per_newton * unit))
 
     def record(
         self, rng: np.random.Generator, causes: Sequence[Cause], force: _Force | None
@@ -228,7 +225,7 @@ class _Robot:
     @cached_property
     def _pilot(self) -> _Pilot:
         """A recording without any effect and without noise, to size effects with."""
-        rng = np.random.default_rng(0)
+        rng = np.random.default_rng(0)  # one yardstick for the sizes of all cases of a robot
         commands = np.stack([_commands(rng, self._task, STEPS + 1) for _ in range(8)])
         states = self._run(rng, commands, [], None)
         simulator = Simulator(self._nominal, self._measurement(states, commands), threads=1)
@@ -332,7 +329,10 @@ def _obeyed(
 def _through_sensors(
     model: mujoco.MjModel, states: Array3, causes: Sequence[Cause], period: float
 ) -> Array3:
-    """What sensors show of true states (episodes, rows, 2 nv), without noise."""
+    """What sensors show of true states (episodes, rows, 2 nv), without noise.
+
+    Written apart from `Simulator.felt`, whose approximations the hidden robot must not share.
+    """
     shown = states.copy()
     for cause in causes:
         sense, size = get_mechanism(cause.kind).sense, cause.values[0]

@@ -17,7 +17,7 @@ import numpy as np
 
 from adr_service.arrays import Array3, Indices, Mask, Matrix, Vector
 from adr_service.criticism.noise import Chain, Noise, Whitener, at_start, estimate
-from adr_service.criticism.simulator import Simulator
+from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.errors import InvalidInput
 from adr_service.simulation.mechanisms import Cause, element_of, get_mechanism
 
@@ -202,8 +202,9 @@ def _fitted(
 def refine(fit: Fit, causes: Sequence[Cause], sensor: Vector, rounds: int = 4) -> Fit:
     """The fit with these causes, from strengths near the best ones; its states stay.
 
-    A step that makes the data less probable is halved. Compare with `refine(fit, fit.causes, …)`,
-    whose noise had as many rounds to settle.
+    A step that makes the data less probable is halved. Where these causes let the simulation
+    diverge, they explain nothing: the fit comes back as it was. Compare with
+    `refine(fit, fit.causes, …)`, whose noise had as many rounds to settle.
     """
     before = fit.simulator.predict(fit.parameters, fit.causes, fit.states)
     integration = slice(len(fit.parameters), len(fit.parameters) + INTEGRATION)
@@ -289,8 +290,11 @@ def _linearise(
         moved = parameters.copy()
         moved[number] += size
         columns.append((simulator.predict(moved, causes, states) - predicted) / size)
-    finer = simulator.predict_finer(parameters, causes, states, FINER)
-    other = simulator.predict_finer(parameters, causes, states, FINER, another=True)
+    own = simulator.base.opt.integrator
+    finer, other = (
+        simulator.predict_finer(parameters, causes, states, FINER, integrator)
+        for integrator in (own, other_integrator(own))
+    )
     columns += [finer - predicted, other - finer]
     for cause in causes:
         columns += _derivatives(simulator, parameters, causes, cause, states, predicted)
@@ -349,7 +353,7 @@ def _derivatives(
     typical = mechanism.typical(simulator.base, element_of(simulator.base, cause.location))
     found: list[Matrix] = []
     for number, size in enumerate(typical):
-        if len(typical) > 1 and cause.values[number] == mechanism.strengths[number].nothing:
+        if len(typical) > 1 and cause.values[number] == 0:
             found.append(np.zeros_like(predicted))
             continue
         step = 0.01 * size

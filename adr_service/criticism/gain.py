@@ -81,11 +81,12 @@ def _errors(
     """Squared errors (N, m) after 1 .. horizon control steps, in units of `scale`; NaN past the
     end of an episode, or where the simulation diverged."""
     starts, measured = simulator.starts, simulator.measured
+    integrator = simulator.base.opt.integrator
     states, known = measured.copy(), np.ones(len(measured), dtype=np.bool_)
     found: list[Matrix] = []
     for _ in range(horizon):
         here = np.where(known[:, None], states, measured)
-        predicted = simulator.predict_finer(parameters, causes, here, FINER)
+        predicted = simulator.predict_finer(parameters, causes, here, FINER, integrator)
         error = ((predicted - measured[starts + 1]) / scale) ** 2
         error[~known[starts]] = np.nan
         found.append(error)

@@ -197,7 +197,7 @@ def _named(fit: Fit, number: int, before: int, confidence: float, gain: float) -
         value = cause.values[offset]
         unit = unit_of(fit.simulator.base, cause.location, strength.unit)
         if covariance[first + offset, first + offset] == 0:  # the data say nothing of it
-            estimates.append(Estimate(value, strength.low, np.inf, unit))
+            estimates.append(Estimate(value, -np.inf, np.inf, unit))
             continue
         error = reach * float(np.sqrt(max(covariance[first + offset, first + offset], 0.0)))
         estimates.append(Estimate(value, max(value - error, strength.low), value + error, unit))

@@ -7,7 +7,6 @@ from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.figures import draw_all
 from adr_service.criticism.pipeline import Criticism
 from adr_service.criticism.verdict import NamedCause, Verdict
-from adr_service.simulation.mechanisms import get_mechanism
 
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{title}</title>
@@ -93,13 +92,13 @@ def _causes(verdict: Verdict) -> str:
 
 
 def _rows(cause: NamedCause, prefix: str) -> list[list[Any]]:
-    names = [strength.name for strength in get_mechanism(cause.kind).strengths]
+    names = [strength.name for strength in cause.mechanism.strengths]
     return [
         [
             prefix + _words(cause),
             escape(name),
             f"{e.value:.4g}",
-            f"{e.low:.4g} to {e.high:.4g}",
+            e.interval,
             escape(e.unit),
             f"{cause.gain:.0f}",
         ]

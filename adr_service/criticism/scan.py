@@ -9,7 +9,6 @@ evidence.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
@@ -66,11 +65,13 @@ class _Scan:
         self._z = self._whitener.whiten(known)
         self._predicted = self._simulator.predict(fit.parameters, fit.causes, fit.states)
         self._slope = self._simulator.slope(fit.parameters, fit.causes, fit.states)
+        self._obeyed = self._simulator.told(fit.causes)
+        self._responses: dict[int, Matrix] = {}
 
     def __call__(self, kind: str, location: str) -> Candidate:
         """The candidate at the best of the sizes where its effect may differ."""
         mechanism = get_mechanism(kind)
-        nothing = tuple(strength.nothing for strength in mechanism.strengths)
+        nothing = (0.0,) * len(mechanism.strengths)
         unseen = np.full(len(nothing), np.inf)
         best = Candidate(Cause(kind, location, nothing), np.zeros(len(self._without)), unseen)
         base = self._simulator.base
@@ -114,10 +115,9 @@ class _Scan:
             return self._felt(Cause(kind, location, tuple(sizes.tolist())))
         if mechanism.command is not None:
             return self._told(Cause(kind, location, tuple(sizes.tolist())))
-        nothing = [strength.nothing for strength in mechanism.strengths]
         steps = [self._predicted]
         for count in range(1, len(sizes) + 1):
-            values = np.where(np.arange(len(sizes)) < count, sizes, nothing)
+            values = np.where(np.arange(len(sizes)) < count, sizes, 0.0)
             cause = Cause(kind, location, tuple(values.tolist()))
             causes = (*fit.causes, cause)
             steps.append(self._simulator.predict(fit.parameters, causes, fit.states))
@@ -139,13 +139,17 @@ class _Scan:
         """An actuator obeys something else, on average over a control step."""
         simulator, fit = self._simulator, self._fit
         actuator = element_of(simulator.base, cause.location)
-        obeyed = simulator.told((*fit.causes, cause)) - simulator.told(fit.causes)
+        obeyed = simulator.told((*fit.causes, cause)) - self._obeyed
         change = obeyed[:, :, actuator].mean(axis=1)
         return fit.layout.fold(self._response(actuator) * change[:, None])[..., None]
 
-    @cache  # noqa: B019 - of a scan, which ends with it
     def _response(self, actuator: int) -> Matrix:
-        """(N, m) what one unit of command adds."""
+        """(N, m) what one unit of command adds; simulated once for all effects on it."""
+        if actuator not in self._responses:
+            self._responses[actuator] = self._respond(actuator)
+        return self._responses[actuator]
+
+    def _respond(self, actuator: int) -> Matrix:
         fit, size = self._fit, 0.01 * self._simulator.reach(actuator)
         known = (fit.parameters, fit.causes, fit.states)
         without, more = (

@@ -160,13 +160,12 @@ class Simulator:
         causes: Sequence[Cause],
         states: Matrix,
         finer: int,
-        another: bool = False,
+        integrator: int,
     ) -> Matrix:
-        """`predict` with a simulator's step `finer` times smaller, and maybe another integrator."""
+        """`predict` with a step `finer` times smaller, by one of MuJoCo's integrators."""
         model = self.nominal.model(values, causes)
         model.opt.timestep /= finer
-        if another:
-            model.opt.integrator = other_integrator(model.opt.integrator)
+        model.opt.integrator = integrator
         return self._predict(values, causes, states, model, finer=finer)
 
     def predict_free(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
@@ -251,7 +250,7 @@ class Simulator:
         """Half-open ranges of each episode's transitions among `starts`."""
         lengths = [last - first - 1 for first, last in self.data.spans()]
         ends = np.cumsum(lengths).tolist()
-        return [(end - length, end) for end, length in zip(ends, lengths, strict=True) if length]
+        return [(end - length, end) for end, length in zip(ends, lengths, strict=True)]
 
     def _true(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
         """The robot's states (rows, 2 nv) behind what its sensors show."""
@@ -300,7 +299,7 @@ class Simulator:
         ends = self.predict(values, others, states)
         slope = np.zeros_like(states)
         slope[self.starts + 1] = (np.nan_to_num(ends) - states[self.starts]) / self.period
-        first = np.array([first for first, last in self.data.spans() if last > first + 1])
+        first = np.array([first for first, _ in self.data.spans()])
         slope[first] = slope[first + 1]
         return slope
 

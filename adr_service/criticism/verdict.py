@@ -5,9 +5,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any, Literal
 
-from adr_service.simulation.mechanisms import get_mechanism
+from adr_service.simulation.mechanisms import Mechanism, get_mechanism
 
 VERSION = 1
 Finding = Literal["cause", "none", "unknown", "tie"]
@@ -15,7 +16,7 @@ Finding = Literal["cause", "none", "unknown", "tie"]
 
 @dataclass(frozen=True)
 class Estimate:
-    """A strength with its 95 % interval."""
+    """A strength with its 95 % interval, unbounded where the data say nothing of it."""
 
     value: float
     low: float
@@ -23,7 +24,13 @@ class Estimate:
     unit: str
 
     def to_json(self) -> dict[str, Any]:
-        return {"value": self.value, "low": self.low, "high": self.high, "unit": self.unit}
+        low, high = (bound if isfinite(bound) else None for bound in (self.low, self.high))
+        return {"value": self.value, "low": low, "high": high, "unit": self.unit}
+
+    @property
+    def interval(self) -> str:
+        """The interval in words."""
+        return f"{self.low:.4g} to {self.high:.4g}" if isfinite(self.high) else "cannot be told"
 
 
 @dataclass(frozen=True)
@@ -36,8 +43,12 @@ class NamedCause:
     confidence: float  # probability, among everything that was asked
     gain: float  # nats by which episodes are predicted better that no fit has seen
 
+    @property
+    def mechanism(self) -> Mechanism:
+        return get_mechanism(self.kind)
+
     def to_json(self) -> dict[str, Any]:
-        names = [strength.name for strength in get_mechanism(self.kind).strengths]
+        names = [strength.name for strength in self.mechanism.strengths]
         found = [estimate.to_json() for estimate in self.strengths]
         return {
             "kind": self.kind,

@@ -34,12 +34,11 @@ _GRAVITY = 9.81  # [m/s²] for typical sizes alone
 
 @dataclass(frozen=True)
 class Strength:
-    """One parameter of a mechanism; it has no effect at `nothing`."""
+    """One parameter of a mechanism; at zero it has no effect."""
 
     name: str
     unit: str
     low: float = -np.inf  # smallest value that makes sense
-    nothing: float = 0.0
 
 
 @dataclass(frozen=True)
