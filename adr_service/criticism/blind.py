@@ -183,8 +183,11 @@ class _Robot:
         pilot = self._pilot
         gear = abs(float(self._base.actuator_gear[actuator, 0]))
         force = 0.01 * gear
-        pushed = pilot.simulator.predict_pushed(self._nominal.start, (), pilot.states, dof, force)
-        changed = (pushed - pilot.predicted) / self._noise
+        still, pushed = (
+            pilot.simulator.predict_pushed(self._nominal.start, (), pilot.states, dof, size)
+            for size in (0.0, force)
+        )
+        changed = (pushed - still) / self._noise
         per_newton = float(np.sqrt(np.nanmean(changed**2))) / force
         # root mean square of a force of size one, roughly
         unit = {"gain_drift": 0.17, "cross_coupling": 0.55}.get(kind, 0.7)

@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adr_service.arrays import Array3, Indices, Mask, Matrix, Vector
-from adr_service.criticism.noise import Chain, Noise, Whitener, at_start, estimate
+from adr_service.criticism.linear import Linear, Normal, estimate
+from adr_service.criticism.noise import Chain, Noise, Whitener, at_start
 from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.errors import InvalidInput
 from adr_service.simulation.mechanisms import Cause, element_of, get_mechanism
@@ -27,6 +28,7 @@ FINER = 3  # how much smaller a step shows what numerical integration adds
 # first, where they are real and the integrator is of first order
 _INTEGRATION = ((2 / 3, 2 / 3), (0.0, 1.0))
 INTEGRATION = len(_INTEGRATION)  # columns
+_CONVERGED = 0.3  # nats
 _DIFFERENCE = 1e-4  # of a parameter's range
 _TINY = 1e-5  # of a state's spread over the recording, where its uncertainty is not known yet
 _SIMULATED = 0.5  # of all transitions, at least
@@ -63,78 +65,6 @@ class Layout:
 
 
 @dataclass(frozen=True)
-class Linear:
-    """Residuals of all transitions, and how they would change."""
-
-    chain: Chain
-    residual: Array3  # (E, T, m)
-    columns: np.ndarray  # (E, T, m, p) of parameters, then of integration, of causes' strengths
-    parameters: int  # how many
-
-
-@dataclass(frozen=True)
-class Normal:
-    """Normal equations of each episode: log-likelihoods as functions of a small change."""
-
-    information: np.ndarray  # (E, p, p)
-    score: Matrix  # (E, p)
-    log_likelihood: Vector  # (E,) at no change
-
-    @classmethod
-    def of(cls, whitener: Whitener, linear: Linear) -> "Normal":
-        z = whitener.whiten(np.concatenate([linear.residual[..., None], linear.columns], axis=3))
-        log_likelihood = whitener.log_likelihood(z[..., 0])
-        inner = products(z[..., 1:], z)
-        information, score = inner[..., 1:], inner[..., 0]
-        for where, (mean, deviation) in enumerate(_INTEGRATION, linear.parameters):
-            information[:, where, where] += 1 / deviation**2 / len(z)
-            score[:, where] += mean / deviation**2 / len(z)
-        return cls(information, score, log_likelihood)
-
-    def with_columns(self, own: np.ndarray, cross: np.ndarray, score: Matrix) -> "Normal":
-        """More columns: their information (E, k, k), that with ours (E, p, k), score (E, k)."""
-        top = np.concatenate([self.information, cross], axis=2)
-        bottom = np.concatenate([cross.swapaxes(1, 2), own], axis=2)
-        information = np.concatenate([top, bottom], axis=1)
-        return Normal(information, np.concatenate([self.score, score], axis=1), self.log_likelihood)
-
-    def change(self, penalty: Vector | float = 0.0) -> tuple[Vector, Matrix]:
-        """The most probable change (p,), and its covariance (p, p).
-
-        `penalty` (p,) is the prior precision of each, zero: nothing is known before.
-        """
-        everything = self.information.sum(axis=0)
-        covariance = _inverse(everything + np.eye(len(everything)) * penalty)
-        return covariance @ self.score.sum(axis=0), covariance
-
-    def covariance(self) -> Matrix:
-        """(p, p) of the most probable change, by how much episodes differ about it.
-
-        The sandwich estimate, which holds where residuals are neither Gaussian nor independent
-        within an episode (Liang and Zeger, 1986), for few episodes (HC1).
-        """
-        change, model = self.change()
-        apart = self.score - self.information @ change  # (E, p)
-        count, p = apart.shape
-        return model @ (apart.T @ apart) @ model * count / max(count - p, 1)
-
-    def settled(self, columns: slice) -> float:
-        """Log-likelihood of all episodes once these columns alone have changed."""
-        information = self.information[:, columns, columns].sum(axis=0)
-        score = self.score[:, columns].sum(axis=0)
-        return float(self.log_likelihood.sum() + 0.5 * score @ _inverse(information) @ score)
-
-    def left_out(self, penalty: Vector | float = 0.0) -> Vector:
-        """(E,) log-likelihood of each episode, by a fit to all the others."""
-        rest = self.information.sum(axis=0) - self.information
-        rest = rest + np.eye(rest.shape[1]) * penalty
-        score = self.score.sum(axis=0) - self.score
-        change = np.einsum("eij,ej->ei", _inverse(rest), score)
-        bend = np.einsum("ei,eij,ej->e", change, self.information, change)
-        return self.log_likelihood + np.einsum("ei,ei->e", self.score, change) - 0.5 * bend
-
-
-@dataclass(frozen=True)
 class Fit:
     """A simulator with fitted parameters and causes, and what it leaves unexplained.
 
@@ -167,20 +97,23 @@ def fit(
 
     `sensor` (m,) are the variances of the sensors' noise, NaN where they are not known.
     """
-    layout, states, causes = Layout.of(simulator), simulator.measured, tuple(causes)
-    tiny = np.diag(_TINY * _spread(simulator))
-    root = np.broadcast_to(tiny, (*states.shape, len(tiny)))
-    found = _fitted(simulator, layout, parameters, causes, states, root, sensor)
+    layout, states = Layout.of(simulator), simulator.measured
+    root = np.broadcast_to(_tiny(simulator), (*states.shape, states.shape[1]))
+    found = _fitted(simulator, layout, parameters, tuple(causes), states, root, sensor)
     for _ in range(rounds - 1):
-        change, _ = found.normal.change()
-        whitener = Whitener.of(found.linear.chain, found.noise)
-        errors, covariance = whitener.sensor_errors(
-            found.linear.residual - found.linear.columns @ change
-        )
-        states = simulator.measured - layout.by_row(simulator, errors)
-        root = _root(layout.by_row(simulator, covariance), tiny)
-        found = _fitted(simulator, layout, found.parameters, found.causes, states, root, sensor)
+        found = smoothed(found, sensor)
     return found
+
+
+def smoothed(fit: Fit, sensor: Vector) -> Fit:
+    """A fit anew, around the states that are the most probable under it."""
+    simulator, layout, linear = fit.simulator, fit.layout, fit.linear
+    change, _ = fit.normal.change()
+    whitener = Whitener.of(linear.chain, fit.noise)
+    errors, covariance = whitener.sensor_errors(linear.residual - linear.columns @ change)
+    states = simulator.measured - layout.by_row(simulator, errors)
+    root = _root(layout.by_row(simulator, covariance), _tiny(simulator))
+    return _fitted(simulator, layout, fit.parameters, fit.causes, states, root, sensor)
 
 
 def _fitted(
@@ -212,16 +145,18 @@ def refine(fit: Fit, causes: Sequence[Cause], sensor: Vector, rounds: int = 4) -
     if best is None:
         return fit
     step = best.normal.change()[0]
+    reached = best.normal.settled(integration)
     for _ in range(rounds - 1):
         parameters = _moved(fit.simulator, best.parameters, step)
         moved = _strengthened(best.causes, step[integration.stop :])
         tried = _evaluated(fit, before, parameters, moved, best.noise, sensor)
-        if tried is not None and tried.normal.settled(integration) > best.normal.settled(
-            integration
-        ):
-            best, step = tried, tried.normal.change()[0]
-        else:
+        gained = -np.inf if tried is None else tried.normal.settled(integration) - reached
+        if tried is None or gained <= 0:
             step = step / 2
+            continue
+        best, step, reached = tried, tried.normal.change()[0], reached + gained
+        if gained < _CONVERGED:
+            break
     return best
 
 
@@ -237,24 +172,21 @@ def _evaluated(
 
     `before` is what the other fit predicts. None: some transition diverges.
     """
-    simulator, layout, count = fit.simulator, fit.layout, len(parameters)
+    simulator, layout = fit.simulator, fit.layout
     predicted = simulator.predict(parameters, causes, fit.states)
-    effects = [
-        effect
-        for each in causes
-        for effect in _derivatives(simulator, parameters, causes, each, fit.states, predicted)
-    ]
+    effects = _derivatives(simulator, parameters, causes, fit.states)
     moved = layout.fold(np.stack([predicted - before, *effects], axis=2))
     moved[~fit.linear.chain.mask] = 0.0
     if not np.all(np.isfinite(moved)):
         return None
-    linear = Linear(
+    known = fit.linear.columns[..., : len(parameters) + INTEGRATION]
+    linear = _known_before(
         fit.linear.chain,
         fit.linear.residual - moved[..., 0],
-        np.concatenate([fit.linear.columns[..., : count + INTEGRATION], moved[..., 1:]], axis=3),
-        count,
+        np.concatenate([known, moved[..., 1:]], axis=3),
+        len(parameters),
     )
-    noise, normal = _judge_again(linear, noise, sensor, rounds=(4,))
+    noise, normal = estimate(linear, noise, ~np.isnan(sensor))
     return Fit(simulator, layout, parameters, causes, fit.states, linear, noise, normal)
 
 
@@ -274,13 +206,14 @@ def _linearise(
     """
     starts, m = simulator.starts, states.shape[1]
     predicted = simulator.predict(parameters, causes, states)
+    quickly = simulator.predict_quickly(parameters, causes, states)
     slopes, mean = np.empty((len(starts), m, m)), predicted.copy()
     for column in range(m):
         step = root[:, :, column]
-        above = simulator.predict(parameters, causes, states + step)
-        below = simulator.predict(parameters, causes, states - step)
+        above = simulator.predict_quickly(parameters, causes, states + step)
+        below = simulator.predict_quickly(parameters, causes, states - step)
         slopes[:, :, column] = (above - below) / 2
-        mean += (above + below) / 2 - predicted
+        mean += (above + below) / 2 - quickly
     transition = slopes @ np.linalg.inv(root[starts])
     offset = (simulator.measured - states)[starts]
     residual = simulator.measured[starts + 1] - mean - (transition @ offset[..., None])[..., 0]
@@ -289,17 +222,16 @@ def _linearise(
     for number, size in enumerate(_DIFFERENCE * (space.high - space.low)):
         moved = parameters.copy()
         moved[number] += size
-        columns.append((simulator.predict(moved, causes, states) - predicted) / size)
+        columns.append((simulator.predict_quickly(moved, causes, states) - quickly) / size)
     own = simulator.base.opt.integrator
     finer, other = (
         simulator.predict_finer(parameters, causes, states, FINER, integrator)
         for integrator in (own, other_integrator(own))
     )
     columns += [finer - predicted, other - finer]
-    for cause in causes:
-        columns += _derivatives(simulator, parameters, causes, cause, states, predicted)
+    columns += _derivatives(simulator, parameters, causes, states)
     free = simulator.predict_free(parameters, causes, states)
-    stiff = np.any(np.abs(free - predicted) > _TOUCHED * _spread(simulator), axis=1)
+    stiff = np.any(np.abs(free - quickly) > _TOUCHED * _spread(simulator), axis=1)
     everything = np.concatenate([residual[..., None], transition, np.stack(columns, axis=2)], 2)
     folded = layout.fold(everything)
     mask = layout.mask & np.all(np.isfinite(folded), axis=(2, 3))
@@ -311,7 +243,15 @@ def _linearise(
         )
     folded[~mask] = 0.0
     chain = Chain(mask, folded[..., 1 : m + 1], layout.fold(stiff))
-    return Linear(chain, folded[..., 0], folded[..., m + 1 :], len(parameters))
+    return _known_before(chain, folded[..., 0], folded[..., m + 1 :], len(parameters))
+
+
+def _known_before(chain: Chain, residual: Array3, columns: np.ndarray, parameters: int) -> Linear:
+    """Nothing of parameters and causes, something of integration."""
+    mean, precision = np.zeros(columns.shape[3]), np.zeros(columns.shape[3])
+    for where, (likely, deviation) in enumerate(_INTEGRATION, parameters):
+        mean[where], precision[where] = likely, 1 / deviation**2
+    return Linear(chain, residual, columns, mean, precision)
 
 
 def _judge(linear: Linear, sensor: Vector) -> tuple[Noise, Normal]:
@@ -319,49 +259,35 @@ def _judge(linear: Linear, sensor: Vector) -> tuple[Noise, Normal]:
     mask, p = linear.chain.mask, linear.columns.shape[3]
     rows = linear.columns[mask].reshape(-1, p)
     change = np.linalg.lstsq(rows, linear.residual[mask].ravel(), rcond=None)[0]
-    left = linear.residual - linear.columns @ change
-    start = at_start(linear.chain, left, sensor)
-    noise = estimate(linear.chain, left, start, 8, ~np.isnan(sensor))
-    return _judge_again(linear, noise, sensor, rounds=(8, 10))
-
-
-def _judge_again(
-    linear: Linear, noise: Noise, sensor: Vector, rounds: Sequence[int]
-) -> tuple[Noise, Normal]:
-    normal = Normal.of(Whitener.of(linear.chain, noise), linear)
-    for count in rounds:
-        change, _ = normal.change()
-        left = linear.residual - linear.columns @ change
-        noise = estimate(linear.chain, left, noise, count, ~np.isnan(sensor))
-        normal = Normal.of(Whitener.of(linear.chain, noise), linear)
-    return noise, normal
+    start = at_start(linear.chain, linear.residual - linear.columns @ change, sensor)
+    return estimate(linear, start, ~np.isnan(sensor))
 
 
 def _derivatives(
-    simulator: Simulator,
-    parameters: Vector,
-    causes: tuple[Cause, ...],
-    cause: Cause,
-    states: Matrix,
-    predicted: Matrix,
+    simulator: Simulator, parameters: Vector, causes: tuple[Cause, ...], states: Matrix
 ) -> list[Matrix]:
-    """Derivatives (N, m) of the prediction by each strength of one of the causes.
+    """Derivatives (N, m) of the prediction by each strength of each cause.
 
     Of several strengths, those that the data say nothing of are zero and stay so.
     """
-    mechanism = get_mechanism(cause.kind)
-    typical = mechanism.typical(simulator.base, element_of(simulator.base, cause.location))
+    if not causes:
+        return []
+    predicted = simulator.predict_quickly(parameters, causes, states)
     found: list[Matrix] = []
-    for number, size in enumerate(typical):
-        if len(typical) > 1 and cause.values[number] == 0:
-            found.append(np.zeros_like(predicted))
-            continue
-        step = 0.01 * size
-        values = list(cause.values)
-        values[number] += step
-        moved = replace(cause, values=tuple(values))
-        changed = tuple(moved if each is cause else each for each in causes)
-        found.append((simulator.predict(parameters, changed, states) - predicted) / step)
+    for cause in causes:
+        mechanism = get_mechanism(cause.kind)
+        typical = mechanism.typical(simulator.base, element_of(simulator.base, cause.location))
+        for number, size in enumerate(typical):
+            if len(typical) > 1 and cause.values[number] == 0:
+                found.append(np.zeros_like(predicted))
+                continue
+            step = 0.01 * size
+            values = list(cause.values)
+            values[number] += step
+            moved = replace(cause, values=tuple(values))
+            changed = tuple(moved if each is cause else each for each in causes)
+            effect = simulator.predict_quickly(parameters, changed, states) - predicted
+            found.append(effect / step)
     return found
 
 
@@ -397,19 +323,11 @@ def _root(covariance: np.ndarray, tiny: Matrix) -> np.ndarray:
     return np.linalg.cholesky(sane)
 
 
+def _tiny(simulator: Simulator) -> Matrix:
+    """A root (m, m) of a state's covariance that is too small to matter."""
+    return np.diag(_TINY * _spread(simulator))
+
+
 def _spread(simulator: Simulator) -> Vector:
     """(m,) of each state over the recording."""
     return np.maximum(simulator.measured.std(axis=0), 1e-3)
-
-
-def products(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """(E, i, j) inner products of columns (E, T, m, i) and (E, T, m, j), by episode."""
-    e, t, m, i = one.shape
-    return one.reshape(e, t * m, i).swapaxes(1, 2) @ other.reshape(e, t * m, -1)
-
-
-def _inverse(information: np.ndarray) -> np.ndarray:
-    """Pseudo-inverse of normal matrices (..., p, p), whose columns may differ by many orders."""
-    scale = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300))
-    outer = scale[..., :, None] * scale[..., None, :]
-    return np.linalg.pinv(information / outer, rcond=1e-9, hermitian=True) / outer

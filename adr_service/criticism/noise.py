@@ -130,31 +130,29 @@ class Whitener:
         return blame * sensor, np.diag(sensor) - sensor[:, None] * chance * sensor
 
 
-def estimate(chain: Chain, residual: Array3, start: Noise, rounds: int, known: Mask) -> Noise:
-    """Variances and weights that make residuals (E, T, m) most probable, from `start`.
+def updated(whitener: Whitener, residual: Array3, known: Mask) -> Noise:
+    """Noise after one MM update, which makes residuals (E, T, m) more probable.
 
     `known` (m,): whose sensors' variances stay as they are.
     """
-    noise, mask = start, chain.mask
+    chain, noise = whitener.chain, whitener.noise
+    mask = chain.mask
     floor = _LEAST * np.maximum(np.mean(residual[mask] ** 2, axis=0), 1e-30)
-    for _ in range(rounds):
-        whitener = Whitener.of(chain, noise)
-        adjoint = whitener.adjoint(whitener.whiten(residual[..., None])[..., 0])
-        diagonal, left = whitener.inverse_blocks()
-        information = np.diagonal(diagonal, axis1=2, axis2=3)
-        misfit = noise.misfit.copy()
-        for regime, where in enumerate((mask & ~chain.stiff, mask & chain.stiff)):
-            scale = 1 / noise.weights[where][:, None]
-            misfit[regime] *= _ratio(scale * adjoint[where] ** 2, scale * information[where])
-        blame, chance = _by_state(chain, adjoint, diagonal, left)
-        factor = _ratio(_rows(blame) ** 2, _rows(np.diagonal(chance, axis1=2, axis2=3)))
-        sensor = np.where(known, noise.sensor, noise.sensor * factor)
-        spread = _spread(chain, noise)
-        moment = spread + spread**2 * (adjoint**2 - information)  # E[w²] given the residuals
-        energy = np.sum(moment / (spread * noise.weights[..., None]), axis=2)
-        weights = np.where(mask, (DEGREES + residual.shape[2]) / (DEGREES + energy), 1.0)
-        noise = Noise(np.maximum(sensor, floor), np.maximum(misfit, floor), weights)
-    return noise
+    adjoint = whitener.adjoint(whitener.whiten(residual[..., None])[..., 0])
+    diagonal, left = whitener.inverse_blocks()
+    information = np.diagonal(diagonal, axis1=2, axis2=3)
+    misfit = noise.misfit.copy()
+    for regime, where in enumerate((mask & ~chain.stiff, mask & chain.stiff)):
+        scale = 1 / noise.weights[where][:, None]
+        misfit[regime] *= _ratio(scale * adjoint[where] ** 2, scale * information[where])
+    blame, chance = _by_state(chain, adjoint, diagonal, left)
+    factor = _ratio(_rows(blame) ** 2, _rows(np.diagonal(chance, axis1=2, axis2=3)))
+    sensor = np.where(known, noise.sensor, noise.sensor * factor)
+    spread = _spread(chain, noise)
+    moment = spread + spread**2 * (adjoint**2 - information)  # E[w²] given the residuals
+    energy = np.sum(moment / (spread * noise.weights[..., None]), axis=2)
+    weights = np.where(mask, (DEGREES + residual.shape[2]) / (DEGREES + energy), 1.0)
+    return Noise(np.maximum(sensor, floor), np.maximum(misfit, floor), weights)
 
 
 def at_start(chain: Chain, residual: Array3, sensor: Vector) -> Noise:

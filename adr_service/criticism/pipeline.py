@@ -18,12 +18,12 @@ from scipy import stats
 from scipy.special import expit
 
 from adr_service.arrays import Vector
-from adr_service.criticism.decision import THRESHOLD, TIE, Decision, decide, is_unknown
-from adr_service.criticism.evidence import INTEGRATION, Fit, fit, refine
+from adr_service.criticism.decision import THRESHOLD, Decision, decide, is_unknown
+from adr_service.criticism.evidence import INTEGRATION, Fit, fit, refine, smoothed
 from adr_service.criticism.extension import Extension, extend
 from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.scan import Candidate, places, scan
+from adr_service.criticism.scan import Candidate, Effects, scan
 from adr_service.criticism.simulator import Nominal, Simulator
 from adr_service.criticism.verdict import Estimate, Finding, NamedCause, Residual, Verdict
 from adr_service.criticism.yardstick import flexible_gains
@@ -32,6 +32,7 @@ from adr_service.simulation.mechanisms import get_mechanism, unit_of
 
 _SEALED = 4  # every fourth episode
 _REFINED, _CLOSE, _MOST_REFINED = 6, 0.9, 10  # the best, and all as good as that, but no more
+_PROMISING = THRESHOLD / 4  # [nats] by the scan; refining finds little more
 _MOST_CAUSES = 3
 _INTERVAL = 0.95
 
@@ -82,8 +83,9 @@ def criticise(
     sensor = data.sensor_variance()
     with Simulator(nominal, learned, threads) as simulator:
         baseline = fit(simulator, sensor, nominal.start)
-        first = scan(baseline, places(simulator))
-        found, final, chance = _name(baseline, first, sensor, rng, progress)
+        effects = Effects(baseline)
+        first = scan(baseline, effects)
+        found, final, chance = _name(baseline, first, effects, sensor, rng, progress)
         found, final = _pruned(found, final, sensor)
         flexible = flexible_gains(refine(final, final.causes, sensor), sensor)
     finding: Finding = "none"
@@ -107,6 +109,7 @@ def criticise(
 def _name(
     baseline: Fit,
     candidates: Sequence[Candidate],
+    effects: Effects,
     sensor: Vector,
     rng: np.random.Generator,
     progress: Progress,
@@ -118,14 +121,13 @@ def _name(
     for count in range(_MOST_CAUSES):
         progress((1 + count) / (2 + _MOST_CAUSES), causes=count)
         if count > 0:
-            candidates = scan(current, places(current.simulator))
+            candidates = scan(current, effects)
         decision, weighed = _weigh(current, candidates, sensor, rng)
         chance = float(decision.confidence[-1])
         if not decision.alike:
             break
         found.append(tuple(weighed[number] for number in decision.alike))
-        best = found[-1][0].fit
-        current = fit(current.simulator, sensor, best.parameters, best.causes)
+        current = smoothed(found[-1][0].fit, sensor)
     return found, current, chance
 
 
@@ -133,8 +135,8 @@ def _weigh(
     current: Fit, candidates: Sequence[Candidate], sensor: Vector, rng: np.random.Generator
 ) -> tuple[Decision, list[_Weighed]]:
     """The evidence for the best candidates, refined."""
-    close = [c for c in candidates if c.gain > max(TIE, _CLOSE * candidates[0].gain)]
-    chosen = [c for c in candidates[:_REFINED] if c.gain > TIE]
+    close = [c for c in candidates if c.gain > max(_PROMISING, _CLOSE * candidates[0].gain)]
+    chosen = [c for c in candidates[:_REFINED] if c.gain > _PROMISING]
     chosen = max(chosen, close, key=len)[:_MOST_REFINED]
     without = refine(current, current.causes, sensor)
     fits = [refine(current, [*current.causes, c.cause], sensor) for c in chosen]
@@ -158,7 +160,7 @@ def _pruned(found: list[_Named], current: Fit, sensor: Vector) -> tuple[list[_Na
         if losses[least] > THRESHOLD:
             break
         found = [named for number, named in enumerate(found) if number != least]
-        current = fit(current.simulator, sensor, current.parameters, without[least])
+        current = smoothed(refine(current, without[least], sensor), sensor)
     return found, current
 
 

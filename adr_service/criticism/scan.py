@@ -7,13 +7,13 @@ A cause is tried beside the free parameters and the causes of a fit: what they c
 evidence.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.criticism.evidence import Fit, products
+from adr_service.criticism.evidence import Fit
+from adr_service.criticism.linear import products
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.simulator import Simulator
 from adr_service.simulation.mechanisms import MECHANISMS, Cause, element_of, get_mechanism
@@ -35,10 +35,12 @@ class Candidate:
         return float(self.gains.sum())
 
 
-def scan(fit: Fit, places: Sequence[tuple[str, str]]) -> list[Candidate]:
+def scan(fit: Fit, effects: "Effects") -> list[Candidate]:
     """Every (kind, location) at the strengths the data ask for; the best first."""
-    look = _Scan(fit)
-    return sorted((look(*place) for place in places), key=lambda candidate: -candidate.gain)
+    look = _Scan(fit, effects)
+    named = {(cause.kind, cause.location) for cause in fit.causes}
+    asked = [place for place in places(fit.simulator) if place not in named]
+    return sorted((look(*place) for place in asked), key=lambda candidate: -candidate.gain)
 
 
 def places(simulator: Simulator) -> list[tuple[str, str]]:
@@ -51,44 +53,36 @@ def places(simulator: Simulator) -> list[tuple[str, str]]:
 
 
 class _Scan:
-    """Looks at one possible cause after the other, linearised.
+    """Looks at one possible cause after the other, linearised."""
 
-    What acts in a sensor or on a command is a combination of what is known of states and commands
-    already; all else is simulated once for each strength.
-    """
-
-    def __init__(self, fit: Fit):
-        self._fit, self._simulator = fit, fit.simulator
+    def __init__(self, fit: Fit, effects: "Effects"):
+        self._fit, self._effects = fit, effects
         self._without = fit.held_out
         self._whitener = Whitener.of(fit.linear.chain, fit.noise)
         known = np.concatenate([fit.linear.columns, fit.linear.residual[..., None]], axis=3)
         self._z = self._whitener.whiten(known)
-        self._predicted = self._simulator.predict(fit.parameters, fit.causes, fit.states)
-        self._slope = self._simulator.slope(fit.parameters, fit.causes, fit.states)
-        self._obeyed = self._simulator.told(fit.causes)
-        self._responses: dict[int, Matrix] = {}
 
     def __call__(self, kind: str, location: str) -> Candidate:
         """The candidate at the best of the sizes where its effect may differ."""
-        mechanism = get_mechanism(kind)
+        mechanism, base = get_mechanism(kind), self._fit.simulator.base
         nothing = (0.0,) * len(mechanism.strengths)
         unseen = np.full(len(nothing), np.inf)
         best = Candidate(Cause(kind, location, nothing), np.zeros(len(self._without)), unseen)
-        base = self._simulator.base
         typical = np.array(mechanism.typical(base, element_of(base, location)))
         for factor in mechanism.sizes:
-            found = self._at(kind, location, factor * typical)
+            found = self._at(Cause(kind, location, tuple((factor * typical).tolist())))
             if found is not None and (found.gain > best.gain or best.gain <= 0):
                 best = found if found.gain > 0 else replace(best, deviations=found.deviations)
         return best
 
-    def _at(self, kind: str, location: str, sizes: Vector) -> Candidate | None:
-        """None where the data ask for a strength that makes no sense, or cannot tell."""
-        effects = self._effects(kind, location, sizes)
-        effects[~self._fit.linear.chain.mask] = 0.0
+    def _at(self, tried: Cause) -> Candidate | None:
+        """In proportion to a cause that is tried; None where the data ask for a strength that makes
+        no sense, or cannot tell."""
+        effects = self._effects.of(tried)
+        effects = np.where(self._fit.linear.chain.mask[..., None, None], effects, 0.0)
         if not np.all(np.isfinite(effects)):
             return None
-        design = self._whitener.whiten(effects)
+        design, sizes = self._whitener.whiten(effects), np.array(tried.values)
         own = products(design, design)
         cross = products(self._z[..., :-1], design)
         score = products(design, self._z[..., -1:])[..., 0]
@@ -101,26 +95,49 @@ class _Scan:
             return None
         deviations = np.where(seen, np.sqrt(np.abs(variance)) * np.abs(sizes), np.inf)
         strengths = np.where(seen, change[-count:] * sizes, 0.0)
-        low = np.array([strength.low for strength in get_mechanism(kind).strengths])
+        mechanism = get_mechanism(tried.kind)
+        low = np.array([strength.low for strength in mechanism.strengths])
         gains = normal.left_out() - self._without
-        has_sides = len(get_mechanism(kind).sizes) > 1  # and each size stands for its own
+        has_sides = len(mechanism.sizes) > 1  # and each size stands for its own
         if np.any(strengths < low) or (has_sides and np.any(change[-count:] < 0)):
             strengths, gains = np.zeros(count), np.zeros(len(gains))
-        return Candidate(Cause(kind, location, tuple(strengths.tolist())), gains, deviations)
+        return Candidate(replace(tried, values=tuple(strengths.tolist())), gains, deviations)
 
-    def _effects(self, kind: str, location: str, sizes: Vector) -> np.ndarray:
+
+class Effects:
+    """What possible causes add to the predictions of a fit, each simulated once for all scans.
+
+    What acts in a sensor or on a command is a combination of what is known of states and commands
+    already; all else is simulated once for each strength.
+    """
+
+    def __init__(self, fit: Fit):
+        self._fit, self._simulator = fit, fit.simulator
+        known = (fit.parameters, fit.causes, fit.states)
+        self._predicted = self._simulator.predict_quickly(*known)
+        self._slope = self._simulator.slope(*known)
+        self._obeyed = self._simulator.told(fit.causes)
+        self._responses: dict[int, Matrix] = {}
+        self._found: dict[Cause, np.ndarray] = {}
+
+    def of(self, cause: Cause) -> np.ndarray:
         """(E, T, m, strengths) what each strength adds, one after the other."""
-        mechanism, fit = get_mechanism(kind), self._fit
-        if mechanism.sense is not None:
-            return self._felt(Cause(kind, location, tuple(sizes.tolist())))
-        if mechanism.command is not None:
-            return self._told(Cause(kind, location, tuple(sizes.tolist())))
-        steps = [self._predicted]
+        if cause not in self._found:
+            mechanism = get_mechanism(cause.kind)
+            if mechanism.sense is not None:
+                self._found[cause] = self._felt(cause)
+            elif mechanism.command is not None:
+                self._found[cause] = self._told(cause)
+            else:
+                self._found[cause] = self._simulated(cause)
+        return self._found[cause]
+
+    def _simulated(self, cause: Cause) -> np.ndarray:
+        fit, steps, sizes = self._fit, [self._predicted], np.array(cause.values)
         for count in range(1, len(sizes) + 1):
             values = np.where(np.arange(len(sizes)) < count, sizes, 0.0)
-            cause = Cause(kind, location, tuple(values.tolist()))
-            causes = (*fit.causes, cause)
-            steps.append(self._simulator.predict(fit.parameters, causes, fit.states))
+            causes = (*fit.causes, replace(cause, values=tuple(values.tolist())))
+            steps.append(self._simulator.predict_quickly(fit.parameters, causes, fit.states))
         return fit.layout.fold(np.diff(np.stack(steps, axis=2), axis=2))
 
     def _felt(self, cause: Cause) -> np.ndarray:

@@ -154,6 +154,13 @@ class Simulator:
         """
         return self._predict(values, causes, states, self.nominal.model(values, causes))
 
+    def predict_quickly(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
+        """`predict` by an integrator of first order, for differences to others of this kind.
+
+        Where the model's own is of fourth order, it takes a quarter of the time.
+        """
+        return self._predict(values, causes, states, self._quick(values, causes))
+
     def predict_finer(
         self,
         values: Vector,
@@ -169,8 +176,8 @@ class Simulator:
         return self._predict(values, causes, states, model, finer=finer)
 
     def predict_free(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
-        """`predict` without contacts and joint limits."""
-        model = self.nominal.model(values, causes)
+        """`predict_quickly` without contacts and joint limits."""
+        model = self._quick(values, causes)
         bits = mujoco.mjtDisableBit
         model.opt.disableflags |= bits.mjDSBL_CONTACT | bits.mjDSBL_LIMIT
         return self._predict(values, causes, states, model)
@@ -178,8 +185,8 @@ class Simulator:
     def predict_pushed(
         self, values: Vector, causes: Sequence[Cause], states: Matrix, dof: int, force: float
     ) -> Matrix:
-        """`predict` with a constant generalised force [N or N m] on one degree of freedom."""
-        model = self.nominal.model(values, causes)
+        """`predict_quickly` with a constant generalised force [N or N m] on a degree of freedom."""
+        model = self._quick(values, causes)
         return self._predict(values, causes, states, model, push=(dof, force))
 
     def reach(self, actuator: int) -> float:
@@ -189,10 +196,16 @@ class Simulator:
     def predict_unclamped(
         self, values: Vector, causes: Sequence[Cause], states: Matrix, actuator: int, more: float
     ) -> Matrix:
-        """`predict` with more told to one actuator than was, and no limits of commands."""
-        model = self.nominal.model(values, causes)
+        """`predict_quickly` with more told to an actuator than was, and no limits of commands."""
+        model = self._quick(values, causes)
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
         return self._predict(values, causes, states, model, command=(actuator, more))
+
+    def _quick(self, values: Vector, causes: Sequence[Cause]) -> mujoco.MjModel:
+        model = self.nominal.model(values, causes)
+        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+            model.opt.integrator = other_integrator(model.opt.integrator)
+        return model
 
     def _predict(
         self,
@@ -296,7 +309,7 @@ class Simulator:
         Simulated: the measured one would tell the simulator what it is to predict.
         """
         others = [cause for cause in causes if get_mechanism(cause.kind).sense is None]
-        ends = self.predict(values, others, states)
+        ends = self.predict_quickly(values, others, states)
         slope = np.zeros_like(states)
         slope[self.starts + 1] = (np.nan_to_num(ends) - states[self.starts]) / self.period
         first = np.array([first for first, _ in self.data.spans()])

@@ -10,44 +10,34 @@ from dataclasses import replace
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.criticism.evidence import Fit, Linear, Normal
-from adr_service.criticism.noise import Whitener, estimate
+from adr_service.criticism.evidence import Fit
+from adr_service.criticism.linear import Normal, estimate
+from adr_service.criticism.noise import Whitener
 
 _RIDGES = (0.01, 0.1, 1.0)  # prior precisions, relative to what all data say of a coefficient
-_ROUNDS = 10  # of the noise
 
 
 def flexible_gains(fit: Fit, sensor: Vector) -> Vector:
     """(E,) nats by episode left out: the best ridge over no force at all."""
-    base = fit.linear.columns.shape[3]
+    base, known = fit.linear.columns.shape[3], ~np.isnan(sensor)
     columns = np.concatenate([fit.linear.columns, _forces(fit)], axis=3)
-    linear = replace(fit.linear, columns=columns)
+    added = np.zeros(columns.shape[3] - base)
+    mean = np.concatenate([fit.linear.mean, added])
+    plain = np.concatenate([fit.linear.precision, added])
+    linear = replace(fit.linear, columns=columns, mean=mean, precision=plain)
     normal = Normal.of(Whitener.of(linear.chain, fit.noise), linear)
-    penalties = [ridge * _precision(normal, base) for ridge in _RIDGES]
-    penalty = max(penalties, key=lambda penalty: normal.left_out(penalty).sum())
-    with_force = _judged(fit, linear, penalty, sensor).left_out(penalty)
-    return with_force - _judged(fit, fit.linear, 0.0, sensor).left_out()
-
-
-def _judged(fit: Fit, linear: Linear, penalty: Vector | float, sensor: Vector) -> Normal:
-    """Normal equations under the noise of what a ridge leaves."""
-    change, _ = Normal.of(Whitener.of(linear.chain, fit.noise), linear).change(penalty)
-    left = linear.residual - linear.columns @ change
-    noise = estimate(linear.chain, left, fit.noise, _ROUNDS, ~np.isnan(sensor))
-    return Normal.of(Whitener.of(linear.chain, noise), linear)
-
-
-def _precision(normal: Normal, base: int) -> Vector:
-    """(p,) what the data say of each coefficient; nothing for the first `base`."""
-    diagonal = np.diagonal(normal.information.sum(axis=0)).copy()
-    diagonal[:base] = 0.0
-    return diagonal
+    said = np.diagonal(normal.information.sum(axis=0)) * (np.arange(len(mean)) >= base)
+    penalised = [plain + ridge * said for ridge in _RIDGES]
+    best = max(penalised, key=lambda penalty: replace(normal, precision=penalty).left_out().sum())
+    _, with_force = estimate(replace(linear, precision=best), fit.noise, known)
+    _, without = estimate(fit.linear, fit.noise, known)
+    return with_force.left_out() - without.left_out()
 
 
 def _forces(fit: Fit) -> np.ndarray:
     """(E, T, m, k) effects of each force on each degree of freedom."""
     simulator, nv = fit.simulator, fit.simulator.base.nv
-    predicted = simulator.predict(fit.parameters, fit.causes, fit.states)
+    predicted = simulator.predict_quickly(fit.parameters, fit.causes, fit.states)
     sizes = 0.01 * simulator.base.dof_M0 / simulator.period
     effects: list[Matrix] = []
     for dof, size in enumerate(sizes.tolist()):

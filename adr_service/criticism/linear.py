@@ -1,0 +1,144 @@
+"""Residuals that are linear in all that is not known, and what that makes of them.
+
+    noise, normal = estimate(linear, start, known)
+    change, covariance = normal.change()
+
+`Linear` has residuals and how they would change; `Normal`, its normal equations under a noise, has
+the log-likelihood of each episode as a function of a small change.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adr_service.arrays import Array3, Mask, Matrix, Vector
+from adr_service.criticism.noise import Chain, Noise, Whitener, updated
+
+_SETTLED, _MOST_CYCLES = 0.1, 20  # [nats] that a cycle changes at least
+_MOST_RATIO = 0.95  # of an update's step to the one before it
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Residuals of all transitions, how they would change, and what is known before of that."""
+
+    chain: Chain
+    residual: Array3  # (E, T, m)
+    columns: np.ndarray  # (E, T, m, p)
+    mean: Vector  # (p,) of each column's coefficient, before the data
+    precision: Vector  # (p,) of that; zero: nothing is known
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations of each episode: log-likelihoods as functions of a small change."""
+
+    information: np.ndarray  # (E, p, p)
+    score: Matrix  # (E, p)
+    log_likelihood: Vector  # (E,) at no change
+    mean: Vector  # (p,) of the change, before the data
+    precision: Vector  # (p,)
+
+    @classmethod
+    def of(cls, whitener: Whitener, linear: Linear) -> "Normal":
+        z = whitener.whiten(np.concatenate([linear.residual[..., None], linear.columns], axis=3))
+        log_likelihood = whitener.log_likelihood(z[..., 0])
+        inner = products(z[..., 1:], z)
+        return cls(inner[..., 1:], inner[..., 0], log_likelihood, linear.mean, linear.precision)
+
+    def with_columns(self, own: np.ndarray, cross: np.ndarray, score: Matrix) -> "Normal":
+        """More columns: their information (E, k, k), that with ours (E, p, k), score (E, k)."""
+        top = np.concatenate([self.information, cross], axis=2)
+        bottom = np.concatenate([cross.swapaxes(1, 2), own], axis=2)
+        nothing = np.zeros(own.shape[1])
+        return Normal(
+            np.concatenate([top, bottom], axis=1),
+            np.concatenate([self.score, score], axis=1),
+            self.log_likelihood,
+            np.concatenate([self.mean, nothing]),
+            np.concatenate([self.precision, nothing]),
+        )
+
+    def change(self) -> tuple[Vector, Matrix]:
+        """The most probable change (p,), and its covariance (p, p)."""
+        covariance = inverse(self.information.sum(axis=0) + np.diag(self.precision))
+        return covariance @ (self.score.sum(axis=0) + self.precision * self.mean), covariance
+
+    def covariance(self) -> Matrix:
+        """(p, p) of the most probable change, by how much episodes differ about it.
+
+        The sandwich estimate, which holds where residuals are neither Gaussian nor independent
+        within an episode (Liang and Zeger, 1986), for few episodes (HC1).
+        """
+        change, model = self.change()
+        apart = self.score - self.information @ change  # (E, p)
+        count, p = apart.shape
+        return model @ (apart.T @ apart) @ model * count / max(count - p, 1)
+
+    def settled(self, columns: slice = slice(None)) -> float:
+        """Log-likelihood of all episodes, with what was known before, once these columns alone
+        have changed."""
+        precision, mean = self.precision[columns], self.mean[columns]
+        information = self.information[:, columns, columns].sum(axis=0) + np.diag(precision)
+        score = self.score[:, columns].sum(axis=0) + precision * mean
+        return float(self.log_likelihood.sum() + 0.5 * score @ inverse(information) @ score)
+
+    def left_out(self) -> Vector:
+        """(E,) log-likelihood of each episode, by a fit to all the others."""
+        rest = self.information.sum(axis=0) - self.information + np.diag(self.precision)
+        score = self.score.sum(axis=0) - self.score + self.precision * self.mean
+        change = np.einsum("eij,ej->ei", inverse(rest), score)
+        bend = np.einsum("ei,eij,ej->e", change, self.information, change)
+        return self.log_likelihood + np.einsum("ei,ei->e", self.score, change) - 0.5 * bend
+
+
+def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
+    """The most probable noise of what the columns leave at their best, from `start`; and the
+    normal equations under it.
+
+    `known` (m,): whose sensors' variances stay as they are. MM updates creep towards variances
+    that are a small part of the residuals, so that each cycle follows two of them to where the
+    geometric series of their steps would end (Aitken, 1926; each variance for itself).
+    """
+    noise, before = start, -np.inf
+    for _ in range(_MOST_CYCLES):
+        first, _ = _step(linear, noise, known)
+        second, reached = _step(linear, first, known)
+        if abs(reached - before) < _SETTLED:
+            noise = second
+            break
+        before = reached
+        step, following = (
+            _logarithms(b) - _logarithms(a) for a, b in ((noise, first), (first, second))
+        )
+        ratio = np.divide(following, step, out=np.zeros_like(step), where=np.abs(step) > 1e-12)
+        ratio = np.clip(ratio, 0.0, _MOST_RATIO)
+        end = np.exp(_logarithms(second) + following * ratio / (1 - ratio))
+        noise = replace(second, sensor=end[0], misfit=end[1:])
+    return noise, Normal.of(Whitener.of(linear.chain, noise), linear)
+
+
+def products(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(E, i, j) inner products of columns (E, T, m, i) and (E, T, m, j), by episode."""
+    e, t, m, i = one.shape
+    return one.reshape(e, t * m, i).swapaxes(1, 2) @ other.reshape(e, t * m, -1)
+
+
+def inverse(information: np.ndarray) -> np.ndarray:
+    """Pseudo-inverse of normal matrices (..., p, p), whose columns may differ by many orders."""
+    scale = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300))
+    outer = scale[..., :, None] * scale[..., None, :]
+    return np.linalg.pinv(information / outer, rcond=1e-9, hermitian=True) / outer
+
+
+def _step(linear: Linear, noise: Noise, known: Mask) -> tuple[Noise, float]:
+    """Noise after an update; and the log-likelihood before it."""
+    whitener = Whitener.of(linear.chain, noise)
+    normal = Normal.of(whitener, linear)
+    left = linear.residual - linear.columns @ normal.change()[0]
+    return updated(whitener, left, known), normal.settled()
+
+
+def _logarithms(noise: Noise) -> Matrix:
+    """(3, m) of all variances."""
+    return np.log(np.concatenate([noise.sensor[None], noise.misfit]))
