@@ -162,8 +162,8 @@ def verdict_table(verdict: "Verdict") -> RenderableType:
         table.add_column(heading, justify="right")
     for cause, tied in zip(verdict.causes, verdict.tied, strict=True):
         for prefix, named in [("", cause), *(("or ", other) for other in tied)]:
-            for strength, found in zip(named.mechanism.strengths, named.strengths, strict=True):
-                where = (prefix + named.kind, named.location, strength.name)
+            for found in named.strengths:
+                where = (prefix + named.kind, named.location, found.name)
                 cells = (f"{found.value:.4g} {found.unit}", found.interval, f"{named.gain:.0f}")
                 table.add_row(*map(escape, (*where, *cells)))
     told = (

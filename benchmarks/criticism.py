@@ -61,7 +61,7 @@ def one(job: tuple[int, str, int]) -> dict[str, Any]:
         "outside": case.outside,
         "verdict": verdict,
         "detectable": [detectable.get(f"{c.kind} {c.location}") for c in case.causes],
-        "ranking": [[c.cause.kind, c.cause.location, c.gain] for c in found.candidates[:6]],
+        "ranking": [[c.kind, c.location, c.gain] for c in found.candidates[:6]],
         "seconds": seconds,
     }
 

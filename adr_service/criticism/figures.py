@@ -52,7 +52,7 @@ def _ranking(figure: Figure, criticism: Criticism) -> None:
     """Evidence for each candidate of the first scan."""
     best = [c for c in criticism.candidates[:_MOST_RANKED] if c.gain > 0]
     axes = figure.subplots()
-    names = [f"{c.cause.kind}, {c.cause.location}" for c in best]
+    names = [f"{c.kind}, {c.location}" for c in best]
     errors = [np.sqrt(len(c.gains)) * c.gains.std(ddof=1) for c in best]
     gains = [c.gain for c in best]
     axes.barh(range(len(best)), gains, xerr=errors, color=_AFTER, ecolor="#555555")

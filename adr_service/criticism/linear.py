@@ -125,8 +125,12 @@ def products(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def inverse(information: np.ndarray) -> np.ndarray:
-    """Pseudo-inverse of normal matrices (..., p, p), whose columns may differ by many orders."""
-    scale = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 1e-300))
+    """Pseudo-inverse of normal matrices (..., p, p), whose columns may differ by many orders.
+
+    Zero where the data say nothing.
+    """
+    diagonal = np.diagonal(information, axis1=-2, axis2=-1)
+    scale = np.where(diagonal > 0, np.sqrt(np.maximum(diagonal, 0.0)), np.inf)
     outer = scale[..., :, None] * scale[..., None, :]
     return np.linalg.pinv(information / outer, rcond=1e-9, hermitian=True) / outer
 

@@ -23,15 +23,16 @@ from adr_service.criticism.evidence import INTEGRATION, Fit, fit, refine, smooth
 from adr_service.criticism.extension import Extension, extend
 from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.scan import Candidate, Effects, scan
+from adr_service.criticism.scan import Candidate, Effects, location_of, scan
 from adr_service.criticism.simulator import Nominal, Simulator
 from adr_service.criticism.verdict import Estimate, Finding, NamedCause, Residual, Verdict
 from adr_service.criticism.yardstick import flexible_gains
 from adr_service.progress import Progress, silent
-from adr_service.simulation.mechanisms import get_mechanism, unit_of
+from adr_service.simulation.mechanisms import Cause, get_mechanism, unit_of
 
 _SEALED = 4  # every fourth episode
 _REFINED, _CLOSE, _MOST_REFINED = 6, 0.9, 10  # the best, and all as good as that, but no more
+_GROUPS_REFINED = 2
 _PROMISING = THRESHOLD / 4  # [nats] by the scan; refining finds little more
 _MOST_CAUSES = 3
 _INTERVAL = 0.95
@@ -52,6 +53,7 @@ class Criticism:
 class _Weighed:
     """A candidate as the newest cause of a fit, and the evidence for it."""
 
+    causes: tuple[Cause, ...]  # as they were tried: one, or a group
     fit: Fit
     gains: Vector  # (E,) nats
     confidence: float
@@ -96,7 +98,9 @@ def criticise(
     verdict = Verdict(
         finding,
         confidence=_confidence(found, chance, flexible),
-        causes=tuple(_describe(final, number, named[0]) for number, named in enumerate(found)),
+        causes=tuple(
+            _named(final, slot, named[0]) for slot, named in zip(_slots(found), found, strict=True)
+        ),
         tied=tuple(tuple(_alternative(other) for other in named[1:]) for named in found),
         residual=_residual(baseline, final, first, float(flexible.sum())),
         gain=measure_gain(baseline, final, sealed, rng, threads) if found else None,
@@ -134,16 +138,24 @@ def _name(
 def _weigh(
     current: Fit, candidates: Sequence[Candidate], sensor: Vector, rng: np.random.Generator
 ) -> tuple[Decision, list[_Weighed]]:
-    """The evidence for the best candidates, refined."""
-    close = [c for c in candidates if c.gain > max(_PROMISING, _CLOSE * candidates[0].gain)]
-    chosen = [c for c in candidates[:_REFINED] if c.gain > _PROMISING]
-    chosen = max(chosen, close, key=len)[:_MOST_REFINED]
+    """The evidence for the best candidates, refined.
+
+    A group must beat the best single place by what counts as evidence.
+    """
+    single = [c for c in candidates if len(c.causes) == 1 and c.gain > _PROMISING]
+    best = single[0].gain if single else 0.0
+    close = [c for c in single if c.gain > _CLOSE * best]
+    chosen = max(single[:_REFINED], close, key=len)[:_MOST_REFINED]
+    groups = [c for c in candidates if len(c.causes) > 1 and c.gain > best + THRESHOLD]
+    chosen += groups[:_GROUPS_REFINED]
     without = refine(current, current.causes, sensor)
-    fits = [refine(current, [*current.causes, c.cause], sensor) for c in chosen]
+    fits = [refine(current, [*current.causes, *c.causes], sensor) for c in chosen]
     gains = np.array([f.held_out - without.held_out for f in fits])
     gains = gains.reshape(len(fits), len(without.held_out))
-    decision = decide(gains, rng)
-    weighed = zip(fits, gains, decision.confidence[:-1].tolist(), strict=True)
+    handicap = [THRESHOLD / gains.shape[1] * (len(c.causes) > 1) for c in chosen]
+    decision = decide(gains - np.reshape(handicap, (-1, 1)), rng)
+    likely = decision.confidence[:-1].tolist()
+    weighed = zip([c.causes for c in chosen], fits, gains, likely, strict=True)
     return decision, [_Weighed(*each) for each in weighed]
 
 
@@ -152,8 +164,7 @@ def _pruned(found: list[_Named], current: Fit, sensor: Vector) -> tuple[list[_Na
     while len(found) > 1:
         everything = refine(current, current.causes, sensor).held_out.sum()
         without = [
-            [c for other, c in enumerate(current.causes) if other != number]
-            for number in range(len(found))
+            [*current.causes[: slot.start], *current.causes[slot.stop :]] for slot in _slots(found)
         ]
         losses = [everything - refine(current, rest, sensor).held_out.sum() for rest in without]
         least = int(np.argmin(losses))
@@ -175,35 +186,42 @@ def _confidence(found: Sequence[_Named], chance: float, flexible: Vector) -> flo
     return unknown if is_unknown(flexible, 0.0) else chance * (1 - unknown)
 
 
-def _describe(final: Fit, number: int, named: _Weighed) -> NamedCause:
-    """A cause with the strengths that it has beside all others."""
-    before = sum(len(cause.values) for cause in final.causes[:number])
-    return _named(final, number, before, named.confidence, named.gain)
+def _slots(found: Sequence[_Named]) -> list[slice]:
+    """Where the causes of a fit belong to each that was named."""
+    ends = np.cumsum([len(named[0].causes) for named in found]).tolist()
+    return [slice(e - len(n[0].causes), e) for e, n in zip(ends, found, strict=True)]
 
 
 def _alternative(other: _Weighed) -> NamedCause:
     """A cause with the strengths that it has in the place of the named one."""
-    causes = other.fit.causes
-    before = sum(len(cause.values) for cause in causes[:-1])
-    return _named(other.fit, len(causes) - 1, before, other.confidence, other.gain)
+    count = len(other.fit.causes)
+    return _named(other.fit, slice(count - len(other.causes), count), other)
 
 
-def _named(fit: Fit, number: int, before: int, confidence: float, gain: float) -> NamedCause:
-    """A cause of a fit with intervals; `before` strengths belong to the causes before it."""
-    cause, first = fit.causes[number], len(fit.parameters) + INTEGRATION + before
+def _named(fit: Fit, slot: slice, weighed: _Weighed) -> NamedCause:
+    """Some of a fit's causes with intervals, as one cause or a group."""
+    causes = fit.causes[slot]
+    first = len(fit.parameters) + INTEGRATION + sum(len(c.values) for c in fit.causes[: slot.start])
     covariance = fit.normal.covariance()
     freedom = max(len(fit.held_out) - len(covariance), 1)
     reach = float(stats.t.ppf(0.5 + _INTERVAL / 2, freedom))
     estimates: list[Estimate] = []
-    for offset, strength in enumerate(get_mechanism(cause.kind).strengths):
-        value = cause.values[offset]
+    each = [
+        (c, *one)
+        for c in causes
+        for one in zip(get_mechanism(c.kind).strengths, c.values, strict=True)
+    ]
+    for where, (cause, strength, value) in enumerate(each, first):
         unit = unit_of(fit.simulator.base, cause.location, strength.unit)
-        if covariance[first + offset, first + offset] == 0:  # the data say nothing of it
-            estimates.append(Estimate(value, -np.inf, np.inf, unit))
+        name = strength.name if len(causes) == 1 else f"{cause.name} {strength.name}"
+        if covariance[where, where] == 0:  # the data say nothing of it
+            estimates.append(Estimate(name, value, -np.inf, np.inf, unit))
             continue
-        error = reach * float(np.sqrt(max(covariance[first + offset, first + offset], 0.0)))
-        estimates.append(Estimate(value, max(value - error, strength.low), value + error, unit))
-    return NamedCause(cause.kind, cause.location, tuple(estimates), confidence, gain)
+        error = reach * float(np.sqrt(max(covariance[where, where], 0.0)))
+        low = max(value - error, strength.low)
+        estimates.append(Estimate(name, value, low, value + error, unit))
+    location, (gain, confidence) = location_of(causes), (weighed.gain, weighed.confidence)
+    return NamedCause(causes[0].kind, location, tuple(estimates), confidence, gain)
 
 
 def _residual(
@@ -220,17 +238,14 @@ def _residual(
         )
     }
     reach = np.sqrt(2 * THRESHOLD)  # standard deviations that gain as much
+    base = final.simulator.base
     detectable = {
-        f"{c.cause.kind} {c.cause.location}": (
+        f"{c.kind} {c.location}": (
             float(reach * c.deviations[0]),
-            unit_of(
-                final.simulator.base,
-                c.cause.location,
-                get_mechanism(c.cause.kind).strengths[0].unit,
-            ),
+            unit_of(base, c.location, get_mechanism(c.kind).strengths[0].unit),
         )
         for c in first
-        if np.isfinite(c.deviations[0])
+        if len(c.causes) == 1 and np.isfinite(c.deviations[0])
     }
     space, used = final.simulator.nominal.space, int(final.linear.chain.mask.sum())
     at_bound = (final.parameters <= space.feasible_low) | (final.parameters >= space.high)

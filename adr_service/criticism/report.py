@@ -92,17 +92,16 @@ def _causes(verdict: Verdict) -> str:
 
 
 def _rows(cause: NamedCause, prefix: str) -> list[list[Any]]:
-    names = [strength.name for strength in cause.mechanism.strengths]
     return [
         [
             prefix + _words(cause),
-            escape(name),
+            escape(e.name),
             f"{e.value:.4g}",
             e.interval,
             escape(e.unit),
             f"{cause.gain:.0f}",
         ]
-        for name, e in zip(names, cause.strengths, strict=True)
+        for e in cause.strengths
     ]
 
 

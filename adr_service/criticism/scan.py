@@ -1,12 +1,13 @@
 """Every possible cause, linearised: which the data ask for, and how large it would be.
 
-    found = scan(baseline, places(simulator))       # the best first
-    found[0].cause, found[0].gain
+    found = scan(baseline, Effects(baseline))       # the best first
+    found[0].causes, found[0].gain
 
 A cause is tried beside the free parameters and the causes of a fit: what they can absorb is no
-evidence.
+evidence. A group is one kind of effect at all its places at once, each with a strength of its own.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,9 +25,9 @@ _UNSEEN = 1e8  # variance of a strength, in typical ones, that no sensible robot
 
 @dataclass(frozen=True)
 class Candidate:
-    """One possible cause, at the strengths that the data ask for."""
+    """One possible cause, or a group of one kind, at the strengths that the data ask for."""
 
-    cause: Cause
+    causes: tuple[Cause, ...]
     gains: Vector  # (E,) nats by episode, each left out of the fit
     deviations: Vector  # of the strengths, were the cause there alone; inf: data say nothing
 
@@ -34,13 +35,33 @@ class Candidate:
     def gain(self) -> float:
         return float(self.gains.sum())
 
+    @property
+    def kind(self) -> str:
+        return self.causes[0].kind
+
+    @property
+    def location(self) -> str:
+        return location_of(self.causes)
+
 
 def scan(fit: Fit, effects: "Effects") -> list[Candidate]:
-    """Every (kind, location) at the strengths the data ask for; the best first."""
+    """Every (kind, location) at the strengths the data ask for, and every group; the best first."""
     look = _Scan(fit, effects)
     named = {(cause.kind, cause.location) for cause in fit.causes}
     asked = [place for place in places(fit.simulator) if place not in named]
-    return sorted((look(*place) for place in asked), key=lambda candidate: -candidate.gain)
+    groups: dict[str, list[str]] = {}
+    for kind, location in asked:
+        mechanism = get_mechanism(kind)
+        if len(mechanism.strengths) == len(mechanism.sizes) == 1:
+            groups.setdefault(kind, []).append(location)
+    found = [look.alone(*place) for place in asked]
+    found += [look.together(kind, where) for kind, where in groups.items() if len(where) > 1]
+    return sorted(found, key=lambda candidate: -candidate.gain)
+
+
+def location_of(causes: Sequence[Cause]) -> str:
+    """Of one cause; of a group `body:*`."""
+    return causes[0].location if len(causes) == 1 else causes[0].location.split(":")[0] + ":*"
 
 
 def places(simulator: Simulator) -> list[tuple[str, str]]:
@@ -62,27 +83,53 @@ class _Scan:
         known = np.concatenate([fit.linear.columns, fit.linear.residual[..., None]], axis=3)
         self._z = self._whitener.whiten(known)
 
-    def __call__(self, kind: str, location: str) -> Candidate:
+    def alone(self, kind: str, location: str) -> Candidate:
         """The candidate at the best of the sizes where its effect may differ."""
-        mechanism, base = get_mechanism(kind), self._fit.simulator.base
-        nothing = (0.0,) * len(mechanism.strengths)
-        unseen = np.full(len(nothing), np.inf)
-        best = Candidate(Cause(kind, location, nothing), np.zeros(len(self._without)), unseen)
-        typical = np.array(mechanism.typical(base, element_of(base, location)))
+        mechanism, typical = get_mechanism(kind), self._typical(kind, location)
+        best = self._nothing([Cause(kind, location, tuple(typical.tolist()))])
         for factor in mechanism.sizes:
-            found = self._at(Cause(kind, location, tuple((factor * typical).tolist())))
+            found = self._at([Cause(kind, location, tuple((factor * typical).tolist()))])
             if found is not None and (found.gain > best.gain or best.gain <= 0):
                 best = found if found.gain > 0 else replace(best, deviations=found.deviations)
         return best
 
-    def _at(self, tried: Cause) -> Candidate | None:
-        """In proportion to a cause that is tried; None where the data ask for a strength that makes
-        no sense, or cannot tell."""
-        effects = self._effects.of(tried)
+    def together(self, kind: str, locations: Sequence[str]) -> Candidate:
+        """A group, without the places where a strength would make no sense."""
+        low = get_mechanism(kind).strengths[0].low
+        everywhere = [
+            Cause(kind, place, tuple(self._typical(kind, place).tolist())) for place in locations
+        ]
+        left = everywhere
+        while len(left) > 1:
+            found = self._at(left)
+            if found is None:
+                break
+            sensible = [cause.values[0] >= low for cause in found.causes]
+            if all(sensible):
+                return found
+            left = [cause for cause, is_so in zip(left, sensible, strict=True) if is_so]
+        return self._nothing(everywhere)
+
+    def _typical(self, kind: str, location: str) -> Vector:
+        base = self._fit.simulator.base
+        return np.array(get_mechanism(kind).typical(base, element_of(base, location)))
+
+    def _nothing(self, causes: Sequence[Cause]) -> Candidate:
+        nothing = tuple(replace(c, values=(0.0,) * len(c.values)) for c in causes)
+        unseen = np.full(sum(len(cause.values) for cause in causes), np.inf)
+        return Candidate(nothing, np.zeros(len(self._without)), unseen)
+
+    def _at(self, tried: Sequence[Cause]) -> Candidate | None:
+        """In proportion to causes of one kind that are tried; None where the data cannot tell.
+
+        One alone that the data ask for with a strength that makes no sense is nothing.
+        """
+        effects = np.concatenate([self._effects.of(cause) for cause in tried], axis=3)
         effects = np.where(self._fit.linear.chain.mask[..., None, None], effects, 0.0)
         if not np.all(np.isfinite(effects)):
             return None
-        design, sizes = self._whitener.whiten(effects), np.array(tried.values)
+        design = self._whitener.whiten(effects)
+        sizes = np.concatenate([cause.values for cause in tried])
         own = products(design, design)
         cross = products(self._z[..., :-1], design)
         score = products(design, self._z[..., -1:])[..., 0]
@@ -95,13 +142,16 @@ class _Scan:
             return None
         deviations = np.where(seen, np.sqrt(np.abs(variance)) * np.abs(sizes), np.inf)
         strengths = np.where(seen, change[-count:] * sizes, 0.0)
-        mechanism = get_mechanism(tried.kind)
-        low = np.array([strength.low for strength in mechanism.strengths])
         gains = normal.left_out() - self._without
-        has_sides = len(mechanism.sizes) > 1  # and each size stands for its own
-        if np.any(strengths < low) or (has_sides and np.any(change[-count:] < 0)):
-            strengths, gains = np.zeros(count), np.zeros(len(gains))
-        return Candidate(replace(tried, values=tuple(strengths.tolist())), gains, deviations)
+        mechanism = get_mechanism(tried[0].kind)
+        if len(tried) == 1:
+            low = np.array([strength.low for strength in mechanism.strengths])
+            has_sides = len(mechanism.sizes) > 1  # and each size stands for its own
+            if np.any(strengths < low) or (has_sides and np.any(change[-count:] < 0)):
+                return replace(self._nothing(tried), deviations=deviations)
+        split = np.split(strengths, len(tried))
+        found = [replace(c, values=tuple(v.tolist())) for c, v in zip(tried, split, strict=True)]
+        return Candidate(tuple(found), gains, deviations)
 
 
 class Effects:

@@ -34,6 +34,9 @@ from adr_service.simulation.model import link_of, read, resolve, write
 from adr_service.tasks.base import Reshapable, Source, Task
 
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
+# A simulator of first order is judged with smaller steps than its own, whose error would otherwise
+# be the largest of all, and look like inertia and friction
+_FIRST_ORDER_FINER = 3
 _MOST_STEPS = 500  # of the simulator between two rows
 _Inferred = mujoco.mjtInertiaFromGeom
 
@@ -134,7 +137,9 @@ class Simulator:
         self.base = nominal.model(nominal.start)
         _check(self.base, data)
         self.period = data.period()
-        self.steps = _steps(self.period, self.base.opt.timestep)
+        is_first_order = self.base.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
+        self._finer = _FIRST_ORDER_FINER if is_first_order else 1
+        self.steps = self._finer * _steps(self.period, self.base.opt.timestep)
         self.starts: Indices = np.flatnonzero(np.diff(data.episode) == 0)  # (N,) of transitions
         self.measured = np.concatenate([data.qpos, data.qvel], axis=1)  # (rows, 2 nv)
         self._pool = rollout.Rollout(nthread=_threads(threads))
@@ -152,7 +157,7 @@ class Simulator:
 
         NaN where the simulation diverged.
         """
-        return self._predict(values, causes, states, self.nominal.model(values, causes))
+        return self._predict(values, causes, states, self._model(values, causes))
 
     def predict_quickly(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
         """`predict` by an integrator of first order, for differences to others of this kind.
@@ -170,7 +175,7 @@ class Simulator:
         integrator: int,
     ) -> Matrix:
         """`predict` with a step `finer` times smaller, by one of MuJoCo's integrators."""
-        model = self.nominal.model(values, causes)
+        model = self._model(values, causes)
         model.opt.timestep /= finer
         model.opt.integrator = integrator
         return self._predict(values, causes, states, model, finer=finer)
@@ -201,8 +206,13 @@ class Simulator:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
         return self._predict(values, causes, states, model, command=(actuator, more))
 
-    def _quick(self, values: Vector, causes: Sequence[Cause]) -> mujoco.MjModel:
+    def _model(self, values: Vector, causes: Sequence[Cause]) -> mujoco.MjModel:
         model = self.nominal.model(values, causes)
+        model.opt.timestep /= self._finer
+        return model
+
+    def _quick(self, values: Vector, causes: Sequence[Cause]) -> mujoco.MjModel:
+        model = self._model(values, causes)
         if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
             model.opt.integrator = other_integrator(model.opt.integrator)
         return model
@@ -220,11 +230,11 @@ class Simulator:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must show
         steps, n = self.steps * finer, len(self.starts)
         nq, nv = model.nq, model.nv
-        told = self.told(causes)
+        told = self.told(causes, finer)
         full = np.zeros((n, 1 + nq + nv))
         full[:, 1:] = self._true(values, causes, states)[self.starts]
         control = np.zeros((n, steps, model.nu + nv))
-        control[..., : told.shape[2]] = np.repeat(told, finer, axis=1)
+        control[..., : told.shape[2]] = told
         control[..., command[0]] += command[1]
         control[..., model.nu + push[0]] = push[1]
         with _quiet():
@@ -240,9 +250,10 @@ class Simulator:
             return self._scratch
         return [mujoco.MjData(model) for _ in self._scratch]
 
-    def told(self, causes: Sequence[Cause]) -> Array3:
-        """(N, steps, nu) what the actuators obey in each simulator step."""
-        told = np.repeat(self.data.ctrl[self.starts][:, None], self.steps, axis=1)
+    def told(self, causes: Sequence[Cause], finer: int = 1) -> Array3:
+        """(N, finer * steps, nu) what the actuators obey in each simulator step."""
+        steps, timestep = finer * self.steps, self.base.opt.timestep / (finer * self._finer)
+        told = np.repeat(self.data.ctrl[self.starts][:, None], steps, axis=1)
         for cause in causes:
             mechanism = get_mechanism(cause.kind)
             if mechanism.command is None:
@@ -254,9 +265,9 @@ class Simulator:
                 known = told[first:last, :, actuator].reshape(1, -1)
                 known = np.clip(known, *bounds) if limited else known
                 largest = float(np.abs(bounds).max()) if limited else np.inf
-                commands = Commands(known, self.base.opt.timestep, largest)
+                commands = Commands(known, timestep, largest)
                 done = mechanism.command(commands, actuator, np.array(cause.values))
-                told[first:last, :, actuator] = done.reshape(last - first, self.steps)
+                told[first:last, :, actuator] = done.reshape(last - first, steps)
         return told
 
     def _transitions(self) -> list[tuple[int, int]]:
@@ -270,7 +281,9 @@ class Simulator:
         felt = [cause for cause in causes if get_mechanism(cause.kind).sense is not None]
         if not felt:
             return states
-        true, slope = states.copy(), self.slope(values, causes, states)
+        true, slope = states.copy(), np.zeros_like(states)
+        if any(get_mechanism(cause.kind).sense == "delay" for cause in felt):
+            slope = self.slope(values, causes, states)
         for cause in reversed(felt):
             column, added = self.felt(cause, states, slope)
             if get_mechanism(cause.kind).sense == "scale":

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Literal
 
-from adr_service.simulation.mechanisms import Mechanism, get_mechanism
-
 VERSION = 1
 Finding = Literal["cause", "none", "unknown", "tie"]
 
@@ -18,6 +16,7 @@ Finding = Literal["cause", "none", "unknown", "tie"]
 class Estimate:
     """A strength with its 95 % interval, unbounded where the data say nothing of it."""
 
+    name: str  # of the strength, and in a group also of its place
     value: float
     low: float
     high: float
@@ -38,22 +37,16 @@ class NamedCause:
     """An effect that the simulator lacks, at its place."""
 
     kind: str
-    location: str
-    strengths: tuple[Estimate, ...]  # in the mechanism's order
+    location: str  # of a group `body:*`
+    strengths: tuple[Estimate, ...]  # in the mechanism's order; of a group place by place
     confidence: float  # probability, among everything that was asked
     gain: float  # nats by which episodes are predicted better that no fit has seen
 
-    @property
-    def mechanism(self) -> Mechanism:
-        return get_mechanism(self.kind)
-
     def to_json(self) -> dict[str, Any]:
-        names = [strength.name for strength in self.mechanism.strengths]
-        found = [estimate.to_json() for estimate in self.strengths]
         return {
             "kind": self.kind,
             "location": self.location,
-            "parameters": dict(zip(names, found, strict=True)),
+            "parameters": {estimate.name: estimate.to_json() for estimate in self.strengths},
             "confidence": self.confidence,
             "gain_nats": self.gain,
         }

@@ -14,7 +14,7 @@ from adr_service.criticism.evidence import Fit
 from adr_service.criticism.linear import Normal, estimate
 from adr_service.criticism.noise import Whitener
 
-_RIDGES = (0.01, 0.1, 1.0)  # prior precisions, relative to what all data say of a coefficient
+_RIDGES = (0.01, 0.1, 1.0, 10.0)  # prior precisions, relative to what all data say of a coefficient
 
 
 def flexible_gains(fit: Fit, sensor: Vector) -> Vector:
