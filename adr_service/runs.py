@@ -205,7 +205,7 @@ def _propose(
 
 def _boxes(spec: RunSpec, settings: UdrSettings) -> list[Uniform]:
     """UDR's random bounds for a seed."""
-    rng = stream("udr", spec.task, spec.variant, spec.seed)
+    rng = stream("udr", spec.task, spec.source_domain, spec.seed)
     return random_bounds(_problem(spec).source.space, settings, rng)
 
 
@@ -293,7 +293,8 @@ def _report(
 def oracle_training(spec: RunSpec) -> Stage:
     """The training on the target's truth, in whose own space it is: the vanilla variant's."""
     truth = truth_as_distribution(spec.task, spec.variant)
-    return _training(spec.model_copy(update={"variant": "vanilla"}), truth)
+    target = spec.model_copy(update={"variant": "vanilla", "extension": spec.hidden_effects})
+    return _training(target, truth)
 
 
 def _training(spec: RunSpec, distribution: Distribution) -> Stage:
@@ -306,12 +307,12 @@ def _training(spec: RunSpec, distribution: Distribution) -> Stage:
 
 
 def _identity(spec: RunSpec) -> dict[str, Any]:
-    return {**identity_of(spec.task), "variant": spec.variant, "seed": spec.seed}
+    return {**identity_of(spec.task), "variant": spec.source_domain, "seed": spec.seed}
 
 
 def _problem(spec: RunSpec) -> Problem:
     task = get_task(spec.task)
-    return Problem(task, source_of(task.name, spec.variant))
+    return Problem(task, source_of(task.name, spec.source_domain))
 
 
 def _decode(spec: RunSpec, document: dict[str, Any]) -> Distribution:

@@ -12,11 +12,14 @@ from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
+from adr_service.causes import Cause, domain_of
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.methods.base import OfflineSettings
 from adr_service.methods.catalogue import AnyMethod, methods
 from adr_service.methods.simopt import SimOptSettings
 from adr_service.presets import PRESETS
+from adr_service.simulation.batch import compiled
+from adr_service.simulation.mechanisms import check_simulated
 from adr_service.tasks.catalogue import catalogue, get_task, source_of
 from adr_service.training.settings import TrainingSettings
 from adr_service.wire import Wire, explain
@@ -25,10 +28,25 @@ MAX_RUNS = 5000  # of one benchmark
 Collector = Literal["simopt", "prior", "random"]
 
 
+class Effect(Wire):
+    """An effect that a simulator's file lacks, as criticism names it."""
+
+    kind: str
+    location: str = Field(description="as joint:elbow, or global")
+    values: list[float] = Field(min_length=1, description="strengths in the mechanism's order")
+
+    @property
+    def cause(self) -> Cause:
+        return Cause(self.kind, self.location, tuple(self.values))
+
+
 class SimulatedTarget(Wire):
     """The hidden truth of the task's variant, in simulation."""
 
     kind: Literal["simulated"] = "simulated"
+    effects: list[Effect] = Field(
+        default=[], description="that it has, and the source's file lacks"
+    )
 
 
 class RecordedTarget(Wire):
@@ -50,6 +68,10 @@ class RunSpec(Wire):
     variant: str = "vanilla"
     method: AnyMethod
     target: AnyTarget = SimulatedTarget()
+    extension: list[Effect] = Field(
+        default=[],
+        description="effects that the source is extended by, as `adr criticise` writes them",
+    )
     collector: Collector | Literal["recording"] = Field(
         "simopt",
         description="whose actions offline methods see: SimOpt's policies' (the protocol), the "
@@ -106,6 +128,15 @@ class RunSpec(Wire):
             source_of(self.task, self.variant)
         except UnknownName as error:
             raise ValueError(str(error)) from error
+        model = compiled(get_task(self.task).xml)
+        for name, effects in (
+            ("extension", self.extension),
+            ("target.effects", self.hidden_effects),
+        ):
+            try:
+                check_simulated(model, [effect.cause for effect in effects])
+            except InvalidInput as error:
+                raise ValueError(f"{name}: {error}") from error
         horizon = get_task(self.task).horizon
         if self.transitions > horizon:
             raise ValueError(
@@ -133,6 +164,21 @@ class RunSpec(Wire):
                 "simopt: given, but this run learns nothing from SimOpt's trajectories"
             )
         return self
+
+    @property
+    def source_domain(self) -> str:
+        """What methods may simulate."""
+        return domain_of(self.variant, [effect.cause for effect in self.extension])
+
+    @property
+    def target_domain(self) -> str:
+        """What they are judged on."""
+        return domain_of(self.variant, [effect.cause for effect in self.hidden_effects])
+
+    @property
+    def hidden_effects(self) -> list[Effect]:
+        """What the simulated target has and its file lacks."""
+        return self.target.effects if isinstance(self.target, SimulatedTarget) else []
 
     @property
     def column(self) -> str:

@@ -59,7 +59,7 @@ class Target:
                 "target_rollout",
                 {
                     **identity_of(spec.task),
-                    "variant": spec.variant,
+                    "variant": spec.target_domain,
                     "transitions": spec.transitions,
                     "iteration": iteration,
                     "seed": spec.seed,
@@ -85,7 +85,7 @@ class Target:
                     "target_return",
                     {
                         **identity_of(self._spec.task),
-                        "variant": self._spec.variant,
+                        "variant": self._spec.target_domain,
                         "iteration": iteration,
                         "seed": self._spec.seed,
                     },
@@ -109,7 +109,7 @@ class Target:
                     "evaluate",
                     {
                         **identity_of(spec.task),
-                        "variant": spec.variant,
+                        "variant": spec.target_domain,
                         "episodes": spec.evaluation_episodes,
                         "seed": spec.seed,
                     },

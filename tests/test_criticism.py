@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from adr_service.causes import Cause
 from adr_service.criticism.blind import draw_case, hide
 from adr_service.criticism.decision import THRESHOLD, decide, is_unknown
 from adr_service.criticism.measurements import Measurement
@@ -14,7 +15,6 @@ from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.simulator import Nominal, Simulator
 from adr_service.errors import InvalidInput
 from adr_service.parameters import Parameter, ParameterSpace
-from adr_service.simulation.mechanisms import Cause
 from adr_service.tasks.catalogue import get_task, source_of
 from api.cli import app
 

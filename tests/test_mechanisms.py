@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from adr_service.causes import Cause
 from adr_service.criticism.blind import draw_case
 from adr_service.criticism.extension import extend
 from adr_service.criticism.measurements import Measurement
@@ -12,7 +13,6 @@ from adr_service.errors import UnknownName
 from adr_service.parameters import ParameterSpace
 from adr_service.simulation.mechanisms import (
     MECHANISMS,
-    Cause,
     Commands,
     element_of,
     get_mechanism,

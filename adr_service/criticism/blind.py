@@ -19,12 +19,12 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
+from adr_service.causes import Cause
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Nominal, Simulator, other_integrator
 from adr_service.errors import InvalidInput
 from adr_service.simulation.mechanisms import (
     MECHANISMS,
-    Cause,
     Commands,
     element_of,
     get_mechanism,

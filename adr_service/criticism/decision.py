@@ -33,7 +33,7 @@ def decide(gains: Matrix, rng: np.random.Generator) -> Decision:
     if best < 0 or not is_evidence(gains[best]):
         return Decision((), confidence)
     order = [i for i in np.argsort(-totals).tolist() if is_evidence(gains[i])]
-    alike = [i for i in order if not _beats(gains[best], gains[i])]
+    alike = [i for i in order if not beats(gains[best], gains[i])]
     return Decision(tuple(alike), confidence)
 
 
@@ -46,7 +46,8 @@ def is_evidence(gains: Vector) -> bool:
     return bool(gains.sum() > THRESHOLD and gains.sum() - gains.max() > TIE)
 
 
-def _beats(one: Vector, other: Vector) -> bool:
+def beats(one: Vector, other: Vector) -> bool:
+    """Whether one explains more than another, by episode (E,), than chance would."""
     difference = one - other
     error = np.sqrt(len(difference)) * difference.std(ddof=1)
     return bool(difference.sum() > max(TIE, 2 * error))

@@ -16,11 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adr_service.arrays import Array3, Indices, Mask, Matrix, Vector
+from adr_service.causes import Cause
 from adr_service.criticism.linear import Linear, Normal, estimate
 from adr_service.criticism.noise import Chain, Noise, Whitener, at_start
 from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.errors import InvalidInput
-from adr_service.simulation.mechanisms import Cause, element_of, get_mechanism
+from adr_service.simulation.mechanisms import element_of, get_mechanism
 
 FINER = 3  # how much smaller a step shows what numerical integration adds
 # how much of what a finer step changes is really there, and of what another integrator changes at

@@ -16,9 +16,10 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Vector
+from adr_service.causes import Cause
 from adr_service.criticism.simulator import Nominal
 from adr_service.parameters import ParameterSpace
-from adr_service.simulation.mechanisms import Cause, get_mechanism, with_causes
+from adr_service.simulation.mechanisms import get_mechanism, with_causes
 
 _DIGITS = 17  # that tell every double apart
 

@@ -1,19 +1,15 @@
-"""What an extension is worth on episodes that nothing was fitted to.
-
-Both simulators are stepped more finely than the model says, so that errors of integration, which
-both share, do not hide the difference.
-"""
+"""What an extension is worth on episodes that nothing was fitted to."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.criticism.evidence import FINER, Fit
+from adr_service.causes import Cause
+from adr_service.criticism.evidence import Fit
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Simulator
 from adr_service.criticism.verdict import Gain
-from adr_service.simulation.mechanisms import Cause
 
 _HORIZONS = (1, 5, 25)  # control steps
 _DRAWS = 1000
@@ -27,7 +23,8 @@ def measure_gain(
     threads: int | None = None,
 ) -> Gain:
     """Errors of one and more control steps, without and with the causes, from measured states."""
-    with Simulator(before.simulator.nominal, sealed, threads) as simulator:
+    nominal, finer = before.simulator.nominal, before.simulator.finer
+    with Simulator(nominal, sealed, threads, finer) as simulator:
         scale = _expected_deviation(after, simulator)
         errors = [
             _errors(simulator, fit.parameters, fit.causes, max(_HORIZONS), scale)
@@ -44,9 +41,10 @@ def measure_gain(
     removed = 1 - with_causes[draws].sum(axis=1) / without[draws].sum(axis=1)
     low, high = np.quantile(removed, [0.025, 0.975]).tolist()
     explainable = without.sum() - count.sum()  # sensors' noise alone leaves one per number
-    reached = [[float(np.sqrt(np.nanmean(e[steps - 1]))) for steps in _HORIZONS] for e in errors]
     horizons = {
-        steps: (before, after) for steps, before, after in zip(_HORIZONS, *reached, strict=True)
+        steps: (_root_mean(errors[0][steps - 1]), _root_mean(errors[1][steps - 1]))
+        for steps in _HORIZONS
+        if np.isfinite(errors[0][steps - 1]).any()  # some episode is as long as that
     }
     return Gain(
         sse_removed=float(1 - with_causes.sum() / without.sum()),
@@ -58,6 +56,10 @@ def measure_gain(
         horizons=horizons,
         diverged=(diverged[0], diverged[1]),
     )
+
+
+def _root_mean(squares: Matrix) -> float:
+    return float(np.sqrt(np.nanmean(squares)))
 
 
 def _expected_deviation(fit: Fit, simulator: Simulator) -> Matrix:
@@ -81,12 +83,11 @@ def _errors(
     """Squared errors (N, m) after 1 .. horizon control steps, in units of `scale`; NaN past the
     end of an episode, or where the simulation diverged."""
     starts, measured = simulator.starts, simulator.measured
-    integrator = simulator.base.opt.integrator
     states, known = measured.copy(), np.ones(len(measured), dtype=np.bool_)
     found: list[Matrix] = []
     for _ in range(horizon):
         here = np.where(known[:, None], states, measured)
-        predicted = simulator.predict_finer(parameters, causes, here, FINER, integrator)
+        predicted = simulator.predict(parameters, causes, here)
         error = ((predicted - measured[starts + 1]) / scale) ** 2
         error[~known[starts]] = np.nan
         found.append(error)

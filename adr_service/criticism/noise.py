@@ -23,6 +23,7 @@ from scipy.special import gammaln
 from adr_service.arrays import Array3, Mask, Matrix, Vector
 
 DEGREES = 4.0  # of freedom of the misfit's t distribution
+_ROUNDING = 1e-11  # relative, so that covariances stay positive
 _LEAST = 1e-12  # relative to the residuals' variance: what rounding leaves
 
 
@@ -60,7 +61,9 @@ class Whitener:
         episodes, count, m = transition.shape[:3]
         diagonal = (transition * noise.sensor) @ transition.swapaxes(2, 3)
         diagonal += np.diag(noise.sensor)
-        diagonal[..., np.arange(m), np.arange(m)] += _spread(chain, noise)
+        own = np.arange(m)
+        diagonal[..., own, own] += _spread(chain, noise)
+        diagonal[..., own, own] *= 1 + _ROUNDING
         diagonal[~mask] = np.eye(m)
         left = -transition * noise.sensor  # covariance with the transition before
         left[:, 0] = 0.0

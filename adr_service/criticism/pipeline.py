@@ -11,30 +11,32 @@ dropped again where the others make them superfluous.
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 from scipy.special import expit
 
 from adr_service.arrays import Vector
-from adr_service.criticism.decision import THRESHOLD, Decision, decide, is_unknown
-from adr_service.criticism.evidence import INTEGRATION, Fit, fit, refine, smoothed
+from adr_service.causes import Cause
+from adr_service.criticism.decision import THRESHOLD, TIE, Decision, beats, decide, is_unknown
+from adr_service.criticism.evidence import FINER, INTEGRATION, Fit, fit, refine, smoothed
 from adr_service.criticism.extension import Extension, extend
 from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.scan import Candidate, Effects, location_of, scan
-from adr_service.criticism.simulator import Nominal, Simulator
+from adr_service.criticism.simulator import Nominal, Simulator, is_first_order
 from adr_service.criticism.verdict import Estimate, Finding, NamedCause, Residual, Verdict
 from adr_service.criticism.yardstick import flexible_gains
 from adr_service.progress import Progress, silent
-from adr_service.simulation.mechanisms import Cause, get_mechanism, unit_of
+from adr_service.simulation.mechanisms import get_mechanism, unit_of
 
 _SEALED = 4  # every fourth episode
 _REFINED, _CLOSE, _MOST_REFINED = 6, 0.9, 10  # the best, and all as good as that, but no more
 _GROUPS_REFINED = 2
+_OTHER_STARTS = (0.5, 2.0)  # times the strengths that were found
 _PROMISING = THRESHOLD / 4  # [nats] by the scan; refining finds little more
-_MOST_CAUSES = 3
+_MOST_CAUSES = 5
 _INTERVAL = 0.95
 
 
@@ -83,12 +85,14 @@ def criticise(
     is_sealed = numbers % _SEALED == _SEALED - 1
     learned, sealed = (data.episodes(numbers[which].tolist()) for which in (~is_sealed, is_sealed))
     sensor = data.sensor_variance()
-    with Simulator(nominal, learned, threads) as simulator:
+    finer = _best_step(nominal, learned, sensor, threads)
+    with Simulator(nominal, learned, threads, finer) as simulator:
         baseline = fit(simulator, sensor, nominal.start)
         effects = Effects(baseline)
         first = scan(baseline, effects)
         found, final, chance = _name(baseline, first, effects, sensor, rng, progress)
         found, final = _pruned(found, final, sensor)
+        found = _still_tied(found, final, sensor)
         flexible = flexible_gains(refine(final, final.causes, sensor), sensor)
     finding: Finding = "none"
     if is_unknown(flexible, sum(named[0].gain for named in found)):
@@ -108,6 +112,21 @@ def criticise(
     )
     extension = extend(nominal, final.parameters, final.causes) if found else None
     return Criticism(verdict, baseline, final, tuple(first), extension)
+
+
+def _best_step(nominal: Nominal, data: Measurement, sensor: Vector, threads: int | None) -> int:
+    """How many steps to take for one of the model's, whichever makes the data more probable.
+
+    The step of an integrator of first order may be the largest error of all, and would look like
+    inertia and friction; where the data were simulated with that very step, it is right.
+    """
+    likely: dict[int, float] = {}
+    for finer in (1, FINER):
+        with Simulator(nominal, data, threads, finer) as simulator:
+            if not is_first_order(simulator.base):
+                return 1
+            likely[finer] = fit(simulator, sensor, nominal.start, rounds=1).held_out.sum()
+    return max(likely, key=lambda finer: likely[finer])
 
 
 def _name(
@@ -130,9 +149,29 @@ def _name(
         chance = float(decision.confidence[-1])
         if not decision.alike:
             break
-        found.append(tuple(weighed[number] for number in decision.alike))
-        current = smoothed(found[-1][0].fit, sensor)
+        found.append(_simplest_first([weighed[number] for number in decision.alike]))
+        current = smoothed(_from_elsewhere(current, found[-1][0].fit, sensor), sensor)
     return found, current, chance
+
+
+def _simplest_first(alike: Sequence[_Weighed]) -> _Named:
+    """Of those that nothing tells apart, one with the fewest strengths, then the best."""
+    best = max(each.gain for each in alike)
+    near = [each for each in alike if best - each.gain < TIE]
+    first = min(near, key=lambda each: (sum(len(c.values) for c in each.causes), -each.gain))
+    return (first, *(each for each in alike if each is not first))
+
+
+def _from_elsewhere(current: Fit, found: Fit, sensor: Vector) -> Fit:
+    """A fit with more causes than another, or a better one from other strengths of theirs."""
+    known = len(current.causes)
+    newest = found.causes[known:]
+    starts = [
+        [replace(c, values=tuple(factor * v for v in c.values)) for c in newest]
+        for factor in _OTHER_STARTS
+    ]
+    fits = [found, *(refine(current, [*current.causes, *start], sensor) for start in starts)]
+    return max(fits, key=lambda fit: fit.held_out.sum())
 
 
 def _weigh(
@@ -173,6 +212,29 @@ def _pruned(found: list[_Named], current: Fit, sensor: Vector) -> tuple[list[_Na
         found = [named for number, named in enumerate(found) if number != least]
         current = smoothed(refine(current, without[least], sensor), sensor)
     return found, current
+
+
+def _still_tied(found: list[_Named], final: Fit, sensor: Vector) -> list[_Named]:
+    """Without alternatives that do worse than what was named, now that all causes are known."""
+    if len(found) < 2:
+        return found
+    named = {location for slot in _slots(found) for location in _parts(final.causes[slot])}
+    everything, left = refine(final, final.causes, sensor).held_out, []
+    for slot, (best, *others) in zip(_slots(found), found, strict=True):
+        kept: list[_Weighed] = []
+        for other in others:
+            newest = other.fit.causes[len(other.fit.causes) - len(other.causes) :]
+            causes = [*final.causes[: slot.start], *newest, *final.causes[slot.stop :]]
+            if _parts(newest) & named:  # what is named elsewhere is no alternative here
+                continue
+            if not beats(everything, refine(final, causes, sensor).held_out):
+                kept.append(other)
+        left.append((best, *kept))
+    return left
+
+
+def _parts(causes: Sequence[Cause]) -> set[tuple[str, str]]:
+    return {(cause.kind, cause.location) for cause in causes}
 
 
 def _confidence(found: Sequence[_Named], chance: float, flexible: Vector) -> float:

@@ -13,11 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
+from adr_service.causes import Cause
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.linear import products
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.simulator import Simulator
-from adr_service.simulation.mechanisms import MECHANISMS, Cause, element_of, get_mechanism
+from adr_service.simulation.mechanisms import (
+    MECHANISMS,
+    element_of,
+    get_mechanism,
+    sensors,
+)
 
 _ABSORBED = 1e2  # how much less the data may say of a strength once parameters are fitted as well
 _UNSEEN = 1e8  # variance of a strength, in typical ones, that no sensible robot has
@@ -27,6 +33,7 @@ _UNSEEN = 1e8  # variance of a strength, in typical ones, that no sensible robot
 class Candidate:
     """One possible cause, or a group of one kind, at the strengths that the data ask for."""
 
+    tried: tuple[Cause, ...]  # at the sizes that its effects were taken from
     causes: tuple[Cause, ...]
     gains: Vector  # (E,) nats by episode, each left out of the fit
     deviations: Vector  # of the strengths, were the cause there alone; inf: data say nothing
@@ -49,13 +56,12 @@ def scan(fit: Fit, effects: "Effects") -> list[Candidate]:
     look = _Scan(fit, effects)
     named = {(cause.kind, cause.location) for cause in fit.causes}
     asked = [place for place in places(fit.simulator) if place not in named]
-    groups: dict[str, list[str]] = {}
-    for kind, location in asked:
-        mechanism = get_mechanism(kind)
-        if len(mechanism.strengths) == len(mechanism.sizes) == 1:
-            groups.setdefault(kind, []).append(location)
     found = [look.alone(*place) for place in asked]
-    found += [look.together(kind, where) for kind, where in groups.items() if len(where) > 1]
+    groups: dict[str, list[Candidate]] = {}
+    for candidate in found:
+        if len(get_mechanism(candidate.kind).strengths) == 1:
+            groups.setdefault(candidate.kind, []).append(candidate)
+    found += [look.together(members) for members in groups.values() if len(members) > 1]
     return sorted(found, key=lambda candidate: -candidate.gain)
 
 
@@ -65,11 +71,14 @@ def location_of(causes: Sequence[Cause]) -> str:
 
 
 def places(simulator: Simulator) -> list[tuple[str, str]]:
-    """Every kind at every location of the model."""
+    """Every kind at every location of the model, but for sensors that measured nothing."""
+    shown = zip(sensors(simulator.base), simulator.data.is_measured(), strict=True)
+    absent = {f"sensor:{name}" for name, is_measured in shown if not is_measured}
     return [
         (mechanism.kind, location)
         for mechanism in MECHANISMS.values()
         for location in mechanism.locations(simulator.base)
+        if location not in absent
     ]
 
 
@@ -89,22 +98,20 @@ class _Scan:
         best = self._nothing([Cause(kind, location, tuple(typical.tolist()))])
         for factor in mechanism.sizes:
             found = self._at([Cause(kind, location, tuple((factor * typical).tolist()))])
-            if found is not None and (found.gain > best.gain or best.gain <= 0):
-                best = found if found.gain > 0 else replace(best, deviations=found.deviations)
+            if found is None or (found.gain <= best.gain and best.gain > 0):
+                continue
+            no_gain = found.gain <= 0
+            best = replace(found, causes=best.causes, gains=best.gains) if no_gain else found
         return best
 
-    def together(self, kind: str, locations: Sequence[str]) -> Candidate:
+    def together(self, members: Sequence[Candidate]) -> Candidate:
         """A group, without the places where a strength would make no sense."""
-        low = get_mechanism(kind).strengths[0].low
-        everywhere = [
-            Cause(kind, place, tuple(self._typical(kind, place).tolist())) for place in locations
-        ]
-        left = everywhere
+        left = everywhere = [tried for member in members for tried in member.tried]
         while len(left) > 1:
             found = self._at(left)
             if found is None:
                 break
-            sensible = [cause.values[0] >= low for cause in found.causes]
+            sensible = [_makes_sense(*each) for each in zip(found.causes, left, strict=True)]
             if all(sensible):
                 return found
             left = [cause for cause, is_so in zip(left, sensible, strict=True) if is_so]
@@ -112,12 +119,13 @@ class _Scan:
 
     def _typical(self, kind: str, location: str) -> Vector:
         base = self._fit.simulator.base
-        return np.array(get_mechanism(kind).typical(base, element_of(base, location)))
+        sizes = get_mechanism(kind).typical(base, element_of(base, location))
+        return np.asarray(sizes, dtype=np.float64)
 
     def _nothing(self, causes: Sequence[Cause]) -> Candidate:
         nothing = tuple(replace(c, values=(0.0,) * len(c.values)) for c in causes)
-        unseen = np.full(sum(len(cause.values) for cause in causes), np.inf)
-        return Candidate(nothing, np.zeros(len(self._without)), unseen)
+        unseen = np.array([np.inf for cause in causes for _ in cause.values])
+        return Candidate(tuple(causes), nothing, np.zeros(len(self._without)), unseen)
 
     def _at(self, tried: Sequence[Cause]) -> Candidate | None:
         """In proportion to causes of one kind that are tried; None where the data cannot tell.
@@ -143,15 +151,21 @@ class _Scan:
         deviations = np.where(seen, np.sqrt(np.abs(variance)) * np.abs(sizes), np.inf)
         strengths = np.where(seen, change[-count:] * sizes, 0.0)
         gains = normal.left_out() - self._without
-        mechanism = get_mechanism(tried[0].kind)
-        if len(tried) == 1:
-            low = np.array([strength.low for strength in mechanism.strengths])
-            has_sides = len(mechanism.sizes) > 1  # and each size stands for its own
-            if np.any(strengths < low) or (has_sides and np.any(change[-count:] < 0)):
-                return replace(self._nothing(tried), deviations=deviations)
         split = np.split(strengths, len(tried))
-        found = [replace(c, values=tuple(v.tolist())) for c, v in zip(tried, split, strict=True)]
-        return Candidate(tuple(found), gains, deviations)
+        found = tuple(
+            replace(c, values=tuple(v.tolist())) for c, v in zip(tried, split, strict=True)
+        )
+        if len(tried) == 1 and not _makes_sense(found[0], tried[0]):
+            return replace(self._nothing(tried), deviations=deviations)
+        return Candidate(tuple(tried), found, gains, deviations)
+
+
+def _makes_sense(found: Cause, tried: Cause) -> bool:
+    """Whether strengths are possible; where sizes matter, each stands for its own side."""
+    mechanism = get_mechanism(found.kind)
+    values, low = np.array(found.values), [strength.low for strength in mechanism.strengths]
+    has_sides = len(mechanism.sizes) > 1
+    return bool(np.all(values >= low) and not (has_sides and np.any(values * tried.values < 0)))
 
 
 class Effects:

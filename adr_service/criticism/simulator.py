@@ -19,26 +19,23 @@ import numpy as np
 from mujoco import rollout
 
 from adr_service.arrays import Array3, Indices, Matrix, Vector
+from adr_service.causes import Cause
 from adr_service.criticism.measurements import Measurement
 from adr_service.errors import InvalidInput
 from adr_service.parameters import ParameterSpace
 from adr_service.simulation.mechanisms import (
-    Cause,
     Commands,
     element_of,
     get_mechanism,
     is_added,
+    openly,
     with_causes,
 )
 from adr_service.simulation.model import link_of, read, resolve, write
 from adr_service.tasks.base import Reshapable, Source, Task
 
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
-# A simulator of first order is judged with smaller steps than its own, whose error would otherwise
-# be the largest of all, and look like inertia and friction
-_FIRST_ORDER_FINER = 3
 _MOST_STEPS = 500  # of the simulator between two rows
-_Inferred = mujoco.mjtInertiaFromGeom
 
 
 @dataclass(frozen=True)
@@ -97,14 +94,7 @@ class Nominal:
         for kind in ("bodies", "joints", "geoms", "actuators"):
             for number, element in enumerate(getattr(spec, kind)):
                 element.name = element.name or f"unnamed_{number}"  # a cause needs a place
-        inferred = spec.compiler.inertiafromgeom == _Inferred.mjINERTIAFROMGEOM_TRUE
-        spec.compiler.inertiafromgeom = _Inferred.mjINERTIAFROMGEOM_AUTO
-        for body in spec.bodies[1:]:
-            body.simple = False  # such bodies keep their centre of mass where it is
-            if inferred or not body.explicitinertial:
-                body.explicitinertial = False
-                spec.adopt_inertial(body)  # so that a cause may change it
-        spec.compiler.inertiafromgeom = _Inferred.mjINERTIAFROMGEOM_FALSE
+        openly(spec)
         if spec.compiler.settotalmass > 0:
             raise InvalidInput(
                 "the model scales its masses by settotalmass, which no cause in a body survives; "
@@ -132,14 +122,15 @@ class Nominal:
 class Simulator:
     """Predicts all transitions of one measurement, under any parameters and causes."""
 
-    def __init__(self, nominal: Nominal, data: Measurement, threads: int | None = None):
-        self.nominal, self.data = nominal, data
+    def __init__(
+        self, nominal: Nominal, data: Measurement, threads: int | None = None, finer: int = 1
+    ):
+        """`finer`: how many of its steps are taken for one of the model's."""
+        self.nominal, self.data, self.finer = nominal, data, finer
         self.base = nominal.model(nominal.start)
         _check(self.base, data)
         self.period = data.period()
-        is_first_order = self.base.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4
-        self._finer = _FIRST_ORDER_FINER if is_first_order else 1
-        self.steps = self._finer * _steps(self.period, self.base.opt.timestep)
+        self.steps = finer * _steps(self.period, self.base.opt.timestep)
         self.starts: Indices = np.flatnonzero(np.diff(data.episode) == 0)  # (N,) of transitions
         self.measured = np.concatenate([data.qpos, data.qvel], axis=1)  # (rows, 2 nv)
         self._pool = rollout.Rollout(nthread=_threads(threads))
@@ -208,12 +199,12 @@ class Simulator:
 
     def _model(self, values: Vector, causes: Sequence[Cause]) -> mujoco.MjModel:
         model = self.nominal.model(values, causes)
-        model.opt.timestep /= self._finer
+        model.opt.timestep /= self.finer
         return model
 
     def _quick(self, values: Vector, causes: Sequence[Cause]) -> mujoco.MjModel:
         model = self._model(values, causes)
-        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        if not is_first_order(model):
             model.opt.integrator = other_integrator(model.opt.integrator)
         return model
 
@@ -252,7 +243,7 @@ class Simulator:
 
     def told(self, causes: Sequence[Cause], finer: int = 1) -> Array3:
         """(N, finer * steps, nu) what the actuators obey in each simulator step."""
-        steps, timestep = finer * self.steps, self.base.opt.timestep / (finer * self._finer)
+        steps, timestep = finer * self.steps, self.base.opt.timestep / (finer * self.finer)
         told = np.repeat(self.data.ctrl[self.starts][:, None], steps, axis=1)
         for cause in causes:
             mechanism = get_mechanism(cause.kind)
@@ -328,6 +319,10 @@ class Simulator:
         first = np.array([first for first, _ in self.data.spans()])
         slope[first] = slope[first + 1]
         return slope
+
+
+def is_first_order(model: mujoco.MjModel) -> bool:
+    return bool(model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4)
 
 
 def other_integrator(integrator: int) -> int:

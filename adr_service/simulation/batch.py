@@ -16,6 +16,7 @@ those of the last stage of the last integration step, as Gymnasium's environment
 """
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from functools import lru_cache
 from typing import Any
 
@@ -26,7 +27,14 @@ from numpy.typing import NDArray
 
 from adr_service.arrays import Indices, Mask, Matrix, frozen
 from adr_service.errors import InvalidInput
-from adr_service.simulation.model import Slot, Writer, link_of, resolve
+from adr_service.simulation.mechanisms import (
+    apply,
+    check_simulated,
+    is_added,
+    openly,
+    prepared,
+)
+from adr_service.simulation.model import Slot, Writer, link_of, resolve, write
 from adr_service.tasks.base import Reshapable, Source, State, Task
 
 _LARGEST = mujoco.mjMAXVAL  # MuJoCo's own bound of positions and velocities
@@ -39,7 +47,12 @@ class Simulations:
         self.n = n
         self._task = task
         self._shape = _Shape(task, source) if _links(source) else None
-        model = self._shape.base if self._shape else compiled(task.xml)
+        self._effects = _Effects(task, source) if source.causes else None
+        model = compiled(task.xml)
+        if self._shape:
+            model = self._shape.base
+        if self._effects:
+            model = self._effects.base
         _check(task, model)
         self._batch = Batch(model, n, threads)
         self._rows = np.arange(n)
@@ -51,7 +64,9 @@ class Simulations:
         self._fixed_values = np.tile(list(source.fixed.values()), (n, 1))
         self._fixed.write(self._fixed_values, self._rows)
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
-        self._ctrl = self._batch.bind("ctrl")
+        self._ctrl = self._batch.bind("ctrl")[:, : len(task.action_low)]  # effects add more
+        if self._effects:
+            self._effects.expand(self._batch)
         self._derived = [self._batch.bind(name) for name in task.derived]
         self._no_derived = np.empty((n, 0))
         self._unseen = np.zeros(n, dtype=np.bool_)  # whose derived fields are of another state
@@ -94,6 +109,8 @@ class Simulations:
             self._shape.write(given, chosen)  # which may move what is fixed
             self._fixed.write(self._fixed_values[chosen], chosen)
         self._writer.write(given, chosen)
+        if self._effects is not None:
+            self._effects.write(given, chosen)
         self._batch.set_const(rows)
         self.dynamics[chosen] = given
 
@@ -187,6 +204,42 @@ class _Shape:
                 array[same] = getattr(model, name)
 
 
+class _Effects:
+    """The models of a task with effects that its file lacks, on top of all parameters."""
+
+    def __init__(self, task: Task, source: Source):
+        check_simulated(compiled(task.xml), source.causes)
+        if links := _links(source):
+            raise InvalidInput(
+                f"{task.name} with the lengths of {', '.join(links)} as parameters cannot be "
+                "extended by effects: its shape is compiled anew for every draw"
+            )
+        self._causes = source.causes
+        spec = mujoco.MjSpec.from_string(task.xml)
+        openly(spec)
+        self._bare = prepared(spec, source.causes)
+        self.base = copy(self._bare)
+        apply(self.base, source.causes)
+        self._slots = [resolve(self._bare, address) for address in _addresses(source)]
+        self._fixed = list(source.fixed.values())
+        self._fields = [name for name in MODEL_FIELDS if _differs(self._bare, self.base, name)]
+        self._expanded: list[NDArray[Any]] = []  # of a batch
+
+    def expand(self, batch: Batch) -> None:
+        """Let the simulations of a batch have effects that depend on their parameters."""
+        self._expanded = [batch.expand(name) for name in self._fields]
+
+    def write(self, dynamics: Matrix, rows: Indices) -> None:
+        """Give simulations `rows` the effects, a row of `dynamics` each."""
+        for row, draw in zip(rows.tolist(), dynamics.tolist(), strict=True):
+            model = copy(self._bare)
+            for slot, value in zip(self._slots, [*self._fixed, *draw], strict=True):
+                write(model, slot, value)
+            apply(model, self._causes)
+            for array, name in zip(self._expanded, self._fields, strict=True):
+                array[row] = getattr(model, name)
+
+
 def _without_textures(xml: str) -> mujoco.MjSpec:
     """A model without what only pictures need, which is most of its compilation."""
     spec = mujoco.MjSpec.from_string(xml)
@@ -230,10 +283,11 @@ def _check(task: Task, model: mujoco.MjModel) -> None:
             'autoreset="disable"/></option>: a step may depend on the state alone, and a '
             "diverged simulation must be seen"
         )
-    if not len(task.action_low) == len(task.action_high) == model.nu:
+    controls = sum(not is_added(model.actuator(i).name) for i in range(model.nu))
+    if not len(task.action_low) == len(task.action_high) == controls:
         raise InvalidInput(
             f"{task.name} bounds {len(task.action_low)} and {len(task.action_high)} actions; its "
-            f"model has {model.nu} controls"
+            f"model has {controls} controls"
         )
     if not 0 < task.measured <= len(task.columns):
         raise InvalidInput(f"{task.name} measures {task.measured} of {len(task.columns)} columns")

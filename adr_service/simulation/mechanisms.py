@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
+from adr_service.causes import Cause
 from adr_service.errors import InvalidInput, UnknownName
 
 Place = Literal["joint", "actuator", "body", "geom", "sensor", "global"]
@@ -28,6 +29,7 @@ _OF_SLIDES = {
     "rad": "m",
     "rad/s": "m/s",
 }
+_Inferred = mujoco.mjtInertiaFromGeom
 _BRAKE, _HOLD = "adr_brake_", "adr_force_"  # names of elements that mechanisms add
 _GRAVITY = 9.81  # [m/s²] for typical sizes alone
 
@@ -39,20 +41,6 @@ class Strength:
     name: str
     unit: str
     low: float = -np.inf  # smallest value that makes sense
-
-
-@dataclass(frozen=True)
-class Cause:
-    """One effect at one place, with its strengths in the mechanism's order."""
-
-    kind: str
-    location: str  # "joint:leg_joint", or "global"
-    values: tuple[float, ...]
-
-    @property
-    def name(self) -> str:
-        """What is at the location, without its kind."""
-        return self.location.partition(":")[2]
 
 
 Change = Callable[[mujoco.MjModel, int, Vector], None]
@@ -133,21 +121,63 @@ def with_causes(
 
     The spec gets the elements that the causes need, and may be told the model by `copy_back`.
     """
+    model = prepared(spec, causes)
+    write(model)
+    apply(model, causes)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
+
+
+def prepared(spec: mujoco.MjSpec, causes: Sequence[Cause]) -> mujoco.MjModel:
+    """The compiled model with the elements that the causes need, at zero strength."""
     for cause in causes:
         mechanism = get_mechanism(cause.kind)
         if mechanism.prepare is not None:
             mechanism.prepare(spec, cause.name)
     try:
-        model = spec.compile()
+        return spec.compile()
     except ValueError as error:
         raise InvalidInput(f"MuJoCo cannot compile the model: {error}") from error
-    write(model)
+
+
+def apply(model: mujoco.MjModel, causes: Sequence[Cause]) -> None:
+    """Change a prepared model by causes; derived constants are the caller's."""
     for cause in causes:
         mechanism = get_mechanism(cause.kind)
         if mechanism.change is not None:
             mechanism.change(model, element_of(model, cause.location), np.array(cause.values))
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    return model
+
+
+def openly(spec: mujoco.MjSpec) -> None:
+    """Let a model's bodies take causes: their inertias written out, and none of them shortened."""
+    inferred = spec.compiler.inertiafromgeom == _Inferred.mjINERTIAFROMGEOM_TRUE
+    spec.compiler.inertiafromgeom = _Inferred.mjINERTIAFROMGEOM_AUTO
+    for body in spec.bodies[1:]:
+        body.simple = False  # such bodies keep their centre of mass where it is
+        if inferred or not body.explicitinertial:
+            body.explicitinertial = False
+            spec.adopt_inertial(body)  # so that a cause may change it
+    spec.compiler.inertiafromgeom = _Inferred.mjINERTIAFROMGEOM_FALSE
+
+
+def check_simulated(model: mujoco.MjModel, causes: Sequence[Cause]) -> None:
+    """Raises InvalidInput unless each is an effect in the model itself, at a place it has."""
+    for cause in causes:
+        mechanism = get_mechanism(cause.kind)
+        if mechanism.change is None:
+            possible = [kind for kind, each in MECHANISMS.items() if each.change is not None]
+            raise InvalidInput(
+                f"{cause.kind} acts on commands or in sensors, which simulations that train "
+                f"policies do not replay; accepted: {', '.join(possible)}"
+            )
+        if cause.location not in mechanism.locations(model):
+            raise UnknownName(f"place of {cause.kind}", cause.location, mechanism.locations(model))
+        lows = [strength.low for strength in mechanism.strengths]
+        if len(cause.values) != len(lows) or any(
+            not np.isfinite(v) or v < low for v, low in zip(cause.values, lows, strict=True)
+        ):
+            names = [f"{s.name} [{s.unit}], {s.low:g} at least" for s in mechanism.strengths]
+            raise InvalidInput(f"{cause.kind} takes {', '.join(names)}; given {list(cause.values)}")
 
 
 def is_added(name: str) -> bool:
@@ -673,6 +703,7 @@ _ALL: tuple[Mechanism, ...] = (
         lambda model, geom: (0.0005,),
         _margin,
         applies=_can_touch,
+        sizes=(1.0, -1.0),  # more of it makes contacts, less ends them
     ),
     Mechanism(
         "sensor_bias",

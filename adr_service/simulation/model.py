@@ -3,6 +3,7 @@
     body:thigh.mass          mass of one body [kg]; its inertia stays ("as published")
     body:thigh.inertial      mass, the inertia scaled with it ("consistent")
     joint:slide.damping      viscous damping [N s/m or N m s/rad]
+    joint:elbow.armature     inertia of its drive [kg or kg m²]
     actuator:push.gear       motor gear, force per unit of control [N or N m]
     actuator:push.bias       constant of an affine bias, in the unit of its force before the gear
     pair:left.friction       sliding friction of an explicit contact pair, both directions
@@ -40,6 +41,7 @@ FIELDS: dict[tuple[str, str], tuple[str, tuple[tuple[int, ...], ...], str | None
     ("body", "mass"): ("body_mass", ((),), None),
     ("body", "inertial"): ("body_mass", ((),), "body_inertia"),
     ("joint", "damping"): ("dof_damping", ((),), None),
+    ("joint", "armature"): ("dof_armature", ((),), None),
     ("actuator", "gear"): ("actuator_gear", ((0,),), None),
     ("actuator", "bias"): ("actuator_biasprm", ((0,),), None),
     ("pair", "friction"): ("pair_friction", ((0,), (1,)), None),

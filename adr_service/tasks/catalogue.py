@@ -5,8 +5,10 @@ Ours, and those of installed packages: an entry point of the group `adr_service.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 
+from adr_service.causes import parse_domain
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.plugins import installed, load, origin, package_of
 from adr_service.tasks import arm, half_cheetah, hopper, humanoid, walker2d
@@ -59,14 +61,20 @@ def variant_of(task: str, variant: str) -> Variant:
     return variants_of(task)[variant]
 
 
-def source_of(task: str, variant: str) -> Source:
-    """What methods may simulate of a task's variant."""
-    return variant_of(task, variant).source
+def source_of(task: str, domain: str) -> Source:
+    """What methods may simulate of a task's variant, with the effects that the domain adds."""
+    variant, causes = parse_domain(domain)
+    return replace(variant_of(task, variant).source, causes=causes)
 
 
-def hidden_of(task: str, variant: str) -> Hidden:
-    """The truth behind a variant's target. For simulated targets and environments alone."""
-    return variant_of(task, variant).hidden
+def hidden_of(task: str, domain: str) -> Hidden:
+    """The truth behind a variant's target, with the effects that the domain adds.
+
+    For simulated targets and environments alone.
+    """
+    variant, causes = parse_domain(domain)
+    hidden = variant_of(task, variant).hidden
+    return replace(hidden, source=replace(hidden.source, causes=causes))
 
 
 def identity_of(task: str) -> Mapping[str, str]:
