@@ -79,6 +79,9 @@ def submit(
     dataset: Annotated[
         str | None, typer.Option(help="Learn from this uploaded recording, without a target.")
     ] = None,
+    extension: Annotated[
+        Path | None, typer.Option(help="Extend the source by effects.json of `adr criticise`.")
+    ] = None,
     setting: Annotated[
         list[str] | None,
         typer.Option("--set", help="A field of the spec, training.max_steps=1000 or iterations=2."),
@@ -104,6 +107,8 @@ def submit(
         )
     if file is not None:
         spec = _read_json(file)
+    if extension is not None:
+        spec["extension"] = _effects_of(extension)
     for assignment in setting or []:
         _assign(spec, assignment)
     with _client(url) as client:
@@ -350,7 +355,8 @@ def criticise(
         found = criticism.criticise_files(nominal, name, data, out, seed, silent)
     console.print(verdict_table(found.verdict))
     console.print(
-        f"{out}: verdict.json, report.html" + (", extended.xml" if found.extension else "")
+        f"{out}: verdict.json, report.html"
+        + (", extended.xml, effects.json" if found.extension else "")
     )
 
 
@@ -430,6 +436,14 @@ def _read_json(file: Path) -> dict[str, Any]:
     if not isinstance(spec, dict):
         raise InvalidInput(f"{file} must hold one JSON object")
     return spec
+
+
+def _effects_of(file: Path) -> list[dict[str, Any]]:
+    """The effects that a criticism named, as a spec takes them."""
+    content = _read_json(file)
+    if not isinstance(effects := content.get("effects"), list):
+        raise InvalidInput(f"{file} has no list of `effects`; give effects.json of `adr criticise`")
+    return [{k: v for k, v in effect.items() if k != "in_mjcf"} for effect in effects]
 
 
 def _assign(spec: dict[str, Any], assignment: str) -> None:

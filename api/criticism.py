@@ -75,10 +75,9 @@ def criticise_files(
 
 def _write_extension(extension: Extension | None, out: Path) -> None:
     """Its files, and none of an earlier verdict."""
-    model, beside = out / "extended.xml", out / "extended.json"
+    model, effects = out / "extended.xml", out / "effects.json"
     model.unlink(missing_ok=True)
-    beside.unlink(missing_ok=True)
+    effects.unlink(missing_ok=True)
     if extension is not None:
         model.write_text(extension.xml)
-        if extension.causes:
-            beside.write_text(json.dumps(extension.sidecar, indent=1))
+        effects.write_text(json.dumps(extension.effects, indent=1))

@@ -166,6 +166,8 @@ def verdict_table(verdict: "Verdict") -> RenderableType:
                 where = (prefix + named.kind, named.location, found.name)
                 cells = (f"{found.value:.4g} {found.unit}", found.interval, f"{named.gain:.0f}")
                 table.add_row(*map(escape, (*where, *cells)))
+    if verdict.residual.rest == "unknown":
+        headline += "; something else is missing that is none of the effects we know"
     told = (
         f"{headline}; {gain.sse_removed:.1%} [{gain.low:.1%}, {gain.high:.1%}] of the "
         "squared one-step error removed on sealed episodes"

@@ -1,8 +1,8 @@
-"""A simulator with what it lacked: MJCF, and a sidecar for what MJCF cannot say.
+"""A simulator with what it lacked: MJCF, and a list of effects for what MJCF cannot say.
 
 extension = extend(nominal, parameters, causes)
 extension.xml          # compiles to the fitted model, to the last digit
-extension.sidecar      # effects on commands and in sensors, replayed by this package
+extension.effects      # all of them; those on commands and in sensors this package replays
 """
 
 import ctypes
@@ -29,16 +29,26 @@ class Extension:
     """An extended model, as two files have it."""
 
     xml: str
-    causes: tuple[Cause, ...]  # those that are not in the MJCF
+    causes: tuple[Cause, ...]
 
     @property
-    def sidecar(self) -> dict[str, Any]:
-        """JSON: the effects that the MJCF cannot say, in the order in which they act."""
-        return {"version": 1, "effects": [asdict(cause) for cause in self.causes]}
+    def beside(self) -> list[Cause]:
+        """Those that the MJCF cannot say, in the order in which they act."""
+        return [cause for cause in self.causes if not _is_in_mjcf(cause)]
+
+    @property
+    def effects(self) -> dict[str, Any]:
+        """All of them as JSON."""
+        listed = [asdict(cause) | {"in_mjcf": _is_in_mjcf(cause)} for cause in self.causes]
+        return {"version": 1, "effects": listed}
 
     def nominal(self) -> Nominal:
         """The extended model as a simulator without free parameters."""
         return Nominal(self.xml, ParameterSpace(()), np.empty(0))
+
+
+def _is_in_mjcf(cause: Cause) -> bool:
+    return get_mechanism(cause.kind).change is not None
 
 
 def extend(nominal: Nominal, parameters: Vector, causes: Sequence[Cause]) -> Extension:
@@ -46,8 +56,7 @@ def extend(nominal: Nominal, parameters: Vector, causes: Sequence[Cause]) -> Ext
     spec = nominal.spec(parameters)
     model = with_causes(spec, lambda model: nominal.write(model, parameters), causes)
     spec.copy_back(model)
-    beside = [cause for cause in causes if get_mechanism(cause.kind).change is None]
-    return Extension(written_out(spec), tuple(beside))
+    return Extension(written_out(spec), tuple(causes))
 
 
 def written_out(spec: mujoco.MjSpec) -> str:

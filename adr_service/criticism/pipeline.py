@@ -19,7 +19,15 @@ from scipy.special import expit
 
 from adr_service.arrays import Vector
 from adr_service.causes import Cause
-from adr_service.criticism.decision import THRESHOLD, TIE, Decision, beats, decide, is_unknown
+from adr_service.criticism.decision import (
+    THRESHOLD,
+    TIE,
+    Decision,
+    beats,
+    decide,
+    is_evidence,
+    is_unknown,
+)
 from adr_service.criticism.evidence import FINER, INTEGRATION, Fit, fit, refine, smoothed
 from adr_service.criticism.extension import Extension, extend
 from adr_service.criticism.gain import measure_gain
@@ -106,7 +114,7 @@ def criticise(
             _named(final, slot, named[0]) for slot, named in zip(_slots(found), found, strict=True)
         ),
         tied=tuple(tuple(_alternative(other) for other in named[1:]) for named in found),
-        residual=_residual(baseline, final, first, float(flexible.sum())),
+        residual=_residual(baseline, final, first, flexible),
         gain=measure_gain(baseline, final, sealed, rng, threads) if found else None,
         seconds=time.perf_counter() - started,
     )
@@ -286,10 +294,8 @@ def _named(fit: Fit, slot: slice, weighed: _Weighed) -> NamedCause:
     return NamedCause(causes[0].kind, location, tuple(estimates), confidence, gain)
 
 
-def _residual(
-    baseline: Fit, final: Fit, first: Sequence[Candidate], unexplained: float
-) -> Residual:
-    """`unexplained` nats are those of a flexible force over the final simulator."""
+def _residual(baseline: Fit, final: Fit, first: Sequence[Candidate], flexible: Vector) -> Residual:
+    """`flexible` (E,) nats are those of a flexible force over the final simulator."""
     moved = {
         name: (before, after)
         for name, before, after in zip(
@@ -313,7 +319,8 @@ def _residual(
     at_bound = (final.parameters <= space.feasible_low) | (final.parameters >= space.high)
     return Residual(
         noise=tuple(np.sqrt(final.noise.sensor).tolist()),
-        unexplained_nats=unexplained,
+        unexplained_nats=float(flexible.sum()),
+        rest="unknown" if is_evidence(flexible) else "none",
         moved=moved,
         at_bound=tuple(n for n, is_at in zip(space.names, at_bound, strict=True) if is_at),
         used=used,

@@ -61,7 +61,13 @@ def _finding(verdict: Verdict) -> str:
         case "cause" | "tie":
             names = "; ".join(_words(cause) for cause in verdict.causes)
             tie = " Other causes explain as much; see below." if verdict.finding == "tie" else ""
-            return f"The simulator lacks {names} ({sure}).{tie}"
+            rest = ""
+            if verdict.residual.rest == "unknown":
+                rest = (
+                    " Something else is missing that is none of the effects we know: a flexible "
+                    f"force predicts another {verdict.residual.unexplained_nats:.0f} nats better."
+                )
+            return f"The simulator lacks {names} ({sure}).{tie}{rest}"
 
 
 def _bounds(verdict: Verdict) -> str:

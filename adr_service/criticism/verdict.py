@@ -58,6 +58,7 @@ class Residual:
 
     noise: tuple[float, ...]  # standard deviation of each sensor, in its unit
     unexplained_nats: float  # what a flexible force would still gain
+    rest: Literal["none", "unknown"]  # whether that counts, beside what was named
     moved: dict[str, tuple[float, float]]  # parameter -> fitted without and with the causes
     at_bound: tuple[str, ...]  # parameters that went as far as they may
     used: int  # transitions
@@ -69,6 +70,7 @@ class Residual:
         return {
             "sensor_noise": list(self.noise),
             "unexplained_nats": self.unexplained_nats,
+            "rest": self.rest,
             "parameters": {
                 name: {"without": before, "with": after, "at_bound": name in self.at_bound}
                 for name, (before, after) in self.moved.items()

@@ -1,0 +1,27 @@
+"""Targets that hide effects, and what criticism names of them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from adr_service.causes import Cause
+from adr_service.criticism.blind import hide
+from adr_service.criticism.pipeline import criticise
+from adr_service.criticism.simulator import Nominal
+from adr_service.tasks.catalogue import get_task, source_of
+
+
+def named_effects(
+    task: str, variant: str, causes: Sequence[Cause], seed: int
+) -> list[dict[str, Any]]:
+    """What criticism names, as a spec takes it."""
+    truth = Nominal.of_task(get_task(task), source_of(task, "vanilla"))
+    data = hide(get_task(task), truth, np.random.default_rng(seed), causes)
+    nominal = Nominal.of_task(get_task(task), source_of(task, variant))
+    found = criticise(nominal, data, np.random.default_rng(0), threads=1)
+    assert found.extension is not None
+    return [
+        {"kind": c.kind, "location": c.location, "values": list(c.values)}
+        for c in found.extension.causes
+    ]

@@ -1,0 +1,112 @@
+"""A simulator extended by what it lacks: as a source of policies, and what that is worth."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from adr_service.causes import Cause, domain_of, parse_domain
+from adr_service.criticism.simulator import Nominal
+from adr_service.errors import InvalidInput
+from adr_service.runs import oracle_training
+from adr_service.simulation.batch import Simulations
+from adr_service.specs import RunSpec
+from adr_service.tasks.catalogue import get_task, source_of
+from tests.hidden import named_effects
+
+EFFECTS = {
+    "arm": (
+        Cause("joint_spring", "joint:elbow", (3.0,)),
+        Cause("payload", "body:fore", (0.3,)),  # on top of a mass that is a parameter
+        Cause("joint_asymmetric_viscous_friction", "joint:shoulder", (0.5,)),
+        Cause("external_force", "body:fore", (1.0, 0.0, 2.0)),
+    ),
+    "hopper": (
+        Cause("joint_coulomb_friction", "joint:leg_joint", (4.0,)),
+        Cause("gravity_tilt", "global", (0.05, 0.0)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_extended_simulations_equal_mujoco_with_the_extended_model(name):
+    task, rng, n = get_task(name), np.random.default_rng(0), 3
+    source = source_of(name, domain_of("vanilla", EFFECTS[name]))
+    simulations = Simulations(task, source, n)
+    draws = np.array([[rng.uniform(p.high / 2, p.high) for p in source.space.parameters]] * n)
+    draws[1:] *= rng.uniform(0.8, 1.0, (n - 1, draws.shape[1]))
+    start = task.initial(n, rng)
+    actions = rng.uniform(-0.5, 0.5, (20, n, len(task.action_low)))
+    simulations.set_dynamics(np.ones_like(draws))  # another draw before leaves nothing behind
+    simulations.set_dynamics(draws)
+    simulations.set_state(start)
+    for action in actions:
+        simulations.step(action)
+    for i in range(n):
+        model = Nominal(task.xml, source.space, draws[i]).model(draws[i], EFFECTS[name])
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = start.qpos[i], start.qvel[i]
+        for action in actions[:, i]:
+            data.ctrl[: len(action)] = action
+            mujoco.mj_step(model, data, task.frame_skip)
+        np.testing.assert_array_equal(simulations.state.qpos[i], data.qpos)
+        np.testing.assert_array_equal(simulations.state.qvel[i], data.qvel)
+
+
+def test_a_domain_is_a_variant_and_effects():
+    assert domain_of("noisy", []) == "noisy"
+    assert parse_domain(domain_of("noisy", EFFECTS["arm"])) == ("noisy", EFFECTS["arm"])
+
+
+@pytest.mark.parametrize(
+    ("effect", "message"),
+    [
+        (("actuator_delay", "actuator:elbow", [0.01]), "acts on commands or in sensors"),
+        (("joint_spring", "joint:knee", [1.0]), "knee"),
+        (("joint_coulomb_friction", "joint:elbow", [-1.0]), "0 at least; given"),
+        (("joint_spring", "joint:elbow", [1.0, 2.0]), "takes stiffness"),
+        (("warp_drive", "global", [1.0]), "warp_drive"),
+    ],
+)
+@pytest.mark.parametrize("where", ["extension", "target"])
+def test_effects_that_no_training_can_simulate_are_refused(effect, message, where):
+    given = [dict(zip(("kind", "location", "values"), effect, strict=True))]
+    fields = (
+        {"extension": given}
+        if where == "extension"
+        else {"target": {"kind": "simulated", "effects": given}}
+    )
+    with pytest.raises(ValueError, match=message):
+        RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke", **fields})
+
+
+def test_lengths_cannot_be_combined_with_effects():
+    source = source_of("walker2d", "vanilla")
+    spring = (Cause("joint_spring", "joint:leg_joint", (1.0,)),)
+    with pytest.raises(InvalidInput, match="compiled anew for every draw"):
+        Simulations(get_task("walker2d"), replace(source, causes=spring), 1)
+
+
+def test_the_oracle_knows_the_hidden_effects_and_no_other_method_does():
+    hidden = [{"kind": "joint_spring", "location": "joint:elbow", "values": [3.0]}]
+    spec = RunSpec.model_validate(
+        {
+            "task": "arm",
+            "method": "oracle",
+            "preset": "smoke",
+            "target": {"kind": "simulated", "effects": hidden},
+        }
+    )
+    assert "joint_spring" in oracle_training(spec).inputs["variant"]
+    assert spec.source_domain == "vanilla"
+    assert "joint_spring" in spec.target_domain
+
+
+@pytest.mark.slow
+def test_what_the_unmodeled_variant_has_wrong_is_named():
+    """The torso's mass is frozen at 0.8 of its truth."""
+    (named,) = named_effects("hopper", "unmodeled", [], seed=5)
+    assert (named["kind"], named["location"]) == ("body_mass", "body:torso")
+    wrong = source_of("hopper", "unmodeled").fixed["body:torso.mass"]
+    assert named["values"][0] == pytest.approx(0.25 * wrong, rel=0.01)
