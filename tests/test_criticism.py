@@ -36,7 +36,9 @@ def recorded(measurement):
     return {name: getattr(measurement, name) for name in names}
 
 
-@pytest.mark.parametrize("seed", BATTERY)
+@pytest.mark.parametrize(
+    "seed", [*BATTERY[:4], *(pytest.param(seed, marks=pytest.mark.slow) for seed in BATTERY[4:])]
+)
 def test_a_hidden_effect_is_named_or_tied_with_what_equals_it(seed):
     hidden = case(seed)
     found = criticise(hidden.nominal, hidden.measurement, np.random.default_rng(0), threads=1)
@@ -78,9 +80,9 @@ def good():
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
-    """The file of a measurement that hides an effect."""
+    """The file of a measurement that hides an effect, short to be fast."""
     path = tmp_path_factory.mktemp("data") / "arm.npz"
-    np.savez(path, **recorded(case(100).measurement))
+    np.savez(path, **recorded(case(100).measurement.episodes(range(12))))
     return path
 
 
@@ -212,7 +214,9 @@ def test_a_second_cause_is_found_beside_the_first():
     ]
     task, nominal = arm()
     data = hide(task, nominal, np.random.default_rng(400), hidden)
-    found = criticise(nominal, data, np.random.default_rng(0), threads=1).verdict
+    found = criticise(
+        nominal, data.episodes(range(20)), np.random.default_rng(0), threads=1
+    ).verdict
     assert found.finding == "cause"
     assert len(found.causes) == 2
     for cause in hidden:

@@ -1,4 +1,4 @@
-"""What an extension is worth: policies of the extended simulator on a target that hides an effect."""
+"""What an extension is worth: policies of the extended simulator on a target with an effect."""
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ def returned(hidden, extension, seed=1):
         "collector": "random",
         "preset": "demo",
         "iterations": 1,
+        "training": {"max_steps": 18_000},
         "seed": seed,
         "extension": extension,
         "target": {"kind": "simulated", "effects": hidden},

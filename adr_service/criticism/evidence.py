@@ -1,8 +1,8 @@
 """How much better the data are predicted with a cause than without it.
 
-    baseline = fit(simulator, sensor, start)           # free parameters, noise, smoothed states
-    found = scan(baseline, places(simulator))         # every (kind, location), linearised
-    refined = refine(baseline, [found[0].cause], sensor)      # nonlinear, with its own noise
+    baseline = smoothed(fit(simulator, sensor), sensor)  # free parameters, noise, smoothed states
+    found = scan(baseline, Effects(baseline))            # every (kind, location), linearised
+    refined = refine(baseline, found[0].causes, sensor)  # nonlinear, with its own noise
 
 All fits are Gauss-Newton steps on whitened one-step residuals around smoothed states. A gain is
 the log-likelihood, in nats, of episodes that were left out one at a time from the fit, with the
@@ -87,23 +87,15 @@ class Fit:
         return self.normal.left_out()
 
 
-def fit(
-    simulator: Simulator,
-    sensor: Vector,
-    parameters: Vector,
-    causes: Sequence[Cause] = (),
-    rounds: int = 2,
-) -> Fit:
-    """The simulator at its best with these causes, from `parameters` (d,).
+def fit(simulator: Simulator, sensor: Vector, causes: Sequence[Cause] = ()) -> Fit:
+    """The simulator at its best with these causes, around the states as they were measured.
 
     `sensor` (m,) are the variances of the sensors' noise, NaN where they are not known.
     """
     layout, states = Layout.of(simulator), simulator.measured
     root = np.broadcast_to(_tiny(simulator), (*states.shape, states.shape[1]))
-    found = _fitted(simulator, layout, parameters, tuple(causes), states, root, sensor)
-    for _ in range(rounds - 1):
-        found = smoothed(found, sensor)
-    return found
+    start = simulator.nominal.start
+    return _fitted(simulator, layout, start, tuple(causes), states, root, sensor)
 
 
 def smoothed(fit: Fit, sensor: Vector) -> Fit:

@@ -14,7 +14,7 @@ import numpy as np
 from adr_service.arrays import Array3, Mask, Matrix, Vector
 from adr_service.criticism.noise import Chain, Noise, Whitener, updated
 
-_SETTLED, _MOST_CYCLES = 0.1, 20  # [nats] that a cycle changes at least
+_SETTLED, _MOST_CYCLES = 0.3, 20  # [nats] that a cycle changes at least
 _MOST_RATIO = 0.95  # of an update's step to the one before it
 
 

@@ -11,6 +11,7 @@ dropped again where the others make them superfluous.
 
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,9 +94,8 @@ def criticise(
     is_sealed = numbers % _SEALED == _SEALED - 1
     learned, sealed = (data.episodes(numbers[which].tolist()) for which in (~is_sealed, is_sealed))
     sensor = data.sensor_variance()
-    finer = _best_step(nominal, learned, sensor, threads)
-    with Simulator(nominal, learned, threads, finer) as simulator:
-        baseline = fit(simulator, sensor, nominal.start)
+    with ExitStack() as simulators:
+        baseline = smoothed(_best_step(nominal, learned, sensor, threads, simulators), sensor)
         effects = Effects(baseline)
         first = scan(baseline, effects)
         found, final, chance = _name(baseline, first, effects, sensor, rng, progress)
@@ -122,19 +122,24 @@ def criticise(
     return Criticism(verdict, baseline, final, tuple(first), extension)
 
 
-def _best_step(nominal: Nominal, data: Measurement, sensor: Vector, threads: int | None) -> int:
-    """How many steps to take for one of the model's, whichever makes the data more probable.
+def _best_step(
+    nominal: Nominal,
+    data: Measurement,
+    sensor: Vector,
+    threads: int | None,
+    simulators: ExitStack,
+) -> Fit:
+    """A first fit with the model's own step or a smaller one, whichever makes the data likelier.
 
     The step of an integrator of first order may be the largest error of all, and would look like
     inertia and friction; where the data were simulated with that very step, it is right.
     """
-    likely: dict[int, float] = {}
-    for finer in (1, FINER):
-        with Simulator(nominal, data, threads, finer) as simulator:
-            if not is_first_order(simulator.base):
-                return 1
-            likely[finer] = fit(simulator, sensor, nominal.start, rounds=1).held_out.sum()
-    return max(likely, key=lambda finer: likely[finer])
+    steps = (1, FINER) if is_first_order(nominal.model(nominal.start)) else (1,)
+    fits = [
+        fit(simulators.enter_context(Simulator(nominal, data, threads, finer)), sensor)
+        for finer in steps
+    ]
+    return max(fits, key=lambda each: each.held_out.sum())
 
 
 def _name(
