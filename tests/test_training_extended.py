@@ -21,7 +21,7 @@ def returned(hidden, extension, seed=1):
         "collector": "random",
         "preset": "demo",
         "iterations": 1,
-        "training": {"max_steps": 18_000},
+        "training": {"max_steps": 25_000},
         "seed": seed,
         "extension": extension,
         "target": {"kind": "simulated", "effects": hidden},

@@ -35,6 +35,7 @@ EPISODES, STEPS = 30, 75
 _FINER = 4
 _POSITION_NOISE, _VELOCITY_NOISE = 1e-3, 1e-2  # [rad or m], [rad/s or m/s]
 _ADJUSTMENTS = 6  # of an effect's size, which is not always in proportion to its strength
+_TOLD_APART = 0.05  # of an effect, that no free parameter may absorb
 _OFF = 0.1  # relative error of the parameters that the diagnosis starts from
 
 Outside = Literal[
@@ -218,7 +219,10 @@ class _Robot:
         """Root mean square of what the free parameters cannot absorb of an effect (N, m)."""
         effect = np.nan_to_num(effect / self._noise).ravel()
         absorbed = np.linalg.lstsq(self._pilot.columns, effect, rcond=None)[0]
-        return float(np.sqrt(np.mean((effect - self._pilot.columns @ absorbed) ** 2)))
+        left = effect - self._pilot.columns @ absorbed
+        if np.linalg.norm(left) < _TOLD_APART * np.linalg.norm(effect):
+            return 0.0  # it is a free parameter by another name
+        return float(np.sqrt(np.mean(left**2)))
 
     @property
     def _noise(self) -> Vector:
