@@ -7,20 +7,20 @@ one means the same when presets change. What is given wins over the preset, fiel
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
 from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from adr_service.causes import Cause, domain_of
-from adr_service.errors import InvalidInput, UnknownName
+from adr_service.errors import AdrError, InvalidInput, UnknownName
 from adr_service.methods.base import OfflineSettings
 from adr_service.methods.catalogue import AnyMethod, methods
 from adr_service.methods.simopt import SimOptSettings
 from adr_service.presets import PRESETS
-from adr_service.simulation.batch import compiled
-from adr_service.simulation.mechanisms import check_simulated
-from adr_service.tasks.catalogue import catalogue, get_task, source_of
+from adr_service.simulation.batch import check_effects
+from adr_service.tasks.catalogue import catalogue, get_task, variant_of
 from adr_service.training.settings import TrainingSettings
 from adr_service.wire import Wire, explain
 
@@ -125,19 +125,18 @@ class RunSpec(Wire):
     @model_validator(mode="after")
     def _possible_on_the_task(self) -> Self:
         try:
-            source_of(self.task, self.variant)
+            pair, task = variant_of(self.task, self.variant), get_task(self.task)
         except UnknownName as error:
             raise ValueError(str(error)) from error
-        model = compiled(get_task(self.task).xml)
-        for name, effects in (
-            ("extension", self.extension),
-            ("target.effects", self.hidden_effects),
+        for name, source, effects in (
+            ("extension", pair.source, self.extension),
+            ("target.effects", pair.hidden.source, self.hidden_effects),
         ):
             try:
-                check_simulated(model, [effect.cause for effect in effects])
-            except InvalidInput as error:
+                check_effects(task, replace(source, causes=tuple(e.cause for e in effects)))
+            except AdrError as error:
                 raise ValueError(f"{name}: {error}") from error
-        horizon = get_task(self.task).horizon
+        horizon = task.horizon
         if self.transitions > horizon:
             raise ValueError(
                 f"transitions: {self.transitions} given, but an episode of {self.task} has "

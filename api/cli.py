@@ -441,8 +441,15 @@ def _read_json(file: Path) -> dict[str, Any]:
 def _effects_of(file: Path) -> list[dict[str, Any]]:
     """The effects that a criticism named, as a spec takes them."""
     content = _read_json(file)
-    if not isinstance(effects := content.get("effects"), list):
-        raise InvalidInput(f"{file} has no list of `effects`; give effects.json of `adr criticise`")
+    effects, version = content.get("effects"), content.get("version")
+    if (
+        version != 1
+        or not isinstance(effects, list)
+        or not all(isinstance(e, dict) for e in effects)
+    ):
+        raise InvalidInput(
+            f"{file} is no list of effects, version 1; give effects.json of `adr criticise`"
+        )
     return [{k: v for k, v in effect.items() if k != "in_mjcf"} for effect in effects]
 
 

@@ -16,7 +16,7 @@ from adr_service.criticism.simulator import Nominal
 from adr_service.errors import InvalidInput
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.progress import Progress
-from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.tasks.catalogue import get_task, variant_of
 
 
 def nominal_of(
@@ -29,7 +29,7 @@ def nominal_of(
         if free:
             raise InvalidInput("--free goes with --model; a task has its own parameters")
         chosen = variant or "vanilla"
-        return Nominal.of_task(get_task(task), source_of(task, chosen)), f"{task}, {chosen}"
+        return Nominal.of_task(get_task(task), variant_of(task, chosen).source), f"{task}, {chosen}"
     if variant is not None:
         raise InvalidInput("--variant goes with --task")
     assert model is not None

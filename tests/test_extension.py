@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from adr_service.causes import Cause, domain_of, parse_domain
+from adr_service.computation import LocalStages
 from adr_service.criticism.simulator import Nominal
 from adr_service.errors import InvalidInput
-from adr_service.runs import oracle_training
+from adr_service.runs import run
 from adr_service.simulation.batch import Simulations
 from adr_service.specs import RunSpec
 from adr_service.tasks.catalogue import get_task, source_of
@@ -21,6 +22,7 @@ EFFECTS = {
         Cause("payload", "body:fore", (0.3,)),  # on top of a mass that is a parameter
         Cause("joint_asymmetric_viscous_friction", "joint:shoulder", (0.5,)),
         Cause("external_force", "body:fore", (1.0, 0.0, 2.0)),
+        Cause("body_mass", "body:upper", (0.5,)),  # of a body whose inertia scales with its mass
     ),
     "hopper": (
         Cause("joint_coulomb_friction", "joint:leg_joint", (4.0,)),
@@ -67,6 +69,7 @@ def test_a_domain_is_a_variant_and_effects():
         (("joint_coulomb_friction", "joint:elbow", [-1.0]), "0 at least; given"),
         (("joint_spring", "joint:elbow", [1.0, 2.0]), "takes stiffness"),
         (("warp_drive", "global", [1.0]), "warp_drive"),
+        (("body_mass", "body:fore", [-50.0]), "negative mass"),
     ],
 )
 @pytest.mark.parametrize("where", ["extension", "target"])
@@ -81,6 +84,19 @@ def test_effects_that_no_training_can_simulate_are_refused(effect, message, wher
         RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke", **fields})
 
 
+def test_a_variant_names_no_effects_of_its_own():
+    given = {"task": "arm", "method": "prior", "preset": "smoke"}
+    with pytest.raises(ValueError, match="variant of arm"):
+        RunSpec.model_validate({**given, "variant": domain_of("vanilla", EFFECTS["arm"])})
+
+
+def test_what_a_robot_would_feel_in_its_observations_is_refused():
+    source = source_of("humanoid", "vanilla")
+    push = (Cause("external_force", "body:torso", (5.0, 0.0, 0.0)),)
+    with pytest.raises(InvalidInput, match="observes its actuators"):
+        Simulations(get_task("humanoid"), replace(source, causes=push), 1)
+
+
 def test_lengths_cannot_be_combined_with_effects():
     source = source_of("walker2d", "vanilla")
     spring = (Cause("joint_spring", "joint:leg_joint", (1.0,)),)
@@ -88,19 +104,19 @@ def test_lengths_cannot_be_combined_with_effects():
         Simulations(get_task("walker2d"), replace(source, causes=spring), 1)
 
 
-def test_the_oracle_knows_the_hidden_effects_and_no_other_method_does():
+@pytest.mark.parametrize(
+    ("method", "knows"), [("oracle", True), ("prior", False), ("simopt", False), ("dropo", False)]
+)
+def test_the_oracle_knows_the_hidden_effects_and_no_method_does(method, knows):
     hidden = [{"kind": "joint_spring", "location": "joint:elbow", "values": [3.0]}]
-    spec = RunSpec.model_validate(
-        {
-            "task": "arm",
-            "method": "oracle",
-            "preset": "smoke",
-            "target": {"kind": "simulated", "effects": hidden},
-        }
-    )
-    assert "joint_spring" in oracle_training(spec).inputs["variant"]
-    assert spec.source_domain == "vanilla"
-    assert "joint_spring" in spec.target_domain
+    target = {"kind": "simulated", "effects": hidden}
+    given = {"task": "arm", "method": method, "preset": "smoke", "target": target}
+    stages = LocalStages()
+    assert list(run(RunSpec.model_validate(given), stages))
+    for stage in stages.executed:
+        is_target = stage.kind in ("target_rollout", "target_return", "evaluate")
+        assert ("joint_spring" in str(stage.inputs)) == (is_target or knows)
+    assert {stage.kind for stage in stages.executed} >= {"train_policy", "evaluate"}
 
 
 @pytest.mark.slow

@@ -56,11 +56,14 @@ class Report:
 
 
 def reports(outcomes: Iterable[Outcome]) -> list[Report]:
-    """One report per budget. Smoke runs mean nothing, and have none."""
+    """One report per budget. Smoke runs mean nothing, and have none; nor have runs with effects
+    beyond the paper's tasks."""
     budgets: dict[str, list[Outcome]] = {}
     for outcome in outcomes:
-        if outcome.spec.preset != "smoke" and outcome.iteration.returns:
-            budgets.setdefault(canonical_json(_budget(outcome.spec)), []).append(outcome)
+        spec = outcome.spec
+        is_plain = not spec.extension and not spec.hidden_effects
+        if is_plain and spec.preset != "smoke" and outcome.iteration.returns:
+            budgets.setdefault(canonical_json(_budget(spec)), []).append(outcome)
     return [_report(found) for _, found in sorted(budgets.items())]
 
 

@@ -29,7 +29,7 @@ FINER = 3  # how much smaller a step shows what numerical integration adds
 # first, where they are real and the integrator is of first order
 _INTEGRATION = ((2 / 3, 2 / 3), (0.0, 1.0))
 INTEGRATION = len(_INTEGRATION)  # columns
-_CONVERGED = 0.3  # nats
+_ROUNDS, _CONVERGED = 4, 0.3  # of steps at most; [nats] that a step gains at least
 _DIFFERENCE = 1e-4  # of a parameter's range
 _TINY = 1e-5  # of a state's spread over the recording, where its uncertainty is not known yet
 _SIMULATED = 0.5  # of all transitions, at least
@@ -122,24 +122,23 @@ def _fitted(
     linear = _linearise(simulator, layout, parameters, causes, states, root)
     noise, normal = _judge(linear, sensor)
     found = Fit(simulator, layout, parameters, causes, states, linear, noise, normal)
-    return refine(found, causes, sensor)
+    return refine(found, causes, sensor) or found
 
 
-def refine(fit: Fit, causes: Sequence[Cause], sensor: Vector, rounds: int = 4) -> Fit:
+def refine(fit: Fit, causes: Sequence[Cause], sensor: Vector) -> Fit | None:
     """The fit with these causes, from strengths near the best ones; its states stay.
 
-    A step that makes the data less probable is halved. Where these causes let the simulation
-    diverge, they explain nothing: the fit comes back as it was. Compare with
-    `refine(fit, fit.causes, …)`, whose noise had as many rounds to settle.
+    A step that makes the data less probable is halved. None: with these causes the simulation
+    diverges where it did not before, and they explain nothing. Compare with `settled(fit)`.
     """
     before = fit.simulator.predict(fit.parameters, fit.causes, fit.states)
     integration = slice(len(fit.parameters), len(fit.parameters) + INTEGRATION)
     best = _evaluated(fit, before, fit.parameters, tuple(causes), fit.noise, sensor)
     if best is None:
-        return fit
+        return None
     step = best.normal.change()[0]
     reached = best.normal.settled(integration)
-    for _ in range(rounds - 1):
+    for _ in range(_ROUNDS - 1):
         parameters = _moved(fit.simulator, best.parameters, step)
         moved = _strengthened(best.causes, step[integration.stop :])
         tried = _evaluated(fit, before, parameters, moved, best.noise, sensor)
@@ -151,6 +150,11 @@ def refine(fit: Fit, causes: Sequence[Cause], sensor: Vector, rounds: int = 4) -
         if gained < _CONVERGED:
             break
     return best
+
+
+def settled(fit: Fit, sensor: Vector) -> Fit:
+    """The fit with its own causes, its strengths and noise settled around its states."""
+    return refine(fit, fit.causes, sensor) or fit
 
 
 def _evaluated(

@@ -1,7 +1,7 @@
 """A simulator with what it lacked: MJCF, and a list of effects for what MJCF cannot say.
 
 extension = extend(nominal, parameters, causes)
-extension.xml          # compiles to the fitted model, to the last digit
+extension.xml          # compiles to the fitted model, to the last digit, with its own step
 extension.effects      # all of them; those on commands and in sensors this package replays
 """
 

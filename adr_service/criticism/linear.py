@@ -93,12 +93,13 @@ class Normal:
 
 
 def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
-    """The most probable noise of what the columns leave at their best, from `start`; and the
-    normal equations under it.
+    """The noise of what the columns leave at their best, from `start`, settled; and the normal
+    equations under it.
 
-    `known` (m,): whose sensors' variances stay as they are. MM updates creep towards variances
-    that are a small part of the residuals, so that each cycle follows two of them to where the
-    geometric series of their steps would end (Aitken, 1926; each variance for itself).
+    `known` (m,): whose sensors' variances stay as they are. The weights of outliers are posterior
+    means, so that updates settle near the most probable noise, not at it. They creep towards
+    variances that are a small part of the residuals, so that each cycle follows two of them to
+    where the geometric series of their steps would end (Aitken, 1926; each variance for itself).
     """
     noise, before = start, -np.inf
     for _ in range(_MOST_CYCLES):
@@ -114,7 +115,8 @@ def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
         ratio = np.divide(following, step, out=np.zeros_like(step), where=np.abs(step) > 1e-12)
         ratio = np.clip(ratio, 0.0, _MOST_RATIO)
         end = np.exp(_logarithms(second) + following * ratio / (1 - ratio))
-        noise = replace(second, sensor=end[0], misfit=end[1:])
+        sensor = np.where(known, start.sensor, end[0])
+        noise = replace(second, sensor=sensor, misfit=end[1:])
     return noise, Normal.of(Whitener.of(linear.chain, noise), linear)
 
 

@@ -134,9 +134,9 @@ class Whitener:
 
 
 def updated(whitener: Whitener, residual: Array3, known: Mask) -> Noise:
-    """Noise after one MM update, which makes residuals (E, T, m) more probable.
+    """Noise after one MM update of the variances and one EM update of the weights.
 
-    `known` (m,): whose sensors' variances stay as they are.
+    `residual` (E, T, m); `known` (m,): whose sensors' variances stay as they are.
     """
     chain, noise = whitener.chain, whitener.noise
     mask = chain.mask

@@ -29,7 +29,7 @@ from adr_service.criticism.decision import (
     is_evidence,
     is_unknown,
 )
-from adr_service.criticism.evidence import FINER, INTEGRATION, Fit, fit, refine, smoothed
+from adr_service.criticism.evidence import FINER, INTEGRATION, Fit, fit, refine, settled, smoothed
 from adr_service.criticism.extension import Extension, extend
 from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.measurements import Measurement
@@ -73,6 +73,11 @@ class _Weighed:
     def gain(self) -> float:
         return float(self.gains.sum())
 
+    @property
+    def fair_gain(self) -> float:
+        """A group must beat the best single place by what counts as evidence."""
+        return self.gain - THRESHOLD * (len(self.causes) > 1)
+
 
 _Named = tuple[_Weighed, ...]  # the best candidate, and all that explain as much
 
@@ -100,8 +105,9 @@ def criticise(
         first = scan(baseline, effects)
         found, final, chance = _name(baseline, first, effects, sensor, rng, progress)
         found, final = _pruned(found, final, sensor)
+        flexible = flexible_gains(settled(final, sensor), sensor)
+        confidence = _confidence(found, chance, flexible)
         found = _still_tied(found, final, sensor)
-        flexible = flexible_gains(refine(final, final.causes, sensor), sensor)
     finding: Finding = "none"
     if is_unknown(flexible, sum(named[0].gain for named in found)):
         finding, found, final = "unknown", [], baseline
@@ -109,7 +115,7 @@ def criticise(
         finding = "tie" if any(len(named) > 1 for named in found) else "cause"
     verdict = Verdict(
         finding,
-        confidence=_confidence(found, chance, flexible),
+        confidence=confidence,
         causes=tuple(
             _named(final, slot, named[0]) for slot, named in zip(_slots(found), found, strict=True)
         ),
@@ -129,7 +135,8 @@ def _best_step(
     threads: int | None,
     simulators: ExitStack,
 ) -> Fit:
-    """A first fit with the model's own step or a smaller one, whichever makes the data likelier.
+    """A first fit with the model's own step or a smaller one, whichever makes the data likelier
+    (or simulates more of them at all).
 
     The step of an integrator of first order may be the largest error of all, and would look like
     inertia and friction; where the data were simulated with that very step, it is right.
@@ -139,7 +146,7 @@ def _best_step(
         fit(simulators.enter_context(Simulator(nominal, data, threads, finer)), sensor)
         for finer in steps
     ]
-    return max(fits, key=lambda each: each.held_out.sum())
+    return max(fits, key=lambda each: (each.linear.chain.mask.sum(), each.held_out.sum()))
 
 
 def _name(
@@ -169,9 +176,9 @@ def _name(
 
 def _simplest_first(alike: Sequence[_Weighed]) -> _Named:
     """Of those that nothing tells apart, one with the fewest strengths, then the best."""
-    best = max(each.gain for each in alike)
-    near = [each for each in alike if best - each.gain < TIE]
-    first = min(near, key=lambda each: (sum(len(c.values) for c in each.causes), -each.gain))
+    best = max(each.fair_gain for each in alike)
+    near = [each for each in alike if best - each.fair_gain < TIE]
+    first = min(near, key=lambda each: (sum(len(c.values) for c in each.causes), -each.fair_gain))
     return (first, *(each for each in alike if each is not first))
 
 
@@ -183,47 +190,45 @@ def _from_elsewhere(current: Fit, found: Fit, sensor: Vector) -> Fit:
         [replace(c, values=tuple(factor * v for v in c.values)) for c in newest]
         for factor in _OTHER_STARTS
     ]
-    fits = [found, *(refine(current, [*current.causes, *start], sensor) for start in starts)]
+    others = (refine(current, [*current.causes, *start], sensor) for start in starts)
+    fits = [found, *(other for other in others if other is not None)]
     return max(fits, key=lambda fit: fit.held_out.sum())
 
 
 def _weigh(
     current: Fit, candidates: Sequence[Candidate], sensor: Vector, rng: np.random.Generator
 ) -> tuple[Decision, list[_Weighed]]:
-    """The evidence for the best candidates, refined.
-
-    A group must beat the best single place by what counts as evidence.
-    """
+    """The evidence for the best candidates, refined."""
     single = [c for c in candidates if len(c.causes) == 1 and c.gain > _PROMISING]
     best = single[0].gain if single else 0.0
     close = [c for c in single if c.gain > _CLOSE * best]
     chosen = max(single[:_REFINED], close, key=len)[:_MOST_REFINED]
     groups = [c for c in candidates if len(c.causes) > 1 and c.gain > best + THRESHOLD]
     chosen += groups[:_GROUPS_REFINED]
-    without = refine(current, current.causes, sensor)
-    fits = [refine(current, [*current.causes, *c.causes], sensor) for c in chosen]
-    gains = np.array([f.held_out - without.held_out for f in fits])
-    gains = gains.reshape(len(fits), len(without.held_out))
-    handicap = [THRESHOLD / gains.shape[1] * (len(c.causes) > 1) for c in chosen]
-    decision = decide(gains - np.reshape(handicap, (-1, 1)), rng)
+    without = settled(current, sensor).held_out
+    tried = [(c.causes, refine(current, [*current.causes, *c.causes], sensor)) for c in chosen]
+    weighed = [_Weighed(c, f, f.held_out - without, 0.0) for c, f in tried if f is not None]
+    fair = [each.gains + (each.fair_gain - each.gain) / len(without) for each in weighed]
+    decision = decide(np.reshape(fair, (len(weighed), len(without))), rng)
     likely = decision.confidence[:-1].tolist()
-    weighed = zip([c.causes for c in chosen], fits, gains, likely, strict=True)
-    return decision, [_Weighed(*each) for each in weighed]
+    return decision, [replace(w, confidence=p) for w, p in zip(weighed, likely, strict=True)]
 
 
 def _pruned(found: list[_Named], current: Fit, sensor: Vector) -> tuple[list[_Named], Fit]:
     """Without the causes that the others make superfluous."""
     while len(found) > 1:
-        everything = refine(current, current.causes, sensor).held_out.sum()
-        without = [
-            [*current.causes[: slot.start], *current.causes[slot.stop :]] for slot in _slots(found)
+        everything = settled(current, sensor).held_out.sum()
+        shorter = [
+            refine(current, [*current.causes[: slot.start], *current.causes[slot.stop :]], sensor)
+            for slot in _slots(found)
         ]
-        losses = [everything - refine(current, rest, sensor).held_out.sum() for rest in without]
+        losses = [np.inf if f is None else everything - f.held_out.sum() for f in shorter]
         least = int(np.argmin(losses))
-        if losses[least] > THRESHOLD:
+        rest = shorter[least]
+        if rest is None or losses[least] > THRESHOLD:
             break
         found = [named for number, named in enumerate(found) if number != least]
-        current = smoothed(refine(current, without[least], sensor), sensor)
+        current = smoothed(rest, sensor)
     return found, current
 
 
@@ -231,16 +236,16 @@ def _still_tied(found: list[_Named], final: Fit, sensor: Vector) -> list[_Named]
     """Without alternatives that do worse than what was named, now that all causes are known."""
     if len(found) < 2:
         return found
-    named = {location for slot in _slots(found) for location in _parts(final.causes[slot])}
-    everything, left = refine(final, final.causes, sensor).held_out, []
+    everything, left = settled(final, sensor).held_out, []
     for slot, (best, *others) in zip(_slots(found), found, strict=True):
+        before, after = final.causes[: slot.start], final.causes[slot.stop :]
         kept: list[_Weighed] = []
         for other in others:
             newest = other.fit.causes[len(other.fit.causes) - len(other.causes) :]
-            causes = [*final.causes[: slot.start], *newest, *final.causes[slot.stop :]]
-            if _parts(newest) & named:  # what is named elsewhere is no alternative here
+            if _parts(newest) & _parts([*before, *after]):  # named elsewhere: no alternative here
                 continue
-            if not beats(everything, refine(final, causes, sensor).held_out):
+            instead = refine(final, [*before, *newest, *after], sensor)
+            if instead is not None and not beats(everything, instead.held_out):
                 kept.append(other)
         left.append((best, *kept))
     return left
@@ -324,6 +329,8 @@ def _residual(baseline: Fit, final: Fit, first: Sequence[Candidate], flexible: V
     at_bound = (final.parameters <= space.feasible_low) | (final.parameters >= space.high)
     return Residual(
         noise=tuple(np.sqrt(final.noise.sensor).tolist()),
+        step=base.opt.timestep / final.simulator.finer,
+        own_step=base.opt.timestep,
         unexplained_nats=float(flexible.sum()),
         rest="unknown" if is_evidence(flexible) else "none",
         moved=moved,

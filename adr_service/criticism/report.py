@@ -116,10 +116,17 @@ def _gain(verdict: Verdict) -> str:
     assert gain is not None
     share = gain.explainable_fraction
     rest = "" if share is None else f": {100 * share:.0f} % of what is not sensor noise"
+    residual, finer = verdict.residual, ""
+    if residual.step < residual.own_step:
+        finer = (
+            f" Both were simulated with steps of {1000 * residual.step:.3g} ms instead of the "
+            f"model's {1000 * residual.own_step:.3g}, whose own error of integration is larger "
+            "than what these data leave; the extended model keeps the model's step."
+        )
     return (
         f"<p>On episodes that nothing was fitted to, the extended simulator removes "
         f"{100 * gain.sse_removed:.1f} % [{100 * gain.low:.1f}, {100 * gain.high:.1f}] of the "
-        f"squared error of one control step{rest}.</p>"
+        f"squared error of one control step{rest}.{finer}</p>"
     )
 
 

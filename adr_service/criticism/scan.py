@@ -161,15 +161,16 @@ class _Scan:
 
 
 def _makes_sense(found: Cause, tried: Cause) -> bool:
-    """Whether strengths are possible; where sizes matter, each stands for its own side."""
+    """Whether strengths are possible, and of the side that was tried."""
     mechanism = get_mechanism(found.kind)
     values, low = np.array(found.values), [strength.low for strength in mechanism.strengths]
-    has_sides = len(mechanism.sizes) > 1
-    return bool(np.all(values >= low) and not (has_sides and np.any(values * tried.values < 0)))
+    is_other_side = mechanism.has_sides and np.any(values * tried.values < 0)
+    return bool(np.all(values >= low) and not is_other_side)
 
 
 class Effects:
-    """What possible causes add to the predictions of a fit, each simulated once for all scans.
+    """What possible causes add to the predictions of a fit, each simulated once for all scans, of
+    later fits too.
 
     What acts in a sensor or on a command is a combination of what is known of states and commands
     already; all else is simulated once for each strength.
@@ -194,6 +195,7 @@ class Effects:
                 self._found[cause] = self._told(cause)
             else:
                 self._found[cause] = self._simulated(cause)
+            self._found[cause][~self._fit.linear.chain.mask] = 0.0  # nothing is known there
         return self._found[cause]
 
     def _simulated(self, cause: Cause) -> np.ndarray:

@@ -52,7 +52,9 @@ class Nominal:
     @classmethod
     def of_task(cls, task: Task, source: Source) -> "Nominal":
         """A task's simulator as its file has it; all of a source's parameters are free, but for
-        link lengths, which stay."""
+        link lengths, which stay. Raises InvalidInput where the source has effects already."""
+        if source.causes:
+            raise InvalidInput(f"{task.name} is extended already; criticise it as its file has it")
         free = [p.name for p in source.space.parameters if link_of(p.address) is None]
         return cls.of_model(task.xml, source.space.subset(tuple(free)), source.fixed, task)
 
@@ -244,18 +246,19 @@ class Simulator:
     def told(self, causes: Sequence[Cause], finer: int = 1) -> Array3:
         """(N, finer * steps, nu) what the actuators obey in each simulator step."""
         steps, timestep = finer * self.steps, self.base.opt.timestep / (finer * self.finer)
-        told = np.repeat(self.data.ctrl[self.starts][:, None], steps, axis=1)
+        limited = self.base.actuator_ctrllimited.astype(bool)
+        low, high = np.where(limited, self.base.actuator_ctrlrange.T, [[-np.inf], [np.inf]])
+        given = np.clip(self.data.ctrl[self.starts], low, high)  # as the simulator would
+        told = np.repeat(given[:, None], steps, axis=1)
         for cause in causes:
             mechanism = get_mechanism(cause.kind)
             if mechanism.command is None:
                 continue
             actuator = element_of(self.base, cause.location)
-            limited = bool(self.base.actuator_ctrllimited[actuator])
             bounds = self.base.actuator_ctrlrange[actuator]
             for first, last in self._transitions():
                 known = told[first:last, :, actuator].reshape(1, -1)
-                known = np.clip(known, *bounds) if limited else known
-                largest = float(np.abs(bounds).max()) if limited else np.inf
+                largest = float(np.abs(bounds).max()) if limited[actuator] else np.inf
                 commands = Commands(known, timestep, largest)
                 done = mechanism.command(commands, actuator, np.array(cause.values))
                 told[first:last, :, actuator] = done.reshape(last - first, steps)

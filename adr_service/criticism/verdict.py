@@ -57,6 +57,8 @@ class Residual:
     """What is left when all is said."""
 
     noise: tuple[float, ...]  # standard deviation of each sensor, in its unit
+    step: float  # [s] of the simulator, with which all this was judged
+    own_step: float  # [s] that its file has
     unexplained_nats: float  # what a flexible force would still gain
     rest: Literal["none", "unknown"]  # whether that counts, beside what was named
     moved: dict[str, tuple[float, float]]  # parameter -> fitted without and with the causes
@@ -69,6 +71,7 @@ class Residual:
     def to_json(self) -> dict[str, Any]:
         return {
             "sensor_noise": list(self.noise),
+            "timestep": {"judged_with": self.step, "of_the_model": self.own_step},
             "unexplained_nats": self.unexplained_nats,
             "rest": self.rest,
             "parameters": {

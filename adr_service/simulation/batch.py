@@ -204,6 +204,12 @@ class _Shape:
                 array[same] = getattr(model, name)
 
 
+def check_effects(task: Task, source: Source) -> None:
+    """Raises InvalidInput unless the source's effects can be simulated."""
+    if source.causes:
+        _Effects(task, source)
+
+
 class _Effects:
     """The models of a task with effects that its file lacks, on top of all parameters."""
 
@@ -220,9 +226,18 @@ class _Effects:
         self._bare = prepared(spec, source.causes)
         self.base = copy(self._bare)
         apply(self.base, source.causes)
+        if self.base.nu > compiled(task.xml).nu and "qfrc_actuator" in task.derived:
+            raise InvalidInput(
+                f"{task.name} observes its actuators' forces, among which asymmetric friction and "
+                "external forces would stand: they are not possible there"
+            )
+        if min(self.base.body_mass.min(), self.base.body_inertia.min()) < 0:
+            raise InvalidInput(f"effects {source.causes} leave a body with a negative mass")
         self._slots = [resolve(self._bare, address) for address in _addresses(source)]
         self._fixed = list(source.fixed.values())
-        self._fields = [name for name in MODEL_FIELDS if _differs(self._bare, self.base, name)]
+        changed = {name for name in MODEL_FIELDS if _differs(self._bare, self.base, name)}
+        scaled = {slot.scaled for slot in self._slots if slot.scaled is not None}
+        self._fields = sorted(changed | scaled)
         self._expanded: list[NDArray[Any]] = []  # of a batch
 
     def expand(self, batch: Batch) -> None:

@@ -73,6 +73,7 @@ class Mechanism:
     sense: Literal["bias", "scale", "delay", "backlash"] | None = None
     applies: Where = lambda model, element: True  # whether it makes sense at a place
     sizes: tuple[float, ...] = (1.0,)  # times typical, where effects are not in proportion
+    has_sides: bool = False  # whether more and less of it are effects of their own
 
     def locations(self, model: mujoco.MjModel) -> list[str]:
         """Where in a model the effect may be."""
@@ -162,7 +163,9 @@ def openly(spec: mujoco.MjSpec) -> None:
 
 def check_simulated(model: mujoco.MjModel, causes: Sequence[Cause]) -> None:
     """Raises InvalidInput unless each is an effect in the model itself, at a place it has."""
-    for cause in causes:
+    for number, cause in enumerate(causes):
+        if (cause.kind, cause.location) in [(c.kind, c.location) for c in causes[:number]]:
+            raise InvalidInput(f"{cause.kind} at {cause.location} is given twice; give it once")
         mechanism = get_mechanism(cause.kind)
         if mechanism.change is None:
             possible = [kind for kind, each in MECHANISMS.items() if each.change is not None]
@@ -527,6 +530,7 @@ _ALL: tuple[Mechanism, ...] = (
         _brake,
         _add_brake,
         sizes=(1.0, -1.0),
+        has_sides=True,
     ),
     Mechanism(
         "joint_spring",
@@ -686,7 +690,8 @@ _ALL: tuple[Mechanism, ...] = (
         lambda model, geom: (0.1,),
         _contact_friction,
         applies=_can_touch,
-        sizes=(1.0, -1.0),  # of two geoms the larger friction counts
+        sizes=(1.0, -1.0),
+        has_sides=True,  # of two geoms the larger friction counts
     ),
     Mechanism(
         "contact_softness",

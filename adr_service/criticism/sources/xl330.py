@@ -23,6 +23,7 @@ PERIOD_S = 0.03
 _STEP_RAD = 2 * np.pi / 4096
 _WINDOW_S = 0.015  # to either side, of a local fit: no reading is in two of them
 _PIECE = 26  # transitions
+_LEAST_READINGS = 4
 _SETTLED_S = 0.3  # after the last motion
 _XML = """
 <mujoco model="pendulum">
@@ -54,6 +55,8 @@ def nominal() -> Nominal:
 def read(files: Sequence[Path]) -> Measurement:
     """The free swings of `lift_and_drop` logs, in pieces of half a second."""
     pieces = [piece for file in files for piece in _pieces(*_swing(file))]
+    if not pieces:
+        raise InvalidInput(f"no swing is as long as {_PIECE} steps of {PERIOD_S} s")
     states = np.concatenate(pieces)
     return Measurement(
         time=np.tile(PERIOD_S * np.arange(_PIECE + 1, dtype=np.float64), len(pieces)),
@@ -90,6 +93,11 @@ def _pieces(time: Vector, position: Vector) -> list[Matrix]:
     states = np.empty((len(centres), 2))
     for row, centre in enumerate(centres):
         near = np.abs(time - centre) <= _WINDOW_S
+        if near.sum() < _LEAST_READINGS:
+            raise InvalidInput(
+                f"{near.sum()} readings within {_WINDOW_S} s of {centre:.3f} s; at least "
+                f"{_LEAST_READINGS} are needed for a velocity"
+            )
         parabola = np.polynomial.polynomial.polyfit(time[near] - centre, position[near], 2)
         states[row] = parabola[:2]
     count = (len(centres) - 1) // _PIECE
