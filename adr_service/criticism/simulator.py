@@ -246,8 +246,10 @@ class Simulator:
     def told(self, causes: Sequence[Cause], finer: int = 1) -> Array3:
         """(N, finer * steps, nu) what the actuators obey in each simulator step."""
         steps, timestep = finer * self.steps, self.base.opt.timestep / (finer * self.finer)
-        limited = self.base.actuator_ctrllimited.astype(bool)
-        low, high = np.where(limited, self.base.actuator_ctrlrange.T, [[-np.inf], [np.inf]])
+        count = self.data.ctrl.shape[1]  # without actuators that an extension added
+        limited = self.base.actuator_ctrllimited[:count].astype(bool)
+        bounds = self.base.actuator_ctrlrange[:count].T
+        low, high = np.where(limited, bounds, [[-np.inf], [np.inf]])
         given = np.clip(self.data.ctrl[self.starts], low, high)  # as the simulator would
         told = np.repeat(given[:, None], steps, axis=1)
         for cause in causes:
@@ -255,10 +257,9 @@ class Simulator:
             if mechanism.command is None:
                 continue
             actuator = element_of(self.base, cause.location)
-            bounds = self.base.actuator_ctrlrange[actuator]
+            largest = float(np.abs(bounds[:, actuator]).max()) if limited[actuator] else np.inf
             for first, last in self._transitions():
                 known = told[first:last, :, actuator].reshape(1, -1)
-                largest = float(np.abs(bounds).max()) if limited[actuator] else np.inf
                 commands = Commands(known, timestep, largest)
                 done = mechanism.command(commands, actuator, np.array(cause.values))
                 told[first:last, :, actuator] = done.reshape(last - first, steps)
