@@ -167,7 +167,7 @@ def _evaluated(
 ) -> Fit | None:
     """Another fit's states and sensitivities, with other parameters and causes.
 
-    `before` is what the other fit predicts. None: some transition diverges.
+    `before` is what the other fit predicts. None: some transition diverges, or the noise does.
     """
     simulator, layout = fit.simulator, fit.layout
     predicted = simulator.predict(parameters, causes, fit.states)
@@ -183,7 +183,10 @@ def _evaluated(
         np.concatenate([known, moved[..., 1:]], axis=3),
         len(parameters),
     )
-    noise, normal = estimate(linear, noise, ~np.isnan(sensor))
+    try:
+        noise, normal = estimate(linear, noise, ~np.isnan(sensor))
+    except np.linalg.LinAlgError:  # what it leaves has no finite variance beside exact readings
+        return None
     return Fit(simulator, layout, parameters, causes, fit.states, linear, noise, normal)
 
 

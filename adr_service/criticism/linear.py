@@ -15,6 +15,7 @@ from adr_service.arrays import Array3, Mask, Matrix, Vector
 from adr_service.criticism.noise import Chain, Noise, Whitener, updated
 
 _SETTLED, _MOST_CYCLES = 0.3, 20  # [nats] that a cycle changes at least
+_FURTHEST = 10.0  # that the logarithm of a variance is extrapolated
 _MOST_RATIO = 0.95  # of an update's step to the one before it
 
 
@@ -114,7 +115,8 @@ def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
         )
         ratio = np.divide(following, step, out=np.zeros_like(step), where=np.abs(step) > 1e-12)
         ratio = np.clip(ratio, 0.0, _MOST_RATIO)
-        end = np.exp(_logarithms(second) + following * ratio / (1 - ratio))
+        further = np.clip(following * ratio / (1 - ratio), -_FURTHEST, _FURTHEST)
+        end = np.exp(_logarithms(second) + further)
         sensor = np.where(known, start.sensor, end[0])
         noise = replace(second, sensor=sensor, misfit=end[1:])
     return noise, Normal.of(Whitener.of(linear.chain, noise), linear)

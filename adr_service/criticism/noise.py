@@ -21,7 +21,6 @@ import numpy as np
 from scipy.special import gammaln
 
 from adr_service.arrays import Array3, Mask, Matrix, Vector
-from adr_service.errors import InvalidInput
 
 DEGREES = 4.0  # of freedom of the misfit's t distribution
 _ROUNDING = 1e-11  # relative, so that covariances stay positive
@@ -76,7 +75,7 @@ class Whitener:
             if k > 0:
                 below[:, k] = left[:, k] @ inverse[:, k - 1].swapaxes(1, 2)
                 block = block - below[:, k] @ below[:, k].swapaxes(1, 2)
-            factor = _factor(block)
+            factor = np.linalg.cholesky(block)
             inverse[:, k] = np.linalg.inv(factor)
             log_determinant += 2 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         return cls(chain, noise, inverse, below, log_determinant)
@@ -168,22 +167,6 @@ def at_start(chain: Chain, residual: Array3, sensor: Vector) -> Noise:
     variance = np.maximum(spread**2, 1e-24)
     given = np.where(np.isnan(sensor), variance / 2, np.maximum(sensor, 1e-24))
     return Noise(given, np.tile(variance / 10, (2, 1)), np.ones(chain.mask.shape))
-
-
-def _factor(block: np.ndarray) -> np.ndarray:
-    """Cholesky factors (E, m, m); where rounding left a block not positive, of one a little wider.
-
-    That happens where readings are nearly exact, and an outlier's variance is larger by 1e20.
-    """
-    for wider in (0.0, 1e-9, 1e-6, 1e-3):
-        try:
-            return np.linalg.cholesky(block * (1 + wider * np.eye(block.shape[1])))
-        except np.linalg.LinAlgError:
-            continue
-    raise InvalidInput(
-        "the noise of the readings cannot be told from rounding; give qpos_std and qvel_std, larger "
-        "than what the recording's numbers are rounded to"
-    )
 
 
 def _spread(chain: Chain, noise: Noise) -> Array3:
