@@ -10,6 +10,8 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
+from adr_service.wire import canonical_json
+
 _SEPARATOR = "@"
 
 
@@ -29,7 +31,7 @@ class Cause:
 
 def domain_of(variant: str, causes: Sequence[Cause]) -> str:
     """The variant with these effects; just the variant where there are none."""
-    effects = json.dumps([asdict(cause) for cause in causes], sort_keys=True)
+    effects = canonical_json([asdict(cause) for cause in causes])
     return variant + _SEPARATOR + effects if causes else variant
 
 

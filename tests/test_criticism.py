@@ -10,8 +10,10 @@ from typer.testing import CliRunner
 from adr_service.causes import Cause
 from adr_service.criticism.blind import draw_case, hide
 from adr_service.criticism.decision import THRESHOLD, decide, is_unknown
+from adr_service.criticism.evidence import fit, smoothed
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.pipeline import criticise
+from adr_service.criticism.scan import Effects, scan
 from adr_service.criticism.simulator import Nominal, Simulator
 from adr_service.errors import InvalidInput
 from adr_service.parameters import Parameter, ParameterSpace
@@ -222,6 +224,34 @@ def test_a_second_cause_is_found_beside_the_first():
     for cause in hidden:
         (named,) = (n for n in found.causes if (n.kind, n.location) == (cause.kind, cause.location))
         assert named.strengths[0].value == pytest.approx(cause.values[0], rel=0.05)
+
+
+def test_one_effect_at_all_places_is_a_group():
+    """With a strength for each, where it explains more than any single place."""
+    hidden = [
+        Cause("joint_coulomb_friction", "joint:shoulder", (0.2,)),
+        Cause("joint_coulomb_friction", "joint:elbow", (0.1,)),
+    ]
+    task, nominal = arm()
+    data = hide(task, nominal, np.random.default_rng(401), hidden).episodes(range(12))
+    sensor = data.sensor_variance()
+    with Simulator(nominal, data, threads=1, finer=3) as simulator:
+        baseline = smoothed(fit(simulator, sensor), sensor)
+        best, *others = scan(baseline, Effects(baseline))
+    assert (best.kind, best.location) == ("joint_coulomb_friction", "joint:*")
+    assert best.gain > max(c.gain for c in others if len(c.causes) == 1) + THRESHOLD
+    found = {cause.location: cause.values[0] for cause in best.causes}
+    expected = {cause.location: cause.values[0] for cause in hidden}
+    assert found == pytest.approx(expected, rel=0.3)  # to first order
+
+
+def test_commands_beyond_an_actuators_limits_are_what_it_obeys(good):
+    wild = Measurement(**{**good, "ctrl": 3.0 * np.sign(good["ctrl"])})
+    with Simulator(arm()[1], wild, threads=1) as simulator:
+        told = simulator.told([])
+        harmless = simulator.told([Cause("actuator_deadband", "actuator:elbow", (0.0,))])
+    assert np.abs(told).max() == 1.0
+    np.testing.assert_array_equal(told, harmless)
 
 
 class TestCommandLine:
