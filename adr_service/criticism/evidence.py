@@ -95,7 +95,9 @@ def fit(simulator: Simulator, sensor: Vector, causes: Sequence[Cause] = ()) -> F
     layout, states = Layout.of(simulator), simulator.measured
     root = np.broadcast_to(_tiny(simulator), (*states.shape, states.shape[1]))
     start = simulator.nominal.start
-    return _fitted(simulator, layout, start, tuple(causes), states, root, sensor)
+    linear = _linearise(simulator, layout, start, tuple(causes), states, root)
+    noise = _first_noise(linear, sensor)
+    return _fitted(simulator, layout, start, tuple(causes), states, linear, noise, sensor)
 
 
 def smoothed(fit: Fit, sensor: Vector) -> Fit:
@@ -106,7 +108,8 @@ def smoothed(fit: Fit, sensor: Vector) -> Fit:
     errors, covariance = whitener.sensor_errors(linear.residual - linear.columns @ change)
     states = simulator.measured - layout.by_row(simulator, errors)
     root = _root(layout.by_row(simulator, covariance), _tiny(simulator))
-    return _fitted(simulator, layout, fit.parameters, fit.causes, states, root, sensor)
+    anew = _linearise(simulator, layout, fit.parameters, fit.causes, states, root)
+    return _fitted(simulator, layout, fit.parameters, fit.causes, states, anew, fit.noise, sensor)
 
 
 def _fitted(
@@ -115,12 +118,12 @@ def _fitted(
     parameters: Vector,
     causes: tuple[Cause, ...],
     states: Matrix,
-    root: np.ndarray,
+    linear: Linear,
+    noise: Noise,
     sensor: Vector,
 ) -> Fit:
-    """The best parameters and strengths around given states, known up to `root`."""
-    linear = _linearise(simulator, layout, parameters, causes, states, root)
-    noise, normal = _judge(linear, sensor)
+    """The best parameters and strengths, from a first guess of the noise."""
+    noise, normal = estimate(linear, noise, ~np.isnan(sensor))
     found = Fit(simulator, layout, parameters, causes, states, linear, noise, normal)
     return refine(found, causes, sensor) or found
 
@@ -254,13 +257,12 @@ def _known_before(chain: Chain, residual: Array3, columns: np.ndarray, parameter
     return Linear(chain, residual, columns, mean, precision)
 
 
-def _judge(linear: Linear, sensor: Vector) -> tuple[Noise, Normal]:
-    """The noise of what the columns leave, and the normal equations under it."""
+def _first_noise(linear: Linear, sensor: Vector) -> Noise:
+    """A guess, from what the columns leave."""
     mask, p = linear.chain.mask, linear.columns.shape[3]
     rows = linear.columns[mask].reshape(-1, p)
     change = np.linalg.lstsq(rows, linear.residual[mask].ravel(), rcond=None)[0]
-    start = at_start(linear.chain, linear.residual - linear.columns @ change, sensor)
-    return estimate(linear, start, ~np.isnan(sensor))
+    return at_start(linear.chain, linear.residual - linear.columns @ change, sensor)
 
 
 def _derivatives(

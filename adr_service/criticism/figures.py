@@ -92,7 +92,7 @@ def _horizons(figure: Figure, criticism: Criticism) -> None:
     for label, colour, column in (("as it is", _BEFORE, 0), ("extended", _AFTER, 1)):
         axes.plot(steps, [gain.horizons[s][column] for s in steps], "o-", color=colour, label=label)
     axes.set(xscale="log", yscale="log", xlabel="control steps ahead")
-    axes.set_ylabel("error, in units of sensor noise")
+    axes.set_ylabel("error, 1: what is expected of one step")
     axes.set_title("Prediction of episodes that nothing was fitted to")
     axes.legend(frameon=False)
     _plain(axes, steps)

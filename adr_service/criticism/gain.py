@@ -8,6 +8,7 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.causes import Cause
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.noise import misfit_variance
 from adr_service.criticism.simulator import Simulator
 from adr_service.criticism.verdict import Gain
 
@@ -25,22 +26,23 @@ def measure_gain(
     """Errors of one and more control steps, without and with the causes, from measured states."""
     nominal, finer = before.simulator.nominal, before.simulator.finer
     with Simulator(nominal, sealed, threads, finer) as simulator:
-        scale = _expected_deviation(after, simulator)
+        expected, noise = _expected_errors(after)
+        measured = simulator.data.is_measured()
+        scale = np.where(measured, np.sqrt(expected), np.nan)  # no error of what was not measured
         errors = [
             _errors(simulator, fit.parameters, fit.causes, max(_HORIZONS), scale)
             for fit in (before, after)
         ]
     episodes = simulator.data.episode[simulator.starts]
-    measured = simulator.data.is_measured()
     diverged = [int(np.isnan(e[0][:, measured]).any(axis=1).sum()) for e in errors]
     for one, other in zip(*errors, strict=True):  # what either cannot predict says nothing of both
         one[np.isnan(other)], other[np.isnan(one)] = np.nan, np.nan
     without, with_causes = (_by_episode(np.nan_to_num(e[0]), episodes) for e in errors)
-    count = _by_episode(np.isfinite(errors[0][0]).astype(np.float64), episodes)
+    floor = _by_episode(np.isfinite(errors[0][0]) * (noise / expected), episodes)
     draws = rng.integers(len(without), size=(_DRAWS, len(without)))
     removed = 1 - with_causes[draws].sum(axis=1) / without[draws].sum(axis=1)
     low, high = np.quantile(removed, [0.025, 0.975]).tolist()
-    explainable = without.sum() - count.sum()  # sensors' noise alone leaves one per number
+    explainable = without.sum() - floor.sum()  # which sensors' noise alone would leave
     horizons = {
         steps: (_root_mean(errors[0][steps - 1]), _root_mean(errors[1][steps - 1]))
         for steps in _HORIZONS
@@ -62,15 +64,12 @@ def _root_mean(squares: Matrix) -> float:
     return float(np.sqrt(np.nanmean(squares)))
 
 
-def _expected_deviation(fit: Fit, simulator: Simulator) -> Matrix:
-    """(N, m) of a one-step error, from the sensors' noise alone; by the fit's typical spread.
-
-    NaN of what was not measured, which no error is counted of.
-    """
+def _expected_errors(fit: Fit) -> tuple[Vector, Vector]:
+    """Typical squares (m,) of a one-step error by a fit: in all, and of sensors' noise alone."""
     transition, mask = fit.linear.chain.transition, fit.linear.chain.mask
-    variance = (transition[mask] ** 2) @ fit.noise.sensor + fit.noise.sensor
-    deviation = np.where(simulator.data.is_measured(), np.sqrt(np.median(variance, axis=0)), np.nan)
-    return np.tile(deviation, (len(simulator.starts), 1))
+    noise = (transition[mask] ** 2) @ fit.noise.sensor + fit.noise.sensor
+    misfit = misfit_variance(fit.linear.chain, fit.noise)[mask]
+    return np.median(noise + misfit, axis=0), np.median(noise, axis=0)
 
 
 def _errors(
@@ -78,7 +77,7 @@ def _errors(
     parameters: Vector,
     causes: Sequence[Cause],
     horizon: int,
-    scale: Matrix,
+    scale: Vector,
 ) -> list[Matrix]:
     """Squared errors (N, m) after 1 .. horizon control steps, in units of `scale`; NaN past the
     end of an episode, or where the simulation diverged."""

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adr_service.arrays import Array3, Mask, Matrix, Vector
-from adr_service.criticism.noise import Chain, Noise, Whitener, updated
+from adr_service.criticism.noise import Ascent, Chain, Noise, Whitener
 
-_SETTLED, _MOST_CYCLES = 0.3, 20  # [nats] that a cycle changes at least
-_FURTHEST = 10.0  # that the logarithm of a variance is extrapolated
-_MOST_RATIO = 0.95  # of an update's step to the one before it
+_SETTLED, _MOST_STEPS = 0.3, 60  # [nats] that a step gains at least
+_DAMPING = (1e-3, 1e2)  # of Newton steps, relative to the information: least and most
+_HARDER, _EASIER = 30.0, 3.0  # factors of it, after a step that failed and one that did not
 
 
 @dataclass(frozen=True)
@@ -97,29 +97,28 @@ def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
     """The noise of what the columns leave at their best, from `start`, settled; and the normal
     equations under it.
 
-    `known` (m,): whose sensors' variances stay as they are. The weights of outliers are posterior
-    means, so that updates settle near the most probable noise, not at it. They creep towards
-    variances that are a small part of the residuals, so that each cycle follows two of them to
-    where the geometric series of their steps would end (Aitken, 1926; each variance for itself).
+    `known` (m,): whose sensors' variances stay as they are. A step that makes the residuals less
+    probable is damped.
     """
-    noise, before = start, -np.inf
-    for _ in range(_MOST_CYCLES):
-        first, _ = _step(linear, noise, known)
-        second, reached = _step(linear, first, known)
-        if abs(reached - before) < _SETTLED:
-            noise = second
+    whitener, normal = _judged(linear, start)
+    reached, damping = normal.settled(), _DAMPING[0]
+    for _ in range(_MOST_STEPS):
+        left = linear.residual - linear.columns @ normal.change()[0]
+        ascent, before = Ascent.of(whitener, left), reached
+        while damping <= _DAMPING[1]:
+            try:
+                tried = _judged(linear, ascent.step(known, damping))
+            except np.linalg.LinAlgError:  # variances too far apart
+                damping *= _HARDER
+                continue
+            if tried[1].settled() >= before:
+                (whitener, normal), reached = tried, tried[1].settled()
+                break
+            damping *= _HARDER
+        if reached - before < _SETTLED:
             break
-        before = reached
-        step, following = (
-            _logarithms(b) - _logarithms(a) for a, b in ((noise, first), (first, second))
-        )
-        ratio = np.divide(following, step, out=np.zeros_like(step), where=np.abs(step) > 1e-12)
-        ratio = np.clip(ratio, 0.0, _MOST_RATIO)
-        further = np.clip(following * ratio / (1 - ratio), -_FURTHEST, _FURTHEST)
-        end = np.exp(_logarithms(second) + further)
-        sensor = np.where(known, start.sensor, end[0])
-        noise = replace(second, sensor=sensor, misfit=end[1:])
-    return noise, Normal.of(Whitener.of(linear.chain, noise), linear)
+        damping = max(damping / _EASIER, _DAMPING[0])
+    return whitener.noise, normal
 
 
 def products(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -139,14 +138,6 @@ def inverse(information: np.ndarray) -> np.ndarray:
     return np.linalg.pinv(information / outer, rcond=1e-9, hermitian=True) / outer
 
 
-def _step(linear: Linear, noise: Noise, known: Mask) -> tuple[Noise, float]:
-    """Noise after an update; and the log-likelihood before it."""
+def _judged(linear: Linear, noise: Noise) -> tuple[Whitener, Normal]:
     whitener = Whitener.of(linear.chain, noise)
-    normal = Normal.of(whitener, linear)
-    left = linear.residual - linear.columns @ normal.change()[0]
-    return updated(whitener, left, known), normal.settled()
-
-
-def _logarithms(noise: Noise) -> Matrix:
-    """(3, m) of all variances."""
-    return np.log(np.concatenate([noise.sensor[None], noise.misfit]))
+    return whitener, Normal.of(whitener, linear)

@@ -8,23 +8,25 @@ with sensor noise e ~ N(0, R) and misfit w ~ Student-t(0, Q). Q has two values: 
 in which a contact or a limit acts, where small errors of the state have large consequences, and
 one for all others. Consecutive residuals share a sensor's noise; whitening an episode as a whole,
 by the Cholesky factor of its block-tridiagonal covariance, is what a Kalman filter does, and gives
-independent numbers of variance one. Variances are found by maximum likelihood (MM updates; Zhou,
-Hu, Zhou and Lange, "MM algorithms for variance components models", 2019); the weights of the
-t distribution as in robust Kalman smoothing (Agamennoni, Nieto and Nebot, 2012).
+independent numbers of variance one. Variances are found by maximum likelihood (the average
+information algorithm; Gilmour, Thompson and Cullis, 1995); the weights of the t distribution as in
+robust Kalman smoothing (Agamennoni, Nieto and Nebot, 2012).
 
 Arrays are (E episodes, T transitions, ...), padded; `mask` says which there are.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaln
 
 from adr_service.arrays import Array3, Mask, Matrix, Vector
 
 DEGREES = 4.0  # of freedom of the misfit's t distribution
 _ROUNDING = 1e-11  # relative, so that covariances stay positive
 _LEAST = 1e-12  # relative to the residuals' variance: what rounding leaves
+_ROUGHLY = 1e-6  # of information: what a variance that the data say nothing of is divided by
+_FURTHEST = 3.0  # that the logarithm of a variance moves in a step
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ class Whitener:
         diagonal = (transition * noise.sensor) @ transition.swapaxes(2, 3)
         diagonal += np.diag(noise.sensor)
         own = np.arange(m)
-        diagonal[..., own, own] += _spread(chain, noise)
+        diagonal[..., own, own] += misfit_variance(chain, noise)
         diagonal[..., own, own] *= 1 + _ROUNDING
         diagonal[~mask] = np.eye(m)
         left = -transition * noise.sensor  # covariance with the transition before
@@ -115,47 +117,83 @@ class Whitener:
         return diagonal, left
 
     def log_likelihood(self, white: Array3) -> Vector:
-        """(E,) of whitened residuals, the weights' own probability included."""
+        """(E,) of whitened residuals: a lower bound that posterior weights make tight, up to what
+        depends on their number alone (variational Bayes; Tipping and Lawrence, 2005)."""
         mask, weights = self.chain.mask, self.noise.weights
         count = mask.sum(axis=1) * white.shape[2]
         square = np.sum(white**2, axis=(1, 2))
-        shape = DEGREES / 2
-        prior = shape * np.log(shape) - gammaln(shape)
-        prior = prior + (shape - 1) * np.log(weights) - shape * weights
+        prior = DEGREES / 2 * (np.log(weights) - weights)
         normal = -0.5 * (square + self.log_determinant + count * np.log(2 * np.pi))
         return normal + np.sum(prior * mask, axis=1)
 
     def sensor_errors(self, residual: Array3) -> tuple[Array3, np.ndarray]:
         """What sensors probably added to each state (E, T + 1, m), and that guess's covariance."""
         adjoint = self.adjoint(self.whiten(residual[..., None])[..., 0])
-        blame, chance = _by_state(self.chain, adjoint, *self.inverse_blocks())
+        blame = _blame(self.chain, adjoint)
+        chance = _chances(self.chain, *self.inverse_blocks(), _matrices)
         sensor = self.noise.sensor
         return blame * sensor, np.diag(sensor) - sensor[:, None] * chance * sensor
 
 
-def updated(whitener: Whitener, residual: Array3, known: Mask) -> Noise:
-    """Noise after one MM update of the variances and one EM update of the weights.
+@dataclass(frozen=True)
+class Ascent:
+    """Where the log-likelihood of residuals rises, and how it bends, about a noise."""
 
-    `residual` (E, T, m); `known` (m,): whose sensors' variances stay as they are.
-    """
-    chain, noise = whitener.chain, whitener.noise
-    mask = chain.mask
-    floor = _LEAST * np.maximum(np.mean(residual[mask] ** 2, axis=0), 1e-30)
-    adjoint = whitener.adjoint(whitener.whiten(residual[..., None])[..., 0])
-    diagonal, left = whitener.inverse_blocks()
-    information = np.diagonal(diagonal, axis1=2, axis2=3)
-    misfit = noise.misfit.copy()
-    for regime, where in enumerate((mask & ~chain.stiff, mask & chain.stiff)):
-        scale = 1 / noise.weights[where][:, None]
-        misfit[regime] *= _ratio(scale * adjoint[where] ** 2, scale * information[where])
-    blame, chance = _by_state(chain, adjoint, diagonal, left)
-    factor = _ratio(_rows(blame) ** 2, _rows(np.diagonal(chance, axis1=2, axis2=3)))
-    sensor = np.where(known, noise.sensor, noise.sensor * factor)
-    spread = _spread(chain, noise)
-    moment = spread + spread**2 * (adjoint**2 - information)  # E[w²] given the residuals
-    energy = np.sum(moment / (spread * noise.weights[..., None]), axis=2)
-    weights = np.where(mask, (DEGREES + residual.shape[2]) / (DEGREES + energy), 1.0)
-    return Noise(np.maximum(sensor, floor), np.maximum(misfit, floor), weights)
+    noise: Noise
+    gradient: Matrix  # (3, m) by the logarithms of the sensor's, the free and the stiff variance
+    information: Matrix  # (3 m, 3 m) "average information" of the same
+    weights: Matrix  # (E, T) the most likely ones
+    regimes: tuple[Mask, Mask]  # (E, T) free, stiff
+    floor: Vector  # (m,) of all variances that are estimated
+
+    @classmethod
+    def of(cls, whitener: Whitener, residual: Array3) -> "Ascent":
+        """About the whitener's noise; `residual` (E, T, m)."""
+        chain, noise = whitener.chain, whitener.noise
+        mask, m = chain.mask, residual.shape[2]
+        adjoint = whitener.adjoint(whitener.whiten(residual[..., None])[..., 0])
+        diagonal, left = whitener.inverse_blocks()
+        said = np.diagonal(diagonal, axis1=2, axis2=3)
+        blame = _blame(chain, adjoint)
+        chance = _chances(chain, diagonal, left, _columnwise)
+        spread, own = misfit_variance(chain, noise), np.arange(m)
+        regimes = (mask & ~chain.stiff, mask & chain.stiff)
+        gradient, moved = np.empty((3, m)), np.zeros((*adjoint.shape, 3 * m))
+        gradient[0] = noise.sensor * np.sum(blame**2 - chance, axis=(0, 1)) / 2
+        error = noise.sensor * blame
+        moved[..., own, own] = error[:, 1:] * mask[..., None]
+        moved[..., :m] -= chain.transition * error[:, :-1, None, :]
+        for number, where in enumerate(regimes, 1):
+            variance = where[..., None] * spread
+            gradient[number] = np.sum(variance * (adjoint**2 - said), axis=(0, 1)) / 2
+            moved[..., own, number * m + own] = variance * adjoint
+        rows = whitener.whiten(moved).reshape(-1, 3 * m)
+        moment = spread + spread**2 * (adjoint**2 - said)  # E[w²] given the residuals
+        energy = np.sum(moment / (spread * noise.weights[..., None]), axis=2)
+        weights = np.where(mask, (DEGREES + m) / (DEGREES + energy), 1.0)
+        floor = _LEAST * np.maximum(np.mean(residual[mask] ** 2, axis=0), 1e-30)
+        return cls(noise, gradient, rows.T @ rows / 2, weights, regimes, floor)
+
+    def step(self, known: Mask, damping: float) -> Noise:
+        """Noise after a damped Newton step of the variances and an EM update of the weights.
+
+        `known` (m,): whose sensors' variances stay as they are. Where all weights of a regime
+        change by a factor, its variances do as well (PX-EM; Liu, Rubin and Wu, 1998).
+        """
+        noise, m = self.noise, len(known)
+        free = np.concatenate([~known, *(np.full(m, where.any()) for where in self.regimes)])
+        bend = self.information[np.ix_(free, free)]
+        bend = bend + np.diag(damping * np.diag(bend) + _ROUGHLY)
+        change = np.zeros(3 * m)
+        change[free] = np.linalg.solve(bend, self.gradient.ravel()[free])
+        factor = np.exp(np.clip(change, -_FURTHEST, _FURTHEST)).reshape(3, m)
+        sensor, misfit = noise.sensor * factor[0], noise.misfit * factor[1:]
+        for number, where in enumerate(self.regimes):
+            if where.any():
+                lighter = np.log(self.weights[where] / noise.weights[where]).mean()
+                misfit[number] *= np.exp(lighter)
+        sensor = np.where(known, noise.sensor, np.maximum(sensor, self.floor))
+        return Noise(sensor, np.maximum(misfit, self.floor), self.weights)
 
 
 def at_start(chain: Chain, residual: Array3, sensor: Vector) -> Noise:
@@ -169,37 +207,42 @@ def at_start(chain: Chain, residual: Array3, sensor: Vector) -> Noise:
     return Noise(given, np.tile(variance / 10, (2, 1)), np.ones(chain.mask.shape))
 
 
-def _spread(chain: Chain, noise: Noise) -> Array3:
+def misfit_variance(chain: Chain, noise: Noise) -> Array3:
     """(E, T, m) variances of each transition's misfit."""
     return noise.misfit[chain.stiff.astype(int)] / noise.weights[..., None]
 
 
-def _ratio(seen: Matrix, expected: Matrix) -> Vector:
-    """The MM update's factor (m,) of a variance, from rows (n, m)."""
-    if not len(seen):
-        return np.ones(seen.shape[1])
-    return np.sqrt(seen.sum(axis=0) / np.maximum(expected.sum(axis=0), 1e-300))
-
-
-def _rows(values: Array3) -> Matrix:
-    return values.reshape(-1, values.shape[2])
-
-
-def _by_state(
-    chain: Chain, adjoint: Array3, diagonal: np.ndarray, left: np.ndarray
-) -> tuple[Array3, np.ndarray]:
-    """Score of each state's sensor noise (E, T + 1, m), and the score's covariance.
+def _blame(chain: Chain, adjoint: Array3) -> Array3:
+    """Score of each state's sensor noise (E, T + 1, m).
 
     A state's noise stands in the residual that ends there and, through F, in the next one.
     """
     e, t, m = adjoint.shape
-    transition, shown = chain.transition, chain.mask[..., None]
-    score, chance = np.zeros((e, t + 1, m)), np.zeros((e, t + 1, m, m))
-    score[:, 1:] += adjoint * shown
-    score[:, :-1] -= (transition.swapaxes(2, 3) @ adjoint[..., None])[..., 0]
-    back = transition.swapaxes(2, 3)
-    chance[:, 1:] += diagonal * shown[..., None]
-    chance[:, :-1] += back @ diagonal @ transition
-    cross = back[:, 1:] @ left[:, 1:]
-    chance[:, 1:-1] -= cross + cross.swapaxes(2, 3)
-    return score, chance
+    score = np.zeros((e, t + 1, m))
+    score[:, 1:] += adjoint * chain.mask[..., None]
+    score[:, :-1] -= (chain.transition.swapaxes(2, 3) @ adjoint[..., None])[..., 0]
+    return score
+
+
+Product = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def _chances(chain: Chain, diagonal: np.ndarray, left: np.ndarray, inner: Product) -> np.ndarray:
+    """Covariances of those scores (E, T + 1, m, m) by `_matrices`, variances by `_columnwise`."""
+    transition, mask = chain.transition, chain.mask[..., None, None]
+    own = inner(np.broadcast_to(np.eye(diagonal.shape[2]), diagonal.shape), diagonal * mask)
+    chance = np.zeros((len(own), own.shape[1] + 1, *own.shape[2:]))
+    chance[:, 1:] += own
+    chance[:, :-1] += inner(transition, diagonal @ transition)
+    now, before = transition[:, 1:], left[:, 1:]
+    chance[:, 1:-1] -= inner(now, before) + inner(before, now)
+    return chance
+
+
+def _matrices(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return one.swapaxes(-1, -2) @ other
+
+
+def _columnwise(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The diagonal of that."""
+    return np.einsum("...ij,...ij->...j", one, other)
