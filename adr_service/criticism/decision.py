@@ -2,8 +2,8 @@
 
 A gain counts from `THRESHOLD` nats (a study of single-step residuals on Hopper had 21 at most in
 26 cases without any cause; ours has not been calibrated yet), and only where it does not hang on
-a single episode. Two causes are told apart by more than `TIE` nats and two
-standard errors of their difference, episode by episode. Where a flexible force still explains
+a single episode. Two causes are told apart by more than `TIE` nats, `ALIKE` of what they explain
+and two standard errors of their difference, episode by episode. Where a flexible force still explains
 more than a fifth of what the causes do, they are not what is wrong.
 """
 
@@ -15,6 +15,7 @@ from adr_service.arrays import Matrix, Vector
 
 THRESHOLD = 25.0  # nats
 TIE = 4.0  # nats
+ALIKE = 0.01  # of a gain: what the simulator's finite step may change of it
 UNEXPLAINED = 0.2  # of what causes explain: what a flexible force may still add to them
 _DRAWS = 1000
 
@@ -33,7 +34,7 @@ def decide(gains: Matrix, rng: np.random.Generator) -> Decision:
     if best < 0 or not is_evidence(gains[best]):
         return Decision((), confidence)
     order = [i for i in np.argsort(-totals).tolist() if is_evidence(gains[i])]
-    alike = [i for i in order if not beats(gains[best], gains[i])]
+    alike = [i for i in order if not beats(gains[best] - gains[i], totals[best])]
     return Decision(tuple(alike), confidence)
 
 
@@ -46,11 +47,11 @@ def is_evidence(gains: Vector) -> bool:
     return bool(gains.sum() > THRESHOLD and gains.sum() - gains.max() > TIE)
 
 
-def beats(one: Vector, other: Vector) -> bool:
-    """Whether one explains more than another, by episode (E,), than chance would."""
-    difference = one - other
+def beats(difference: Vector, gain: float) -> bool:
+    """Whether a cause that gains so much explains more than another, by so much by episode (E,),
+    than chance and what is wrong with either's simulation would."""
     error = np.sqrt(len(difference)) * difference.std(ddof=1)
-    return bool(difference.sum() > max(TIE, 2 * error))
+    return bool(difference.sum() > max(TIE, 2 * error, ALIKE * gain))
 
 
 def _confidence(gains: Matrix, rng: np.random.Generator) -> Vector:

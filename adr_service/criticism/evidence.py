@@ -112,6 +112,16 @@ def smoothed(fit: Fit, sensor: Vector) -> Fit:
     return _fitted(simulator, layout, fit.parameters, fit.causes, states, anew, fit.noise, sensor)
 
 
+def residuals_of(fit: Fit, simulator: Simulator) -> tuple[Chain, Array3]:
+    """What a fit leaves of other data (E, T, m), around the states as they were measured."""
+    layout, states = Layout.of(simulator), simulator.measured
+    root = np.broadcast_to(_tiny(simulator), (*states.shape, states.shape[1]))
+    linear = _linearise(simulator, layout, fit.parameters, fit.causes, states, root)
+    integration = slice(len(fit.parameters), len(fit.parameters) + INTEGRATION)
+    change = fit.normal.change()[0][integration]
+    return linear.chain, linear.residual - linear.columns[..., integration] @ change
+
+
 def _fitted(
     simulator: Simulator,
     layout: Layout,

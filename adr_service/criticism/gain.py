@@ -1,19 +1,21 @@
 """What an extension is worth on episodes that nothing was fitted to."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from adr_service.arrays import Matrix, Vector
+from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.causes import Cause
-from adr_service.criticism.evidence import Fit
+from adr_service.criticism.evidence import Fit, residuals_of
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.noise import misfit_variance
+from adr_service.criticism.noise import Ascent, Chain, Noise, Whitener, misfit_variance
 from adr_service.criticism.simulator import Simulator
 from adr_service.criticism.verdict import Gain
 
 _HORIZONS = (1, 5, 25)  # control steps
 _DRAWS = 1000
+_WEIGHINGS = 5
 
 
 def measure_gain(
@@ -23,26 +25,30 @@ def measure_gain(
     rng: np.random.Generator,
     threads: int | None = None,
 ) -> Gain:
-    """Errors of one and more control steps, without and with the causes, from measured states."""
+    """Of one step, innovations: what a Kalman filter with the final noise did not see coming. Of
+    more steps, errors from measured states."""
     nominal, finer = before.simulator.nominal, before.simulator.finer
     with Simulator(nominal, sealed, threads, finer) as simulator:
-        expected, noise = _expected_errors(after)
-        measured = simulator.data.is_measured()
-        scale = np.where(measured, np.sqrt(expected), np.nan)  # no error of what was not measured
+        left = [residuals_of(fit, simulator) for fit in (before, after)]
         errors = [
-            _errors(simulator, fit.parameters, fit.causes, max(_HORIZONS), scale)
+            _errors(simulator, fit.parameters, fit.causes, max(_HORIZONS), _expected_errors(after))
             for fit in (before, after)
         ]
-    episodes = simulator.data.episode[simulator.starts]
-    diverged = [int(np.isnan(e[0][:, measured]).any(axis=1).sum()) for e in errors]
+    used = [int(chain.mask.sum()) for chain, _ in left]
+    count = len(simulator.starts)
     for one, other in zip(*errors, strict=True):  # what either cannot predict says nothing of both
         one[np.isnan(other)], other[np.isnan(one)] = np.nan, np.nan
-    without, with_causes = (_by_episode(np.nan_to_num(e[0]), episodes) for e in errors)
-    floor = _by_episode(np.isfinite(errors[0][0]) * (noise / expected), episodes)
+    mask, measured = left[0][0].mask & left[1][0].mask, simulator.data.is_measured()
+    both = [(replace(chain, mask=mask), np.where(mask[..., None], r, 0.0)) for chain, r in left]
+    # an outlier is what neither of the two expects
+    weights = np.maximum(*(_weights(*each, after.noise) for each in both))
+    noise = replace(after.noise, weights=weights)
+    white = (Whitener.of(chain, noise).whiten(r[..., None])[..., 0] for chain, r in both)
+    without, with_causes = (np.sum(z[..., measured] ** 2, axis=(1, 2)) for z in white)
     draws = rng.integers(len(without), size=(_DRAWS, len(without)))
     removed = 1 - with_causes[draws].sum(axis=1) / without[draws].sum(axis=1)
     low, high = np.quantile(removed, [0.025, 0.975]).tolist()
-    explainable = without.sum() - floor.sum()  # which sensors' noise alone would leave
+    explainable = without.sum() - mask.sum() * measured.sum()  # noise alone leaves one per number
     horizons = {
         steps: (_root_mean(errors[0][steps - 1]), _root_mean(errors[1][steps - 1]))
         for steps in _HORIZONS
@@ -56,7 +62,7 @@ def measure_gain(
             float((without.sum() - with_causes.sum()) / explainable) if explainable > 0 else None
         ),
         horizons=horizons,
-        diverged=(diverged[0], diverged[1]),
+        diverged=(count - used[0], count - used[1]),
     )
 
 
@@ -64,12 +70,21 @@ def _root_mean(squares: Matrix) -> float:
     return float(np.sqrt(np.nanmean(squares)))
 
 
-def _expected_errors(fit: Fit) -> tuple[Vector, Vector]:
-    """Typical squares (m,) of a one-step error by a fit: in all, and of sensors' noise alone."""
-    transition, mask = fit.linear.chain.transition, fit.linear.chain.mask
-    noise = (transition[mask] ** 2) @ fit.noise.sensor + fit.noise.sensor
-    misfit = misfit_variance(fit.linear.chain, fit.noise)[mask]
-    return np.median(noise + misfit, axis=0), np.median(noise, axis=0)
+def _weights(chain: Chain, residual: Array3, noise: Noise) -> Matrix:
+    """(E, T) of the t distribution, under the noise of other data."""
+    weights = np.ones(chain.mask.shape)
+    for _ in range(_WEIGHINGS):
+        whitener = Whitener.of(chain, replace(noise, weights=weights))
+        weights = Ascent.of(whitener, residual).weights
+    return weights
+
+
+def _expected_errors(fit: Fit) -> Vector:
+    """Typical deviation (m,) of a one-step error by a fit; NaN of what was not measured."""
+    chain, noise = fit.linear.chain, fit.noise
+    variance = (chain.transition[chain.mask] ** 2) @ noise.sensor + noise.sensor
+    variance = np.median(variance + misfit_variance(chain, noise)[chain.mask], axis=0)
+    return np.where(fit.simulator.data.is_measured(), np.sqrt(variance), np.nan)
 
 
 def _errors(
@@ -94,9 +109,3 @@ def _errors(
         states, known = measured.copy(), np.zeros(len(measured), dtype=np.bool_)
         states[starts[followed] + 1], known[starts[followed] + 1] = predicted[followed], True
     return found
-
-
-def _by_episode(values: Matrix, episodes: np.ndarray) -> Vector:
-    """Sums over each episode."""
-    _, numbers = np.unique(episodes, return_inverse=True)
-    return np.bincount(numbers, weights=values.sum(axis=1)).astype(np.float64)

@@ -245,7 +245,7 @@ def _still_tied(found: list[_Named], final: Fit, sensor: Vector) -> list[_Named]
             if _parts(newest) & _parts([*before, *after]):  # named elsewhere: no alternative here
                 continue
             instead = refine(final, [*before, *newest, *after], sensor)
-            if instead is not None and not beats(everything, instead.held_out):
+            if instead is not None and not beats(everything - instead.held_out, best.gain):
                 kept.append(other)
         left.append((best, *kept))
     return left

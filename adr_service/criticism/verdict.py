@@ -90,10 +90,10 @@ class Residual:
 class Gain:
     """What the causes are worth on episodes that were opened once, at the end."""
 
-    sse_removed: float  # share of the squared one-step error, each column in units of what is expected of it
+    sse_removed: float  # share of the squared innovations
     low: float  # 95 % bootstrap over episodes
     high: float
-    explainable_fraction: float | None  # of what is beyond the sensors' noise; None: nothing is
+    explainable_fraction: float | None  # of what is beyond the final noise; None: nothing is
     horizons: dict[int, tuple[float, float]]  # control steps -> error without and with, in those units
     diverged: tuple[int, int]  # transitions that cannot be simulated, without and with
 
