@@ -11,13 +11,8 @@ from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Nominal, Simulator
 from adr_service.errors import UnknownName
 from adr_service.parameters import ParameterSpace
-from adr_service.simulation.mechanisms import (
-    MECHANISMS,
-    Commands,
-    element_of,
-    get_mechanism,
-    unit_of,
-)
+from adr_service.simulation.mechanism import Commands
+from adr_service.simulation.mechanisms import MECHANISMS, element_of, get_mechanism, unit_of
 from adr_service.tasks.catalogue import get_task, source_of
 
 COMMANDS = Commands(np.array([[1.0, 1.0, -0.5, 0.2, 0.0, 0.8]]), 0.01, 1.0)

@@ -23,12 +23,8 @@ from adr_service.causes import Cause
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Nominal, Simulator, other_integrator
 from adr_service.errors import InvalidInput
-from adr_service.simulation.mechanisms import (
-    MECHANISMS,
-    Commands,
-    element_of,
-    get_mechanism,
-)
+from adr_service.simulation.mechanism import Commands
+from adr_service.simulation.mechanisms import MECHANISMS, element_of, get_mechanism
 from adr_service.tasks.base import Task
 
 EPISODES, STEPS = 30, 75

@@ -3,8 +3,8 @@
 A gain counts from `THRESHOLD` nats (a study of single-step residuals on Hopper had 21 at most in
 26 cases without any cause; ours has not been calibrated yet), and only where it does not hang on
 a single episode. Two causes are told apart by more than `TIE` nats, `ALIKE` of what they explain
-and two standard errors of their difference, episode by episode. Where a flexible force still explains
-more than a fifth of what the causes do, they are not what is wrong.
+and two standard errors of their difference, episode by episode. Where a flexible force still
+explains more than a fifth of what the causes do, they are not what is wrong.
 """
 
 from dataclasses import dataclass

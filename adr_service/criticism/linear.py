@@ -7,7 +7,7 @@
 the log-likelihood of each episode as a function of a small change.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 

@@ -21,6 +21,7 @@ from scipy.special import expit
 from adr_service.arrays import Vector
 from adr_service.causes import Cause
 from adr_service.criticism.decision import (
+    ALIKE,
     THRESHOLD,
     TIE,
     Decision,
@@ -95,9 +96,7 @@ def criticise(
     """
     started = time.perf_counter()
     data.check_amount()
-    numbers = np.arange(len(data.spans()))
-    is_sealed = numbers % _SEALED == _SEALED - 1
-    learned, sealed = (data.episodes(numbers[which].tolist()) for which in (~is_sealed, is_sealed))
+    learned, sealed = split(data)
     sensor = data.sensor_variance()
     with ExitStack() as simulators:
         baseline = smoothed(_best_step(nominal, learned, sensor, threads, simulators), sensor)
@@ -126,6 +125,14 @@ def criticise(
     )
     extension = extend(nominal, final.parameters, final.causes) if found else None
     return Criticism(verdict, baseline, final, tuple(first), extension)
+
+
+def split(data: Measurement) -> tuple[Measurement, Measurement]:
+    """Episodes to learn from, and sealed ones."""
+    numbers = np.arange(len(data.spans()))
+    is_sealed = numbers % _SEALED == _SEALED - 1
+    learned, sealed = (data.episodes(numbers[which].tolist()) for which in (~is_sealed, is_sealed))
+    return learned, sealed
 
 
 def _best_step(
@@ -175,11 +182,18 @@ def _name(
 
 
 def _simplest_first(alike: Sequence[_Weighed]) -> _Named:
-    """Of those that nothing tells apart, one with the fewest strengths, then the best."""
+    """Of those that nothing tells apart, one with the fewest strengths, then the best; without
+    those that are the same with a strength more."""
     best = max(each.fair_gain for each in alike)
-    near = [each for each in alike if best - each.fair_gain < TIE]
+    near = [each for each in alike if best - each.fair_gain < max(TIE, ALIKE * best)]
     first = min(near, key=lambda each: (sum(len(c.values) for c in each.causes), -each.fair_gain))
-    return (first, *(each for each in alike if each is not first))
+    named = {(cause.kind, cause.location) for cause in first.causes}
+    others = [each for each in alike if each is first or not named <= _included(each.causes)]
+    return (first, *(each for each in others if each is not first))
+
+
+def _included(causes: Sequence[Cause]) -> set[tuple[str, str]]:
+    return {(get_mechanism(cause.kind).includes, cause.location) for cause in causes}
 
 
 def _from_elsewhere(current: Fit, found: Fit, sensor: Vector) -> Fit:

@@ -18,12 +18,8 @@ from adr_service.criticism.evidence import Fit
 from adr_service.criticism.linear import products
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.simulator import Simulator
-from adr_service.simulation.mechanisms import (
-    MECHANISMS,
-    element_of,
-    get_mechanism,
-    sensors,
-)
+from adr_service.simulation.mechanism import sensors
+from adr_service.simulation.mechanisms import MECHANISMS, element_of, get_mechanism
 
 _ABSORBED = 1e2  # how much less the data may say of a strength once parameters are fitted as well
 _UNSEEN = 1e8  # variance of a strength, in typical ones, that no sensible robot has

@@ -23,14 +23,8 @@ from adr_service.causes import Cause
 from adr_service.criticism.measurements import Measurement
 from adr_service.errors import InvalidInput
 from adr_service.parameters import ParameterSpace
-from adr_service.simulation.mechanisms import (
-    Commands,
-    element_of,
-    get_mechanism,
-    is_added,
-    openly,
-    with_causes,
-)
+from adr_service.simulation.mechanism import Commands, is_added
+from adr_service.simulation.mechanisms import element_of, get_mechanism, openly, with_causes
 from adr_service.simulation.model import link_of, read, resolve, write
 from adr_service.tasks.base import Reshapable, Source, Task
 

@@ -94,7 +94,9 @@ class Gain:
     low: float  # 95 % bootstrap over episodes
     high: float
     explainable_fraction: float | None  # of what is beyond the final noise; None: nothing is
-    horizons: dict[int, tuple[float, float]]  # control steps -> error without and with, in those units
+    horizons: dict[
+        int, tuple[float, float]
+    ]  # control steps -> error without and with, in those units
     diverged: tuple[int, int]  # transitions that cannot be simulated, without and with
 
     def to_json(self) -> dict[str, Any]:

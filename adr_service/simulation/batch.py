@@ -27,13 +27,8 @@ from numpy.typing import NDArray
 
 from adr_service.arrays import Indices, Mask, Matrix, frozen
 from adr_service.errors import InvalidInput
-from adr_service.simulation.mechanisms import (
-    apply,
-    check_simulated,
-    is_added,
-    openly,
-    prepared,
-)
+from adr_service.simulation.mechanism import is_added
+from adr_service.simulation.mechanisms import apply, check_simulated, openly, prepared
 from adr_service.simulation.model import Slot, Writer, link_of, resolve, write
 from adr_service.tasks.base import Reshapable, Source, State, Task
 
