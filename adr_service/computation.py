@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.simulator import Nominal
 from adr_service.distributions import Uniform, distribution_from_json
 from adr_service.events import RunEvent
 from adr_service.methods.base import Evidence, OfflineSettings, OnlineSettings, Problem
@@ -162,6 +164,20 @@ def _evaluate(
     return StageResult({"returns": episodes.returns.tolist(), "diverged_episodes": diverged})
 
 
+def _criticise(
+    inputs: Inputs, blobs: Blobs, rng: np.random.Generator, progress: Progress
+) -> StageResult:
+    with preparing():  # matplotlib and SciPy
+        from adr_service.criticism.pipeline import criticise
+        from adr_service.criticism.report import files_of
+
+    task, variant = inputs["task"], inputs["variant"]
+    nominal = Nominal.of_task(get_task(task), source_of(task, variant))
+    data = Measurement.from_npz(blobs["data"])
+    found = criticise(nominal, data, rng, progress, threads=1)  # a stage has one core
+    return StageResult({"verdict": found.verdict.to_json()}, files_of(found, f"{task}, {variant}"))
+
+
 _FUNCTIONS: dict[str, Callable[[Inputs, Blobs, np.random.Generator, Progress], StageResult]] = {
     "train_policy": _train_policy,
     "infer": _infer,
@@ -169,4 +185,5 @@ _FUNCTIONS: dict[str, Callable[[Inputs, Blobs, np.random.Generator, Progress], S
     "target_return": _target_return,
     "propose": _propose,
     "evaluate": _evaluate,
+    "criticise": _criticise,
 }

@@ -70,6 +70,18 @@ class IterationFinished(Wire):
         return f"iteration_finished:{self.iteration}"
 
 
+class CriticismFinished(Wire):
+    """The verdict on a simulator, and the files that go with it."""
+
+    type: Literal["criticism_finished"] = "criticism_finished"
+    verdict: dict[str, Any]
+    files: dict[str, str] = Field(description="SHA-256 by name")
+
+    @property
+    def key(self) -> str:
+        return "criticism_finished"
+
+
 class RunQueued(Wire):
     type: Literal["run_queued"] = "run_queued"
     submission: int
@@ -122,6 +134,7 @@ RunEvent = Annotated[
     StageFinished
     | TrainingEvaluated
     | IterationFinished
+    | CriticismFinished
     | RunQueued
     | RunStarted
     | RunSucceeded

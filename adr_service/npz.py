@@ -55,6 +55,15 @@ def read_arrays(content: bytes, accepted: Sequence[str]) -> dict[str, np.ndarray
         raise InvalidInput(f"not a readable .npz of plain arrays: {error}") from error
 
 
+def names_in(content: bytes) -> list[str]:
+    """The names of an `.npz`'s arrays; none where it cannot be read."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            return [name.removesuffix(".npy") for name in archive.namelist()]
+    except _BROKEN:
+        return []
+
+
 def _check_names(names: Sequence[str], accepted: Sequence[str]) -> None:
     files = {f"{name}.npy" for name in accepted}
     if unknown := [name for name in names if name not in files][:5]:

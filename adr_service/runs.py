@@ -21,7 +21,7 @@ import numpy as np
 
 from adr_service.distributions import Distribution, Gaussian, Uniform, distribution_from_json
 from adr_service.errors import InvalidInput
-from adr_service.events import IterationFinished, RunEvent
+from adr_service.events import CriticismFinished, IterationFinished, RunEvent
 from adr_service.methods.base import OfflineSettings, OnlineSettings, Problem
 from adr_service.methods.bayrn import BayRnSettings
 from adr_service.methods.catalogue import identity_of as identity_of_method
@@ -30,7 +30,7 @@ from adr_service.methods.references import OracleSettings, PriorSettings
 from adr_service.methods.simopt import SimOpt1Settings, SimOptSettings
 from adr_service.methods.udr import UdrSettings, random_bounds
 from adr_service.randomness import stream
-from adr_service.specs import RecordedTarget, RunSpec
+from adr_service.specs import AnyRun, CriticismSpec, RecordedTarget, RunSpec
 from adr_service.stages import Stage, StageResult, Stages
 from adr_service.target import Recording, Target, Visit, truth_as_distribution
 from adr_service.tasks.catalogue import get_task, identity_of, source_of
@@ -48,11 +48,14 @@ class _Inference:
     stages: list[str]
 
 
-def run(spec: RunSpec, stages: Stages, recording: bytes | None = None) -> Program:
+def run(spec: AnyRun, stages: Stages, recording: bytes | None = None) -> Program:
     """Everything that happens in a run, in order; ends when the run has succeeded.
 
-    `recording` is the `.npz` that a spec with a recorded target names.
+    `recording` is the `.npz` of the dataset that a spec names.
     """
+    if isinstance(spec, CriticismSpec):
+        yield from _criticise(spec, stages, recording)
+        return
     if isinstance(spec.target, RecordedTarget):
         yield from _recorded(spec, stages, Recording(spec, recording))
         return
@@ -76,6 +79,16 @@ def run(spec: RunSpec, stages: Stages, recording: bytes | None = None) -> Progra
             yield from _report(spec, Target(spec, stages), 0, [truth], [trained])
         case _:
             raise InvalidInput(f"no program runs the method {spec.method.name}")
+
+
+def _criticise(spec: CriticismSpec, stages: Stages, measurement: bytes | None) -> Program:
+    """What the simulator gets wrong; one stage, of whose parts none would be worth sharing."""
+    if measurement is None:
+        raise InvalidInput(f"the measurement {spec.dataset} was not given")
+    inputs = {**identity_of(spec.task), "variant": spec.variant, "seed": spec.seed}
+    result = yield from stages.run(Stage("criticise", inputs, {"data": measurement}))
+    files = {name: sha256(content) for name, content in result.blobs.items()}
+    yield CriticismFinished(verdict=result.values["verdict"], files=files)
 
 
 def _online(spec: RunSpec, stages: Stages) -> Program:

@@ -180,9 +180,44 @@ class RunSpec(Wire):
         return self.target.effects if isinstance(self.target, SimulatedTarget) else []
 
     @property
+    def dataset(self) -> str | None:
+        """The id of the stored recording that it learns from."""
+        return self.target.dataset if isinstance(self.target, RecordedTarget) else None
+
+    @property
+    def label(self) -> str:
+        """What is done, in a word."""
+        return self.method.name
+
+    @property
     def column(self) -> str:
         """The method, and who collects for it where that is not as in the protocol."""
         return self.method.name + ("" if self.collector == "simopt" else f" on {self.collector}")
+
+
+class CriticismSpec(Wire):
+    """What a stored measurement says that a task's simulator gets wrong."""
+
+    kind: Literal["criticism"] = "criticism"
+    task: str
+    variant: str = "vanilla"
+    dataset: str = Field(description="id of an uploaded measurement")
+    seed: int = Field(0, ge=0, lt=2**31, description="of the bootstraps")
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        try:
+            variant_of(self.task, self.variant)
+        except UnknownName as error:
+            raise ValueError(str(error)) from error
+        return self
+
+    @property
+    def label(self) -> str:
+        return self.kind
+
+
+AnyRun = Annotated[RunSpec | CriticismSpec, Field(discriminator="kind")]
 
 
 class BenchmarkExtension(Wire):

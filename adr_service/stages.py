@@ -34,6 +34,7 @@ KINDS = {
     "target_return": StageKind(version=1, role="target"),
     "propose": StageKind(version=1, role="inference"),
     "evaluate": StageKind(version=2, role="target"),
+    "criticise": StageKind(version=1, role="inference"),
 }
 
 

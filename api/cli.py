@@ -334,7 +334,9 @@ def render(
 
 @app.command()
 def criticise(
-    data: Annotated[Path, typer.Option(help="The measurement, an .npz; see docs/criticism.md.")],
+    data: Annotated[
+        Path, typer.Option(help="The measurement, .npz or .csv; see docs/criticism.md.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder for verdict, report and extended model.")],
     task: Annotated[str | None, typer.Option(help="A task's simulator: arm, hopper, …")] = None,
     variant: Annotated[

@@ -56,6 +56,18 @@ class AdrClient:
     def submit_benchmark(self, spec: Json, *, dry_run: bool = False) -> Json:
         return self._json("POST", "/v1/benchmarks", json=spec, params=_dry(dry_run))
 
+    def submit_criticism(self, spec: Json) -> Json:
+        """Ask what an uploaded measurement says of a task's simulator."""
+        return self._json("POST", "/v1/criticisms", json=spec)
+
+    def criticism(self, run_id: str) -> Json:
+        """How a criticism stands, and its verdict as soon as there is one."""
+        return self._json("GET", f"/v1/criticisms/{run_id}")
+
+    def criticism_file(self, run_id: str, name: str) -> bytes:
+        """`report.html`, `verdict.json`, `extended.xml` or `effects.json`."""
+        return self.content(f"/v1/criticisms/{run_id}/{name}")
+
     def extend_benchmark(self, benchmark_id: str, extension: Json) -> Json:
         """Add seeds, methods, … to a benchmark."""
         return self._json("POST", f"{_path(benchmark_id)}/extend", json=extension)

@@ -1,6 +1,5 @@
 """`adr criticise`: from files to files, without a service."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -8,10 +7,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from adr_service.criticism.extension import Extension, written_out
+from adr_service.criticism.extension import written_out
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.pipeline import Criticism, criticise
-from adr_service.criticism.report import report_page
+from adr_service.criticism.report import FILES, files_of
 from adr_service.criticism.simulator import Nominal
 from adr_service.errors import InvalidInput
 from adr_service.parameters import Parameter, ParameterSpace
@@ -60,24 +59,20 @@ def criticise_files(
     nominal: Nominal, name: str, data: Path, out: Path, seed: int, progress: Progress
 ) -> Criticism:
     """Writes verdict.json, report.html and, where something was named, the extended model."""
-    try:
-        content = data.read_bytes()
-    except OSError as error:
-        raise InvalidInput(f"{data} cannot be read: {error}") from error
-    measurement = Measurement.from_npz(content)
-    found = criticise(nominal, measurement, np.random.default_rng(seed), progress)
+    found = criticise(nominal, _measurement(data), np.random.default_rng(seed), progress)
     out.mkdir(parents=True, exist_ok=True)
-    (out / "verdict.json").write_text(json.dumps(found.verdict.to_json(), indent=1))
-    (out / "report.html").write_text(report_page(found, name))
-    _write_extension(found.extension, out)
+    files = files_of(found, name)
+    for file in FILES:
+        (out / file).unlink(missing_ok=True)  # none of an earlier verdict
+        if file in files:
+            (out / file).write_bytes(files[file])
     return found
 
 
-def _write_extension(extension: Extension | None, out: Path) -> None:
-    """Its files, and none of an earlier verdict."""
-    model, effects = out / "extended.xml", out / "effects.json"
-    model.unlink(missing_ok=True)
-    effects.unlink(missing_ok=True)
-    if extension is not None:
-        model.write_text(extension.xml)
-        effects.write_text(json.dumps(extension.effects, indent=1))
+def _measurement(path: Path) -> Measurement:
+    try:
+        if path.suffix == ".csv":
+            return Measurement.from_csv(path.read_text())
+        return Measurement.from_npz(path.read_bytes())
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInput(f"{path} cannot be read: {error}") from error

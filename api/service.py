@@ -10,9 +10,12 @@ from fastapi import Depends, Request
 
 from adr_service.benchmark.comparison import Outcome
 from adr_service.benchmark.utilisation import utilisation
+from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.simulator import Nominal, check_measurement
 from adr_service.events import IterationFinished
-from adr_service.specs import RecordedTarget, RunSpec
+from adr_service.specs import AnyRun, CriticismSpec, RunSpec
 from adr_service.target import Recording
+from adr_service.tasks.catalogue import get_task, source_of
 from api.settings import Settings
 from api.views import CostView, cost_view
 from db import datasets as dataset_store
@@ -35,6 +38,7 @@ class Service:
         found = [
             (record.spec, event.event)
             for record in records
+            if isinstance(record.spec, RunSpec)
             for event in store.events_of(self.database, record.id, type="iteration_finished")
             if isinstance(event.event, IterationFinished)
         ]
@@ -56,10 +60,17 @@ class Service:
             used = utilisation(stage_store.timings_between(self.database, first, last))
         return cost_view(timings, used, self.outcomes(records))
 
-    def check_recording(self, spec: RunSpec) -> None:
+    def check_dataset(self, spec: AnyRun) -> None:
         """Refuse a run that names a dataset which is not there, or not of its task."""
-        if isinstance(spec.target, RecordedTarget):
-            Recording(spec, dataset_store.load_dataset(self.database, spec.target.dataset)[1])
+        if spec.dataset is None:
+            return
+        content = dataset_store.load_dataset(self.database, spec.dataset)[1]
+        if isinstance(spec, CriticismSpec):
+            source = source_of(spec.task, spec.variant)
+            nominal = Nominal.of_task(get_task(spec.task), source)
+            check_measurement(nominal, Measurement.from_npz(content))
+        else:
+            Recording(spec, content)
 
     def close(self) -> None:
         self.orchestrator.close()

@@ -9,8 +9,14 @@ from pydantic import BaseModel
 
 from adr_service.benchmark.comparison import Outcome, comparisons, costs, decode, estimates, table
 from adr_service.benchmark.utilisation import Timing, Utilisation
-from adr_service.events import RunEvent, RunState, StageFinished, TrainingEvaluated
-from adr_service.specs import BenchmarkSpec, RecordedTarget, RunSpec
+from adr_service.events import (
+    CriticismFinished,
+    RunEvent,
+    RunState,
+    StageFinished,
+    TrainingEvaluated,
+)
+from adr_service.specs import AnyRun, BenchmarkSpec, RecordedTarget
 from db.datasets import DatasetRecord
 from db.runs import BenchmarkRecord, EventRecord, RunRecord, states_of
 from workers.dispatcher import Activity
@@ -54,7 +60,7 @@ class RunView(BaseModel):
     updated_at: datetime
     error: RunError | None
     progress: list[ActivityView]
-    spec: RunSpec
+    spec: AnyRun
     links: dict[str, str]
 
 
@@ -140,6 +146,14 @@ class TrainingView(BaseModel):
     links: dict[str, str]
 
 
+class CriticismView(BaseModel):
+    """A criticism: the run that it is, and its verdict as soon as there is one."""
+
+    run: RunView
+    verdict: dict[str, Any] | None  # as `adr criticise` writes it
+    links: dict[str, str]
+
+
 class DatasetView(BaseModel):
     """A stored recording."""
 
@@ -200,6 +214,16 @@ def run_view(record: RunRecord, activities: Sequence[Activity]) -> RunView:
             "trainings": f"{here}/trainings",
             "cost": f"{here}/cost",
         },
+    )
+
+
+def criticism_view(run: RunView, finished: CriticismFinished | None) -> CriticismView:
+    here = f"/v1/criticisms/{run.id}"
+    files = {} if finished is None else {name: f"{here}/{name}" for name in finished.files}
+    return CriticismView(
+        run=run,
+        verdict=None if finished is None else finished.verdict,
+        links={"self": here, "run": run.links["self"], **files},
     )
 
 

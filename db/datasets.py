@@ -3,10 +3,12 @@
 import json
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.transitions import TransitionDataset, dataset_id
 from db.errors import NotFound, NotPossible
 from db.models import ArtifactRow, DatasetRow, RunRow
@@ -29,9 +31,11 @@ class DatasetRecord:
 
 
 def store_dataset(database: Database, content: bytes) -> tuple[DatasetRecord, bool]:
-    """Store an `.npz` of transitions, and say whether it is new; InvalidInput where it is none."""
-    data = TransitionDataset.from_npz(content)
-    id = dataset_id(content)
+    """Store an `.npz` of transitions, or a measurement, and say whether it is new.
+
+    Raises InvalidInput where it is neither.
+    """
+    described, id = _described(content), dataset_id(content)
     with database.write() as session:
         known = session.scalar(select(DatasetRow).where(DatasetRow.id == id))
         if known is not None:
@@ -40,16 +44,36 @@ def store_dataset(database: Database, content: bytes) -> tuple[DatasetRecord, bo
             id=id,
             sha256=add_artifact(session, content),
             created_at=datetime.now(UTC),
-            transitions=len(data),
-            episodes=len(data.split()),
-            actions=data.actions.shape[1],
-            dt=data.dt,
-            columns=json.dumps(data.columns),
-            origin=data.origin,
+            **described,
         )
         session.add(row)
         session.flush()
         return _record(row), True
+
+
+def _described(content: bytes) -> dict[str, Any]:
+    """What is said of a dataset, by column of its table."""
+    if is_measurement(content):
+        data = Measurement.from_npz(content)
+        episodes = len(data.spans())
+        parts = (("qpos", data.qpos), ("qvel", data.qvel))
+        return {
+            "transitions": len(data.time) - episodes,
+            "episodes": episodes,
+            "actions": data.ctrl.shape[1],
+            "dt": data.period(),
+            "columns": json.dumps([f"{name}_{i}" for name, v in parts for i in range(v.shape[1])]),
+            "origin": "measurement",
+        }
+    data = TransitionDataset.from_npz(content)
+    return {
+        "transitions": len(data),
+        "episodes": len(data.split()),
+        "actions": data.actions.shape[1],
+        "dt": data.dt,
+        "columns": json.dumps(data.columns),
+        "origin": data.origin,
+    }
 
 
 def describe_dataset(database: Database, id: str) -> DatasetRecord:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from pydantic import TypeAdapter
 from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
@@ -17,12 +18,14 @@ from adr_service.events import (
     event_from_json,
     next_state,
 )
-from adr_service.specs import BenchmarkExtension, BenchmarkSpec, RecordedTarget, RunSpec
+from adr_service.specs import AnyRun, BenchmarkExtension, BenchmarkSpec, RunSpec
 from db.datasets import get_dataset
 from db.errors import NotFound, NotPossible
 from db.models import BenchmarkRow, EventRow, RunRow
 from db.session import CHUNK, Database
 from db.stages import delete_unreferenced
+
+_ANY_RUN: TypeAdapter[AnyRun] = TypeAdapter(AnyRun)
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class RunRecord:
     benchmark_id: str | None
     created_at: datetime
     updated_at: datetime
-    spec: RunSpec
+    spec: AnyRun
     state: RunState
     submission: int
     cancel_requested: bool
@@ -59,7 +62,7 @@ class EventRecord:
     event: RunEvent
 
 
-def create_run(database: Database, spec: RunSpec) -> RunRecord:
+def create_run(database: Database, spec: AnyRun) -> RunRecord:
     """Store a run; when this returns it is on disk.
 
     Raises NotFound where the spec names a dataset that is not there.
@@ -296,19 +299,18 @@ def _cell(spec: RunSpec) -> tuple[str, str, str, int]:
     return (spec.task, spec.variant, spec.column, spec.seed)
 
 
-def _insert_run(session: Session, spec: RunSpec, benchmark_id: str | None) -> RunRow:
-    dataset_id = spec.target.dataset if isinstance(spec.target, RecordedTarget) else None
-    if dataset_id is not None:
-        get_dataset(session, dataset_id)
+def _insert_run(session: Session, spec: AnyRun, benchmark_id: str | None) -> RunRow:
+    if spec.dataset is not None:
+        get_dataset(session, spec.dataset)
     row = RunRow(
         id=_new_id("run"),
         benchmark_id=benchmark_id,
-        dataset_id=dataset_id,
+        dataset_id=spec.dataset,
         created_at=_now(),
         updated_at=_now(),
         task=spec.task,
         variant=spec.variant,
-        method=spec.method.name,
+        method=spec.label,
         seed=spec.seed,
         spec=spec.model_dump_json(),
         state="queued",
@@ -335,7 +337,7 @@ def _record(row: RunRow) -> RunRecord:
         row.benchmark_id,
         row.created_at,
         row.updated_at,
-        RunSpec.model_validate_json(row.spec),
+        _ANY_RUN.validate_json(row.spec),
         _state(row),
         row.submission,
         row.cancel_requested,

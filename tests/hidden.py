@@ -12,6 +12,16 @@ from adr_service.criticism.simulator import Nominal
 from adr_service.tasks.catalogue import get_task, source_of
 
 
+def arm():
+    return get_task("arm"), Nominal.of_task(get_task("arm"), source_of("arm", "vanilla"))
+
+
+def recorded(measurement):
+    """Its arrays by name."""
+    names = ("time", "qpos", "qvel", "ctrl", "episode")
+    return {name: getattr(measurement, name) for name in names}
+
+
 def named_effects(
     task: str, variant: str, causes: Sequence[Cause], seed: int
 ) -> list[dict[str, Any]]:

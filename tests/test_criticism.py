@@ -17,25 +17,16 @@ from adr_service.criticism.scan import Effects, scan
 from adr_service.criticism.simulator import Nominal, Simulator
 from adr_service.errors import InvalidInput
 from adr_service.parameters import Parameter, ParameterSpace
-from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.tasks.catalogue import get_task
 from api.cli import app
+from tests.hidden import arm, recorded
 
 # frozen before any threshold was chosen: the seeds of a battery on the small task
 BATTERY = range(100, 106)
 
 
-def arm():
-    return get_task("arm"), Nominal.of_task(get_task("arm"), source_of("arm", "vanilla"))
-
-
 def case(seed, ratio=0.3, **how):
     return draw_case(*arm(), np.random.default_rng(seed), ratio, **how)
-
-
-def recorded(measurement):
-    """Its arrays by name."""
-    names = ("time", "qpos", "qvel", "ctrl", "episode")
-    return {name: getattr(measurement, name) for name in names}
 
 
 @pytest.mark.parametrize(
@@ -252,6 +243,51 @@ def test_commands_beyond_an_actuators_limits_are_what_it_obeys(good):
         harmless = simulator.told([Cause("actuator_deadband", "actuator:elbow", (0.0,))])
     assert np.abs(told).max() == 1.0
     np.testing.assert_array_equal(told, harmless)
+
+
+def test_a_table_is_the_same_measurement_as_its_arrays(good):
+    measured = Measurement.from_csv(as_csv(good))
+    for name, values in good.items():
+        np.testing.assert_array_equal(getattr(measured, name), values)
+
+
+def as_csv(fields):
+    wide = [(n, fields[n]) for n in ("qpos", "qvel", "ctrl")]
+    header = ["time", "episode", *(f"{n}_{i}" for n, v in wide for i in range(v.shape[1]))]
+    table = np.column_stack([fields["time"], fields["episode"], *(v for _, v in wide)])
+    lines = [",".join(map(repr, row)) for row in table.tolist()]
+    return "\n".join([",".join(header), *lines])
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ("qvel_1", "qvel_7", "expected are time, episode, and from 0 on qpos_0"),
+        ("0.0,0.0,", "0.0,first,", "line 2 of the CSV has 'first' for episode"),
+        ("0.0,0.0,", "0.0,", "line 2 of the CSV has 7 values; the header has 8"),
+        ("0.0,0.0,", "0.0,0.5,", "episodes must be whole numbers"),
+    ],
+)
+def test_a_table_that_is_wrong_is_refused_with_its_line(good, before, after, message):
+    with pytest.raises(InvalidInput, match=message):
+        Measurement.from_csv(as_csv(good).replace(before, after, 1))
+
+
+@pytest.mark.parametrize(
+    ("name", "spoil", "message"),
+    [
+        ("qpos", lambda v: 0 * v + 0.5, "qpos, column 1, is 0.5 in all rows"),
+        ("qvel", lambda v: np.minimum(v, np.quantile(v, 0.7)), "qvel, column 1, is saturated"),
+    ],
+)
+def test_a_sensor_that_is_stuck_is_named(good, name, spoil, message):
+    spoiled = good[name].copy()
+    spoiled[:, 1] = spoil(spoiled[:, 1])
+    with pytest.raises(InvalidInput, match=message):
+        criticise(arm()[1], Measurement(**{**good, name: spoiled}), np.random.default_rng(0))
+    # what is not read may be anything
+    unread = np.where(np.arange(2) == 1, np.inf, 0.01)
+    Measurement(**{**good, name: spoiled, f"{name}_std": unread}).check_usable()
 
 
 class TestCommandLine:

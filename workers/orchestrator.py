@@ -22,7 +22,6 @@ from adr_service.events import (
 )
 from adr_service.progress import SoFar
 from adr_service.runs import run
-from adr_service.specs import RecordedTarget
 from adr_service.stages import Stage, StageResult, events_of, learning_curve
 from db import datasets as dataset_store
 from db import runs as run_store
@@ -125,9 +124,9 @@ class Orchestrator:
         run_store.append_event(self._database, record.id, event)
 
     def _recording(self, record: RunRecord) -> bytes | None:
-        if not isinstance(record.spec.target, RecordedTarget):
+        if record.spec.dataset is None:
             return None
-        return dataset_store.load_dataset(self._database, record.spec.target.dataset)[1]
+        return dataset_store.load_dataset(self._database, record.spec.dataset)[1]
 
     def _find(self, stage: Stage, run_id: str) -> StageResult | None:
         """A stored result, which from now on this run refers to as well."""

@@ -7,6 +7,8 @@ and a command that leads nowhere. Positions and velocities are in the order of t
 degrees of freedom, in SI units.
 """
 
+import csv
+import io
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,10 +17,11 @@ import numpy as np
 
 from adr_service.arrays import Indices, Mask, Matrix, Vector, frozen
 from adr_service.errors import InvalidInput
-from adr_service.npz import read_arrays
+from adr_service.npz import names_in, read_arrays
 
 _NEEDED = ("time", "qpos", "qvel", "ctrl", "episode")
 _OPTIONAL = ("qpos_std", "qvel_std")
+_STUCK = 0.2  # of all rows, with the very same extreme value
 _LEAST_EPISODES, _LEAST_TRANSITIONS = 8, 200
 
 
@@ -82,6 +85,43 @@ class Measurement:
                 raise InvalidInput(f"{name} must hold numbers; given {values.dtype}")
         return cls(**fields)
 
+    @classmethod
+    def from_csv(cls, text: str) -> "Measurement":
+        """A table with a header: `time`, `episode`, `qpos_0` …, `qvel_0` …, `ctrl_0` ….
+
+        Raises InvalidInput with the line and column of what is wrong.
+        """
+        header, *lines = [line for line in csv.reader(io.StringIO(text)) if line] or [[]]
+        header = [name.strip() for name in header]
+        columns = {name: _numbered(header, name) for name in ("qpos", "qvel", "ctrl")}
+        known = ["time", "episode", *(c for group in columns.values() for c in group)]
+        if sorted(known) != sorted(header):
+            raise InvalidInput(
+                f"the CSV's header is {', '.join(header)}; expected are time, episode, and from 0 "
+                "on qpos_0 …, qvel_0 …, ctrl_0 …, each once"
+            )
+        table = np.empty((len(lines), len(header)))
+        for row, line in enumerate(lines):
+            if len(line) != len(header):
+                raise InvalidInput(
+                    f"line {row + 2} of the CSV has {len(line)} values; the header has "
+                    f"{len(header)}"
+                )
+            for column, value in enumerate(line):
+                try:
+                    table[row, column] = float(value)
+                except ValueError as error:
+                    raise InvalidInput(
+                        f"line {row + 2} of the CSV has {value!r} for {header[column]}; expected "
+                        "is a number"
+                    ) from error
+        fields = {n: table[:, [header.index(c) for c in group]] for n, group in columns.items()}
+        episode = table[:, header.index("episode")]
+        if not np.all(episode == np.round(episode)):
+            raise InvalidInput("the CSV's episodes must be whole numbers")
+        time = table[:, header.index("time")]
+        return cls(time=time, episode=episode.astype(np.int64), **fields)
+
     def spans(self) -> list[tuple[int, int]]:
         """Half-open row ranges of the episodes."""
         edges = [0, *(np.flatnonzero(np.diff(self.episode)) + 1).tolist(), len(self.time)]
@@ -117,8 +157,8 @@ class Measurement:
         known = [np.zeros(v.shape[1]) if std is None else std for v, std in stds]
         return np.isfinite(np.concatenate(known))
 
-    def check_amount(self) -> None:
-        """Refuse what is too little to tell a cause from noise."""
+    def check_usable(self) -> None:
+        """Refuse what is too little to tell a cause from noise, and sensors that are stuck."""
         steps = int(np.sum(np.diff(self.episode) == 0))
         if steps < _LEAST_TRANSITIONS or len(self.spans()) < _LEAST_EPISODES:
             raise InvalidInput(
@@ -126,6 +166,12 @@ class Measurement:
                 f"cause from noise; at least {_LEAST_TRANSITIONS} in {_LEAST_EPISODES} are needed "
                 "(cut a long recording into episodes of about a second)"
             )
+
+        both = (("qpos", self.qpos), ("qvel", self.qvel))
+        shown = [(f"{name}, column {i},", v) for name, each in both for i, v in enumerate(each.T)]
+        for (name, values), is_measured in zip(shown, self.is_measured(), strict=True):
+            if is_measured:
+                _check_moves(name, values)
 
     def period(self) -> float:
         """Seconds between rows; raises InvalidInput where it is not the same throughout."""
@@ -141,6 +187,30 @@ class Measurement:
                     "an episode (start another episode at a gap)"
                 )
         return period
+
+
+def _numbered(header: Sequence[str], name: str) -> list[str]:
+    count = sum(each.startswith(f"{name}_") for each in header)
+    return [f"{name}_{i}" for i in range(count)]
+
+
+def _check_moves(name: str, values: Vector) -> None:
+    """Refuse a sensor that shows one value always, or whose range ends where the robot goes on."""
+    needed = "; needed are readings that follow the robot, or an infinite std for what is not read"
+    if np.ptp(values) == 0:
+        raise InvalidInput(f"{name} is {values[0]:g} in all rows{needed}")
+    for most in (values.min(), values.max()):
+        stuck = np.flatnonzero(values == most)
+        if len(stuck) > _STUCK * len(values):
+            raise InvalidInput(
+                f"{name} is saturated: {len(stuck)} of {len(values)} rows show {most:g}, the "
+                f"first at row {stuck[0]}, and none goes beyond{needed}"
+            )
+
+
+def is_measurement(content: bytes) -> bool:
+    """Whether an `.npz` means to be one, and not transitions."""
+    return "qpos" in names_in(content)
 
 
 def _column(where: list[int]) -> str:

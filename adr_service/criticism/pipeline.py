@@ -95,7 +95,7 @@ def criticise(
     Raises InvalidInput where the data do not fit the model, or are too few.
     """
     started = time.perf_counter()
-    data.check_amount()
+    data.check_usable()
     learned, sealed = split(data)
     sensor = data.sensor_variance()
     with ExitStack() as simulators:

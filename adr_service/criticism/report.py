@@ -1,5 +1,6 @@
 """The page that tells a criticism to somebody who never heard of its statistics."""
 
+import json
 from html import escape
 from typing import Any
 
@@ -8,6 +9,7 @@ from adr_service.criticism.figures import draw_all
 from adr_service.criticism.pipeline import Criticism
 from adr_service.criticism.verdict import NamedCause, Verdict
 
+FILES = ("verdict.json", "report.html", "extended.xml", "effects.json")
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{title}</title>
 <style>
@@ -35,6 +37,15 @@ def report_page(criticism: Criticism, name: str) -> str:
         parts.append("<h2>What the extended simulator is worth</h2>" + pictures["horizons"])
     parts += [_moved(verdict), _detectable(verdict)]
     return _PAGE.format(title=escape(f"What {name} gets wrong"), body="\n".join(parts))
+
+
+def files_of(criticism: Criticism, name: str) -> dict[str, bytes]:
+    """The verdict, the page and, where something was named, the extended model, by file name."""
+    extension = criticism.extension
+    texts = [json.dumps(criticism.verdict.to_json(), indent=1), report_page(criticism, name)]
+    if extension is not None:
+        texts += [extension.xml, json.dumps(extension.effects, indent=1)]
+    return {file: text.encode() for file, text in zip(FILES, texts, strict=False)}
 
 
 _EVIDENCE = (

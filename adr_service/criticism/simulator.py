@@ -319,6 +319,14 @@ class Simulator:
         return slope
 
 
+def check_measurement(nominal: Nominal, data: Measurement) -> None:
+    """Raises InvalidInput where the data are too few, or not of the simulator."""
+    data.check_usable()
+    model = nominal.model(nominal.start)
+    _check(model, data)
+    _steps(data.period(), model.opt.timestep)
+
+
 def is_first_order(model: mujoco.MjModel) -> bool:
     return bool(model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4)
 

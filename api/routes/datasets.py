@@ -4,8 +4,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Body, Query, Response, status
 
+from adr_service.criticism.measurements import Measurement, is_measurement
+from adr_service.criticism.simulator import Nominal, check_measurement
 from adr_service.simulation.replay import check_recorded
-from adr_service.tasks.catalogue import get_task
+from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.transitions import TransitionDataset
 from api.routes.runs import PageSize
 from api.service import ServiceDependency
@@ -19,13 +21,18 @@ _NPZ = "application/octet-stream"
 
 @router.post("", status_code=status.HTTP_201_CREATED, max_body_size=_LARGEST)
 def upload(
-    content: Annotated[bytes, Body(media_type=_NPZ, description="an .npz of transitions")],
+    content: Annotated[
+        bytes, Body(media_type=_NPZ, description="an .npz of transitions, or a measurement")
+    ],
     service: ServiceDependency,
     response: Response,
     task: Annotated[str | None, Query(description="also check that it is of this task")] = None,
 ) -> DatasetView:
-    """Store an `.npz` (docs/recordings.md). The same bytes again are the same dataset."""
-    if task is not None:
+    """Store an `.npz` (docs/recordings.md, docs/criticism.md); equal bytes are one dataset."""
+    if task is not None and is_measurement(content):
+        nominal = Nominal.of_task(get_task(task), source_of(task, "vanilla"))
+        check_measurement(nominal, Measurement.from_npz(content))
+    elif task is not None:
         check_recorded(get_task(task), TransitionDataset.from_npz(content))
     record, is_new = store.store_dataset(service.database, content)
     if not is_new:

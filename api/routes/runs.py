@@ -46,14 +46,14 @@ def submit(
     validate_only: bool = False,
 ) -> RunView | dict[str, Any]:
     """Store a run and start it; with `validate_only`, say what it would cost instead."""
-    service.check_recording(spec)
+    service.check_dataset(spec)
     if validate_only:
         response.status_code = status.HTTP_200_OK
         return {"spec": spec, "plan": asdict(plan_here(service, [spec]))}
     record = store.create_run(service.database, spec)
     service.orchestrator.submit(record)
     response.headers["Location"] = f"/v1/runs/{record.id}"
-    return _view(service, record)
+    return run_view_of(service, record)
 
 
 @router.get("")
@@ -76,12 +76,12 @@ def list_runs(
         after=page_token,
         limit=page_size + 1,
     )
-    return page_of(records, page_size, partial(_view, service), lambda record: record.number)
+    return page_of(records, page_size, partial(run_view_of, service), lambda record: record.number)
 
 
 @router.get("/{run_id}")
 def get_run(run_id: str, service: ServiceDependency) -> RunView:
-    return _view(service, store.get_run(service.database, run_id))
+    return run_view_of(service, store.get_run(service.database, run_id))
 
 
 @router.post("/{run_id}/cancel", status_code=status.HTTP_202_ACCEPTED)
@@ -89,7 +89,7 @@ def cancel(run_id: str, service: ServiceDependency) -> RunView:
     """Ask a run to stop; what its stages have finished is kept."""
     record = store.request_cancel(service.database, run_id)
     service.orchestrator.cancel(record)
-    return _view(service, record)
+    return run_view_of(service, record)
 
 
 @router.post("/{run_id}/resume", status_code=status.HTTP_202_ACCEPTED)
@@ -97,7 +97,7 @@ def resume(run_id: str, service: ServiceDependency) -> RunView:
     """Go on with a failed or cancelled run from its last finished stage."""
     record = store.resubmit(service.database, run_id)
     service.orchestrator.submit(record)
-    return _view(service, record)
+    return run_view_of(service, record)
 
 
 @router.delete("/{run_id}", status_code=status.HTTP_204_NO_CONTENT)
@@ -204,5 +204,5 @@ def plan_here(service: Service, specs: list[RunSpec]) -> Plan:
     return plan(specs, service.orchestrator.cores)
 
 
-def _view(service: Service, record: RunRecord) -> RunView:
+def run_view_of(service: Service, record: RunRecord) -> RunView:
     return run_view(record, service.orchestrator.activities(record.id))

@@ -1,0 +1,107 @@
+"""Criticisms over HTTP: a measurement goes up, a verdict and its files come down."""
+
+import io
+import json
+
+import httpx2
+import mujoco
+import numpy as np
+import pytest
+
+from adr_service.causes import Cause
+from adr_service.computation import LocalStages
+from adr_service.criticism.blind import hide
+from adr_service.events import CriticismFinished
+from adr_service.runs import run
+from adr_service.specs import CriticismSpec
+from api.client import Refused
+from tests.hidden import arm, recorded
+from tests.service import RunningService, wait_until_finished
+
+pytestmark = pytest.mark.ray
+HIDDEN = Cause("joint_coulomb_friction", "joint:elbow", (0.15,))
+
+
+@pytest.fixture(scope="module")
+def content():
+    """The .npz of an arm with friction that its simulator lacks."""
+    task, nominal = arm()
+    data = hide(task, nominal, np.random.default_rng(0), [HIDDEN]).episodes(range(12))
+    np.savez(file := io.BytesIO(), **recorded(data))
+    return file.getvalue()
+
+
+@pytest.fixture(scope="module")
+def uploaded(service: RunningService, content):
+    return service.client.upload(content, "arm")
+
+
+@pytest.fixture(scope="module")
+def criticised(service: RunningService, uploaded):
+    spec = {"task": "arm", "dataset": uploaded["id"]}
+    submitted = service.client.submit_criticism(spec)
+    assert submitted["verdict"] is None
+    id = submitted["run"]["id"]
+    assert wait_until_finished(service.client, id, 120)["state"] == "succeeded"
+    return id
+
+
+def test_a_measurement_is_a_dataset_and_says_what_it_holds(uploaded):
+    assert (uploaded["transitions"], uploaded["episodes"], uploaded["actions"]) == (900, 12, 2)
+    assert uploaded["columns"] == ["qpos_0", "qpos_1", "qvel_0", "qvel_1"]
+
+
+def test_the_cause_is_named_and_the_extended_model_has_it(service, criticised):
+    found = service.client.criticism(criticised)
+    (cause,) = found["verdict"]["causes"]
+    assert (cause["kind"], cause["location"]) == (HIDDEN.kind, HIDDEN.location)
+    assert cause["parameters"]["friction"]["value"] == pytest.approx(0.15, rel=0.03)
+    xml = service.client.content(found["links"]["extended.xml"]).decode()
+    assert mujoco.MjModel.from_xml_string(xml).dof_frictionloss[1] == pytest.approx(0.15, rel=0.03)
+    effects = json.loads(service.client.criticism_file(criticised, "effects.json"))
+    assert effects["effects"][0]["kind"] == HIDDEN.kind
+    assert json.loads(service.client.criticism_file(criticised, "verdict.json")) == found["verdict"]
+
+
+def test_the_report_is_a_page(service, criticised):
+    link = service.client.criticism(criticised)["links"]["report.html"]
+    with httpx2.Client(base_url=service.client.url) as http:
+        response = http.get(link)
+    assert response.headers["Content-Type"].startswith("text/html")
+    assert "What arm, vanilla gets wrong" in response.text
+
+
+def test_it_says_the_same_without_a_service(service, content, uploaded, criticised):
+    spec = CriticismSpec(task="arm", dataset=uploaded["id"])
+    (finished,) = [e for e in run(spec, LocalStages(), content) if isinstance(e, CriticismFinished)]
+    told = service.client.criticism(criticised)["verdict"]
+    assert {**finished.verdict, "seconds": 0} == {**told, "seconds": 0}
+
+
+def test_it_is_a_run_among_runs(service, criticised):
+    listed = service.client.list_all("runs", method="criticism")
+    assert [entry["id"] for entry in listed] == [criticised]
+    kinds = [kind["kind"] for kind in service.client.cost(criticised)["kinds"]]
+    assert kinds == ["criticise"]
+    assert service.client.results(criticised)["rows"] == []
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ({"task": "arm", "dataset": "data_0"}, "no dataset 'data_0'"),
+        ({"task": "hopper"}, "qpos has 2 columns; the model has 6"),
+        ({"task": "leg"}, "no task 'leg'"),
+    ],
+)
+def test_what_cannot_be_criticised_is_refused(service, uploaded, spec, message):
+    with pytest.raises(Refused, match=message):
+        service.client.submit_criticism({"dataset": uploaded["id"], **spec})
+
+
+def test_a_run_that_is_none_and_a_file_that_is_not_there_are_refused(service, criticised):
+    with pytest.raises(Refused, match="accepted: "):
+        service.client.criticism_file(criticised, "model.xml")
+    other = service.client.submit_run({"task": "arm", "method": "prior", "preset": "smoke"})
+    with pytest.raises(Refused, match="no criticism"):
+        service.client.criticism(other["id"])
