@@ -1,6 +1,7 @@
 """A measurement hides an effect, and criticism names it; or hides none, and criticism says so."""
 
 import json
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from adr_service.causes import Cause
+from adr_service.criticism.advice import separating_experiment
 from adr_service.criticism.blind import draw_case, hide
 from adr_service.criticism.decision import THRESHOLD, decide, is_unknown
 from adr_service.criticism.evidence import fit, smoothed
@@ -245,6 +247,42 @@ def test_commands_beyond_an_actuators_limits_are_what_it_obeys(good):
     np.testing.assert_array_equal(told, harmless)
 
 
+def test_what_would_tell_two_explanations_apart_is_said():
+    """Friction at the elbow shows most where the elbow moves; two equal fits never differ."""
+    nominal = arm()[1]
+    narrow = hide(arm()[0], nominal, np.random.default_rng(402), []).episodes(range(8))
+    with Simulator(nominal, narrow, threads=1) as simulator:
+        plain = fit(simulator, narrow.sensor_variance())
+        pushed = [Cause("joint_coulomb_friction", "joint:elbow", (size,)) for size in (0.0, 0.1)]
+        one, other, same = (replace(plain, causes=(c,)) for c in (*pushed, pushed[0]))
+        found = separating_experiment(one, other)
+        equal = separating_experiment(one, same)
+    assert "actuator:elbow" in found.description
+    assert found.is_worth_it
+    assert found.separation > found.recorded > 0
+    assert (equal.separation, equal.is_worth_it) == (0, False)
+
+
+def test_whole_episodes_are_followed_as_step_after_step(good):
+    """Open loop, with an effect on commands, one in a sensor and one in the model."""
+    causes = [
+        Cause("actuator_delay", "actuator:elbow", (0.004,)),
+        Cause("sensor_bias", "sensor:elbow.position", (0.02,)),
+        Cause("joint_coulomb_friction", "joint:shoulder", (0.2,)),
+    ]
+    nominal = arm()[1]
+    with Simulator(nominal, Measurement(**good), threads=1) as simulator:
+        whole = simulator.follow(nominal.start, causes)
+        states = simulator.measured.copy()
+        for _ in range(3):
+            ends = simulator.predict(nominal.start, causes, states)
+            states[simulator.starts + 1] = ends
+            first = [begin for begin, _ in simulator.data.spans()]
+            states[first] = simulator.measured[first]
+    for begin, _ in simulator.data.spans():
+        np.testing.assert_allclose(whole[begin : begin + 4], states[begin : begin + 4], rtol=1e-9)
+
+
 def test_a_table_is_the_same_measurement_as_its_arrays(good):
     measured = Measurement.from_csv(as_csv(good))
     for name, values in good.items():
@@ -307,7 +345,7 @@ class TestCommandLine:
         assert {"value", "low", "high", "unit"} == set(next(iter(first["parameters"].values())))
         assert mujoco.MjModel.from_xml_path(str(tmp_path / "extended.xml")).nv == 2
         page = (tmp_path / "report.html").read_text()
-        assert page.count("<svg") == 4
+        assert page.count("<svg") == 5
         assert "The simulator lacks" in page
 
     def test_a_model_of_ones_own_has_the_parameters_that_were_set_free(self, data, tmp_path):

@@ -18,7 +18,7 @@ import numpy as np
 from adr_service.arrays import Array3, Indices, Mask, Matrix, Vector
 from adr_service.causes import Cause
 from adr_service.criticism.linear import Linear, Normal, estimate
-from adr_service.criticism.noise import Chain, Noise, Whitener, at_start
+from adr_service.criticism.noise import Chain, Noise, Whitener, at_start, misfit_variance
 from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.errors import InvalidInput
 from adr_service.simulation.mechanisms import element_of, get_mechanism
@@ -120,6 +120,14 @@ def residuals_of(fit: Fit, simulator: Simulator) -> tuple[Chain, Array3]:
     integration = slice(len(fit.parameters), len(fit.parameters) + INTEGRATION)
     change = fit.normal.change()[0][integration]
     return linear.chain, linear.residual - linear.columns[..., integration] @ change
+
+
+def expected_errors(fit: Fit) -> Vector:
+    """Typical deviation (m,) of a one-step error by a fit; NaN of what was not measured."""
+    chain, noise = fit.linear.chain, fit.noise
+    variance = (chain.transition[chain.mask] ** 2) @ noise.sensor + noise.sensor
+    variance = np.median(variance + misfit_variance(chain, noise)[chain.mask], axis=0)
+    return np.where(fit.simulator.data.is_measured(), np.sqrt(variance), np.nan)
 
 
 def _fitted(

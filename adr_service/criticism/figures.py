@@ -24,6 +24,7 @@ def draw_all(criticism: Criticism) -> dict[str, str]:
     if criticism.verdict.gain is not None:
         found["residual"] = _draw(_residual, criticism, 1.0)
         found["horizons"] = _draw(_horizons, criticism, 0.8)
+        found["trace"] = _draw(_trace, criticism, 0.8)
     return found
 
 
@@ -96,6 +97,22 @@ def _horizons(figure: Figure, criticism: Criticism) -> None:
     axes.set_title("Prediction of episodes that nothing was fitted to")
     axes.legend(frameon=False)
     _plain(axes, steps)
+
+
+def _trace(figure: Figure, criticism: Criticism) -> None:
+    """The most affected joint of one episode: measured, and simulated without and with causes."""
+    gain = criticism.verdict.gain
+    assert gain is not None
+    trace, dof = gain.trace, _most_changed(criticism.baseline, criticism.final)
+    nv = criticism.baseline.simulator.base.nv
+    axes = figure.subplots(1, 2)
+    for ax, column, what in zip(axes, (dof, nv + dof), ("position", "velocity"), strict=True):
+        ax.plot(trace.time, trace.measured[:, column], "k.", markersize=3, label="measured")
+        ax.plot(trace.time, trace.without[:, column], color=_BEFORE, label="as it is")
+        ax.plot(trace.time, trace.with_causes[:, column], color=_AFTER, label="extended")
+        ax.set(xlabel="time [s]", ylabel=what)
+    axes[0].legend(frameon=False)
+    figure.suptitle(f"{_joints(criticism)[dof]}: simulated from the first state on, without a look")
 
 
 def _plain(axes: Axes, steps: list[int]) -> None:

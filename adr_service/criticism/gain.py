@@ -7,11 +7,11 @@ import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.causes import Cause
-from adr_service.criticism.evidence import Fit, residuals_of
+from adr_service.criticism.evidence import Fit, expected_errors, residuals_of
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.noise import Ascent, Chain, Noise, Whitener, misfit_variance
+from adr_service.criticism.noise import Ascent, Chain, Noise, Whitener
 from adr_service.criticism.simulator import Simulator
-from adr_service.criticism.verdict import Gain
+from adr_service.criticism.verdict import Gain, Trace
 
 _HORIZONS = (1, 5, 25)  # control steps
 _DRAWS = 1000
@@ -31,9 +31,10 @@ def measure_gain(
     with Simulator(nominal, sealed, threads, finer) as simulator:
         left = [residuals_of(fit, simulator) for fit in (before, after)]
         errors = [
-            _errors(simulator, fit.parameters, fit.causes, max(_HORIZONS), _expected_errors(after))
+            _errors(simulator, fit.parameters, fit.causes, max(_HORIZONS), expected_errors(after))
             for fit in (before, after)
         ]
+        trace = _trace(simulator, before, after)
     used = [int(chain.mask.sum()) for chain, _ in left]
     count = len(simulator.starts)
     for one, other in zip(*errors, strict=True):  # what either cannot predict says nothing of both
@@ -63,11 +64,23 @@ def measure_gain(
         ),
         horizons=horizons,
         diverged=(count - used[0], count - used[1]),
+        trace=trace,
     )
 
 
 def _root_mean(squares: Matrix) -> float:
     return float(np.sqrt(np.nanmean(squares)))
+
+
+def _trace(simulator: Simulator, before: Fit, after: Fit) -> Trace:
+    """The longest episode, as far as the farthest horizon."""
+    first, last = max(simulator.data.spans(), key=lambda span: span[1] - span[0])
+    rows = slice(first, min(last, first + max(_HORIZONS) + 1))
+    without, with_causes = (
+        simulator.follow(fit.parameters, fit.causes)[rows] for fit in (before, after)
+    )
+    time = simulator.data.time[rows] - simulator.data.time[first]
+    return Trace(time, simulator.measured[rows], without, with_causes)
 
 
 def _weights(chain: Chain, residual: Array3, noise: Noise) -> Matrix:
@@ -77,14 +90,6 @@ def _weights(chain: Chain, residual: Array3, noise: Noise) -> Matrix:
         whitener = Whitener.of(chain, replace(noise, weights=weights))
         weights = Ascent.of(whitener, residual).weights
     return weights
-
-
-def _expected_errors(fit: Fit) -> Vector:
-    """Typical deviation (m,) of a one-step error by a fit; NaN of what was not measured."""
-    chain, noise = fit.linear.chain, fit.noise
-    variance = (chain.transition[chain.mask] ** 2) @ noise.sensor + noise.sensor
-    variance = np.median(variance + misfit_variance(chain, noise)[chain.mask], axis=0)
-    return np.where(fit.simulator.data.is_measured(), np.sqrt(variance), np.nan)
 
 
 def _errors(

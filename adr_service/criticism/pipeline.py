@@ -20,6 +20,7 @@ from scipy.special import expit
 
 from adr_service.arrays import Vector
 from adr_service.causes import Cause
+from adr_service.criticism.advice import separating_experiment
 from adr_service.criticism.decision import (
     ALIKE,
     THRESHOLD,
@@ -107,6 +108,7 @@ def criticise(
         flexible = flexible_gains(settled(final, sensor), sensor)
         confidence = _confidence(found, chance, flexible)
         found = _still_tied(found, final, sensor)
+        experiments = [[separating_experiment(n[0].fit, o.fit) for o in n[1:]] for n in found]
     finding: Finding = "none"
     if is_unknown(flexible, sum(named[0].gain for named in found)):
         finding, found, final = "unknown", [], baseline
@@ -119,6 +121,7 @@ def criticise(
             _named(final, slot, named[0]) for slot, named in zip(_slots(found), found, strict=True)
         ),
         tied=tuple(tuple(_alternative(other) for other in named[1:]) for named in found),
+        experiments=tuple(map(tuple, experiments[: len(found)])),
         residual=_residual(baseline, final, first, flexible),
         gain=measure_gain(baseline, final, sealed, rng, threads) if found else None,
         seconds=time.perf_counter() - started,

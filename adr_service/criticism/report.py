@@ -35,6 +35,7 @@ def report_page(criticism: Criticism, name: str) -> str:
     if "residual" in pictures:
         parts.append("<h2>The cause in the data</h2>" + pictures["residual"])
         parts.append("<h2>What the extended simulator is worth</h2>" + pictures["horizons"])
+        parts.append(pictures["trace"])
     parts += [_moved(verdict), _detectable(verdict)]
     return _PAGE.format(title=escape(f"What {name} gets wrong"), body="\n".join(parts))
 
@@ -105,7 +106,29 @@ def _causes(verdict: Verdict) -> str:
         for other in tied:
             rows += _rows(other, "or: ")
     heads = ["cause", "strength", "value", "95 % interval", "unit", "evidence [nats]"]
-    return "<h2>Causes</h2>" + _table(heads, rows)
+    return "<h2>Causes</h2>" + _table(heads, rows) + _advice(verdict)
+
+
+def _advice(verdict: Verdict) -> str:
+    """What to do with the robot, where several causes would do."""
+    lines: list[str] = []
+    for cause, tied, experiments in zip(
+        verdict.causes, verdict.tied, verdict.experiments, strict=True
+    ):
+        for other, experiment in zip(tied, experiments, strict=True):
+            apart = (
+                f"{escape(experiment.description)}: the two simulators would then differ by "
+                f"{experiment.separation:.1f} times what noise lets expect of a step, on average; "
+                f"in these data by {experiment.recorded:.1f}"
+            )
+            if not experiment.is_worth_it:
+                apart = (
+                    "none of the experiments that we tried, with one actuator at a time; what "
+                    "the robot does hardly depends on which it is"
+                )
+            lines.append(f"<li>{_words(cause)} from {_words(other)}: {apart}.</li>")
+    told = "<h2>What would tell them apart</h2><ul>" + "".join(lines) + "</ul>"
+    return told if lines else ""
 
 
 def _rows(cause: NamedCause, prefix: str) -> list[list[Any]]:
@@ -126,7 +149,7 @@ def _gain(verdict: Verdict) -> str:
     gain = verdict.gain
     assert gain is not None
     share = gain.explainable_fraction
-    rest = "" if share is None else f": {100 * share:.0f} % of what is not sensor noise"
+    rest = "" if share is None else f": {100 * share:.0f} % of what is not noise"
     residual, finer = verdict.residual, ""
     if residual.step < residual.own_step:
         finer = (

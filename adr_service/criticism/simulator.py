@@ -146,6 +146,33 @@ class Simulator:
         """
         return self._predict(values, causes, states, self._model(values, causes))
 
+    def follow(self, values: Vector, causes: Sequence[Cause]) -> Matrix:
+        """Measured states (rows, 2 nv), whole episodes simulated from their first rows on.
+
+        NaN where the simulation diverged.
+        """
+        model = self._model(values, causes)
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        told, spans = self.told(causes), self.data.spans()
+        true = self._true(values, causes, self.measured)
+        shown = self.measured.copy()
+        for (first, last), (begin, end) in zip(spans, self._transitions(), strict=True):
+            control = np.zeros((1, (end - begin) * self.steps, model.nu))
+            control[0, :, : told.shape[2]] = told[begin:end].reshape(-1, told.shape[2])
+            with _quiet():
+                after, _ = self._pool.rollout(
+                    model,
+                    self._data(model),
+                    np.concatenate([[0.0], true[first]])[None],
+                    control,
+                    control_spec=int(mujoco.mjtState.mjSTATE_CTRL),
+                )
+            ends = after[0, self.steps - 1 :: self.steps, 1:].copy()
+            ends[~np.all(np.abs(ends) < mujoco.mjMAXVAL, axis=1)] = np.nan
+            before = np.concatenate([true[first][None], ends[:-1]])
+            shown[first + 1 : last] = self._shown(causes, before, ends)
+        return shown
+
     def predict_quickly(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
         """`predict` by an integrator of first order, for differences to others of this kind.
 

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Literal
 
+from adr_service.arrays import Matrix, Vector
+from adr_service.criticism.advice import Experiment
+
 VERSION = 1
 Finding = Literal["cause", "none", "unknown", "tie"]
 
@@ -87,6 +90,16 @@ class Residual:
 
 
 @dataclass(frozen=True)
+class Trace:
+    """An episode that nothing was fitted to, simulated from its first state on; (T, m) each."""
+
+    time: Vector  # (T,) [s]
+    measured: Matrix
+    without: Matrix
+    with_causes: Matrix
+
+
+@dataclass(frozen=True)
 class Gain:
     """What the causes are worth on episodes that were opened once, at the end."""
 
@@ -98,6 +111,7 @@ class Gain:
         int, tuple[float, float]
     ]  # control steps -> error without and with, in those units
     diverged: tuple[int, int]  # transitions that cannot be simulated, without and with
+    trace: Trace  # for the eye alone
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -119,6 +133,8 @@ class Verdict:
     confidence: float
     causes: tuple[NamedCause, ...]
     tied: tuple[tuple[NamedCause, ...], ...]  # what would explain a cause as well, cause by cause
+    # of each of those, what would tell it apart from the named one
+    experiments: tuple[tuple[Experiment, ...], ...]
     residual: Residual
     gain: Gain | None  # None: nothing was named
     seconds: float
@@ -130,6 +146,7 @@ class Verdict:
             "confidence": self.confidence,
             "causes": _all(self.causes),
             "tied": [_all(group) for group in self.tied],
+            "experiments": [[each.to_json() for each in group] for group in self.experiments],
             "residual": self.residual.to_json(),
             "gain": None if self.gain is None else self.gain.to_json(),
             "seconds": self.seconds,
