@@ -18,7 +18,7 @@ import numpy as np
 from adr_service.arrays import Array3, Indices, Mask, Matrix, Vector
 from adr_service.causes import Cause
 from adr_service.criticism.linear import Linear, Normal, estimate
-from adr_service.criticism.noise import Chain, Noise, Whitener, at_start, misfit_variance
+from adr_service.criticism.noise import Chain, Noise, Whitener, at_start, lifted, misfit_variance
 from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.errors import InvalidInput
 from adr_service.simulation.mechanisms import element_of, get_mechanism
@@ -103,9 +103,8 @@ def fit(simulator: Simulator, sensor: Vector, causes: Sequence[Cause] = ()) -> F
 def smoothed(fit: Fit, sensor: Vector) -> Fit:
     """A fit anew, around the states that are the most probable under it."""
     simulator, layout, linear = fit.simulator, fit.layout, fit.linear
-    change, _ = fit.normal.change()
     whitener = Whitener.of(linear.chain, fit.noise)
-    errors, covariance = whitener.sensor_errors(linear.residual - linear.columns @ change)
+    errors, covariance = whitener.sensor_errors(_left(fit))
     states = simulator.measured - layout.by_row(simulator, errors)
     root = _root(layout.by_row(simulator, covariance), _tiny(simulator))
     anew = _linearise(simulator, layout, fit.parameters, fit.causes, states, root)
@@ -141,7 +140,8 @@ def _fitted(
     sensor: Vector,
 ) -> Fit:
     """The best parameters and strengths, from a first guess of the noise."""
-    noise, normal = estimate(linear, noise, ~np.isnan(sensor))
+    known = ~np.isnan(sensor)
+    noise, normal = estimate(linear, lifted(noise, linear.chain, linear.residual, known), known)
     found = Fit(simulator, layout, parameters, causes, states, linear, noise, normal)
     return refine(found, causes, sensor) or found
 
@@ -154,7 +154,9 @@ def refine(fit: Fit, causes: Sequence[Cause], sensor: Vector) -> Fit | None:
     """
     before = fit.simulator.predict(fit.parameters, fit.causes, fit.states)
     integration = slice(len(fit.parameters), len(fit.parameters) + INTEGRATION)
-    best = _evaluated(fit, before, fit.parameters, tuple(causes), fit.noise, sensor)
+    known = ~np.isnan(sensor)
+    noise = lifted(fit.noise, fit.linear.chain, _left(fit), known)
+    best = _evaluated(fit, before, fit.parameters, tuple(causes), noise, sensor)
     if best is None:
         return None
     step = best.normal.change()[0]
@@ -171,6 +173,11 @@ def refine(fit: Fit, causes: Sequence[Cause], sensor: Vector) -> Fit | None:
         if gained < _CONVERGED:
             break
     return best
+
+
+def _left(fit: Fit) -> Array3:
+    """Residuals (E, T, m) that the fitted columns leave."""
+    return fit.linear.residual - fit.linear.columns @ fit.normal.change()[0]
 
 
 def settled(fit: Fit, sensor: Vector) -> Fit:

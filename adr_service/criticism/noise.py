@@ -16,7 +16,7 @@ Arrays are (E episodes, T transitions, ...), padded; `mask` says which there are
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from adr_service.arrays import Array3, Mask, Matrix, Vector
 DEGREES = 4.0  # of freedom of the misfit's t distribution
 _ROUNDING = 1e-11  # relative, so that covariances stay positive
 _LEAST = 1e-12  # relative to the residuals' variance: what rounding leaves
+_LIFTED = 1e-3  # relative to that variance: what a variance has at least when steps begin
 _ROUGHLY = 1e-6  # of information: what a variance that the data say nothing of is divided by
 _FURTHEST = 3.0  # that the logarithm of a variance moves in a step
 
@@ -194,6 +195,16 @@ class Ascent:
                 misfit[number] *= np.exp(lighter)
         sensor = np.where(known, noise.sensor, np.maximum(sensor, self.floor))
         return Noise(sensor, np.maximum(misfit, self.floor), self.weights)
+
+
+def lifted(noise: Noise, chain: Chain, residual: Array3, known: Mask) -> Noise:
+    """Noise without variances that are next to nothing, from where no step would lead back.
+
+    `known` (m,): whose sensors' variances stay as they are.
+    """
+    least = _LIFTED * np.mean(residual[chain.mask] ** 2, axis=0)
+    sensor = np.where(known, noise.sensor, np.maximum(noise.sensor, least))
+    return replace(noise, sensor=sensor, misfit=np.maximum(noise.misfit, least))
 
 
 def at_start(chain: Chain, residual: Array3, sensor: Vector) -> Noise:
