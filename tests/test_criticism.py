@@ -15,6 +15,7 @@ from adr_service.criticism.decision import THRESHOLD, decide, is_unknown
 from adr_service.criticism.evidence import fit, smoothed
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.pipeline import criticise
+from adr_service.criticism.readings import lattice
 from adr_service.criticism.scan import Effects, scan
 from adr_service.criticism.simulator import Nominal, Simulator
 from adr_service.errors import InvalidInput
@@ -245,6 +246,48 @@ def test_commands_beyond_an_actuators_limits_are_what_it_obeys(good):
         harmless = simulator.told([Cause("actuator_deadband", "actuator:elbow", (0.0,))])
     assert np.abs(told).max() == 1.0
     np.testing.assert_array_equal(told, harmless)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    """An arm without any effect; noise of 1 mrad and 10 mrad/s."""
+    task, nominal = arm()
+    return recorded(hide(task, nominal, np.random.default_rng(403), []).episodes(range(12)))
+
+
+class TestReadings:
+    """What sensors do beside moving their readings."""
+
+    def criticised(self, fields):
+        return criticise(arm()[1], Measurement(**fields), np.random.default_rng(0), threads=1)
+
+    def test_steps_are_seen_where_they_matter(self, clean):
+        qpos = clean["qpos"].copy()
+        qpos[:, 1] = 0.005 * np.round(qpos[:, 1] / 0.005)
+        found = self.criticised({**clean, "qpos": qpos})
+        (cause,) = found.verdict.causes
+        assert (cause.kind, cause.location) == ("sensor_quantisation", "sensor:elbow.position")
+        assert cause.strengths[0].value == pytest.approx(0.005, rel=1e-9)
+        assert (found.verdict.finding, found.verdict.gain) == ("cause", None)
+        assert [c.kind for c in found.extension.beside] == ["sensor_quantisation"]
+
+    def test_more_noise_than_was_said_is_seen(self, clean):
+        """The elbow's velocity is said to have half of the noise that it has."""
+        said = {"qpos_std": np.full(2, 1e-3), "qvel_std": np.array([0.01, 0.005])}
+        (cause,) = self.criticised({**clean, **said}).verdict.causes
+        assert (cause.kind, cause.location) == ("sensor_noise", "sensor:elbow.velocity")
+        assert cause.strengths[0].low < np.sqrt(0.01**2 - 0.005**2) < cause.strengths[0].high
+
+    def test_the_last_digits_of_a_file_are_no_steps(self, clean):
+        rounded = {**clean, "qpos": np.round(clean["qpos"], 4)}
+        assert self.criticised(rounded).verdict.finding == "none"
+
+    def test_a_lattice_is_measured_to_the_last_digits(self):
+        readings = 0.3 + 2 * np.pi / 4096 * np.random.default_rng(0).integers(-50, 50, 2000)
+        assert lattice(readings) == pytest.approx(2 * np.pi / 4096, rel=1e-12)
+        assert lattice(np.random.default_rng(0).standard_normal(2000)) is None
+        odd = np.append(readings, 0.30001 + readings[:1000])  # two lattices are none
+        assert lattice(odd) is None
 
 
 def test_what_would_tell_two_explanations_apart_is_said():

@@ -139,6 +139,7 @@ class _Robot:
         self._places = [
             (kind, place)
             for kind, mechanism in MECHANISMS.items()
+            if not mechanism.only_spreads
             for place in mechanism.locations(self._base)
         ]
 

@@ -35,6 +35,7 @@ from adr_service.criticism.evidence import FINER, INTEGRATION, Fit, fit, refine,
 from adr_service.criticism.extension import Extension, extend
 from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.readings import spread_causes
 from adr_service.criticism.scan import Candidate, Effects, location_of, scan
 from adr_service.criticism.simulator import Nominal, Simulator, is_first_order
 from adr_service.criticism.verdict import Estimate, Finding, NamedCause, Residual, Verdict
@@ -108,25 +109,34 @@ def criticise(
         flexible = flexible_gains(settled(final, sensor), sensor)
         confidence = _confidence(found, chance, flexible)
         found = _still_tied(found, final, sensor)
+        spread = spread_causes(settled(final, sensor), sensor)
         experiments = [[separating_experiment(n[0].fit, o.fit) for o in n[1:]] for n in found]
     finding: Finding = "none"
     if is_unknown(flexible, sum(named[0].gain for named in found)):
-        finding, found, final = "unknown", [], baseline
-    elif found:
+        finding, found, spread, final = "unknown", [], [], baseline
+    elif found or spread:
         finding = "tie" if any(len(named) > 1 for named in found) else "cause"
+        confidence = confidence if found else spread[0].confidence
     verdict = Verdict(
         finding,
         confidence=confidence,
-        causes=tuple(
-            _named(final, slot, named[0]) for slot, named in zip(_slots(found), found, strict=True)
+        causes=(
+            *(_named(final, at, named[0]) for at, named in zip(_slots(found), found, strict=True)),
+            *spread,
         ),
-        tied=tuple(tuple(_alternative(other) for other in named[1:]) for named in found),
-        experiments=tuple(map(tuple, experiments[: len(found)])),
+        tied=(
+            *(tuple(_alternative(other) for other in named[1:]) for named in found),
+            *(() for _ in spread),
+        ),
+        experiments=(*map(tuple, experiments[: len(found)]), *(() for _ in spread)),
         residual=_residual(baseline, final, first, flexible),
         gain=measure_gain(baseline, final, sealed, rng, threads) if found else None,
         seconds=time.perf_counter() - started,
     )
-    extension = extend(nominal, final.parameters, final.causes) if found else None
+    extension = None
+    if verdict.causes:
+        beside = [Cause(c.kind, c.location, (c.strengths[0].value,)) for c in spread]
+        extension = extend(nominal, final.parameters, [*final.causes, *beside])
     return Criticism(verdict, baseline, final, tuple(first), extension)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.figures import draw_all
 from adr_service.criticism.pipeline import Criticism
-from adr_service.criticism.verdict import NamedCause, Verdict
+from adr_service.criticism.verdict import Gain, NamedCause, Residual, Verdict
 
 FILES = ("verdict.json", "report.html", "extended.xml", "effects.json")
 _PAGE = """<!doctype html>
@@ -29,7 +29,9 @@ def report_page(criticism: Criticism, name: str) -> str:
     verdict, pictures = criticism.verdict, draw_all(criticism)
     parts = [f'<p class="finding">{_finding(verdict)}</p>', _bounds(verdict)]
     if verdict.causes:
-        parts += [_causes(verdict), _gain(verdict)]
+        parts.append(_causes(verdict))
+    if verdict.gain is not None:
+        parts.append(_gain(verdict.gain, verdict.residual))
     parts.append("<h2>Where the error is</h2>" + pictures["where"])
     parts.append("<h2>What would explain it</h2>" + _EVIDENCE + pictures["ranking"])
     if "residual" in pictures:
@@ -145,12 +147,10 @@ def _rows(cause: NamedCause, prefix: str) -> list[list[Any]]:
     ]
 
 
-def _gain(verdict: Verdict) -> str:
-    gain = verdict.gain
-    assert gain is not None
+def _gain(gain: Gain, residual: Residual) -> str:
     share = gain.explainable_fraction
     rest = "" if share is None else f": {100 * share:.0f} % of what is not noise"
-    residual, finer = verdict.residual, ""
+    finer = ""
     if residual.step < residual.own_step:
         finer = (
             f" Both were simulated with steps of {1000 * residual.step:.3g} ms instead of the "

@@ -67,12 +67,14 @@ def location_of(causes: Sequence[Cause]) -> str:
 
 
 def places(simulator: Simulator) -> list[tuple[str, str]]:
-    """Every kind at every location of the model, but for sensors that measured nothing."""
+    """Every kind that moves something at every location of the model, but for sensors that
+    measured nothing."""
     shown = zip(sensors(simulator.base), simulator.data.is_measured(), strict=True)
     absent = {f"sensor:{name}" for name, is_measured in shown if not is_measured}
     return [
         (mechanism.kind, location)
         for mechanism in MECHANISMS.values()
+        if not mechanism.only_spreads
         for location in mechanism.locations(simulator.base)
         if location not in absent
     ]

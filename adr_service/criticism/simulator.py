@@ -329,6 +329,8 @@ class Simulator:
             case "backlash":  # of a joint, in its position
                 column = int(self.base.jnt_dofadr[place])
                 return column, -size / 2 * np.sign(states[:, self.base.nv + column])
+            case "quantisation" | "noise":
+                return place, np.zeros(len(states))  # on average
             case None:
                 raise InvalidInput(f"{cause.kind} is not in a sensor")
 

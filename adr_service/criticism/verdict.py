@@ -136,7 +136,7 @@ class Verdict:
     # of each of those, what would tell it apart from the named one
     experiments: tuple[tuple[Experiment, ...], ...]
     residual: Residual
-    gain: Gain | None  # None: nothing was named
+    gain: Gain | None  # None: nothing was named that predictions would gain from
     seconds: float
 
     def to_json(self) -> dict[str, Any]:

@@ -565,4 +565,18 @@ CATALOGUE: tuple[Mechanism, ...] = (
         lambda model, sensor: (0.5 * model.opt.timestep,),
         sense="delay",
     ),
+    Mechanism(
+        "sensor_quantisation",
+        "sensor",
+        (Strength("step", "of the sensor", low=0.0),),
+        lambda model, sensor: (_SENSOR_SIZE,),
+        sense="quantisation",
+    ),
+    Mechanism(
+        "sensor_noise",
+        "sensor",
+        (Strength("standard deviation", "of the sensor", low=0.0),),
+        lambda model, sensor: (_SENSOR_SIZE,),
+        sense="noise",
+    ),
 )

@@ -50,11 +50,16 @@ class Mechanism:
     change: Change | None = None
     prepare: Prepare | None = None
     command: Command | None = None
-    sense: Literal["bias", "scale", "delay", "backlash"] | None = None
+    sense: Literal["bias", "scale", "delay", "backlash", "quantisation", "noise"] | None = None
     applies: Where = lambda model, element: True  # whether it makes sense at a place
     sizes: tuple[float, ...] = (1.0,)  # times typical, where effects are not in proportion
     has_sides: bool = False  # whether more and less of it are effects of their own
     includes: str = ""  # the kind that it is where its last strengths are zero
+
+    @property
+    def only_spreads(self) -> bool:
+        """Whether it moves nothing on average; criticism looks for it in the readings alone."""
+        return self.sense in ("quantisation", "noise")
 
     def locations(self, model: mujoco.MjModel) -> list[str]:
         """Where in a model the effect may be."""
