@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow protocol lint bench-sim bench-train bench-threshold bench-dropo bench-criticism clean
+.PHONY: setup demo serve test test-slow protocol lint bench-sim bench-train bench-threshold bench-dropo bench-criticism bench-extension clean
 
 setup: $(STAMP)
 
@@ -52,6 +52,10 @@ bench-dropo: setup
 # hours on two cores
 bench-criticism: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/criticism.py
+
+# half an hour on one core
+bench-extension: setup
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/extension.py
 
 clean:
 	rm -rf $(VENV) build *.egg-info

@@ -22,6 +22,7 @@ from api.display import (
     claims_table,
     comparisons_table,
     cost_table,
+    label,
     live,
     plan_table,
     results_table,
@@ -187,8 +188,8 @@ def list_command(url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
     table = Table("id", "task", "variant", "method", "seed", "preset", "state", box=None)
     for run in runs:
         spec = run["spec"]
-        cells = (spec["task"], spec["variant"], spec["method"]["name"], str(spec["seed"]))
-        table.add_row(run["id"], *cells, spec["preset"], run["state"])
+        cells = (spec["task"], spec["variant"], label(spec), str(spec["seed"]))
+        table.add_row(run["id"], *cells, spec.get("preset", ""), run["state"])
     console.print(table if runs else "no runs yet; `adr demo` makes some")
     for benchmark in benchmarks:
         states = ", ".join(f"{count} {state}" for state, count in benchmark["states"].items())
@@ -334,10 +335,13 @@ def render(
 
 @app.command()
 def criticise(
-    data: Annotated[
-        Path, typer.Option(help="The measurement, .npz or .csv; see docs/criticism.md.")
-    ],
     out: Annotated[Path, typer.Option(help="Folder for verdict, report and extended model.")],
+    data: Annotated[
+        Path | None, typer.Option(help="The measurement, .npz or .csv; see docs/criticism.md.")
+    ] = None,
+    dataset: Annotated[
+        str | None, typer.Option(help="Or one that was uploaded: the service criticises.")
+    ] = None,
     task: Annotated[str | None, typer.Option(help="A task's simulator: arm, hopper, …")] = None,
     variant: Annotated[
         str | None, typer.Option(help="Of the task, what its simulator has wrong: vanilla, …")
@@ -348,18 +352,25 @@ def criticise(
         typer.Option(help="What may be fitted of --model: body:thigh.mass=1:5, …"),
     ] = None,
     seed: Annotated[int, typer.Option(help="Of the bootstraps.")] = 0,
+    url: Url = DEFAULT_URL,
 ) -> None:
-    """Name what a simulator gets wrong, given measured data; needs no service."""
+    """Name what a simulator gets wrong, given measured data; with --data, without a service."""
+    if (data is None) == (dataset is None):
+        raise InvalidInput("give either --data or --dataset")
+    if data is None:
+        if task is None or model is not None or free:
+            raise InvalidInput("--dataset goes with --task; the service takes no --model or --free")
+        spec = {"task": task, "variant": variant or "vanilla", "dataset": dataset, "seed": seed}
+        with _client(url) as client:
+            _criticised(client, client.submit_criticism(spec)["run"]["id"], out)
+        return
     from api import criticism  # imports the simulator
 
     nominal, name = criticism.nominal_of(task, variant, model, free or [])
     with console.status("fitting"):
         found = criticism.criticise_files(nominal, name, data, out, seed, silent)
-    console.print(verdict_table(found.verdict))
-    console.print(
-        f"{out}: verdict.json, report.html"
-        + (", extended.xml, effects.json" if found.extension else "")
-    )
+    console.print(verdict_table(found.verdict.to_json()))
+    console.print(f"{out}: {', '.join(criticism.FILES[: 4 if found.extension else 2])}")
 
 
 @app.command()
@@ -422,12 +433,34 @@ def _client(url: str) -> AdrClient:
     return AdrClient(url, os.environ.get("ADR_TOKEN", ""))
 
 
+def _criticised(client: AdrClient, id: str, out: Path) -> None:
+    """Follow a criticism to its end, and write its files."""
+    from api import criticism  # imports the simulator
+
+    console.print(id, highlight=False)
+    _follow(client, id)
+    found = client.criticism(id)
+    names = [name for name in criticism.FILES if name in found["links"]]
+    criticism.write(out, {name: client.criticism_file(id, name) for name in names})
+    console.print(f"{out}: {', '.join(names)}")
+
+
 def _follow(client: AdrClient, id: str) -> None:
     final = live(console, client, id)
+    if final.get("spec", {}).get("kind") == "criticism":
+        _show_verdict(client, final)
+        return
     states = final["states"] if "states" in final else {final["state"]: 1}
     console.print(results_table(client.results(id)))
     if set(states) != {"succeeded"}:
         raise typer.Exit(1)
+
+
+def _show_verdict(client: AdrClient, run: dict[str, Any]) -> None:
+    if run["state"] != "succeeded":
+        console.print(f"{run['state']}: {(run['error'] or {}).get('message', '')}")
+        raise typer.Exit(1)
+    console.print(verdict_table(client.criticism(run["id"])["verdict"]))
 
 
 def _read_json(file: Path) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """`adr criticise`: from files to files, without a service."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -60,13 +60,17 @@ def criticise_files(
 ) -> Criticism:
     """Writes verdict.json, report.html and, where something was named, the extended model."""
     found = criticise(nominal, _measurement(data), np.random.default_rng(seed), progress)
-    out.mkdir(parents=True, exist_ok=True)
-    files = files_of(found, name)
-    for file in FILES:
-        (out / file).unlink(missing_ok=True)  # none of an earlier verdict
-        if file in files:
-            (out / file).write_bytes(files[file])
+    write(out, files_of(found, name))
     return found
+
+
+def write(out: Path, files: Mapping[str, bytes]) -> None:
+    """A criticism's files, and none of an earlier one."""
+    out.mkdir(parents=True, exist_ok=True)
+    for name in FILES:
+        (out / name).unlink(missing_ok=True)
+        if name in files:
+            (out / name).write_bytes(files[name])
 
 
 def _measurement(path: Path) -> Measurement:

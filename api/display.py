@@ -1,7 +1,7 @@
 """Progress and results on a terminal."""
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -11,9 +11,6 @@ from rich.table import Table
 from rich.text import Text
 
 from api.client import AdrClient, Json, is_finished
-
-if TYPE_CHECKING:  # its imports are the simulator's, and take time at every command
-    from adr_service.criticism.verdict import Verdict
 
 _REPORT_EVERY = 20  # looks, where the output is not a terminal
 
@@ -149,30 +146,39 @@ def cost_table(cost: Json) -> RenderableType:
     return Group(table, Text(), shares, Text(headline), Text(cost["note"], style="dim"))
 
 
-def verdict_table(verdict: "Verdict") -> RenderableType:
+def verdict_table(verdict: Json) -> RenderableType:
     """What a criticism named, with strengths and their intervals."""
-    headline = f"{verdict.finding}, {verdict.confidence:.1%} sure"
-    if at_bound := ", ".join(verdict.residual.at_bound):
+    headline = f"{verdict['verdict']}, {verdict['confidence']:.1%} sure"
+    moved, gain = verdict["residual"]["parameters"], verdict["gain"]
+    if at_bound := ", ".join(name for name, each in moved.items() if each["at_bound"]):
         headline += f"; not to be relied on: {at_bound} went to its bound, widen it"
-    gain = verdict.gain
-    if gain is None:
-        return Text(headline)
+    if verdict["residual"]["rest"] == "unknown" and verdict["causes"]:
+        headline += "; something else is missing that is none of the effects we know"
+    if gain is not None:
+        headline += (
+            f"; {gain['sse_removed']:.1%} [{gain['low']:.1%}, {gain['high']:.1%}] of the squared "
+            "one-step error removed on sealed episodes"
+        )
     table = Table("cause", "location", "strength", box=None, padding=(0, 2, 0, 0))
     for heading in ("value", "95 % interval", "evidence [nats]"):
         table.add_column(heading, justify="right")
-    for cause, tied in zip(verdict.causes, verdict.tied, strict=True):
+    for cause, tied in zip(verdict["causes"], verdict["tied"], strict=True):
         for prefix, named in [("", cause), *(("or ", other) for other in tied)]:
-            for found in named.strengths:
-                where = (prefix + named.kind, named.location, found.name)
-                cells = (f"{found.value:.4g} {found.unit}", found.interval, f"{named.gain:.0f}")
-                table.add_row(*map(escape, (*where, *cells)))
-    if verdict.residual.rest == "unknown":
-        headline += "; something else is missing that is none of the effects we know"
-    told = (
-        f"{headline}; {gain.sse_removed:.1%} [{gain.low:.1%}, {gain.high:.1%}] of the "
-        "squared one-step error removed on sealed episodes"
-    )
-    return Group(table, Text(told))
+            for strength, found in named["parameters"].items():
+                table.add_row(
+                    *map(escape, (prefix + named["kind"], named["location"], strength)),
+                    escape(f"{found['value']:.4g} {found['unit']}"),
+                    escape(_interval(found)),
+                    f"{named['gain_nats']:.0f}",
+                )
+    return Group(table, Text(headline)) if verdict["causes"] else Text(headline)
+
+
+def _interval(found: Json) -> str:
+    if found["high"] is None:
+        return "cannot be told"
+    low = "-∞" if found["low"] is None else f"{found['low']:.4g}"
+    return f"{low} to {found['high']:.4g}"
 
 
 def trials_table(trials: Sequence[Json]) -> RenderableType:
@@ -197,13 +203,17 @@ def _runs(seen: Json) -> list[Json]:
     return seen.get("runs", [seen])
 
 
+def label(spec: Json) -> str:
+    """What a run does, in a word."""
+    return spec["method"]["name"] if "method" in spec else spec["kind"]
+
+
 def _headline(seen: Json) -> str:
     runs = _runs(seen)
     finished = sum(run["state"] == "succeeded" for run in runs)
     stages = _stages(runs)
     running = [
-        f"{run['spec']['method']['name']}/{run['spec']['seed']} {stage['kind']} "
-        f"{stage['fraction']:.0%}"
+        f"{label(run['spec'])}/{run['spec']['seed']} {stage['kind']} {stage['fraction']:.0%}"
         for run, stage in stages
         if stage["state"] == "running"
     ]
@@ -225,7 +235,7 @@ def _progress(seen: Json) -> RenderableType:
         spec, facts = run["spec"], stage["facts"]
         score = facts.get("source_return")
         table.add_row(
-            f"{spec['method']['name']} seed {spec['seed']}",
+            f"{label(spec)} seed {spec['seed']}",
             stage["kind"],
             ProgressBar(total=1.0, completed=stage["fraction"], width=24),
             f"{stage['seconds']:.0f} s",

@@ -7,13 +7,16 @@ import httpx2
 import mujoco
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from adr_service.causes import Cause
 from adr_service.computation import LocalStages
 from adr_service.criticism.blind import hide
+from adr_service.criticism.report import FILES
 from adr_service.events import CriticismFinished
 from adr_service.runs import run
 from adr_service.specs import CriticismSpec
+from api.cli import app
 from api.client import Refused
 from tests.hidden import arm, recorded
 from tests.service import RunningService, wait_until_finished
@@ -105,3 +108,30 @@ def test_a_run_that_is_none_and_a_file_that_is_not_there_are_refused(service, cr
     other = service.client.submit_run({"task": "arm", "method": "prior", "preset": "smoke"})
     with pytest.raises(Refused, match="no criticism"):
         service.client.criticism(other["id"])
+
+
+def test_the_command_line_lets_the_service_criticise_and_writes_what_it_found(
+    service, uploaded, criticised, tmp_path
+):
+    at = ["--url", service.client.url]
+    asked = ["criticise", "--task", "arm", "--dataset", uploaded["id"], "--out", str(tmp_path)]
+    done = CliRunner().invoke(app, [*asked, *at])
+    assert done.exit_code == 0, done.output
+    assert "joint_coulomb_friction" in done.output
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(FILES)
+    assert criticised in CliRunner().invoke(app, ["list", *at]).output
+    assert "joint_coulomb_friction" in CliRunner().invoke(app, ["watch", criticised, *at]).output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "give either --data or --dataset"),
+        (["--dataset", "data_0"], "--dataset goes with --task"),
+        (["--dataset", "data_0", "--task", "arm", "--free", "x=0:1"], "takes no --model or --free"),
+    ],
+)
+def test_the_command_line_says_what_goes_together(tmp_path, arguments, message):
+    done = CliRunner().invoke(app, ["criticise", "--out", str(tmp_path), *arguments])
+    assert done.exit_code != 0
+    assert message in str(done.exception) + done.output
