@@ -16,7 +16,7 @@ from adr_service.events import (
     StageFinished,
     TrainingEvaluated,
 )
-from adr_service.specs import AnyRun, BenchmarkSpec, RecordedTarget
+from adr_service.specs import AnyRun, BenchmarkSpec, CriticismSpec, RecordedTarget
 from db.datasets import DatasetRecord
 from db.runs import BenchmarkRecord, EventRecord, RunRecord, states_of
 from workers.dispatcher import Activity
@@ -190,7 +190,6 @@ class DistributionView(BaseModel):
 
 
 def run_view(record: RunRecord, activities: Sequence[Activity]) -> RunView:
-    here = f"/v1/runs/{record.id}"
     error = None
     if record.error_code is not None:
         error = RunError(code=record.error_code, message=record.error_message or "")
@@ -205,16 +204,17 @@ def run_view(record: RunRecord, activities: Sequence[Activity]) -> RunView:
         error=error,
         progress=[ActivityView(**asdict(activity)) for activity in activities],
         spec=record.spec,
-        links={
-            "self": here,
-            "events": f"{here}/events",
-            "results": f"{here}/results",
-            "policy": f"{here}/policy",
-            "distribution": f"{here}/distribution",
-            "trainings": f"{here}/trainings",
-            "cost": f"{here}/cost",
-        },
+        links=_run_links(record),
     )
+
+
+def _run_links(record: RunRecord) -> dict[str, str]:
+    here = f"/v1/runs/{record.id}"
+    links = {"self": here, "events": f"{here}/events", "cost": f"{here}/cost"}
+    if isinstance(record.spec, CriticismSpec):
+        return {**links, "criticism": f"/v1/criticisms/{record.id}"}
+    own = ("results", "policy", "distribution", "trainings")
+    return {**links, **{name: f"{here}/{name}" for name in own}}
 
 
 def criticism_view(run: RunView, finished: CriticismFinished | None) -> CriticismView:

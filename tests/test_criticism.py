@@ -1,11 +1,13 @@
 """A measurement hides an effect, and criticism names it; or hides none, and criticism says so."""
 
+import io
 import json
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from adr_service.causes import Cause
@@ -17,11 +19,12 @@ from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.readings import lattice
 from adr_service.criticism.scan import Effects, scan
-from adr_service.criticism.simulator import Nominal, Simulator
+from adr_service.criticism.simulator import Nominal, Simulator, check_measurement
 from adr_service.errors import InvalidInput
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.tasks.catalogue import get_task
 from api.cli import app
+from api.display import verdict_table
 from tests.hidden import arm, recorded
 
 # frozen before any threshold was chosen: the seeds of a battery on the small task
@@ -130,6 +133,12 @@ class TestBadInput:
             ("episode", lambda a: a[::-1], "must not decrease; they do at row 76"),
             ("episode", lambda a: a.astype(float), "whole numbers"),
             ("time", lambda a: a[:, None], "in 1 dimension"),
+            (
+                "time",
+                lambda a: np.where(np.arange(len(a)) == 7, a - 0.1, a),
+                "time must increase within an episode; it goes from 0.12 to 0.04 s at row 7",
+            ),
+            ("time", np.zeros_like, "time must increase"),
         ],
     )
     def test_arrays_that_do_not_fit(self, good, name, change, message):
@@ -139,7 +148,7 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("name", "change", "message"),
         [
-            ("time", lambda a: np.where(np.arange(len(a)) == 7, a - 0.1, a), "from row 6 to 7"),
+            ("time", lambda a: np.where(np.arange(len(a)) == 7, a - 0.01, a), "from row 6 to 7"),
             ("time", lambda a: 1000 * a, "2000 of the model's steps; accepted are 500 at most"),
             ("time", lambda a: 1.3 * a, "no multiple of the model's step of 0.01"),
             ("ctrl", lambda a: a[:, :1], "ctrl has 1 columns; the model has 2"),
@@ -177,6 +186,24 @@ class TestBadInput:
         space = ParameterSpace((Parameter("mass", "body:fore.mass", "kg", 2.0, 3.0, 2.0),))
         with pytest.raises(InvalidInput, match=r"the model has 0\.7 for mass, .* bounds: 2 to 3"):
             Nominal.of_model(get_task("arm").xml, space)
+
+    def test_no_rows_at_all(self, good):
+        with pytest.raises(InvalidInput, match="has no rows"):
+            Measurement(**{name: values[:0] for name, values in good.items()})
+
+    def test_more_than_memory_holds(self):
+        """One long episode among many short ones: all are padded to the longest."""
+        short, long = 4000, 60_000
+        rows = 2 * short + long
+        measurement = Measurement(
+            time=np.arange(rows) * 0.02,
+            qpos=np.random.default_rng(0).standard_normal((rows, 2)),
+            qvel=np.random.default_rng(1).standard_normal((rows, 2)),
+            ctrl=np.zeros((rows, 2)),
+            episode=np.append(np.repeat(np.arange(short), 2), np.full(long, short)),
+        )
+        with pytest.raises(InvalidInput, match="4001 episodes, the longest of 60000 rows"):
+            check_measurement(arm()[1], measurement)
 
     def test_too_little_data(self, good):
         measurement = Measurement(**good).episodes(range(7))
@@ -270,6 +297,9 @@ class TestReadings:
         assert cause.strengths[0].value == pytest.approx(0.005, rel=1e-9)
         assert (found.verdict.finding, found.verdict.gain) == ("cause", None)
         assert [c.kind for c in found.extension.beside] == ["sensor_quantisation"]
+        console = Console(width=200, record=True, file=io.StringIO())
+        console.print(verdict_table(found.verdict.to_json()))
+        assert "sensor_quantisation" in console.export_text()
 
     def test_more_noise_than_was_said_is_seen(self, clean):
         """The elbow's velocity is said to have half of the noise that it has."""
@@ -286,6 +316,7 @@ class TestReadings:
         readings = 0.3 + 2 * np.pi / 4096 * np.random.default_rng(0).integers(-50, 50, 2000)
         assert lattice(readings) == pytest.approx(2 * np.pi / 4096, rel=1e-12)
         assert lattice(np.random.default_rng(0).standard_normal(2000)) is None
+        assert lattice(np.repeat([0.0, 2.0, 5.0, 7.0, 9.0, 12.0], 9)) == 1.0
         odd = np.append(readings, 0.30001 + readings[:1000])  # two lattices are none
         assert lattice(odd) is None
 
@@ -347,6 +378,8 @@ def as_csv(fields):
         ("0.0,0.0,", "0.0,first,", "line 2 of the CSV has 'first' for episode"),
         ("0.0,0.0,", "0.0,", "line 2 of the CSV has 7 values; the header has 8"),
         ("0.0,0.0,", "0.0,0.5,", "episodes must be whole numbers"),
+        ("0.0,0.0,", "0.0,inf,", "episodes must be whole numbers"),
+        ("\n0.0,0.0,", "\n\n\n0.0,first,", "line 4 of the CSV has 'first'"),
     ],
 )
 def test_a_table_that_is_wrong_is_refused_with_its_line(good, before, after, message):

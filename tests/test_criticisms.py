@@ -102,6 +102,13 @@ def test_what_cannot_be_criticised_is_refused(service, uploaded, spec, message):
         service.client.submit_criticism({"dataset": uploaded["id"], **spec})
 
 
+def test_a_measurement_without_rows_is_refused(service, content):
+    with np.load(io.BytesIO(content)) as fields:
+        np.savez(file := io.BytesIO(), **{name: values[:0] for name, values in fields.items()})
+    with pytest.raises(Refused, match="has no rows"):
+        service.client.upload(file.getvalue())
+
+
 def test_a_run_that_is_none_and_a_file_that_is_not_there_are_refused(service, criticised):
     with pytest.raises(Refused, match="accepted: "):
         service.client.criticism_file(criticised, "model.xml")

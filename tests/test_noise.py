@@ -1,10 +1,12 @@
 """Whitening and variances, against dense algebra and against what was drawn."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from adr_service.criticism.linear import Linear, estimate
-from adr_service.criticism.noise import Chain, Noise, Whitener, at_start
+from adr_service.criticism.noise import Ascent, Chain, Noise, Whitener, at_start, lifted
 
 EPISODES, STEPS, WIDTH = 20, 30, 2
 
@@ -94,3 +96,58 @@ def test_a_transition_that_fits_nothing_loses_its_weight():
     found = estimated(chain, residual, UNKNOWN)
     assert found.weights[5, 7] < 0.05
     assert np.median(found.weights) > 0.5
+
+
+def interrupted(chain, residual):
+    """Without a transition in the middle of an episode, as where a simulation diverged."""
+    mask = chain.mask.copy()
+    mask[2, 7] = False
+    return chain.where(mask), np.where(mask[..., None], residual, 0.0)
+
+
+def bound(chain, residual, noise):
+    whitener = Whitener.of(chain, noise)
+    return whitener.log_likelihood(whitener.whiten(residual[..., None])[..., 0]).sum()
+
+
+def test_what_is_left_out_in_the_middle_of_an_episode_says_nothing():
+    chain, residual, _ = drawn(SENSOR, MISFIT, np.random.default_rng(4))
+    noise = Noise(SENSOR, MISFIT, np.ones(chain.mask.shape))
+    masked, left = interrupted(chain, residual)
+    white = Whitener.of(masked, noise).whiten(left[..., None])[..., 0]
+    assert not white[2, 7].any()
+    for rows in (slice(0, 7), slice(8, STEPS)):  # each half as an episode of its own
+        part = Chain(chain.mask[2:3, rows], chain.transition[2:3, rows], chain.stiff[2:3, rows])
+        own = Whitener.of(part, replace(noise, weights=noise.weights[2:3, rows]))
+        alone = own.whiten(residual[2:3, rows, :, None])[..., 0]
+        np.testing.assert_allclose(white[2, rows], alone[0], atol=1e-12)
+
+
+def test_the_bound_rises_as_its_gradient_says_and_with_new_weights():
+    rng = np.random.default_rng(5)
+    chain, residual = interrupted(*drawn(SENSOR, MISFIT, rng)[:2])
+    weights = np.where(chain.mask, rng.uniform(0.3, 2.0, chain.mask.shape), 1.0)
+    noise = Noise(2 * SENSOR, 0.5 * MISFIT, weights)
+    ascent = Ascent.of(Whitener.of(chain, noise), residual)
+    for row, column in np.ndindex(3, WIDTH):
+        moved = []
+        for step in (1e-4, -1e-4):
+            factor = np.ones((3, WIDTH))
+            factor[row, column] = np.exp(step)
+            changed = Noise(noise.sensor * factor[0], noise.misfit * factor[1:], weights)
+            moved.append(bound(chain, residual, changed))
+        slope = (moved[0] - moved[1]) / 2e-4
+        assert ascent.gradient[row, column] == pytest.approx(slope, rel=1e-5, abs=1e-6)
+    heavier = replace(noise, weights=ascent.weights)
+    assert bound(chain, residual, heavier) > bound(chain, residual, noise)
+
+
+def test_variances_come_back_from_next_to_nothing():
+    """From a sensor's variance of 1e-14, where the gradient by its logarithm is none."""
+    chain, residual, _ = drawn(SENSOR, MISFIT, np.random.default_rng(6))
+    known = np.zeros(WIDTH, dtype=bool)
+    collapsed = Noise(SENSOR * np.array([1e-14, 1.0]), 10 * MISFIT, np.ones(chain.mask.shape))
+    columns = np.empty((*residual.shape, 0))
+    linear = Linear(chain, residual, columns, mean=np.empty(0), precision=np.empty(0))
+    found = estimate(linear, lifted(collapsed, chain, residual, known), known)[0]
+    np.testing.assert_allclose(found.sensor, SENSOR, rtol=0.15)

@@ -3,12 +3,8 @@
 Of a list of simple experiments (one actuator moved, the others at rest, from postures that the
 recording has), the one on which the two fitted simulators differ most, in units of the error that
 noise and misfit let expect of one step; beside what the recorded episodes give, so that a reader
-sees whether it is worth the effort. Where no experiment separates them, their names do not matter
-for anything that the robot will do.
+sees whether it is worth the effort. Steps at which either simulation has diverged are not counted.
 """
-
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -16,32 +12,11 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.criticism.evidence import Fit, expected_errors
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Simulator
+from adr_service.criticism.verdict import Experiment
 
 _STEPS = 50  # control steps of an experiment
 _POSTURES = 3
 _CYCLES = (0.0, 1.0, 5.0)  # of a sine during an experiment; 0: held
-_SEEN = 2.0  # of those units, on average over a trace
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """The best one we know, and how far it separates two simulators."""
-
-    description: str
-    separation: float  # root mean square difference, in expected errors of one step
-    recorded: float  # the same on the recorded episodes
-
-    @property
-    def is_worth_it(self) -> bool:
-        return self.separation > max(_SEEN, self.recorded)
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "description": self.description,
-            "separation": self.separation,
-            "recorded": self.recorded,
-            "is_worth_it": self.is_worth_it,
-        }
 
 
 def separating_experiment(one: Fit, other: Fit) -> Experiment:
@@ -63,9 +38,10 @@ def _apart(simulator: Simulator, fits: tuple[Fit, Fit], unit: Vector) -> Vector:
     """(episodes,) root mean square difference of what two fits predict of whole episodes."""
     one, other = (simulator.follow(fit.parameters, fit.causes) for fit in fits)
     measured = np.isfinite(unit)
-    square = np.mean(((one - other) / unit)[:, measured] ** 2, axis=1)  # NaN: diverged
-    means = [np.mean(square[first + 1 : last]) for first, last in simulator.data.spans()]
-    return np.sqrt(np.nan_to_num(means))
+    square = np.mean(((one - other) / unit)[:, measured] ** 2, axis=1)
+    episodes = [square[first + 1 : last] for first, last in simulator.data.spans()]
+    known = [each[np.isfinite(each)] for each in episodes]
+    return np.sqrt([each.mean() if len(each) else 0.0 for each in known])
 
 
 def _experiments(simulator: Simulator) -> tuple[Measurement, list[str]]:

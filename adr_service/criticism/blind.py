@@ -351,9 +351,11 @@ def _through_sensors(
             shown[:, :, column] += size
         elif sense == "scale":
             shown[:, :, column] *= 1 + size
-        else:
+        elif sense == "delay":
             slope = np.diff(states[:, :, column], axis=1, prepend=states[:, :1, column]) / period
             shown[:, :, column] -= size * slope
+        else:
+            raise InvalidInput(f"{cause.kind} is not hidden here: round the readings, or add noise")
     return shown
 
 

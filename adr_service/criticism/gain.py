@@ -40,7 +40,7 @@ def measure_gain(
     for one, other in zip(*errors, strict=True):  # what either cannot predict says nothing of both
         one[np.isnan(other)], other[np.isnan(one)] = np.nan, np.nan
     mask, measured = left[0][0].mask & left[1][0].mask, simulator.data.is_measured()
-    both = [(replace(chain, mask=mask), np.where(mask[..., None], r, 0.0)) for chain, r in left]
+    both = [(chain.where(mask), np.where(mask[..., None], r, 0.0)) for chain, r in left]
     # an outlier is what neither of the two expects
     weights = np.maximum(*(_weights(*each, after.noise) for each in both))
     noise = replace(after.noise, weights=weights)

@@ -59,6 +59,15 @@ class Measurement:
         if (back := np.flatnonzero(np.diff(episode) < 0)).size:
             raise InvalidInput(f"episode numbers must not decrease; they do at row {back[0] + 1}")
         object.__setattr__(self, "episode", episode.astype(np.int64))
+        if not rows:
+            raise InvalidInput("the measurement has no rows")
+        late = (np.diff(self.time) <= 0) & (np.diff(episode) == 0)
+        if late.any():
+            row = int(np.flatnonzero(late)[0])
+            raise InvalidInput(
+                f"time must increase within an episode; it goes from {self.time[row]:g} to "
+                f"{self.time[row + 1]:g} s at row {row + 1}"
+            )
         if single := [first for first, last in self.spans() if last - first == 1]:
             raise InvalidInput(
                 f"the episode at row {single[0]} has a single row, which says nothing; leave it out"
@@ -91,8 +100,12 @@ class Measurement:
 
         Raises InvalidInput with the line and column of what is wrong.
         """
-        header, *lines = [line for line in csv.reader(io.StringIO(text)) if line] or [[]]
-        header = [name.strip() for name in header]
+        reader = csv.reader(io.StringIO(text.removeprefix("\ufeff")))
+        try:
+            lines = [(reader.line_num, line) for line in reader if line]
+        except csv.Error as error:
+            raise InvalidInput(f"line {reader.line_num} of the CSV: {error}") from error
+        header = [name.strip() for name in lines[0][1]] if lines else []
         columns = {name: _numbered(header, name) for name in ("qpos", "qvel", "ctrl")}
         known = ["time", "episode", *(c for group in columns.values() for c in group)]
         if sorted(known) != sorted(header):
@@ -100,24 +113,11 @@ class Measurement:
                 f"the CSV's header is {', '.join(header)}; expected are time, episode, and from 0 "
                 "on qpos_0 …, qvel_0 …, ctrl_0 …, each once"
             )
-        table = np.empty((len(lines), len(header)))
-        for row, line in enumerate(lines):
-            if len(line) != len(header):
-                raise InvalidInput(
-                    f"line {row + 2} of the CSV has {len(line)} values; the header has "
-                    f"{len(header)}"
-                )
-            for column, value in enumerate(line):
-                try:
-                    table[row, column] = float(value)
-                except ValueError as error:
-                    raise InvalidInput(
-                        f"line {row + 2} of the CSV has {value!r} for {header[column]}; expected "
-                        "is a number"
-                    ) from error
+        rows = [_numbers(number, line, header) for number, line in lines[1:]]
+        table = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
         fields = {n: table[:, [header.index(c) for c in group]] for n, group in columns.items()}
         episode = table[:, header.index("episode")]
-        if not np.all(episode == np.round(episode)):
+        if not np.all(np.isfinite(episode) & (episode == np.round(episode))):
             raise InvalidInput("the CSV's episodes must be whole numbers")
         time = table[:, header.index("time")]
         return cls(time=time, episode=episode.astype(np.int64), **fields)
@@ -189,6 +189,22 @@ class Measurement:
         return period
 
 
+def _numbers(number: int, line: Sequence[str], header: Sequence[str]) -> list[float]:
+    if len(line) != len(header):
+        raise InvalidInput(
+            f"line {number} of the CSV has {len(line)} values; the header has {len(header)}"
+        )
+    found: list[float] = []
+    for name, value in zip(header, line, strict=True):
+        try:
+            found.append(float(value))
+        except ValueError as error:
+            raise InvalidInput(
+                f"line {number} of the CSV has {value!r} for {name}; expected is a number"
+            ) from error
+    return found
+
+
 def _numbered(header: Sequence[str], name: str) -> list[str]:
     count = sum(each.startswith(f"{name}_") for each in header)
     return [f"{name}_{i}" for i in range(count)]
@@ -196,7 +212,10 @@ def _numbered(header: Sequence[str], name: str) -> list[str]:
 
 def _check_moves(name: str, values: Vector) -> None:
     """Refuse a sensor that shows one value always, or whose range ends where the robot goes on."""
-    needed = "; needed are readings that follow the robot, or an infinite std for what is not read"
+    needed = (
+        "; needed are readings that follow the robot, or an infinite standard deviation (in an "
+        ".npz) for what is not read"
+    )
     if np.ptp(values) == 0:
         raise InvalidInput(f"{name} is {values[0]:g} in all rows{needed}")
     for most in (values.min(), values.max()):

@@ -38,6 +38,10 @@ class Chain:
     transition: np.ndarray  # (E, T, m, m) F, zero where there is none
     stiff: Mask  # (E, T) whether a contact or a limit acts
 
+    def where(self, mask: Mask) -> "Chain":
+        """Fewer transitions."""
+        return Chain(mask, np.where(mask[..., None, None], self.transition, 0.0), self.stiff)
+
 
 @dataclass(frozen=True)
 class Noise:

@@ -10,9 +10,10 @@ dropped again where the others make them superfluous.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import stats
@@ -37,7 +38,7 @@ from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.readings import spread_causes
 from adr_service.criticism.scan import Candidate, Effects, location_of, scan
-from adr_service.criticism.simulator import Nominal, Simulator, is_first_order
+from adr_service.criticism.simulator import Nominal, Simulator, check_measurement, is_first_order
 from adr_service.criticism.verdict import Estimate, Finding, NamedCause, Residual, Verdict
 from adr_service.criticism.yardstick import flexible_gains
 from adr_service.progress import Progress, silent
@@ -97,15 +98,19 @@ def criticise(
     Raises InvalidInput where the data do not fit the model, or are too few.
     """
     started = time.perf_counter()
-    data.check_usable()
+    check_measurement(nominal, data)
     learned, sealed = split(data)
     sensor = data.sensor_variance()
     with ExitStack() as simulators:
+        progress(0.02)
         baseline = smoothed(_best_step(nominal, learned, sensor, threads, simulators), sensor)
+        progress(0.1)
         effects = Effects(baseline)
         first = scan(baseline, effects)
         found, final, chance = _name(baseline, first, effects, sensor, rng, progress)
+        progress(0.8, causes=len(found))
         found, final = _pruned(found, final, sensor)
+        progress(0.9, causes=len(found))
         flexible = flexible_gains(settled(final, sensor), sensor)
         confidence = _confidence(found, chance, flexible)
         found = _still_tied(found, final, sensor)
@@ -113,7 +118,7 @@ def criticise(
         experiments = [[separating_experiment(n[0].fit, o.fit) for o in n[1:]] for n in found]
     finding: Finding = "none"
     if is_unknown(flexible, sum(named[0].gain for named in found)):
-        finding, found, spread, final = "unknown", [], [], baseline
+        finding, found, final = "unknown", [], baseline
     elif found or spread:
         finding = "tie" if any(len(named) > 1 for named in found) else "cause"
         confidence = confidence if found else spread[0].confidence
@@ -182,10 +187,11 @@ def _name(
     found: list[_Named] = []
     current, chance = baseline, 1.0
     for count in range(_MOST_CAUSES):
-        progress((1 + count) / (2 + _MOST_CAUSES), causes=count)
+        done = 0.1 + 0.7 * count / _MOST_CAUSES
+        progress(done, causes=count)
         if count > 0:
             candidates = scan(current, effects)
-        decision, weighed = _weigh(current, candidates, sensor, rng)
+        decision, weighed = _weigh(current, candidates, sensor, rng, partial(progress, done))
         chance = float(decision.confidence[-1])
         if not decision.alike:
             break
@@ -223,9 +229,13 @@ def _from_elsewhere(current: Fit, found: Fit, sensor: Vector) -> Fit:
 
 
 def _weigh(
-    current: Fit, candidates: Sequence[Candidate], sensor: Vector, rng: np.random.Generator
+    current: Fit,
+    candidates: Sequence[Candidate],
+    sensor: Vector,
+    rng: np.random.Generator,
+    alive: Callable[[], None],
 ) -> tuple[Decision, list[_Weighed]]:
-    """The evidence for the best candidates, refined."""
+    """The evidence for the best candidates, refined; `alive` is called before each."""
     single = [c for c in candidates if len(c.causes) == 1 and c.gain > _PROMISING]
     best = single[0].gain if single else 0.0
     close = [c for c in single if c.gain > _CLOSE * best]
@@ -233,7 +243,11 @@ def _weigh(
     groups = [c for c in candidates if len(c.causes) > 1 and c.gain > best + THRESHOLD]
     chosen += groups[:_GROUPS_REFINED]
     without = settled(current, sensor).held_out
-    tried = [(c.causes, refine(current, [*current.causes, *c.causes], sensor)) for c in chosen]
+    tried: list[tuple[tuple[Cause, ...], Fit | None]] = []
+    for candidate in chosen:
+        alive()
+        causes = [*current.causes, *candidate.causes]
+        tried.append((candidate.causes, refine(current, causes, sensor)))
     weighed = [_Weighed(c, f, f.held_out - without, 0.0) for c, f in tried if f is not None]
     fair = [each.gains + (each.fair_gain - each.gain) / len(without) for each in weighed]
     decision = decide(np.reshape(fair, (len(weighed), len(without))), rng)

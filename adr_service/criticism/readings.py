@@ -2,8 +2,8 @@
 
 Neither changes what is predicted on average, so neither is found by predictions. Steps are seen in
 the readings themselves, which then lie on a lattice; they count where they are a good part of the
-sensor's noise, for every number in a file has a last digit. More noise can only be told where the
-measurement says how much there should be.
+sensor's noise, and not as fine as the last digits that every number in a file has. More noise can
+only be told where the measurement says how much there should be.
 """
 
 import numpy as np
@@ -16,7 +16,8 @@ from adr_service.simulation.mechanism import sensors
 from adr_service.simulation.mechanisms import get_mechanism, unit_of
 
 _NEAR = 1e-3  # of a step: how near to the lattice all readings are
-_LEAST_LEVELS = 3
+_LEAST_LEVELS, _FINEST = 3, 1e4  # steps over the whole range
+_PARTS, _SAME = (1, 2, 3, 4), 1e-9  # of the range: what rounding makes of one level
 _NOTICED = 0.5  # of a sensor's variance: what steps or unsaid noise must be of it
 _REACH = 1.96  # standard errors
 
@@ -40,11 +41,16 @@ def lattice(readings: Vector) -> float | None:
     if len(levels) < _LEAST_LEVELS:
         return None
     gaps = np.diff(levels)
-    step = float(gaps[gaps > 1e-9 * np.ptp(levels)].min())
-    counts = (levels - levels[0]) / step
-    step = float(np.ptp(levels) / np.round(counts[-1]))  # of all, exact to the last digits
-    off = (levels - levels[0]) / step
-    return step if np.all(np.abs(off - np.round(off)) < _NEAR) else None
+    smallest = float(gaps[gaps > _SAME * np.ptp(levels)].min())
+    for part in _PARTS:  # of the smallest gap, which may be of several steps
+        count = np.round(np.ptp(levels) / smallest * part)
+        if count > _FINEST:  # the last digits of a file
+            return None
+        step = float(np.ptp(levels) / count)
+        off = (levels - levels[0]) / step
+        if np.all(np.abs(off - np.round(off)) < _NEAR):
+            return step
+    return None
 
 
 def _stepped(fit: Fit, number: int, readings: Vector) -> NamedCause | None:

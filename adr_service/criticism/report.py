@@ -123,10 +123,15 @@ def _advice(verdict: Verdict) -> str:
                 f"{experiment.separation:.1f} times what noise lets expect of a step, on average; "
                 f"in these data by {experiment.recorded:.1f}"
             )
-            if not experiment.is_worth_it:
+            if not experiment.is_seen:
                 apart = (
-                    "none of the experiments that we tried, with one actuator at a time; what "
-                    "the robot does hardly depends on which it is"
+                    "in none of the experiments that we tried, with one actuator at a time, does "
+                    "what the robot does depend on which it is"
+                )
+            elif not experiment.is_worth_it:
+                apart = (
+                    "none of the experiments that we tried, with one actuator at a time, "
+                    "separates them further than whole episodes of these data do"
                 )
             lines.append(f"<li>{_words(cause)} from {_words(other)}: {apart}.</li>")
     told = "<h2>What would tell them apart</h2><ul>" + "".join(lines) + "</ul>"

@@ -30,6 +30,7 @@ from adr_service.tasks.base import Reshapable, Source, Task
 
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
 _MOST_STEPS = 500  # of the simulator between two rows
+_MOST_NUMBERS = 2e8  # of one array of a criticism: 1.6 GB
 
 
 @dataclass(frozen=True)
@@ -353,7 +354,15 @@ def check_measurement(nominal: Nominal, data: Measurement) -> None:
     data.check_usable()
     model = nominal.model(nominal.start)
     _check(model, data)
-    _steps(data.period(), model.opt.timestep)
+    steps = _steps(data.period(), model.opt.timestep)
+    lengths = [last - first for first, last in data.spans()]
+    needed = max(len(lengths) * max(lengths) * model.nv, len(data.time) * steps) * model.nv
+    if needed > _MOST_NUMBERS:
+        raise InvalidInput(
+            f"{len(lengths)} episodes, the longest of {max(lengths)} rows, with {steps} steps of "
+            f"the model between rows, would take {needed:.2g} numbers at a time; accepted are "
+            f"{_MOST_NUMBERS:.2g} (give fewer rows, in episodes of about the same length)"
+        )
 
 
 def is_first_order(model: mujoco.MjModel) -> bool:

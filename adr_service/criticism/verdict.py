@@ -9,9 +9,9 @@ from math import isfinite
 from typing import Any, Literal
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.criticism.advice import Experiment
 
 VERSION = 1
+_SEEN = 2.0  # expected errors of one step, on average over an experiment
 Finding = Literal["cause", "none", "unknown", "tie"]
 
 
@@ -52,6 +52,32 @@ class NamedCause:
             "parameters": {estimate.name: estimate.to_json() for estimate in self.strengths},
             "confidence": self.confidence,
             "gain_nats": self.gain,
+        }
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The best one we know, and how far it separates two simulators."""
+
+    description: str
+    separation: float  # root mean square difference, in expected errors of one step
+    recorded: float  # the same on the recorded episodes
+
+    @property
+    def is_worth_it(self) -> bool:
+        return self.separation > max(_SEEN, self.recorded)
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether anything that was tried or recorded separates the two at all."""
+        return max(self.separation, self.recorded) > _SEEN
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "description": self.description,
+            "separation": self.separation,
+            "recorded": self.recorded,
+            "is_worth_it": self.is_worth_it,
         }
 
 
@@ -137,7 +163,7 @@ class Verdict:
     experiments: tuple[tuple[Experiment, ...], ...]
     residual: Residual
     gain: Gain | None  # None: nothing was named that predictions would gain from
-    seconds: float
+    seconds: float | None  # by the clock; None of a stage, whose cost is kept beside it
 
     def to_json(self) -> dict[str, Any]:
         return {

@@ -542,7 +542,7 @@ CATALOGUE: tuple[Mechanism, ...] = (
         lambda model, geom: (0.0005,),
         _margin,
         applies=_can_touch,
-        sizes=(1.0, -1.0),  # more of it makes contacts, less ends them
+        sizes=(1.0, -1.0, 2.0, -2.0),  # more of it makes contacts, less ends them
     ),
     Mechanism(
         "sensor_bias",
