@@ -319,6 +319,8 @@ class TestReadings:
         assert lattice(np.repeat([0.0, 2.0, 5.0, 7.0, 9.0, 12.0], 9)) == 1.0
         odd = np.append(readings, 0.30001 + readings[:1000])  # two lattices are none
         assert lattice(odd) is None
+        digits = np.round(np.random.default_rng(0).standard_normal(90_000), 4)
+        assert lattice(digits) is None  # the last ones of a file
 
 
 def test_what_would_tell_two_explanations_apart_is_said():
@@ -347,12 +349,16 @@ def test_whole_episodes_are_followed_as_step_after_step(good):
     nominal = arm()[1]
     with Simulator(nominal, Measurement(**good), threads=1) as simulator:
         whole = simulator.follow(nominal.start, causes)
+        late = [Cause("sensor_delay", "sensor:elbow.position", (0.005,))]
+        first_of_late = simulator.follow(nominal.start, late)[1]
+        expected = simulator.predict(nominal.start, late, simulator.measured)[0]
         states = simulator.measured.copy()
         for _ in range(3):
             ends = simulator.predict(nominal.start, causes, states)
             states[simulator.starts + 1] = ends
             first = [begin for begin, _ in simulator.data.spans()]
             states[first] = simulator.measured[first]
+    np.testing.assert_allclose(first_of_late, expected, rtol=1e-12)
     for begin, _ in simulator.data.spans():
         np.testing.assert_allclose(whole[begin : begin + 4], states[begin : begin + 4], rtol=1e-9)
 

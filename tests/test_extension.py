@@ -31,10 +31,13 @@ EFFECTS = {
 }
 
 
-@pytest.mark.parametrize("name", EFFECTS)
-def test_extended_simulations_equal_mujoco_with_the_extended_model(name):
+HEAVIER = (Cause("body_mass", "body:upper", (0.5,)),)  # alone: its inertia is a parameter's
+
+
+@pytest.mark.parametrize(("name", "causes"), [*EFFECTS.items(), ("arm", HEAVIER)])
+def test_extended_simulations_equal_mujoco_with_the_extended_model(name, causes):
     task, rng, n = get_task(name), np.random.default_rng(0), 3
-    source = source_of(name, domain_of("vanilla", EFFECTS[name]))
+    source = source_of(name, domain_of("vanilla", causes))
     simulations = Simulations(task, source, n)
     draws = np.array([[rng.uniform(p.high / 2, p.high) for p in source.space.parameters]] * n)
     draws[1:] *= rng.uniform(0.8, 1.0, (n - 1, draws.shape[1]))
@@ -46,7 +49,7 @@ def test_extended_simulations_equal_mujoco_with_the_extended_model(name):
     for action in actions:
         simulations.step(action)
     for i in range(n):
-        model = Nominal(task.xml, source.space, draws[i]).model(draws[i], EFFECTS[name])
+        model = Nominal(task.xml, source.space, draws[i]).model(draws[i], causes)
         data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:] = start.qpos[i], start.qvel[i]
         for action in actions[:, i]:

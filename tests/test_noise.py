@@ -142,6 +142,18 @@ def test_the_bound_rises_as_its_gradient_says_and_with_new_weights():
     assert bound(chain, residual, heavier) > bound(chain, residual, noise)
 
 
+def test_weights_settle_where_the_bound_is_highest():
+    chain, residual, _ = drawn(SENSOR, MISFIT, np.random.default_rng(7))
+    noise = Noise(SENSOR, MISFIT, np.ones(chain.mask.shape))
+    for _ in range(100):
+        noise = replace(noise, weights=Ascent.of(Whitener.of(chain, noise), residual).weights)
+    highest = bound(chain, residual, noise)
+    for factor in (0.9, 1.1):
+        weights = noise.weights.copy()
+        weights[4, 5:10] *= factor
+        assert bound(chain, residual, replace(noise, weights=weights)) < highest
+
+
 def test_variances_come_back_from_next_to_nothing():
     """From a sensor's variance of 1e-14, where the gradient by its logarithm is none."""
     chain, residual, _ = drawn(SENSOR, MISFIT, np.random.default_rng(6))
