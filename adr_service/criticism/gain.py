@@ -49,7 +49,9 @@ def measure_gain(
     draws = rng.integers(len(without), size=(_DRAWS, len(without)))
     removed = 1 - with_causes[draws].sum(axis=1) / without[draws].sum(axis=1)
     low, high = np.quantile(removed, [0.025, 0.975]).tolist()
-    explainable = without.sum() - mask.sum() * measured.sum()  # noise alone leaves one per number
+    # noise alone leaves one per number, or less where outliers weigh less
+    noise_alone = min(float(mask.sum() * measured.sum()), float(with_causes.sum()))
+    explainable = without.sum() - noise_alone
     horizons = {
         steps: (_root_mean(errors[0][steps - 1]), _root_mean(errors[1][steps - 1]))
         for steps in _HORIZONS
