@@ -63,5 +63,5 @@ def _features(fit: Fit, dof: int) -> Matrix:
     own = [np.ones_like(q), q, v, np.tanh(v / slow), v * np.abs(v), np.maximum(v, 0.0)]
     waves = [f(k * q) for k in (1, 2, 4, 8) for f in (np.sin, np.cos)]
     mixed = [*(told * v[:, None]).T, *(told * time[:, None]).T, *np.abs(told).T]
-    kinked = [np.tanh(v / slow) * np.sin(q), np.tanh(v / slow) * np.cos(q), time]
-    return np.stack([*own, *waves, *kinked, *told.T, *before.T, *mixed], axis=1)
+    kinked = [np.tanh(v / slow) * wave for wave in waves]  # friction that depends on where it is
+    return np.stack([*own, *waves, *kinked, time, *told.T, *before.T, *mixed], axis=1)
