@@ -255,7 +255,7 @@ def results(
         elif compare:
             console.print(comparisons_table(client.results(id)))
         else:
-            console.print(results_table(client.results(id)))
+            _show_results(client, client.get(id))
 
 
 @app.command()
@@ -357,6 +357,8 @@ def criticise(
     """Name what a simulator gets wrong, given measured data; with --data, without a service."""
     if (data is None) == (dataset is None):
         raise InvalidInput("give either --data or --dataset")
+    if out.exists() and not out.is_dir():
+        raise InvalidInput(f"{out} is a file; --out is a folder")
     if data is None:
         if task is None or model is not None or free:
             raise InvalidInput("--dataset goes with --task; the service takes no --model or --free")
@@ -447,20 +449,20 @@ def _criticised(client: AdrClient, id: str, out: Path) -> None:
 
 def _follow(client: AdrClient, id: str) -> None:
     final = live(console, client, id)
-    if final.get("spec", {}).get("kind") == "criticism":
-        _show_verdict(client, final)
-        return
+    _show_results(client, final)
     states = final["states"] if "states" in final else {final["state"]: 1}
-    console.print(results_table(client.results(id)))
     if set(states) != {"succeeded"}:
         raise typer.Exit(1)
 
 
-def _show_verdict(client: AdrClient, run: dict[str, Any]) -> None:
-    if run["state"] != "succeeded":
-        console.print(f"{run['state']}: {(run['error'] or {}).get('message', '')}")
-        raise typer.Exit(1)
-    console.print(verdict_table(client.criticism(run["id"])["verdict"]))
+def _show_results(client: AdrClient, seen: dict[str, Any]) -> None:
+    """The result table of a run or a benchmark, or the verdict of a criticism."""
+    if seen["spec"].get("kind") != "criticism":
+        console.print(results_table(client.results(seen["id"])))
+        return
+    verdict = client.criticism(seen["id"])["verdict"]
+    error = (seen["error"] or {}).get("message", "no verdict yet")
+    console.print(f"{seen['state']}: {error}" if verdict is None else verdict_table(verdict))
 
 
 def _read_json(file: Path) -> dict[str, Any]:

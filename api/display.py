@@ -151,14 +151,23 @@ def verdict_table(verdict: Json) -> RenderableType:
     headline = f"{verdict['verdict']}, {verdict['confidence']:.1%} sure"
     moved, gain = verdict["residual"]["parameters"], verdict["gain"]
     if at_bound := ", ".join(name for name, each in moved.items() if each["at_bound"]):
-        headline += f"; not to be relied on: {at_bound} went to its bound, widen it"
+        headline += (
+            f"; not to be relied on: {at_bound} at the edge of what may be (are the columns' order "
+            "and units the model's? are the bounds wide enough?)"
+        )
     if verdict["residual"]["rest"] == "unknown" and verdict["causes"]:
         headline += "; something else is missing that is none of the effects we know"
     if gain is not None:
         headline += (
-            f"; {gain['sse_removed']:.1%} [{gain['low']:.1%}, {gain['high']:.1%}] of the squared "
-            "one-step error removed on sealed episodes"
+            f"; {gain['sse_removed']:.1%} [{gain['low']:.1%}, {gain['high']:.1%}] of what a filter "
+            "does not foresee one step ahead, squared, removed on sealed episodes"
         )
+        step = verdict["residual"]["timestep"]
+        if step["judged_with"] < step["of_the_model"]:
+            headline += (
+                f", at steps of {1000 * step['judged_with']:.3g} ms (extended.xml keeps "
+                f"{1000 * step['of_the_model']:.3g})"
+            )
     table = Table("cause", "location", "strength", box=None, padding=(0, 2, 0, 0))
     for heading in ("value", "95 % interval", "evidence [nats]"):
         table.add_column(heading, justify="right")

@@ -187,6 +187,18 @@ class TestBadInput:
         with pytest.raises(InvalidInput, match=r"the model has 0\.7 for mass, .* bounds: 2 to 3"):
             Nominal.of_model(get_task("arm").xml, space)
 
+    @pytest.mark.parametrize(
+        ("name", "change", "message"),
+        [
+            ("time", lambda a: 2 * a, "column 0 of qpos moves 0.5 times as far as"),
+            ("qvel", np.degrees, "qpos moves 0.0175 times as far"),
+        ],
+    )
+    def test_velocities_that_are_not_the_rates_of_positions(self, good, name, change, message):
+        measurement = Measurement(**{**good, name: change(good[name])})
+        with pytest.raises(InvalidInput, match=message):
+            criticise(arm()[1], measurement, np.random.default_rng(0))
+
     def test_no_rows_at_all(self, good):
         with pytest.raises(InvalidInput, match="has no rows"):
             Measurement(**{name: values[:0] for name, values in good.items()})
@@ -217,7 +229,7 @@ class TestBadInput:
             Measurement(**{**good, "episode": ids})
 
     def test_a_simulation_that_diverges(self, good):
-        wild = Measurement(**{**good, "qvel": 1e12 * good["qvel"]})
+        wild = Measurement(**{**good, **{n: 1e12 * good[n] for n in ("qpos", "qvel")}})
         with pytest.raises(InvalidInput, match="the simulation diverges from"):
             criticise(arm()[1], wild, np.random.default_rng(0), threads=1)
 
@@ -264,6 +276,16 @@ def test_one_effect_at_all_places_is_a_group():
     found = {cause.location: cause.values[0] for cause in best.causes}
     expected = {cause.location: cause.values[0] for cause in hidden}
     assert found == pytest.approx(expected, rel=0.3)  # to first order
+
+
+def test_a_body_without_mass_moves_nothing(good):
+    nominal = arm()[1]
+    with Simulator(nominal, Measurement(**good), threads=1) as simulator:
+        for gone in (
+            Cause("body_mass", "body:fore", (-0.7,)),
+            Cause("body_inertia", "body:fore", (-1.0,)),
+        ):
+            assert np.isnan(simulator.predict(nominal.start, [gone], simulator.measured)).all()
 
 
 def test_commands_beyond_an_actuators_limits_are_what_it_obeys(good):

@@ -130,6 +130,13 @@ def test_the_command_line_lets_the_service_criticise_and_writes_what_it_found(
     assert "joint_coulomb_friction" in CliRunner().invoke(app, ["watch", criticised, *at]).output
 
 
+def test_a_file_in_place_of_the_folder_is_refused_before_the_work(tmp_path):
+    (tmp_path / "out").touch()
+    asked = ["criticise", "--task", "arm", "--dataset", "data_0", "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, asked)
+    assert "is a file; --out is a folder" in str(done.exception) + done.output
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

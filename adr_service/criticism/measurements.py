@@ -21,6 +21,7 @@ from adr_service.npz import names_in, read_arrays
 
 _NEEDED = ("time", "qpos", "qvel", "ctrl", "episode")
 _OPTIONAL = ("qpos_std", "qvel_std")
+_ALIKE, _OFF = 0.5, 1.5  # correlation of positions' changes and velocities; their ratio
 _STUCK = 0.2  # of all rows, with the very same extreme value
 _LEAST_EPISODES, _LEAST_TRANSITIONS = 8, 200
 
@@ -172,6 +173,26 @@ class Measurement:
         for (name, values), is_measured in zip(shown, self.is_measured(), strict=True):
             if is_measured:
                 _check_moves(name, values)
+
+    def check_velocities(self) -> None:
+        """Refuse velocities that are not the rates of the positions; of slides and hinges."""
+        inside = np.flatnonzero(np.diff(self.episode) == 0)
+        measured, nv = self.is_measured(), self.qvel.shape[1]
+        for column in range(nv):
+            if not (measured[column] and measured[nv + column]):
+                continue
+            moved = self.qpos[inside + 1, column] - self.qpos[inside, column]
+            mean = (self.qvel[inside + 1, column] + self.qvel[inside, column]) / 2
+            said = self.period() * mean
+            if not np.any(said) or np.corrcoef(moved, said)[0, 1] < _ALIKE:
+                continue  # too little motion to judge by
+            ratio = float(moved @ said / (said @ said))
+            if not 1 / _OFF < ratio < _OFF:
+                raise InvalidInput(
+                    f"column {column} of qpos moves {ratio:.3g} times as far as the same column of "
+                    "qvel says; expected is about 1: `time` in seconds, positions and velocities "
+                    "both in rad or both in m, and columns in the model's order"
+                )
 
     def period(self) -> float:
         """Seconds between rows; raises InvalidInput where it is not the same throughout."""

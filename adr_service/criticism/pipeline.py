@@ -116,9 +116,12 @@ def criticise(
         found = _still_tied(found, final, sensor)
         spread = spread_causes(settled(final, sensor), sensor)
         experiments = [[separating_experiment(n[0].fit, o.fit) for o in n[1:]] for n in found]
+    gain = measure_gain(baseline, final, sealed, rng, threads) if found else None
     finding: Finding = "none"
-    if is_unknown(flexible, sum(named[0].gain for named in found)):
-        finding, found, final = "unknown", [], baseline
+    if is_refuted := gain is not None and gain.high < 0:  # by the sealed episodes
+        confidence = 0.5 + _INTERVAL / 2
+    if is_refuted or is_unknown(flexible, sum(named[0].gain for named in found)):
+        finding, found, final, gain = "unknown", [], baseline, None
     elif found or spread:
         finding = "tie" if any(len(named) > 1 for named in found) else "cause"
         confidence = confidence if found else spread[0].confidence
@@ -135,7 +138,7 @@ def criticise(
         ),
         experiments=(*map(tuple, experiments[: len(found)]), *(() for _ in spread)),
         residual=_residual(baseline, final, first, flexible),
-        gain=measure_gain(baseline, final, sealed, rng, threads) if found else None,
+        gain=gain,
         seconds=time.perf_counter() - started,
     )
     extension = None

@@ -165,7 +165,8 @@ def _gain(gain: Gain, residual: Residual) -> str:
     return (
         f"<p>On episodes that nothing was fitted to, the extended simulator removes "
         f"{100 * gain.sse_removed:.1f} % [{100 * gain.low:.1f}, {100 * gain.high:.1f}] of the "
-        f"squared error of one control step{rest}.{finer}</p>"
+        f"squared error of one control step, of predictions by a filter that knows the "
+        f"noise{rest}.{finer}</p>"
     )
 
 

@@ -222,9 +222,18 @@ class Simulator:
         return self._predict(values, causes, states, model, command=(actuator, more))
 
     def _model(self, values: Vector, causes: Sequence[Cause]) -> mujoco.MjModel:
-        model = self.nominal.model(values, causes)
+        with _quiet():
+            model = self.nominal.model(values, causes)
         model.opt.timestep /= self.finer
         return model
+
+    def _is_possible(self, model: mujoco.MjModel) -> bool:
+        """Whether every body that has a mass and inertias still has."""
+        pairs = (
+            (self.base.body_mass, model.body_mass),
+            (self.base.body_inertia, model.body_inertia),
+        )
+        return all(np.all((now > mujoco.mjMINVAL) | (was == 0)) for was, now in pairs)
 
     def _quick(self, values: Vector, causes: Sequence[Cause]) -> mujoco.MjModel:
         model = self._model(values, causes)
@@ -244,6 +253,8 @@ class Simulator:
     ) -> Matrix:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must show
         steps, n = self.steps * finer, len(self.starts)
+        if not self._is_possible(model):
+            return np.full((n, self.measured.shape[1]), np.nan)
         nq, nv = model.nq, model.nv
         told = self.told(causes, finer)
         full = np.zeros((n, 1 + nq + nv))
@@ -352,6 +363,7 @@ class Simulator:
 def check_measurement(nominal: Nominal, data: Measurement) -> None:
     """Raises InvalidInput where the data are too few, or not of the simulator."""
     data.check_usable()
+    data.check_velocities()
     model = nominal.model(nominal.start)
     _check(model, data)
     steps = _steps(data.period(), model.opt.timestep)
