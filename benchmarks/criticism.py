@@ -100,6 +100,14 @@ def is_named(case: dict[str, Any], most_tied: int = _MOST_TIED) -> bool:
     return True
 
 
+def is_alarm(case: dict[str, Any]) -> bool:
+    return bool(case["verdict"]["verdict"] != "none")
+
+
+def is_unknown(case: dict[str, Any]) -> bool:
+    return bool(case["verdict"]["verdict"] == "unknown")
+
+
 def share(cases: Sequence[dict[str, Any]], right: Callable[[dict[str, Any]], bool]) -> str:
     count = sum(map(right, cases))
     if not cases:
@@ -133,14 +141,12 @@ def table(cases: Sequence[dict[str, Any]]) -> str:
         among = [c for c in chosen if is_named(c, most_tied=99)]
         lines.append(f"    in a tie of any size: {len(among)}")
     nulls = [c for c in cases if c["hidden"] == "none"]
-    alarm = lambda c: c["verdict"]["verdict"] != "none"  # noqa: E731
-    lines.append(f"nothing hidden: false alarms {share(nulls, alarm)}")
-    unknown = lambda c: c["verdict"]["verdict"] == "unknown"  # noqa: E731
+    lines.append(f"nothing hidden: false alarms {share(nulls, is_alarm)}")
     for ratio in RATIOS:
         chosen = [c for c in cases if c["hidden"] == "outside" and c["ratio"] == ratio]
-        lines.append(f"outside, ratio {ratio:g}: called unknown {share(chosen, unknown)}")
+        lines.append(f"outside, ratio {ratio:g}: called unknown {share(chosen, is_unknown)}")
     known = [c for c in cases if c["hidden"] in ("one", "two", "none")]
-    lines.append(f"false unknown: {share(known, unknown)}")
+    lines.append(f"false unknown: {share(known, is_unknown)}")
     pairs = [c for c in cases if c["hidden"] == "two"]
     lines.append(f"two causes: all that was named is true {share(pairs, is_named)}")
     right = [c for c in singles if is_named(c)]

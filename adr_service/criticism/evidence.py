@@ -86,6 +86,11 @@ class Fit:
         """(E,) nats: log-likelihood of each episode by a fit to the others."""
         return self.normal.left_out()
 
+    @property
+    def left(self) -> Array3:
+        """(E, T, m) residuals that the fitted columns leave."""
+        return self.linear.residual - self.linear.columns @ self.normal.change()[0]
+
 
 def fit(simulator: Simulator, sensor: Vector, causes: Sequence[Cause] = ()) -> Fit:
     """The simulator at its best with these causes, around the states as they were measured.
@@ -104,7 +109,7 @@ def smoothed(fit: Fit, sensor: Vector) -> Fit:
     """A fit anew, around the states that are the most probable under it."""
     simulator, layout, linear = fit.simulator, fit.layout, fit.linear
     whitener = Whitener.of(linear.chain, fit.noise)
-    errors, covariance = whitener.sensor_errors(_left(fit))
+    errors, covariance = whitener.sensor_errors(fit.left)
     states = simulator.measured - layout.by_row(simulator, errors)
     root = _root(layout.by_row(simulator, covariance), _tiny(simulator))
     anew = _linearise(simulator, layout, fit.parameters, fit.causes, states, root)
@@ -155,7 +160,7 @@ def refine(fit: Fit, causes: Sequence[Cause], sensor: Vector) -> Fit | None:
     before = fit.simulator.predict(fit.parameters, fit.causes, fit.states)
     integration = slice(len(fit.parameters), len(fit.parameters) + INTEGRATION)
     known = ~np.isnan(sensor)
-    noise = lifted(fit.noise, fit.linear.chain, _left(fit), known)
+    noise = lifted(fit.noise, fit.linear.chain, fit.left, known)
     best = _evaluated(fit, before, fit.parameters, tuple(causes), noise, sensor)
     if best is None:
         return None
@@ -173,11 +178,6 @@ def refine(fit: Fit, causes: Sequence[Cause], sensor: Vector) -> Fit | None:
         if gained < _CONVERGED:
             break
     return best
-
-
-def _left(fit: Fit) -> Array3:
-    """Residuals (E, T, m) that the fitted columns leave."""
-    return fit.linear.residual - fit.linear.columns @ fit.normal.change()[0]
 
 
 def settled(fit: Fit, sensor: Vector) -> Fit:

@@ -131,10 +131,7 @@ def _joints(criticism: Criticism) -> list[str]:
 
 def _unexplained(fit: Fit) -> Matrix:
     """(N, nv) velocity residuals that the fitted columns leave."""
-    change, _ = fit.normal.change()
-    left = fit.linear.residual - fit.linear.columns @ change
-    nv = fit.simulator.base.nv
-    return left[fit.linear.chain.mask][:, nv:]
+    return fit.left[fit.linear.chain.mask][:, fit.simulator.base.nv :]
 
 
 def _against(fit: Fit, dof: int) -> dict[str, Vector]:

@@ -29,9 +29,10 @@ def measure_gain(
     more steps, errors from measured states."""
     nominal, finer = before.simulator.nominal, before.simulator.finer
     with Simulator(nominal, sealed, threads, finer) as simulator:
+        scale = expected_errors(after)
         left = [residuals_of(fit, simulator) for fit in (before, after)]
         errors = [
-            _errors(simulator, fit.parameters, fit.causes, max(_HORIZONS), expected_errors(after))
+            _errors(simulator, fit.parameters, fit.causes, max(_HORIZONS), scale)
             for fit in (before, after)
         ]
         trace = _trace(simulator, before, after)

@@ -111,10 +111,11 @@ def criticise(
         progress(0.8, causes=len(found))
         found, final = _pruned(found, final, sensor)
         progress(0.9, causes=len(found))
-        flexible = flexible_gains(settled(final, sensor), sensor)
+        whole = settled(final, sensor)
+        flexible = flexible_gains(whole, sensor)
         confidence = _confidence(found, chance, flexible)
         found = _still_tied(found, final, sensor)
-        spread = spread_causes(settled(final, sensor), sensor)
+        spread = spread_causes(whole, sensor)
         experiments = [[separating_experiment(n[0].fit, o.fit) for o in n[1:]] for n in found]
     gain = measure_gain(baseline, final, sealed, rng, threads) if found else None
     finding: Finding = "none"
