@@ -291,8 +291,9 @@ def test_a_body_without_mass_moves_nothing(good):
 def test_commands_beyond_an_actuators_limits_are_what_it_obeys(good):
     wild = Measurement(**{**good, "ctrl": 3.0 * np.sign(good["ctrl"])})
     with Simulator(arm()[1], wild, threads=1) as simulator:
-        told = simulator.told([])
-        harmless = simulator.told([Cause("actuator_deadband", "actuator:elbow", (0.0,))])
+        told = simulator.told([], simulator.steps)
+        unmoved = Cause("actuator_deadband", "actuator:elbow", (0.0,))
+        harmless = simulator.told([unmoved], simulator.steps)
     assert np.abs(told).max() == 1.0
     np.testing.assert_array_equal(told, harmless)
 

@@ -295,7 +295,9 @@ def _derivatives(
 ) -> list[Matrix]:
     """Derivatives (N, m) of the prediction by each strength of each cause.
 
-    Of several strengths, those that the data say nothing of are zero and stay so.
+    The smaller of the slopes to both sides, where a strength has two: a contact that begins or
+    ends in between would make the one side infinitely steep. Of several strengths, those that the
+    data say nothing of are zero and stay so.
     """
     if not causes:
         return []
@@ -308,14 +310,22 @@ def _derivatives(
             if len(typical) > 1 and cause.values[number] == 0:
                 found.append(np.zeros_like(predicted))
                 continue
-            step = 0.01 * size
-            values = list(cause.values)
-            values[number] += step
-            moved = replace(cause, values=tuple(values))
-            changed = tuple(moved if each is cause else each for each in causes)
-            effect = simulator.predict_quickly(parameters, changed, states) - predicted
-            found.append(effect / step)
+            slopes: list[Matrix] = []
+            for step in (0.01 * size, -0.01 * size):
+                values = list(cause.values)
+                values[number] += step
+                if values[number] < mechanism.strengths[number].low:
+                    continue
+                moved = replace(cause, values=tuple(values))
+                changed = tuple(moved if each is cause else each for each in causes)
+                effect = simulator.predict_quickly(parameters, changed, states) - predicted
+                slopes.append(effect / step)
+            found.append(_flatter(*slopes))
     return found
+
+
+def _flatter(one: Matrix, other: Matrix | None = None) -> Matrix:
+    return one if other is None else np.where(np.abs(other) < np.abs(one), other, one)
 
 
 def _strengthened(causes: tuple[Cause, ...], change: Vector) -> tuple[Cause, ...]:

@@ -15,6 +15,7 @@ from adr_service.arrays import Array3, Mask, Matrix, Vector
 from adr_service.criticism.noise import Ascent, Chain, Noise, Whitener
 
 _SETTLED, _MOST_STEPS = 0.3, 60  # [nats] that a step gains at least
+_RIDGE = 1e-9  # of what the data say of a column
 _DAMPING = (1e-3, 1e2)  # of Newton steps, relative to the information: least and most
 _HARDER, _EASIER = 30.0, 3.0  # factors of it, after a step that failed and one that did not
 
@@ -128,14 +129,14 @@ def products(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def inverse(information: np.ndarray) -> np.ndarray:
-    """Pseudo-inverse of normal matrices (..., p, p), whose columns may differ by many orders.
+    """Inverse of normal matrices (..., p, p), whose columns may differ by many orders.
 
-    Zero where the data say nothing.
+    Zero of columns of which the data say nothing, huge where they tell some together only.
     """
     diagonal = np.diagonal(information, axis1=-2, axis2=-1)
     scale = np.where(diagonal > 0, np.sqrt(np.maximum(diagonal, 0.0)), np.inf)
     outer = scale[..., :, None] * scale[..., None, :]
-    return np.linalg.pinv(information / outer, rcond=1e-9, hermitian=True) / outer
+    return np.linalg.inv(information / outer + _RIDGE * np.eye(diagonal.shape[-1])) / outer
 
 
 def _judged(linear: Linear, noise: Noise) -> tuple[Whitener, Normal]:

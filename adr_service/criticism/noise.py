@@ -25,7 +25,8 @@ from adr_service.arrays import Array3, Mask, Matrix, Vector
 DEGREES = 4.0  # of freedom of the misfit's t distribution
 _ROUNDING = 1e-11  # relative, so that covariances stay positive
 _LEAST = 1e-12  # relative to the residuals' variance: what rounding leaves
-_LIFTED = 1e-3  # relative to that variance: what a variance has at least when steps begin
+_LIFTED = 1e-3  # relative to those of typical ones: what a variance has at least at first
+_HIDDEN = 1e-3  # of a sensor's variance: what no misfit's falls below
 _ROUGHLY = 1e-6  # of information: what a variance that the data say nothing of is divided by
 _FURTHEST = 3.0  # that the logarithm of a variance moves in a step
 
@@ -198,7 +199,7 @@ class Ascent:
                 lighter = np.log(self.weights[where] / noise.weights[where]).mean()
                 misfit[number] *= np.exp(lighter)
         sensor = np.where(known, noise.sensor, np.maximum(sensor, self.floor))
-        return Noise(sensor, np.maximum(misfit, self.floor), self.weights)
+        return Noise(sensor, np.maximum(misfit, _least_misfit(sensor, self.floor)), self.weights)
 
 
 def lifted(noise: Noise, chain: Chain, residual: Array3, known: Mask) -> Noise:
@@ -206,9 +207,10 @@ def lifted(noise: Noise, chain: Chain, residual: Array3, known: Mask) -> Noise:
 
     `known` (m,): whose sensors' variances stay as they are.
     """
-    least = _LIFTED * np.mean(residual[chain.mask] ** 2, axis=0)
+    least = _LIFTED * _typical_variance(chain, residual)
     sensor = np.where(known, noise.sensor, np.maximum(noise.sensor, least))
-    return replace(noise, sensor=sensor, misfit=np.maximum(noise.misfit, least))
+    misfit = np.maximum(noise.misfit, _least_misfit(sensor, least))
+    return replace(noise, sensor=sensor, misfit=misfit)
 
 
 def at_start(chain: Chain, residual: Array3, sensor: Vector) -> Noise:
@@ -216,10 +218,20 @@ def at_start(chain: Chain, residual: Array3, sensor: Vector) -> Noise:
 
     `sensor` (m,) holds the variances that are known, and NaN.
     """
-    spread = 1.4826 * np.median(np.abs(residual[chain.mask]), axis=0)
-    variance = np.maximum(spread**2, 1e-24)
+    variance = _typical_variance(chain, residual)
     given = np.where(np.isnan(sensor), variance / 2, np.maximum(sensor, 1e-24))
     return Noise(given, np.tile(variance / 10, (2, 1)), np.ones(chain.mask.shape))
+
+
+def _least_misfit(sensor: Vector, floor: Vector) -> Vector:
+    """Variances (m,) that sensors hide, but from which weights still find outliers."""
+    return np.maximum(floor, _HIDDEN * sensor)
+
+
+def _typical_variance(chain: Chain, residual: Array3) -> Vector:
+    """(m,) of residuals that are no outliers."""
+    spread = 1.4826 * np.median(np.abs(residual[chain.mask]), axis=0)
+    return np.maximum(spread**2, 1e-24)
 
 
 def misfit_variance(chain: Chain, noise: Noise) -> Array3:

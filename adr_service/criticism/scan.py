@@ -179,7 +179,7 @@ class Effects:
         known = (fit.parameters, fit.causes, fit.states)
         self._predicted = self._simulator.predict_quickly(*known)
         self._slope = self._simulator.slope(*known)
-        self._obeyed = self._simulator.told(fit.causes)
+        self._obeyed = self._simulator.told(fit.causes, self._simulator.steps)
         self._responses: dict[int, Matrix] = {}
         self._found: dict[Cause, np.ndarray] = {}
 
@@ -220,7 +220,7 @@ class Effects:
         """An actuator obeys something else, on average over a control step."""
         simulator, fit = self._simulator, self._fit
         actuator = element_of(simulator.base, cause.location)
-        obeyed = simulator.told((*fit.causes, cause)) - self._obeyed
+        obeyed = simulator.told((*fit.causes, cause), simulator.steps) - self._obeyed
         change = obeyed[:, :, actuator].mean(axis=1)
         return fit.layout.fold(self._response(actuator) * change[:, None])[..., None]
 

@@ -154,7 +154,7 @@ class Simulator:
         """
         model = self._model(values, causes)
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        told, spans = self.told(causes), self.data.spans()
+        told, spans = self.told(causes, self.steps), self.data.spans()
         true = self._true(values, causes, self.measured)
         shown = self.measured.copy()
         for (first, last), (begin, end) in zip(spans, self._transitions(), strict=True):
@@ -175,9 +175,11 @@ class Simulator:
         return shown
 
     def predict_quickly(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
-        """`predict` by an integrator of first order, for differences to others of this kind.
+        """`predict` with the model's own step, by an integrator of first order: for differences to
+        others of this kind.
 
-        Where the model's own is of fourth order, it takes a quarter of the time.
+        Where steps are `finer`, or the model's own integrator is of fourth order, it takes a
+        fraction of the time.
         """
         return self._predict(values, causes, states, self._quick(values, causes))
 
@@ -193,7 +195,7 @@ class Simulator:
         model = self._model(values, causes)
         model.opt.timestep /= finer
         model.opt.integrator = integrator
-        return self._predict(values, causes, states, model, finer=finer)
+        return self._predict(values, causes, states, model)
 
     def predict_free(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
         """`predict_quickly` without contacts and joint limits."""
@@ -237,6 +239,7 @@ class Simulator:
 
     def _quick(self, values: Vector, causes: Sequence[Cause]) -> mujoco.MjModel:
         model = self._model(values, causes)
+        model.opt.timestep *= self.finer
         if not is_first_order(model):
             model.opt.integrator = other_integrator(model.opt.integrator)
         return model
@@ -247,16 +250,15 @@ class Simulator:
         causes: Sequence[Cause],
         states: Matrix,
         model: mujoco.MjModel,
-        finer: int = 1,
         push: tuple[int, float] = (0, 0.0),
         command: tuple[int, float] = (0, 0.0),
     ) -> Matrix:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must show
-        steps, n = self.steps * finer, len(self.starts)
+        steps, n = round(self.period / model.opt.timestep), len(self.starts)
         if not self._is_possible(model):
             return np.full((n, self.measured.shape[1]), np.nan)
         nq, nv = model.nq, model.nv
-        told = self.told(causes, finer)
+        told = self.told(causes, steps)
         full = np.zeros((n, 1 + nq + nv))
         full[:, 1:] = self._true(values, causes, states)[self.starts]
         control = np.zeros((n, steps, model.nu + nv))
@@ -276,9 +278,9 @@ class Simulator:
             return self._scratch
         return [mujoco.MjData(model) for _ in self._scratch]
 
-    def told(self, causes: Sequence[Cause], finer: int = 1) -> Array3:
-        """(N, finer * steps, nu) what the actuators obey in each simulator step."""
-        steps, timestep = finer * self.steps, self.base.opt.timestep / (finer * self.finer)
+    def told(self, causes: Sequence[Cause], steps: int) -> Array3:
+        """(N, steps, nu) what the actuators obey in each of so many steps between two rows."""
+        timestep = self.period / steps
         count = self.data.ctrl.shape[1]  # without actuators that an extension added
         limited = self.base.actuator_ctrllimited[:count].astype(bool)
         bounds = self.base.actuator_ctrlrange[:count].T
@@ -352,7 +354,7 @@ class Simulator:
         Simulated: the measured one would tell the simulator what it is to predict.
         """
         others = [cause for cause in causes if get_mechanism(cause.kind).sense is None]
-        ends = self.predict_quickly(values, others, states)
+        ends = self.predict(values, others, states)
         slope = np.zeros_like(states)
         slope[self.starts + 1] = (np.nan_to_num(ends) - states[self.starts]) / self.period
         first = np.array([first for first, _ in self.data.spans()])
