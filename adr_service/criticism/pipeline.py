@@ -109,7 +109,7 @@ def criticise(
         first = scan(baseline, effects)
         found, final, chance = _name(baseline, first, effects, sensor, rng, progress)
         progress(0.8, causes=len(found))
-        found, final = _pruned(found, final, sensor)
+        found, final = _narrowed(*_pruned(found, final, sensor), sensor)
         progress(0.9, causes=len(found))
         whole = settled(final, sensor)
         flexible = flexible_gains(whole, sensor)
@@ -275,6 +275,38 @@ def _pruned(found: list[_Named], current: Fit, sensor: Vector) -> tuple[list[_Na
         found = [named for number, named in enumerate(found) if number != least]
         current = smoothed(rest, sensor)
     return found, current
+
+
+def _narrowed(
+    found: Sequence[_Named], current: Fit, sensor: Vector
+) -> tuple[list[_Named], Fit]:
+    """With one place instead of a group that needs no other, now that all causes are known."""
+    narrowed = list(found)
+    for number, (group, *others) in enumerate(found):
+        slot = _slots(narrowed)[number]
+        if len(found) == 1 or len(group.causes) == 1:
+            continue
+        before, members, after = (
+            current.causes[part]
+            for part in (slice(slot.start), slot, slice(slot.stop, None))
+        )
+        alone = max(members, key=lambda cause: _significance(current, cause))
+        rest = refine(current, [*before, alone, *after], sensor)
+        everything = settled(current, sensor).held_out.sum()
+        if rest is None or everything - rest.held_out.sum() > THRESHOLD:
+            continue
+        single = (other for other in others if len(other.causes) == 1)
+        narrowed[number] = (replace(group, causes=(alone,)), *single)
+        current = smoothed(rest, sensor)
+    return narrowed, current
+
+
+def _significance(fit: Fit, cause: Cause) -> float:
+    """How many standard deviations the first strength of one of a fit's causes is away from none."""
+    before = fit.causes[: fit.causes.index(cause)]
+    column = len(fit.parameters) + INTEGRATION + sum(len(c.values) for c in before)
+    deviation = np.sqrt(fit.normal.change()[1][column, column])
+    return abs(cause.values[0]) / deviation if deviation > 0 else 0.0
 
 
 def _still_tied(found: list[_Named], final: Fit, sensor: Vector) -> list[_Named]:
