@@ -277,9 +277,7 @@ def _pruned(found: list[_Named], current: Fit, sensor: Vector) -> tuple[list[_Na
     return found, current
 
 
-def _narrowed(
-    found: Sequence[_Named], current: Fit, sensor: Vector
-) -> tuple[list[_Named], Fit]:
+def _narrowed(found: Sequence[_Named], current: Fit, sensor: Vector) -> tuple[list[_Named], Fit]:
     """With one place instead of a group that needs no other, now that all causes are known."""
     narrowed = list(found)
     for number, (group, *others) in enumerate(found):
@@ -287,8 +285,7 @@ def _narrowed(
         if len(found) == 1 or len(group.causes) == 1:
             continue
         before, members, after = (
-            current.causes[part]
-            for part in (slice(slot.start), slot, slice(slot.stop, None))
+            current.causes[part] for part in (slice(slot.start), slot, slice(slot.stop, None))
         )
         alone = max(members, key=lambda cause: _significance(current, cause))
         rest = refine(current, [*before, alone, *after], sensor)
@@ -302,7 +299,7 @@ def _narrowed(
 
 
 def _significance(fit: Fit, cause: Cause) -> float:
-    """How many standard deviations the first strength of one of a fit's causes is away from none."""
+    """Of the first strength of one of a fit's causes, in standard deviations."""
     before = fit.causes[: fit.causes.index(cause)]
     column = len(fit.parameters) + INTEGRATION + sum(len(c.values) for c in before)
     deviation = np.sqrt(fit.normal.change()[1][column, column])

@@ -145,7 +145,7 @@ class Simulator:
 
         NaN where the simulation diverged.
         """
-        return self._predict(values, causes, states, self._model(values, causes))
+        return self._predict(causes, states, self._model(values, causes))
 
     def follow(self, values: Vector, causes: Sequence[Cause]) -> Matrix:
         """Measured states (rows, 2 nv), whole episodes simulated from their first rows on.
@@ -155,7 +155,7 @@ class Simulator:
         model = self._model(values, causes)
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         told, spans = self.told(causes, self.steps), self.data.spans()
-        true = self._true(values, causes, self.measured)
+        true = self._true(causes, self.measured, model)
         shown = self.measured.copy()
         for (first, last), (begin, end) in zip(spans, self._transitions(), strict=True):
             control = np.zeros((1, (end - begin) * self.steps, model.nu))
@@ -181,7 +181,7 @@ class Simulator:
         Where steps are `finer`, or the model's own integrator is of fourth order, it takes a
         fraction of the time.
         """
-        return self._predict(values, causes, states, self._quick(values, causes))
+        return self._predict(causes, states, self._quick(values, causes))
 
     def predict_finer(
         self,
@@ -195,21 +195,21 @@ class Simulator:
         model = self._model(values, causes)
         model.opt.timestep /= finer
         model.opt.integrator = integrator
-        return self._predict(values, causes, states, model)
+        return self._predict(causes, states, model)
 
     def predict_free(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
         """`predict_quickly` without contacts and joint limits."""
         model = self._quick(values, causes)
         bits = mujoco.mjtDisableBit
         model.opt.disableflags |= bits.mjDSBL_CONTACT | bits.mjDSBL_LIMIT
-        return self._predict(values, causes, states, model)
+        return self._predict(causes, states, model)
 
     def predict_pushed(
         self, values: Vector, causes: Sequence[Cause], states: Matrix, dof: int, force: float
     ) -> Matrix:
         """`predict_quickly` with a constant generalised force [N or N m] on a degree of freedom."""
         model = self._quick(values, causes)
-        return self._predict(values, causes, states, model, push=(dof, force))
+        return self._predict(causes, states, model, push=(dof, force))
 
     def reach(self, actuator: int) -> float:
         """The largest command that was given to an actuator, in its unit."""
@@ -221,7 +221,7 @@ class Simulator:
         """`predict_quickly` with more told to an actuator than was, and no limits of commands."""
         model = self._quick(values, causes)
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
-        return self._predict(values, causes, states, model, command=(actuator, more))
+        return self._predict(causes, states, model, command=(actuator, more))
 
     def _model(self, values: Vector, causes: Sequence[Cause]) -> mujoco.MjModel:
         with _quiet():
@@ -246,13 +246,25 @@ class Simulator:
 
     def _predict(
         self,
-        values: Vector,
         causes: Sequence[Cause],
         states: Matrix,
         model: mujoco.MjModel,
         push: tuple[int, float] = (0, 0.0),
         command: tuple[int, float] = (0, 0.0),
     ) -> Matrix:
+        true = self._true(causes, states, model)
+        ends = self._ends(causes, true, model, push, command)
+        return self._shown(causes, true[self.starts], ends)
+
+    def _ends(
+        self,
+        causes: Sequence[Cause],
+        true: Matrix,
+        model: mujoco.MjModel,
+        push: tuple[int, float] = (0, 0.0),
+        command: tuple[int, float] = (0, 0.0),
+    ) -> Matrix:
+        """The robot's states (N, 2 nv) one control step after its states (rows, 2 nv)."""
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must show
         steps, n = round(self.period / model.opt.timestep), len(self.starts)
         if not self._is_possible(model):
@@ -260,7 +272,7 @@ class Simulator:
         nq, nv = model.nq, model.nv
         told = self.told(causes, steps)
         full = np.zeros((n, 1 + nq + nv))
-        full[:, 1:] = self._true(values, causes, states)[self.starts]
+        full[:, 1:] = true[self.starts]
         control = np.zeros((n, steps, model.nu + nv))
         control[..., : told.shape[2]] = told
         control[..., command[0]] += command[1]
@@ -271,7 +283,7 @@ class Simulator:
             )
         ends = after[:, -1, 1:].copy()
         ends[~np.all(np.abs(ends) < mujoco.mjMAXVAL, axis=1)] = np.nan
-        return self._shown(causes, full[:, 1:], ends)
+        return ends
 
     def _data(self, model: mujoco.MjModel) -> list[mujoco.MjData]:
         if (model.nu, model.nsite) == (self.base.nu, self.base.nsite):
@@ -306,14 +318,14 @@ class Simulator:
         ends = np.cumsum(lengths).tolist()
         return [(end - length, end) for end, length in zip(ends, lengths, strict=True)]
 
-    def _true(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
+    def _true(self, causes: Sequence[Cause], states: Matrix, model: mujoco.MjModel) -> Matrix:
         """The robot's states (rows, 2 nv) behind what its sensors show."""
         felt = [cause for cause in causes if get_mechanism(cause.kind).sense is not None]
         if not felt:
             return states
         true, slope = states.copy(), np.zeros_like(states)
         if any(get_mechanism(cause.kind).sense == "delay" for cause in felt):
-            slope = self.slope(values, causes, states)
+            slope = self._slope(causes, states, model)
         for cause in reversed(felt):
             column, added = self.felt(cause, states, slope)
             if get_mechanism(cause.kind).sense == "scale":
@@ -353,8 +365,10 @@ class Simulator:
 
         Simulated: the measured one would tell the simulator what it is to predict.
         """
-        others = [cause for cause in causes if get_mechanism(cause.kind).sense is None]
-        ends = self.predict(values, others, states)
+        return self._slope(causes, states, self._model(values, causes))
+
+    def _slope(self, causes: Sequence[Cause], states: Matrix, model: mujoco.MjModel) -> Matrix:
+        ends = self._ends(causes, states, model)
         slope = np.zeros_like(states)
         slope[self.starts + 1] = (np.nan_to_num(ends) - states[self.starts]) / self.period
         first = np.array([first for first, _ in self.data.spans()])

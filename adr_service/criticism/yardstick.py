@@ -1,26 +1,36 @@
 """How much better any force on the joints could predict, whatever its cause.
 
 A ridge regression of the whitened residuals on generalised forces that are smooth or kinked
-functions of a joint's position and velocity, of all commands, and of time. Where it predicts
-episodes that it has not seen better than the best cause does, that cause is not the whole story.
+functions of a joint's position and velocity, of all commands, and of time, and on one force that
+swings at the frequency at which residuals do most. Where it predicts episodes that it has not seen
+better than the best cause does, that cause is not the whole story.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from adr_service.arrays import Matrix, Vector
+from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.linear import Normal, estimate
 from adr_service.criticism.noise import Whitener
 
+_PADDED = 4  # times as many frequencies as the recording resolves
 _RIDGES = (0.01, 0.1, 1.0, 10.0)  # prior precisions, relative to what all data say of a coefficient
 
 
 def flexible_gains(fit: Fit, sensor: Vector) -> Vector:
     """(E,) nats by episode left out: the best ridge over no force at all."""
     base, known = fit.linear.columns.shape[3], ~np.isnan(sensor)
-    columns = np.concatenate([fit.linear.columns, _forces(fit)], axis=3)
+    responses = _responses(fit)
+    forces = [
+        *(r[:, :, None] * _features(fit, dof)[:, None, :] for dof, r in enumerate(responses)),
+        _swing(fit, responses),
+    ]
+    folded = fit.layout.fold(np.nan_to_num(np.concatenate(forces, axis=2)))
+    folded[~fit.linear.chain.mask] = 0.0
+    columns = np.concatenate([fit.linear.columns, folded], axis=3)
     added = np.zeros(columns.shape[3] - base)
     mean = np.concatenate([fit.linear.mean, added])
     plain = np.concatenate([fit.linear.precision, added])
@@ -34,20 +44,34 @@ def flexible_gains(fit: Fit, sensor: Vector) -> Vector:
     return with_force.left_out() - without.left_out()
 
 
-def _forces(fit: Fit) -> np.ndarray:
-    """(E, T, m, k) effects of each force on each degree of freedom."""
-    simulator, nv = fit.simulator, fit.simulator.base.nv
-    predicted = simulator.predict_quickly(fit.parameters, fit.causes, fit.states)
+def _responses(fit: Fit) -> list[Matrix]:
+    """(N, m) what a unit of force on each degree of freedom adds."""
+    simulator = fit.simulator
+    known = (fit.parameters, fit.causes, fit.states)
+    predicted = simulator.predict_quickly(*known)
     sizes = 0.01 * simulator.base.dof_M0 / simulator.period
-    effects: list[Matrix] = []
-    for dof, size in enumerate(sizes.tolist()):
-        pushed = simulator.predict_pushed(fit.parameters, fit.causes, fit.states, dof, size)
-        response = (pushed - predicted) / size  # (N, m)
-        effects.append(response[:, :, None] * _features(fit, dof)[:, None, :])
-    folded = fit.layout.fold(np.nan_to_num(np.concatenate(effects, axis=2)))
-    folded[~fit.linear.chain.mask] = 0.0
-    assert len(effects) == nv
-    return folded
+    return [
+        (simulator.predict_pushed(*known, dof, size) - predicted) / size
+        for dof, size in enumerate(sizes.tolist())
+    ]
+
+
+def _swing(fit: Fit, responses: Sequence[Matrix]) -> Array3:
+    """(N, m, 2) effects of a sine and a cosine, at the degree of freedom and the frequency where
+    the log-likelihood rises most; episodes are taken as parts of one recording."""
+    simulator, layout, chain = fit.simulator, fit.layout, fit.linear.chain
+    whitener = Whitener.of(chain, fit.noise)
+    adjoint = whitener.adjoint(whitener.whiten(fit.left[..., None])[..., 0])
+    pull = np.stack([np.sum(layout.fold(r) * adjoint, axis=2) for r in responses])
+    rows = np.zeros((len(responses), _PADDED * len(simulator.data.time)))
+    rows[:, simulator.starts] = np.nan_to_num(pull[:, layout.mask])
+    power = np.abs(np.fft.rfft(rows)) ** 2
+    power /= np.maximum(np.sum(rows**2, axis=1, keepdims=True), 1e-300)  # if nothing swings
+    dof, wave = np.unravel_index(np.argmax(power), power.shape)
+    angle = 2 * np.pi * int(wave) / rows.shape[1] * simulator.starts
+    return (
+        responses[int(dof)][:, :, None] * np.column_stack([np.sin(angle), np.cos(angle)])[:, None]
+    )
 
 
 def _features(fit: Fit, dof: int) -> Matrix:
