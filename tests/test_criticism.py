@@ -243,9 +243,10 @@ def test_the_least_that_is_accepted_is_enough(good):
 
 
 def test_a_second_cause_is_found_beside_the_first():
+    """The first looks like a group, `sensor:*`, until the second is known."""
     hidden = [
-        Cause("joint_coulomb_friction", "joint:elbow", (0.05,)),
-        Cause("joint_spring", "joint:shoulder", (0.5,)),
+        Cause("sensor_delay", "sensor:shoulder.position", (0.0006,)),
+        Cause("joint_armature", "joint:elbow", (0.0005,)),
     ]
     task, nominal = arm()
     data = hide(task, nominal, np.random.default_rng(400), hidden)
