@@ -168,6 +168,7 @@ def verdict_table(verdict: Json) -> RenderableType:
                 f", at steps of {1000 * step['judged_with']:.3g} ms (extended.xml keeps "
                 f"{1000 * step['of_the_model']:.3g})"
             )
+    headline = "\n".join([headline, *verdict["remarks"]])
     table = Table("cause", "location", "strength", box=None, padding=(0, 2, 0, 0))
     for heading in ("value", "95 % interval", "evidence [nats]"):
         table.add_column(heading, justify="right")

@@ -163,9 +163,7 @@ def table(cases: Sequence[dict[str, Any]]) -> str:
             f"held-out gain: median {np.median(shares):.1%} of the oracle's, where that is above "
             f"nothing; {most} of {len(shares)} at least 95 %"
         )
-    lines.append(
-        f"CPU seconds per case: median {np.median([c['seconds'] for c in cases]):.1f}"
-    )
+    lines.append(f"CPU seconds per case: median {np.median([c['seconds'] for c in cases]):.1f}")
     return "\n".join(lines)
 
 

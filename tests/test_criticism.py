@@ -11,7 +11,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from adr_service.causes import Cause
-from adr_service.criticism.advice import separating_experiment
+from adr_service.criticism.advice import remarks, separating_experiment
 from adr_service.criticism.blind import draw_case, hide
 from adr_service.criticism.decision import THRESHOLD, decide, is_unknown
 from adr_service.criticism.evidence import fit, smoothed
@@ -63,9 +63,12 @@ def test_where_nothing_is_hidden_nothing_is_found_but_detection_limits(seed):
     np.testing.assert_allclose(found.final.parameters, hidden.truth, rtol=0.01)
 
 
-def test_an_effect_that_is_not_in_the_catalogue_is_called_unknown():
-    hidden = case(300, ratio=1.0, outside=True)
-    assert hidden.outside is not None
+@pytest.mark.parametrize(
+    ("seed", "ratio", "effect"), [(300, 1.0, "gain_drift"), (312, 0.3, "disturbance")]
+)
+def test_an_effect_that_is_not_in_the_catalogue_is_called_unknown(seed, ratio, effect):
+    hidden = case(seed, ratio=ratio, outside=True)
+    assert hidden.outside == effect
     found = criticise(hidden.nominal, hidden.measurement, np.random.default_rng(0), threads=1)
     assert found.verdict.finding == "unknown"
     assert not found.verdict.causes
@@ -258,6 +261,41 @@ def test_a_second_cause_is_found_beside_the_first():
     for cause in hidden:
         (named,) = (n for n in found.causes if (n.kind, n.location) == (cause.kind, cause.location))
         assert named.strengths[0].value == pytest.approx(cause.values[0], rel=0.05)
+
+
+def test_what_the_sealed_episodes_refute_is_unknown():
+    """A spring in the episodes to learn from, the opposite of it in the sealed ones."""
+    task, nominal = arm()
+    stiff, soft = (
+        recorded(
+            hide(
+                task,
+                nominal,
+                np.random.default_rng(402),
+                [Cause("joint_spring", "joint:elbow", (k,))],
+            )
+        )
+        for k in (0.5, -0.5)
+    )
+    is_sealed = stiff["episode"] % 4 == 3
+    data = Measurement(
+        **{name: np.where(is_sealed, soft[name].T, stiff[name].T).T for name in stiff}
+    )
+    found = criticise(nominal, data, np.random.default_rng(0), threads=1)
+    assert found.verdict.finding == "unknown"
+    assert not found.verdict.causes
+    assert found.verdict.gain is None
+    assert found.extension is None
+
+
+def test_commands_that_say_nothing_and_commands_beyond_limits_are_told(good):
+    model = arm()[1].model(arm()[1].start)
+    assert remarks(model, Measurement(**good)) == ()
+    told = np.array(good["ctrl"])
+    told[:, 0], told[:3, 1] = 0.25, -1.5
+    still, beyond = remarks(model, Measurement(**{**good, "ctrl": told}))
+    assert still.startswith("Actuator shoulder is told 0.25 all the time")
+    assert beyond.startswith("3 of 2250 commands to actuator elbow are beyond its limits, -1 to 1")
 
 
 def test_one_effect_at_all_places_is_a_group():

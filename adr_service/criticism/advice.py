@@ -1,4 +1,4 @@
-"""Which experiment would tell two explanations apart that the data do not.
+"""What to know of the data, and which experiment would tell two explanations apart.
 
 Of a list of simple experiments (one actuator moved, the others at rest, from postures that the
 recording has), the one on which the two fitted simulators differ most, in units of the error that
@@ -6,6 +6,7 @@ noise and misfit let expect of one step; beside what the recorded episodes give,
 sees whether it is worth the effort. Steps at which either simulation has diverged are not counted.
 """
 
+import mujoco
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
@@ -17,6 +18,27 @@ from adr_service.criticism.verdict import Experiment
 _STEPS = 50  # control steps of an experiment
 _POSTURES = 3
 _CYCLES = (0.0, 1.0, 5.0)  # of a sine during an experiment; 0: held
+
+
+def remarks(model: mujoco.MjModel, data: Measurement) -> tuple[str, ...]:
+    """On commands that say little, or that the simulator does not obey to the letter."""
+    told = data.ctrl[:-1][np.diff(data.episode) == 0]  # the last row of an episode commands nothing
+    found: list[str] = []
+    for number, values in enumerate(told.T):
+        name = model.actuator(number).name
+        if np.ptp(values) == 0:
+            found.append(
+                f"Actuator {name} is told {values[0]:g} all the time: of what it does with other "
+                "commands these data say nothing."
+            )
+        low, high = model.actuator_ctrlrange[number]
+        beyond = int(np.sum((values < low) | (values > high)))
+        if model.actuator_ctrllimited[number] and beyond:
+            found.append(
+                f"{beyond} of {len(values)} commands to actuator {name} are beyond its limits, "
+                f"{low:g} to {high:g}; the simulator obeys the limits, as MuJoCo does."
+            )
+    return tuple(found)
 
 
 def separating_experiment(one: Fit, other: Fit) -> Experiment:

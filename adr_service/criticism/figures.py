@@ -12,6 +12,7 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.pipeline import Criticism
+from adr_service.simulation.mechanisms import unit_of
 
 _BEFORE, _AFTER = "#D55E00", "#0072B2"  # Okabe and Ito
 _MOST_RANKED, _MOST_POINTS = 12, 1500
@@ -79,7 +80,8 @@ def _residual(figure: Figure, criticism: Criticism) -> None:
         ax.plot(values[shown], error[shown], ".", color=_BEFORE, markersize=2, alpha=0.4)
         ax.plot(values[shown], share[shown], ".", color=_AFTER, markersize=2)
         ax.set_xlabel(name)
-    axes[0].set_ylabel("velocity error of one step [1/s]")
+        ax.locator_params(axis="x", nbins=4)
+    axes[0].set_ylabel(f"velocity error of one step [{_unit(before, dof, 'velocity')}]")
     figure.suptitle(
         f"{_joints(criticism)[dof]}: the error (orange) and what the cause explains of it (blue)"
     )
@@ -110,7 +112,7 @@ def _trace(figure: Figure, criticism: Criticism) -> None:
         ax.plot(trace.time, trace.measured[:, column], "k.", markersize=3, label="measured")
         ax.plot(trace.time, trace.without[:, column], color=_BEFORE, label="as it is")
         ax.plot(trace.time, trace.with_causes[:, column], color=_AFTER, label="extended")
-        ax.set(xlabel="time [s]", ylabel=what)
+        ax.set(xlabel="time [s]", ylabel=f"{what} [{_unit(criticism.baseline, dof, what)}]")
     axes[0].legend(frameon=False)
     figure.suptitle(f"{_joints(criticism)[dof]}: simulated from the first state on, without a look")
 
@@ -147,23 +149,29 @@ def _against(fit: Fit, dof: int) -> dict[str, Vector]:
     ]
     told = simulator.data.ctrl[rows][:, drives].sum(axis=1)
     return {
-        "position": fit.states[rows, dof],
-        "velocity": fit.states[rows, nv + dof],
+        f"position [{_unit(fit, dof, 'position')}]": fit.states[rows, dof],
+        f"velocity [{_unit(fit, dof, 'velocity')}]": fit.states[rows, nv + dof],
         "command": told,
         "time [s]": simulator.data.time[rows],
     }
 
 
+def _unit(fit: Fit, dof: int, what: str) -> str:
+    model = fit.simulator.base
+    joint = model.joint(int(model.dof_jntid[dof])).name
+    return unit_of(model, f"sensor:{joint}.{what}", "of the sensor")
+
+
 def _explained(fit: Fit, dof: int) -> Vector:
     """(features,) share of a joint's squared error that goes with each, by itself."""
     error = _unexplained(fit)[:, dof]
-    known = _against(fit, dof)
+    position, velocity, command, _ = _against(fit, dof).values()
     contact = fit.linear.chain.stiff[fit.linear.chain.mask].astype(float)
     features = [
-        known["position"],
-        known["velocity"],
-        np.sign(known["velocity"]),
-        known["command"],
+        position,
+        velocity,
+        np.sign(velocity),
+        command,
         np.arange(len(error)),
         contact,
     ]

@@ -21,7 +21,7 @@ from scipy.special import expit
 
 from adr_service.arrays import Vector
 from adr_service.causes import Cause
-from adr_service.criticism.advice import separating_experiment
+from adr_service.criticism.advice import remarks, separating_experiment
 from adr_service.criticism.decision import (
     ALIKE,
     THRESHOLD,
@@ -114,16 +114,17 @@ def criticise(
         whole = settled(final, sensor)
         flexible = flexible_gains(whole, sensor)
         confidence = _confidence(found, chance, flexible)
+        finding: Finding = "none"
+        if is_unknown(flexible, sum(named[0].gain for named in found)):
+            finding, found, final = "unknown", [], baseline
         found = _still_tied(found, final, sensor)
         spread = spread_causes(whole, sensor)
         experiments = [[separating_experiment(n[0].fit, o.fit) for o in n[1:]] for n in found]
     gain = measure_gain(baseline, final, sealed, rng, threads) if found else None
-    finding: Finding = "none"
-    if is_refuted := gain is not None and gain.high < 0:  # by the sealed episodes
+    if gain is not None and gain.high < 0:  # refuted by the sealed episodes
         confidence = 0.5 + _INTERVAL / 2
-    if is_refuted or is_unknown(flexible, sum(named[0].gain for named in found)):
         finding, found, final, gain = "unknown", [], baseline, None
-    elif found or spread:
+    elif finding == "none" and (found or spread):
         finding = "tie" if any(len(named) > 1 for named in found) else "cause"
         confidence = confidence if found else spread[0].confidence
     verdict = Verdict(
@@ -139,6 +140,7 @@ def criticise(
         ),
         experiments=(*map(tuple, experiments[: len(found)]), *(() for _ in spread)),
         residual=_residual(baseline, final, first, flexible),
+        remarks=remarks(baseline.simulator.base, data),
         gain=gain,
         seconds=time.perf_counter() - started,
     )

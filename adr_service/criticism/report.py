@@ -28,6 +28,7 @@ def report_page(criticism: Criticism, name: str) -> str:
     """HTML with its figures inside; `name` is what was criticised."""
     verdict, pictures = criticism.verdict, draw_all(criticism)
     parts = [f'<p class="finding">{_finding(verdict)}</p>', _bounds(verdict)]
+    parts += [f"<p>{escape(remark)}</p>" for remark in verdict.remarks]
     if verdict.causes:
         parts.append(_causes(verdict))
     if verdict.gain is not None:

@@ -163,6 +163,7 @@ class Verdict:
     experiments: tuple[tuple[Experiment, ...], ...]
     residual: Residual
     gain: Gain | None  # None: nothing was named that predictions would gain from
+    remarks: tuple[str, ...]  # on the data, in words
     seconds: float | None  # by the clock; None of a stage, whose cost is kept beside it
 
     def to_json(self) -> dict[str, Any]:
@@ -175,6 +176,7 @@ class Verdict:
             "experiments": [[each.to_json() for each in group] for group in self.experiments],
             "residual": self.residual.to_json(),
             "gain": None if self.gain is None else self.gain.to_json(),
+            "remarks": list(self.remarks),
             "seconds": self.seconds,
         }
 
