@@ -105,6 +105,11 @@ class TestDecision:
         gains[3] = 10 * THRESHOLD
         assert not self.decide([gains]).alike
 
+    def test_the_best_that_is_more_than_chance_is_named_beside_a_larger_one_that_is_not(self):
+        flaky = np.full(20, -0.5)
+        flaky[:2] = 60.0
+        assert self.decide([flaky, np.full(20, 4.0)]).alike == (1,)
+
     def test_no_candidate_at_all_is_none(self):
         assert not self.decide(np.empty((0, 20))).alike
 

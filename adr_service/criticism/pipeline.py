@@ -111,20 +111,22 @@ def criticise(
         progress(0.8, causes=len(found))
         found, final = _narrowed(*_pruned(found, final, sensor), sensor)
         progress(0.9, causes=len(found))
+        gain = measure_gain(baseline, final, sealed, rng, threads) if found else None
+        is_refuted = gain is not None and gain.high < 0  # by the sealed episodes
+        if is_refuted:
+            found, final, gain = [], baseline, None
         whole = settled(final, sensor)
         flexible = flexible_gains(whole, sensor)
         confidence = _confidence(found, chance, flexible)
+        if is_refuted:
+            confidence = 0.5 + _INTERVAL / 2
         finding: Finding = "none"
         if is_unknown(flexible, sum(named[0].gain for named in found)):
-            finding, found, final = "unknown", [], baseline
+            finding, found, final, gain = "unknown", [], baseline, None
         found = _still_tied(found, final, sensor)
         spread = spread_causes(whole, sensor)
         experiments = [[separating_experiment(n[0].fit, o.fit) for o in n[1:]] for n in found]
-    gain = measure_gain(baseline, final, sealed, rng, threads) if found else None
-    if gain is not None and gain.high < 0:  # refuted by the sealed episodes
-        confidence = 0.5 + _INTERVAL / 2
-        finding, found, final, gain = "unknown", [], baseline, None
-    elif finding == "none" and (found or spread):
+    if finding == "none" and (found or spread):
         finding = "tie" if any(len(named) > 1 for named in found) else "cause"
         confidence = confidence if found else spread[0].confidence
     verdict = Verdict(
@@ -264,15 +266,15 @@ def _weigh(
 def _pruned(found: list[_Named], current: Fit, sensor: Vector) -> tuple[list[_Named], Fit]:
     """Without the causes that the others make superfluous."""
     while len(found) > 1:
-        everything = settled(current, sensor).held_out.sum()
+        everything = settled(current, sensor).held_out
         shorter = [
             refine(current, [*current.causes[: slot.start], *current.causes[slot.stop :]], sensor)
             for slot in _slots(found)
         ]
-        losses = [np.inf if f is None else everything - f.held_out.sum() for f in shorter]
+        losses = [np.inf if f is None else (everything - f.held_out).sum() for f in shorter]
         least = int(np.argmin(losses))
         rest = shorter[least]
-        if rest is None or losses[least] > THRESHOLD:
+        if rest is None or is_evidence(everything - rest.held_out):
             break
         found = [named for number, named in enumerate(found) if number != least]
         current = smoothed(rest, sensor)
@@ -291,8 +293,7 @@ def _narrowed(found: Sequence[_Named], current: Fit, sensor: Vector) -> tuple[li
         )
         alone = max(members, key=lambda cause: _significance(current, cause))
         rest = refine(current, [*before, alone, *after], sensor)
-        everything = settled(current, sensor).held_out.sum()
-        if rest is None or everything - rest.held_out.sum() > THRESHOLD:
+        if rest is None or is_evidence(settled(current, sensor).held_out - rest.held_out):
             continue
         single = (other for other in others if len(other.causes) == 1)
         narrowed[number] = (replace(group, causes=(alone,)), *single)
