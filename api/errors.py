@@ -17,7 +17,10 @@ _STATUS = {
     "conflict": 409,
     "invalid_input": 422,
     "cluster_unavailable": 503,
+    "database_unavailable": 503,
+    "disk_full": 507,
 }
+_RETRY_AFTER_S = 5
 _LONGEST = 200  # characters of what was given that a problem repeats
 
 
@@ -41,7 +44,10 @@ def problem(status: int, code: str, detail: str, **more: Any) -> JSONResponse:
 
 async def _adr_error(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, AdrError)
-    return problem(_STATUS.get(error.code, 500), error.code, str(error))
+    response = problem(_STATUS.get(error.code, 500), error.code, str(error))
+    if response.status_code in (503, 507):
+        response.headers["Retry-After"] = str(_RETRY_AFTER_S)
+    return response
 
 
 async def _validation_error(request: Request, error: Exception) -> JSONResponse:

@@ -104,8 +104,10 @@ def _ray_token(data_dir: Path) -> Path:
     """The secret of our own Ray cluster, readable by nobody else (Ray's own is, by all)."""
     path = data_dir.absolute() / "ray_token"
     if not path.exists():
-        path.touch(mode=0o600)
-        path.write_text(secrets.token_hex(32))
+        part = path.with_suffix(".part")
+        part.touch(mode=0o600)
+        part.write_text(secrets.token_hex(32))
+        part.replace(path)  # whole, or not at all: Ray does not start with an empty one
     return path
 
 

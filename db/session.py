@@ -5,6 +5,7 @@ Writes go through one connection that begins IMMEDIATE, reads through connection
 write. A lock file keeps a second service away from an SQLite file.
 """
 
+import sqlite3
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,12 +16,20 @@ from alembic import command
 from alembic.config import Config
 from filelock import FileLock, Timeout
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
 from adr_service.errors import AdrError, InvalidInput
 
 CHUNK = 10_000  # of a query's variables, of which SQLite has 32,766
-_BUSY_TIMEOUT_MS = 30_000  # for other processes, such as a backup
+_BUSY_TIMEOUT_MS = 5_000  # for other processes, such as a backup
+# what passes by itself, or once somebody frees the disk
+_PASSING = (
+    sqlite3.SQLITE_BUSY,
+    sqlite3.SQLITE_LOCKED,
+    sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_CANTOPEN,
+)
 
 
 class DatabaseInUse(AdrError):
@@ -29,8 +38,24 @@ class DatabaseInUse(AdrError):
     code = "database_in_use"
 
 
+class DatabaseUnavailable(AdrError):
+    """The database cannot be used just now; what was asked for may be asked for again."""
+
+    code = "database_unavailable"
+
+
+class DiskFull(DatabaseUnavailable):
+    """Nothing can be stored before somebody frees the disk."""
+
+    code = "disk_full"
+
+
 class Database:
-    """Sessions on one database. Open it once, in the process that owns it."""
+    """Sessions on one database. Open it once, in the process that owns it.
+
+    Both kinds raise DatabaseUnavailable where another process holds the file for longer than
+    seconds, or the disk fails or is full; nothing of the transaction is stored then.
+    """
 
     def __init__(self, url: str):
         self.url = url
@@ -42,12 +67,12 @@ class Database:
     @contextmanager
     def write(self) -> Generator[Session]:
         """A transaction that commits when the block ends, and rolls back when it raises."""
-        with self._write_lock, Session(self._writer) as session, session.begin():
+        with _told(), self._write_lock, Session(self._writer) as session, session.begin():
             yield session
 
     @contextmanager
     def read(self) -> Generator[Session]:
-        with Session(self._reader) as session:
+        with _told(), Session(self._reader) as session:
             yield session
 
     def close(self) -> None:
@@ -72,6 +97,22 @@ def alembic_config(url: str) -> Config:
     config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
     config.set_main_option("sqlalchemy.url", url.replace("%", "%%"))
     return config
+
+
+@contextmanager
+def _told() -> Generator[None]:
+    """Trouble with the file, and not with what was asked of it, under a name of its own."""
+    try:
+        yield
+    except OperationalError as error:
+        code = getattr(error.orig, "sqlite_errorcode", 0) & 0xFF  # extended codes say more
+        if code == sqlite3.SQLITE_FULL:
+            raise DiskFull("the disk that has the database is full; free some space") from error
+        if code in _PASSING:
+            raise DatabaseUnavailable(
+                f"the database cannot be used just now: {error.orig}"
+            ) from error
+        raise
 
 
 def _lock_file(url: str) -> FileLock:

@@ -3,10 +3,12 @@
 import csv
 import io
 import json
+import sqlite3
 import stat
 import subprocess
 import sys
 import time
+from contextlib import closing
 
 import httpx2
 import pytest
@@ -349,6 +351,20 @@ class TestService:
         ready = http.get("/readyz").json()
         assert ready["status"] == "ready"
         assert ready["cores"] == 2
+
+    def test_while_another_process_holds_the_database_nothing_is_lost(self, http, service):
+        """Longer than writers wait."""
+        run = service.client.submit_run({**SMOKE, "method": "prior", "seed": 71})["id"]
+        with closing(
+            sqlite3.connect(service.data_dir / "adr.sqlite", isolation_level=None)
+        ) as other:
+            other.execute("begin immediate")
+            refused = http.get("/readyz")
+            assert (refused.status_code, refused.json()["title"]) == (503, "database unavailable")
+            assert int(refused.headers["Retry-After"]) > 0
+            assert http.get(f"/v1/runs/{run}").json()["state"] in ("queued", "running")
+        assert http.get("/readyz").json()["status"] == "ready"
+        assert wait_until_finished(service.client, run, 120)["state"] == "succeeded"
 
     def test_the_catalogue_lists_tasks_methods_and_presets(self, http):
         assert {task["name"] for task in http.get("/v1/tasks").json()} == set(BUILT_IN)

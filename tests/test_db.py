@@ -2,6 +2,7 @@
 
 import sqlite3
 import threading
+from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -30,7 +31,13 @@ from adr_service.transitions import TransitionDataset
 from db import datasets, runs, stages
 from db.errors import NotFound, NotPossible
 from db.models import RunRow
-from db.session import DatabaseInUse, alembic_config, open_database
+from db.session import (
+    DatabaseInUse,
+    DatabaseUnavailable,
+    DiskFull,
+    alembic_config,
+    open_database,
+)
 
 SPEC = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})
 STAGE = Stage("evaluate", {"x": 1})
@@ -271,6 +278,25 @@ class TestSession:
             assert session.scalar(text("pragma foreign_keys")) == 1
         with pytest.raises(OperationalError, match="readonly"), database.read() as session:
             session.execute(text("delete from runs"))
+
+    def test_a_lock_of_another_process_and_a_full_disk_are_told_apart_from_defects(
+        self, tmp_path, monkeypatch
+    ):
+        monkeypatch.setattr("db.session._BUSY_TIMEOUT_MS", 50)
+        with closing(open_database(f"sqlite:///{tmp_path / 'adr.sqlite'}")) as database:
+            with closing(sqlite3.connect(tmp_path / "adr.sqlite", isolation_level=None)) as other:
+                other.execute("begin immediate")
+                with pytest.raises(DatabaseUnavailable, match="locked"):
+                    runs.create_run(database, SPEC)
+            run = runs.create_run(database, SPEC)
+            with database.write() as session:
+                session.execute(text("pragma max_page_count=1"))  # as many as there are
+            with pytest.raises(DiskFull, match="free some space"), database.write() as session:
+                stages.add_artifact(session, bytes(10_000_000))
+            with pytest.raises(OperationalError, match="no such table"), database.read() as session:
+                session.execute(text("select 1 from nowhere"))
+            assert runs.get_run(database, run.id).state == "queued"
+            assert count(database, "artifacts") == 0
 
     def test_no_update_is_lost_between_threads(self, database):
         run = runs.create_run(database, SPEC)

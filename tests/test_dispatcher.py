@@ -15,6 +15,7 @@ from adr_service.runs import run
 from adr_service.specs import RunSpec
 from adr_service.stages import Stage
 from adr_service.training.policy import Policy
+from db.session import DatabaseUnavailable
 from workers.cluster import RayOptions
 from workers.dispatcher import Dispatcher
 from workers.stages import RayStages
@@ -57,19 +58,27 @@ class Store:
     def __init__(self):
         self.results, self.commits, self.notes = {}, [], []
         self.first = {}  # by digest: whether the stage was the first of its process
+        self.refusals = 0  # of the database, to come
 
     def find(self, stage, run_id):
+        self.refuse()
         return self.results.get(stage.digest)
 
     def note(self, stage, so_far, run_ids):
         self.notes.append((stage.digest, so_far, run_ids))
 
     def commit(self, stage, finished, attempt, run_ids):
+        self.refuse()
         if "run_unlucky" in run_ids:
             raise OSError("no space left on device")
         self.results[stage.digest] = finished.result
         self.first[stage.digest] = finished.work.is_first
         self.commits.append((stage.digest, attempt.number, attempt.started_by, sorted(run_ids)))
+
+    def refuse(self):
+        if self.refusals > 0:
+            self.refusals -= 1
+            raise DatabaseUnavailable("the database cannot be used just now")
 
 
 @pytest.fixture(scope="module")
@@ -233,6 +242,26 @@ def test_a_result_that_cannot_be_stored_fails_its_stage_and_nobody_elses(started
     assert failed.value.cause == "not_stored"
     assert dispatcher.is_alive
     assert dispatcher.submit(training(71), "run_lucky").result(60)
+
+
+@pytest.mark.parametrize(("seed", "when"), [(72, "looked up"), (73, "stored")])
+def test_what_meets_a_database_that_cannot_be_used_just_now_waits_and_is_not_lost(
+    started, seed, when
+):
+    dispatcher, store = started
+    if when == "stored":
+        stage = training(seed, max_steps=4000)
+        asked = dispatcher.submit(stage, "run_patient")
+        until(lambda: running(dispatcher, "run_patient"))
+        store.refusals = 2
+    else:
+        store.refusals, stage = 2, training(seed)
+        asked = dispatcher.submit(stage, "run_patient")
+    assert asked.result(60).blobs
+    assert store.refusals == 0
+    assert [commit[:2] for commit in store.commits if commit[0] == stage.digest] == [
+        (stage.digest, 1)  # computed once
+    ]
 
 
 def test_a_run_on_two_cores_tells_the_same_as_in_this_process(started):

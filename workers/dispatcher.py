@@ -23,6 +23,7 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 from adr_service.errors import AdrError, RunCancelled, StageFailed
 from adr_service.progress import SoFar
 from adr_service.stages import KINDS, Role, Stage, StageResult
+from db.session import DatabaseUnavailable
 from workers.actors import Board, Ending, Failed, Finished, SignOfLife, Stopped
 from workers.cluster import ClusterUnavailable, RayOptions, join
 from workers.slots import Actor, Slots
@@ -31,6 +32,7 @@ log = logging.getLogger(__name__)
 MAX_ATTEMPTS = 3
 _TICK_S = 0.05
 _READ_BOARD_S = 0.5
+_RETRY_S = 1.0  # after the database could not be used
 # light stages first: they are short, and trainings wait for them
 _PRIORITY: dict[Role, int] = {"target": 0, "inference": 1, "trainer": 2}
 
@@ -59,6 +61,7 @@ class _Job:
     ref: Any = None  # of the running call
     actor: Actor | None = None
     sign: SignOfLife | None = None
+    finished: Finished | None = None  # a result that is not stored yet
     since: float = field(default_factory=time.monotonic)
 
     @property
@@ -111,6 +114,7 @@ class Dispatcher:
     def __init__(self, options: RayOptions, find: Find, commit: Commit, note: Note):
         self._options, self._find, self._commit, self._note = options, find, commit, note
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._later: list[tuple[float, Callable[[], None]]] = []  # (monotonic time, what to do)
         self._jobs: dict[str, _Job] = {}
         self._numbers = 0
         self._stop = threading.Event()
@@ -198,6 +202,10 @@ class Dispatcher:
     def _read_inbox(self) -> None:
         """Carry out what other threads asked for; sleep a tick when nothing runs either."""
         idle = not any(job.ref is not None for job in self._jobs.values())
+        now, later = time.monotonic(), self._later
+        self._later = [entry for entry in later if entry[0] > now]
+        for _, action in (entry for entry in later if entry[0] <= now):
+            action()
         try:
             self._inbox.get(timeout=_TICK_S if idle else 0.001)()
             while True:
@@ -210,6 +218,9 @@ class Dispatcher:
         if job is None:
             try:
                 stored = self._find(stage, run_id)
+            except DatabaseUnavailable as error:
+                self._again(lambda: self._accept(stage, run_id, future), error)
+                return
             except Exception as error:  # the database's trouble must not stop other runs
                 log.exception("stage %s could not be looked up", stage.digest)
                 future.set_exception(_not_stored(stage, error))
@@ -230,13 +241,14 @@ class Dispatcher:
             job.waiters = [waiter for waiter in job.waiters if waiter.run_id != run_id]
             if job.waiters:
                 continue
-            if job.ref is None:
+            if job.ref is None and job.finished is None:
                 del self._jobs[digest]
-            else:
+            elif job.ref is not None:
                 self._board.set_unwanted.remote(digest, True)
 
     def _schedule(self) -> None:
-        waiting = [job for job in self._jobs.values() if job.ref is None and job.waiters]
+        jobs = self._jobs.values()
+        waiting = [j for j in jobs if j.ref is None and j.finished is None and j.waiters]
         for job in sorted(waiting, key=lambda job: (_PRIORITY[job.role], job.number)):
             actor = self._slots.take(job.role, job.started_by, avoid=job.lost_on)
             if actor is None:
@@ -260,7 +272,7 @@ class Dispatcher:
         self._slots.give_back(actor)
         match ending:
             case Finished():
-                del self._jobs[job.stage.digest]
+                job.finished = ending
                 self._deliver(job, ending)
             case Failed(code, message):
                 del self._jobs[job.stage.digest]
@@ -271,16 +283,26 @@ class Dispatcher:
                 # else it was wanted again while it was stopping, and waits for its turn
 
     def _deliver(self, job: _Job, ending: Finished) -> None:
-        """Commit a result, then hand it to those who wait."""
+        """Commit a result, then hand it to those who wait; later, while nothing can be stored."""
         try:
             attempt = Attempt(job.attempt, job.started_by, job.asked, job.placed, self.cores)
             self._commit(job.stage, ending, attempt, job.run_ids)
+        except DatabaseUnavailable as error:
+            self._again(lambda: self._deliver(job, ending), error)
+            return
         except Exception as error:  # the database's trouble must not stop other runs
             log.exception("stage %s could not be stored", job.stage.digest)
+            del self._jobs[job.stage.digest]
             _fail(job, _not_stored(job.stage, error))
             return
+        del self._jobs[job.stage.digest]
         for waiter in job.waiters:
             waiter.future.set_result(ending.result)
+
+    def _again(self, action: Callable[[], None], error: DatabaseUnavailable) -> None:
+        """Do something once more, a little later."""
+        log.warning("%s; trying again in %g s", error, _RETRY_S)
+        self._later.append((time.monotonic() + _RETRY_S, action))
 
     def _lost(self, job: _Job, actor: Actor, error: RayError) -> None:
         """A process died under a job: another attempt, or the end."""

@@ -6,8 +6,10 @@ service that starts simply runs whatever is unfinished, whether it was stopped o
 
 import logging
 import threading
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
+from typing import TypeVar
 
 from sqlalchemy.orm import Session
 
@@ -27,14 +29,16 @@ from db import datasets as dataset_store
 from db import runs as run_store
 from db import stages as stage_store
 from db.runs import RunRecord
-from db.session import Database
+from db.session import Database, DatabaseUnavailable
 from workers.actors import Finished
 from workers.cluster import ClusterUnavailable, RayOptions
 from workers.dispatcher import Activity, Attempt, Dispatcher
 from workers.stages import RayStages
 
 log = logging.getLogger(__name__)
+T = TypeVar("T")
 _RUNS_AT_ONCE = 64  # threads that mostly wait; the cores are shared out by the dispatcher
+_RETRY_S = 1.0  # after the database could not be used
 
 
 class Orchestrator:
@@ -74,7 +78,11 @@ class Orchestrator:
         waiting = self._waiting.get(record.id)
         if waiting is not None and waiting.cancel():
             del self._cancelled[record.id], self._waiting[record.id]
-            self._record(record, RunStopped(submission=record.submission))
+            stopped = RunStopped(submission=record.submission)
+            try:
+                run_store.append_event(self._database, record.id, stopped)
+            except DatabaseUnavailable:  # nobody who asks should have to wait for it
+                self._pool.submit(self._record, record, stopped)
 
     @property
     def is_alive(self) -> bool:
@@ -121,12 +129,23 @@ class Orchestrator:
         self._record(record, ending)
 
     def _record(self, record: RunRecord, event: RunEvent) -> None:
-        run_store.append_event(self._database, record.id, event)
+        self._when_possible(lambda: run_store.append_event(self._database, record.id, event))
+
+    def _when_possible(self, action: Callable[[], T]) -> T:
+        """What needs the database, once that can be used; RunCancelled where the service stops."""
+        while True:
+            try:
+                return action()
+            except DatabaseUnavailable as error:
+                log.warning("%s; trying again in %g s", error, _RETRY_S)
+                if self._closing.wait(_RETRY_S):
+                    raise RunCancelled("the service is stopping") from error
 
     def _recording(self, record: RunRecord) -> bytes | None:
-        if record.spec.dataset is None:
+        id = record.spec.dataset
+        if id is None:
             return None
-        return dataset_store.load_dataset(self._database, record.spec.dataset)[1]
+        return self._when_possible(lambda: dataset_store.load_dataset(self._database, id)[1])
 
     def _find(self, stage: Stage, run_id: str) -> StageResult | None:
         """A stored result, which from now on this run refers to as well."""
