@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow protocol lint bench-sim bench-train bench-threshold bench-dropo bench-criticism bench-extension clean
+.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-criticism bench-extension clean
 
 setup: $(STAMP)
 
@@ -32,6 +32,10 @@ test: lint
 
 test-slow: setup
 	$(BIN)/pytest -m slow --timeout 3600
+
+# the service dies at every transaction in turn; half an hour on two cores
+test-faults: setup
+	$(BIN)/pytest -s --timeout 7200 tests/acceptance/test_faults.py
 
 protocol: setup
 	ADR_KEEP=build/protocol $(BIN)/pytest -m slow --timeout 10800 tests/test_protocol.py

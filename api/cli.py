@@ -16,7 +16,7 @@ from rich.table import Table
 from adr_service.errors import AdrError, InvalidInput
 from adr_service.progress import silent
 from api import demo as demo_story
-from api import recordings
+from api import recordings, upkeep
 from api.client import AdrClient
 from api.display import (
     claims_table,
@@ -34,6 +34,7 @@ from api.settings import DEFAULT_URL, Settings, read_settings
 app = typer.Typer(
     help="Benchmark adaptive domain randomization.", no_args_is_help=True, add_completion=False
 )
+app.add_typer(upkeep.app, name="db")
 # a table needs its width where no terminal tells one
 console = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 120)
 errors = Console(stderr=True)

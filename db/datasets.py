@@ -36,7 +36,7 @@ def store_dataset(database: Database, content: bytes) -> tuple[DatasetRecord, bo
     Raises InvalidInput where it is neither.
     """
     described, id = _described(content), dataset_id(content)
-    with database.write() as session:
+    with database.write("store_dataset") as session:
         known = session.scalar(select(DatasetRow).where(DatasetRow.id == id))
         if known is not None:
             return _record(known), False
@@ -100,7 +100,7 @@ def list_datasets(database: Database, *, after: int = 0, limit: int = 100) -> li
 
 def delete_dataset(database: Database, id: str) -> None:
     """Delete a dataset from which no run learns."""
-    with database.write() as session:
+    with database.write("delete_dataset") as session:
         row = get_dataset(session, id)
         run = session.scalar(select(RunRow.id).where(RunRow.dataset_id == id).limit(1))
         if run is not None:

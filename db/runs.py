@@ -67,13 +67,13 @@ def create_run(database: Database, spec: AnyRun) -> RunRecord:
 
     Raises NotFound where the spec names a dataset that is not there.
     """
-    with database.write() as session:
+    with database.write("create_run") as session:
         return _record(_insert_run(session, spec, None))
 
 
 def create_benchmark(database: Database, spec: BenchmarkSpec) -> BenchmarkRecord:
     """Store a benchmark and all its runs, or nothing."""
-    with database.write() as session:
+    with database.write("create_benchmark") as session:
         # as it was given: its runs are stored complete, and mean the same when presets change
         given = spec.model_dump_json(exclude_unset=True)
         row = BenchmarkRow(id=_new_id("bench"), created_at=_now(), spec=given)
@@ -154,7 +154,7 @@ def latest(database: Database, limit: int) -> tuple[list[BenchmarkRecord], list[
 
 def append_event(database: Database, run_id: str, event: RunEvent) -> bool:
     """Write an event and the state it leads to; False where its key was written before."""
-    with database.write() as session:
+    with database.write(event.type) as session:
         return append(session, run_id, event)
 
 
@@ -211,7 +211,7 @@ def events_of(
 
 def request_cancel(database: Database, run_id: str) -> RunRecord:
     """Ask a run to stop. Asking again changes nothing."""
-    with database.write() as session:
+    with database.write("request_cancel") as session:
         row = _row(session, run_id)
         if row.state in {"succeeded", "failed"}:
             raise NotPossible(f"run {run_id} has {row.state}; only a live run can be cancelled")
@@ -221,7 +221,7 @@ def request_cancel(database: Database, run_id: str) -> RunRecord:
 
 def resubmit(database: Database, run_id: str) -> RunRecord:
     """Queue a failed or cancelled run again; its finished stages answer at once."""
-    with database.write() as session:
+    with database.write("resubmit") as session:
         row = _row(session, run_id)
         if row.state not in {"failed", "cancelled"}:
             raise NotPossible(
@@ -235,7 +235,7 @@ def resubmit(database: Database, run_id: str) -> RunRecord:
 
 def delete_run(database: Database, run_id: str) -> None:
     """Delete a finished run, and the stages and artifacts that no other run refers to."""
-    with database.write() as session:
+    with database.write("delete_run") as session:
         row = _row(session, run_id)
         if row.state not in FINISHED:
             raise NotPossible(f"run {run_id} is {row.state}; cancel it before deleting it")
@@ -250,7 +250,7 @@ def delete_run(database: Database, run_id: str) -> None:
 
 def delete_benchmark(database: Database, benchmark_id: str) -> None:
     """Delete a finished benchmark with its runs and what only they refer to."""
-    with database.write() as session:
+    with database.write("delete_benchmark") as session:
         row = session.scalar(select(BenchmarkRow).where(BenchmarkRow.id == benchmark_id))
         if row is None:
             raise NotFound("benchmark", benchmark_id)
@@ -271,7 +271,7 @@ def extend_benchmark(
     database: Database, benchmark_id: str, extension: BenchmarkExtension
 ) -> list[RunRecord]:
     """Add runs to a benchmark, and return them; what it has already stays as it is."""
-    with database.write() as session:
+    with database.write("extend_benchmark") as session:
         row = session.scalar(select(BenchmarkRow).where(BenchmarkRow.id == benchmark_id))
         if row is None:
             raise NotFound("benchmark", benchmark_id)

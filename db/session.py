@@ -5,6 +5,7 @@ Writes go through one connection that begins IMMEDIATE, reads through connection
 write. A lock file keeps a second service away from an SQLite file.
 """
 
+import logging
 import sqlite3
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -14,13 +15,17 @@ from typing import Any
 
 from alembic import command
 from alembic.config import Config
+from alembic.script import ScriptDirectory
 from filelock import FileLock, Timeout
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
 
 from adr_service.errors import AdrError, InvalidInput
+from db.failpoints import failpoint
+from db.maintenance import backup, revision_of
 
+log = logging.getLogger(__name__)
 CHUNK = 10_000  # of a query's variables, of which SQLite has 32,766
 _BUSY_TIMEOUT_MS = 5_000  # for other processes, such as a backup
 # what passes by itself, or once somebody frees the disk
@@ -36,6 +41,12 @@ class DatabaseInUse(AdrError):
     """Another service holds the database."""
 
     code = "database_in_use"
+
+
+class DatabaseNewer(AdrError):
+    """A later version of the service has written the database."""
+
+    code = "database_newer"
 
 
 class DatabaseUnavailable(AdrError):
@@ -65,10 +76,15 @@ class Database:
         self._reader = _engine(url, read_only=True)
 
     @contextmanager
-    def write(self) -> Generator[Session]:
-        """A transaction that commits when the block ends, and rolls back when it raises."""
+    def write(self, name: str) -> Generator[Session]:
+        """A transaction that commits when the block ends, and rolls back when it raises.
+
+        `name` tells it apart from others, for the tests that let the service die in it.
+        """
         with _told(), self._write_lock, Session(self._writer) as session, session.begin():
             yield session
+            failpoint(f"{name}:before")
+        failpoint(f"{name}:after")
 
     @contextmanager
     def read(self) -> Generator[Session]:
@@ -82,14 +98,37 @@ class Database:
 
 
 def open_database(url: str) -> Database:
-    """The database at `url`, created or upgraded to the present tables, and locked."""
+    """The database at `url`, created or upgraded to the present tables, and locked.
+
+    Before an upgrade it is copied to a file beside it. Raises DatabaseNewer where a later version
+    of the service has written it.
+    """
     database = Database(url)
     try:
-        command.upgrade(alembic_config(url), "head")
+        _upgrade(url)
     except BaseException:
         database.close()
         raise
     return database
+
+
+def _upgrade(url: str) -> None:
+    path, config = file_of(url), alembic_config(url)
+    scripts = ScriptDirectory.from_config(config)
+    now, head = revision_of(path) if path.exists() else None, scripts.get_current_head()
+    if now == head:
+        return
+    if now is not None:
+        if now not in {script.revision for script in scripts.walk_revisions()}:
+            raise DatabaseNewer(
+                f"{path} has tables of revision {now}, which this version does not know (its own "
+                f"is {head}); start the version of the service that wrote it, or restore a backup"
+            )
+        copy = path.with_name(f"{path.name}.{now}.bak")
+        if not copy.exists():  # else it is of an upgrade that did not get to its end
+            backup(path, copy)
+        log.info("upgrading %s from revision %s to %s; it was copied to %s", path, now, head, copy)
+    command.upgrade(config, "head")
 
 
 def alembic_config(url: str) -> Config:
@@ -115,11 +154,16 @@ def _told() -> Generator[None]:
         raise
 
 
-def _lock_file(url: str) -> FileLock:
+def file_of(url: str) -> Path:
+    """The SQLite file that a URL names."""
     parsed = make_url(url)
     if parsed.get_backend_name() != "sqlite" or parsed.database in {None, "", ":memory:"}:
         raise InvalidInput(f"the database must be an SQLite file, sqlite:///PATH; given {url!r}")
-    path = Path(str(parsed.database))
+    return Path(str(parsed.database))
+
+
+def _lock_file(url: str) -> FileLock:
+    path = file_of(url)
     path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     lock = FileLock(f"{path}.lock")
     try:

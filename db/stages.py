@@ -62,7 +62,7 @@ def commit_result(
 
     A result that is there already stays; results of a digest are equal by construction.
     """
-    with database.write() as session:
+    with database.write("commit_result") as session:
         if session.get(StageRow, stage.digest) is None:
             session.add(
                 StageRow(

@@ -50,7 +50,7 @@ class RunningService:
 
 
 @contextmanager
-def start_service(data_dir: Path, *, cpus: int) -> Generator[RunningService]:
+def start_service(data_dir: Path, *, cpus: int, failpoint: str = "") -> Generator[RunningService]:
     """A service on a free port; terminated by pid when the block ends."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -59,7 +59,7 @@ def start_service(data_dir: Path, *, cpus: int) -> Generator[RunningService]:
     command = [sys.executable, "-m", "api", "serve", "--port", str(port)]
     command += ["--data-dir", str(data_dir), "--cpus", str(cpus)]
     # Ray's default folder is shared by everyone on the machine; ours must be short for sockets
-    environment = {**os.environ, "HOME": str(data_dir)}
+    environment = {**os.environ, "HOME": str(data_dir), "ADR_FAILPOINT": failpoint}
     with log.open("wb") as output:
         process = subprocess.Popen(
             command, stdout=output, stderr=subprocess.STDOUT, env=environment

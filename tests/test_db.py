@@ -11,6 +11,7 @@ import pytest
 from alembic import command
 from sqlalchemy import inspect, text
 from sqlalchemy.exc import IntegrityError, OperationalError
+from typer.testing import CliRunner
 
 from adr_service.benchmark.utilisation import Timing
 from adr_service.errors import InvalidInput
@@ -28,11 +29,14 @@ from adr_service.presets import PRESETS
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec, RunSpec
 from adr_service.stages import Stage, StageResult
 from adr_service.transitions import TransitionDataset
-from db import datasets, runs, stages
+from api import upkeep
+from api.cli import app
+from db import datasets, maintenance, runs, stages
 from db.errors import NotFound, NotPossible
 from db.models import RunRow
 from db.session import (
     DatabaseInUse,
+    DatabaseNewer,
     DatabaseUnavailable,
     DiskFull,
     alembic_config,
@@ -100,7 +104,7 @@ class TestRuns:
     def test_impossible_rows_are_refused_by_the_database_itself(self, database):
         run = runs.create_run(database, SPEC)
         for change in ("state = 'sleeping'", "state = 'failed'", "submission = 0"):
-            with pytest.raises(IntegrityError), database.write() as session:
+            with pytest.raises(IntegrityError), database.write("test") as session:
                 session.execute(text(f"update runs set {change} where id = '{run.id}'"))  # noqa: S608
 
     def test_pages_follow_the_order_of_submission(self, database):
@@ -236,16 +240,16 @@ class TestStages:
     def test_the_best_policy_so_far_can_be_had_until_there_is_the_final_one(self, database):
         run = runs.create_run(database, SPEC)
         for steps, policy in ((10, b"poor"), (20, b"better"), (30, b"better")):
-            with database.write() as session:
+            with database.write("test") as session:
                 stages.note_checkpoint(session, STAGE.digest, steps, policy)
             assert stages.policy_of_training(database, STAGE.digest) == policy
             assert count(database, "artifacts") == 1
-        with database.write() as session:  # its process was lost, and it starts again
+        with database.write("test") as session:  # its process was lost, and it starts again
             stages.note_checkpoint(session, STAGE.digest, 10, b"poor")
         assert stages.policy_of_training(database, STAGE.digest) == b"better"
         commit(database, STAGE, StageResult({}, {"policy": b"best"}), run.id)
         assert stages.policy_of_training(database, STAGE.digest) == b"best"
-        with database.write() as session:  # it comes late
+        with database.write("test") as session:  # it comes late
             stages.note_checkpoint(session, STAGE.digest, 40, b"better")
         assert [count(database, t) for t in ("checkpoints", "artifacts")] == [0, 1]
 
@@ -255,7 +259,7 @@ class TestStages:
         point = TrainingEvaluated(
             digest=STAGE.digest, steps=10, mean_return=1.0, standard_error=0.1
         )
-        with database.write() as session:
+        with database.write("test") as session:
             stages.note_checkpoint(session, STAGE.digest, 10, b"so far")
             runs.append(session, one.id, point)
         for run, left in ((other, 1), (one, 0)):
@@ -272,7 +276,7 @@ class TestSession:
         other.close()
 
     def test_the_writer_waits_for_the_disk_and_the_reader_cannot_write(self, database):
-        with database.write() as session:
+        with database.write("test") as session:
             assert session.scalar(text("pragma journal_mode")) == "wal"
             assert session.scalar(text("pragma synchronous")) == 2  # FULL
             assert session.scalar(text("pragma foreign_keys")) == 1
@@ -289,9 +293,12 @@ class TestSession:
                 with pytest.raises(DatabaseUnavailable, match="locked"):
                     runs.create_run(database, SPEC)
             run = runs.create_run(database, SPEC)
-            with database.write() as session:
+            with database.write("test") as session:
                 session.execute(text("pragma max_page_count=1"))  # as many as there are
-            with pytest.raises(DiskFull, match="free some space"), database.write() as session:
+            with (
+                pytest.raises(DiskFull, match="free some space"),
+                database.write("test") as session,
+            ):
                 stages.add_artifact(session, bytes(10_000_000))
             with pytest.raises(OperationalError, match="no such table"), database.read() as session:
                 session.execute(text("select 1 from nowhere"))
@@ -303,7 +310,7 @@ class TestSession:
 
         def increment():
             for _ in range(50):
-                with database.write() as session:
+                with database.write("test") as session:
                     row = session.query(RunRow).filter_by(id=run.id).one()
                     row.seed = row.seed + 1
 
@@ -358,6 +365,23 @@ class TestMigrations:
         finally:
             opened.close()
 
+    def test_before_an_upgrade_the_file_is_copied(self, tmp_path):
+        url = f"sqlite:///{tmp_path / 'old.sqlite'}"
+        command.upgrade(alembic_config(url), "0002")
+        for _ in range(2):  # the second time there is nothing to upgrade
+            open_database(url).close()
+            assert [path.name for path in tmp_path.glob("*.bak")] == ["old.sqlite.0002.bak"]
+        assert maintenance.revision_of(tmp_path / "old.sqlite.0002.bak") == "0002"
+        assert maintenance.revision_of(tmp_path / "old.sqlite") == "0003"
+
+    def test_a_database_of_a_later_version_is_left_as_it_is(self, database, tmp_path):
+        database.close()
+        with closing(sqlite3.connect(tmp_path / "adr.sqlite")) as later, later:
+            later.execute("update alembic_version set version_num = '0999'")
+        with pytest.raises(DatabaseNewer, match="revision 0999, which this version does not know"):
+            open_database(database.url)
+        assert maintenance.revision_of(tmp_path / "adr.sqlite") == "0999"
+
     def test_they_go_down_to_nothing_and_up_again(self, database):
         config = alembic_config(database.url)
         database.close()
@@ -367,6 +391,55 @@ class TestMigrations:
         with reopened.read() as session:
             assert "runs" in inspect(session.connection()).get_table_names()
         reopened.close()
+
+
+class TestUpkeep:
+    """`adr db`, beside a service that has the database open."""
+
+    def adr(self, tmp_path, *arguments):
+        return CliRunner().invoke(app, ["db", *arguments, "--data-dir", str(tmp_path)])
+
+    def test_what_is_sound_is_said_to_be(self, database, tmp_path):
+        runs.create_run(database, SPEC)
+        told = self.adr(tmp_path, "check").output.replace("\n", "")
+        assert "is sound: 0 benchmarks, 1 runs, 1 events" in told
+
+    def test_damage_is_found(self, database, tmp_path):
+        with database.write("test") as session:
+            key = stages.add_artifact(session, b"policy")
+        with closing(sqlite3.connect(tmp_path / "adr.sqlite")) as other, other:
+            other.execute("update artifacts set content = cast('polizy' as blob)")
+            other.execute("insert into events values ('run_gone', 1, 'k', 't', '{}', '2026-01-01')")
+        lines = maintenance.check(tmp_path / "adr.sqlite")
+        assert lines == [
+            "row 1 of events refers to a row of runs that is not there",
+            f"artifact {key} has other bytes than its name says",
+        ]
+        failed = self.adr(tmp_path, "check")
+        assert isinstance(failed.exception, upkeep.Damaged)
+
+    def test_a_backup_has_everything_and_overwrites_nothing(self, database, tmp_path):
+        run = runs.create_run(database, SPEC)
+        copy = tmp_path / "copy.sqlite"
+        assert self.adr(tmp_path, "backup", str(copy)).exit_code == 0
+        runs.create_run(database, SPEC)  # not in it
+        with closing(open_database(f"sqlite:///{copy}")) as restored:
+            assert runs.get_run(restored, run.id) == run
+            assert count(restored, "runs") == 1
+        with pytest.raises(InvalidInput, match="is there already"):
+            maintenance.backup(tmp_path / "adr.sqlite", copy)
+
+    def test_what_is_no_database_is_said(self, tmp_path):
+        with pytest.raises(InvalidInput, match="there is no database"):
+            maintenance.check(tmp_path / "adr.sqlite")
+        (tmp_path / "adr.sqlite").write_text("a letter, and not a short one at all" * 20)
+        with pytest.raises(InvalidInput, match="cannot be read as a database"):
+            maintenance.check(tmp_path / "adr.sqlite")
+
+    def test_an_older_database_is_upgraded(self, tmp_path):
+        command.upgrade(alembic_config(f"sqlite:///{tmp_path / 'adr.sqlite'}"), "0001")
+        told = self.adr(tmp_path, "upgrade").output.replace("\n", "")
+        assert told.endswith("revision 0001 -> 0003")
 
 
 class TestDatasets:

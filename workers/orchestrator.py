@@ -149,7 +149,7 @@ class Orchestrator:
 
     def _find(self, stage: Stage, run_id: str) -> StageResult | None:
         """A stored result, which from now on this run refers to as well."""
-        with self._database.write() as session:
+        with self._database.write("find_result") as session:
             result = stage_store.find_result(session, stage.digest)
             if result is not None:
                 _append_to_all(session, [run_id], events_of(stage, result))
@@ -157,7 +157,7 @@ class Orchestrator:
 
     def _note(self, stage: Stage, so_far: SoFar, run_ids: list[str]) -> None:
         """Store the learning curve and the best policy of a training that goes on."""
-        with self._database.write() as session:
+        with self._database.write("note_checkpoint") as session:
             steps = so_far.values["curve"][-1]["steps"]
             stage_store.note_checkpoint(session, stage.digest, steps, so_far.blobs["policy"])
             _append_to_all(session, run_ids, learning_curve(stage.digest, so_far.values))

@@ -69,7 +69,7 @@ def healthz() -> dict[str, str]:
 @router.get("/readyz", response_model=None)
 def readyz(service: ServiceDependency) -> dict[str, Any] | Response:
     """The database can be written and Ray is reachable."""
-    with service.database.write() as session:
+    with service.database.write("readyz") as session:
         session.connection()  # begins a transaction, which takes the lock to write
     if not service.orchestrator.is_alive:
         return problem(503, "cluster_unavailable", "Ray has stopped; restart the service")

@@ -1,0 +1,56 @@
+"""`adr db`: looking after the service's database."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from adr_service.errors import AdrError
+from api.settings import read_settings
+from db import maintenance
+from db.session import file_of, open_database
+
+app = typer.Typer(help="Look after the service's database.", no_args_is_help=True)
+console = Console()
+DataDir = Annotated[Path | None, typer.Option(help="Where results are kept.")]
+
+
+class Damaged(AdrError):
+    """The database has something wrong."""
+
+    code = "damaged"
+
+
+@app.command()
+def check(data_dir: DataDir = None) -> None:
+    """Read everything, and say what is wrong; also beside a running service."""
+    path = _path(data_dir)
+    if wrong := maintenance.check(path):
+        raise Damaged("\n".join([f"{path} is damaged; restore a backup", *wrong]))
+    found = ", ".join(f"{count} {table}" for table, count in maintenance.counts(path).items())
+    console.print(escape(f"{path} is sound: {found}; revision {maintenance.revision_of(path)}"))
+
+
+@app.command()
+def backup(
+    copy: Annotated[Path, typer.Argument(help="The file to write.")], data_dir: DataDir = None
+) -> None:
+    """Copy the database as it is at one moment; also beside a running service."""
+    maintenance.backup(_path(data_dir), copy)
+    console.print(escape(f"{copy}: {copy.stat().st_size / 1e6:.1f} MB"))
+
+
+@app.command()
+def upgrade(data_dir: DataDir = None) -> None:
+    """Bring an older database to the present tables, as `adr serve` does; a backup stays."""
+    path = _path(data_dir)
+    before = maintenance.revision_of(path)
+    open_database(f"sqlite:///{path}").close()
+    console.print(escape(f"{path}: revision {before} -> {maintenance.revision_of(path)}"))
+
+
+def _path(data_dir: Path | None) -> Path:
+    given = {} if data_dir is None else {"data_dir": data_dir}
+    return file_of(read_settings(**given).database)

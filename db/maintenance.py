@@ -1,0 +1,71 @@
+"""Looking after a database file, also while a service has it open: nothing here writes to it.
+
+check(path)                     # what is wrong with it; nothing: []
+backup(path, copy)
+"""
+
+import sqlite3
+from collections.abc import Generator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from adr_service.errors import InvalidInput
+from adr_service.wire import sha256
+
+
+def revision_of(path: Path) -> str | None:
+    """Which tables the file has; None: none yet."""
+    with _reader(path) as connection:
+        if not connection.execute(
+            "select 1 from sqlite_master where name = 'alembic_version'"
+        ).fetchone():
+            return None
+        row = connection.execute("select version_num from alembic_version").fetchone()
+    return None if row is None else str(row[0])
+
+
+def check(path: Path) -> list[str]:
+    """What is wrong with the file, its references and its artifacts, a line each."""
+    with _reader(path) as connection:
+        told = [str(line) for (line,) in connection.execute("pragma integrity_check")]
+        found = [] if told == ["ok"] else told
+        for table, row, parent, _ in connection.execute("pragma foreign_key_check"):
+            found.append(f"row {row} of {table} refers to a row of {parent} that is not there")
+        for key, content in connection.execute("select sha256, content from artifacts"):
+            if sha256(content) != key:
+                found.append(f"artifact {key} has other bytes than its name says")
+    return found
+
+
+def counts(path: Path) -> dict[str, int]:
+    """How many rows there are of what users know."""
+    tables = ("benchmarks", "runs", "events", "stages", "artifacts", "datasets")
+    with _reader(path) as connection:
+        return {
+            table: int(connection.execute(f"select count(*) from {table}").fetchone()[0])  # noqa: S608
+            for table in tables
+        }
+
+
+def backup(path: Path, copy: Path) -> None:
+    """Copy the file as it is at one moment; the copy is complete, or is not there."""
+    if copy.exists():
+        raise InvalidInput(f"{copy} is there already; a backup overwrites nothing")
+    part = copy.with_name(f"{copy.name}.part")
+    part.unlink(missing_ok=True)
+    with _reader(path) as connection, closing(sqlite3.connect(part)) as target:
+        connection.backup(target)
+    part.chmod(0o600)
+    part.replace(copy)
+
+
+@contextmanager
+def _reader(path: Path) -> Generator[sqlite3.Connection]:
+    if not path.exists():
+        raise InvalidInput(f"there is no database {path}; is it in another --data-dir?")
+    address = f"{path.absolute().as_uri()}?mode=ro"
+    try:
+        with closing(sqlite3.connect(address, uri=True)) as connection:
+            yield connection
+    except sqlite3.DatabaseError as error:
+        raise InvalidInput(f"{path} cannot be read as a database: {error}") from error

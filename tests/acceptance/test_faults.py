@@ -1,0 +1,98 @@
+"""The service dies at every transaction, before and after it is on disk; nothing is lost."""
+
+import re
+import sqlite3
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from api.client import AdrClient, Unreachable
+from tests.recordings import recording
+from tests.service import start_service, wait_until_finished
+
+pytestmark = [pytest.mark.ray, pytest.mark.slow]
+TRAINING = {"max_steps": 1800, "evaluate_every": 300}
+BENCHMARK = {
+    "tasks": ["arm"],
+    "methods": ["dropo"],
+    "seeds": [0],
+    "preset": "smoke",
+    "training": TRAINING,
+}
+SPARE = {"task": "arm", "method": "prior", "seed": 99, "preset": "smoke", "training": TRAINING}
+RUNS = 7  # of which a scenario sees the end: six of the benchmark, and the spare one
+RECORDING = recording("arm", 100, [1.2, 0.6, 2.0, 1.0]).to_npz()
+
+
+def test_after_any_death_the_same_bytes_and_no_stage_lost_or_committed_twice(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    with start_service(folder, cpus=2, failpoint="list") as running:
+        table = everything(running.client)
+        passed = re.findall(r"failpoint (\S+)", running.log.read_text())
+    names = [name for name in dict.fromkeys(passed) if not name.startswith("readyz:")]
+    stages = committed(folder)
+    assert len(names) > 20
+    deaths = lost = twice = 0
+    for name in names:
+        folder = tmp_path_factory.mktemp("faulty")
+        died, again, left = with_a_death(folder, name, table)
+        report(f"{name}: {'died' if died else 'was not reached'}")
+        deaths += died
+        lost += len(stages - left)
+        twice += again
+    report(f"faults injected {deaths} of {len(names)}, runs completed {(deaths + 1) * RUNS}")
+    report(f"stages lost {lost}, stages committed twice {twice}")
+    assert (lost, twice) == (0, 0)
+    assert deaths > 0.9 * len(names)
+
+
+def report(line: str) -> None:
+    sys.stderr.write(f"{line}\n")
+
+
+def with_a_death(folder: Path, failpoint: str, table: str) -> tuple[bool, int, set[str]]:
+    """Whether the service died there; how many stages it then computed although their results
+    were on disk; and the stages that are there in the end."""
+    with start_service(folder, cpus=2, failpoint=failpoint) as running:
+        try:
+            assert everything(running.client) == table
+        except Unreachable:
+            assert running.process.wait(timeout=30) == 137
+        else:
+            return False, 0, committed(folder)
+    before = committed(folder)
+    with start_service(folder, cpus=2) as running:
+        assert everything(running.client) == table
+        again = len(before & set(running.started_stages))
+    return True, again, committed(folder)
+
+
+def everything(client: AdrClient) -> str:
+    """What a user may ask a service for, and may ask again; the benchmark's results."""
+    dataset = client.upload(RECORDING, "arm")["id"]
+    known = client.list_all("benchmarks")
+    benchmark = (known[0] if known else client.submit_benchmark(BENCHMARK))["id"]
+    if client.get(benchmark)["spec"]["seeds"] == BENCHMARK["seeds"]:
+        client.extend_benchmark(benchmark, {"seeds": [1]})
+    prior = client.list_all("runs", method="prior")
+    spare = [run for run in prior if run["spec"]["seed"] == SPARE["seed"]]
+    run = (spare[0] if spare else client.submit_run(SPARE))["id"]
+    if client.get(run)["state"] in ("queued", "running"):
+        client.cancel(run)
+    assert wait_until_finished(client, benchmark, 180)["states"] == {"succeeded": RUNS - 1}
+    table = client.results_csv(benchmark)
+    if wait_until_finished(client, run, 60)["state"] == "cancelled":
+        client.resume(run)
+        assert wait_until_finished(client, run, 60)["state"] == "succeeded"
+    client.delete(run)
+    client.delete(dataset)
+    return table
+
+
+def committed(folder: Path) -> set[str]:
+    """Digests of the stages on disk."""
+    with closing(sqlite3.connect(folder / "adr.sqlite")) as database:
+        assert database.execute("pragma integrity_check").fetchone() == ("ok",)
+        return {digest for (digest,) in database.execute("select digest from stages")}
