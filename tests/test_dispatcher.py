@@ -208,6 +208,19 @@ def test_a_lost_process_means_another_attempt_with_the_same_bytes(started):
     assert result.blobs == compute(stage).blobs
 
 
+@pytest.mark.slow
+def test_a_process_that_hangs_is_lost_as_well(started, monkeypatch):
+    dispatcher, store = started
+    stage = training(51, max_steps=15_000, evaluate_every=15_000)
+    future = dispatcher.submit(stage, "run_hung")
+    pid = until(lambda: _pid(dispatcher, "run_hung"))
+    monkeypatch.setattr("workers.dispatcher._SILENT_S", 10.0)
+    os.kill(pid, signal.SIGSTOP)
+    assert future.result(180).blobs
+    assert [c[1] for c in store.commits if c[0] == stage.digest] == [2]
+    until(lambda: not Path(f"/proc/{pid}").exists())
+
+
 def test_a_process_lost_three_times_fails_the_stage(started):
     dispatcher, _ = started
     future = dispatcher.submit(long_training(60), "run_doomed")

@@ -32,6 +32,7 @@ log = logging.getLogger(__name__)
 MAX_ATTEMPTS = 3
 _TICK_S = 0.05
 _READ_BOARD_S = 0.5
+_SILENT_S = 60.0  # without a sign of life, which comes every second: the process hangs
 _RETRY_S = 1.0  # after the database could not be used
 # light stages first: they are short, and trainings wait for them
 _PRIORITY: dict[Role, int] = {"target": 0, "inference": 1, "trainer": 2}
@@ -61,6 +62,7 @@ class _Job:
     ref: Any = None  # of the running call
     actor: Actor | None = None
     sign: SignOfLife | None = None
+    heard: float = 0.0  # when it came (monotonic)
     finished: Finished | None = None  # a result that is not stored yet
     since: float = field(default_factory=time.monotonic)
 
@@ -330,7 +332,8 @@ class Dispatcher:
                 return
             for sign in signs:
                 if (job := self._jobs.get(sign.digest)) is not None:
-                    job.sign = sign
+                    job.sign, job.heard = sign, time.monotonic()
+            self._end_the_silent()
             for digest, so_far in found.items():
                 if (job := self._jobs.get(digest)) is not None and job.waiters:
                     self._note_so_far(job, so_far)
@@ -339,6 +342,14 @@ class Dispatcher:
             self._board_ref = self._board.news.remote()
             self._slots.refresh()
             self.cores = len(self._slots)
+
+    def _end_the_silent(self) -> None:
+        """Kill processes that hang after they had begun, which then are lost like any other."""
+        for job in self._jobs.values():
+            silent = time.monotonic() - job.heard
+            if job.actor is not None and job.sign is not None and silent > _SILENT_S:
+                log.warning("%s: no sign of life for %.0f s", job.actor.name, silent)
+                ray.kill(job.actor.handle)
 
     def _note_so_far(self, job: _Job, so_far: SoFar) -> None:
         try:
