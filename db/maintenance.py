@@ -26,24 +26,30 @@ def revision_of(path: Path) -> str | None:
 
 def check(path: Path) -> list[str]:
     """What is wrong with the file, its references and its artifacts, a line each."""
+    found: list[str] = []
     with _reader(path) as connection:
-        told = [str(line) for (line,) in connection.execute("pragma integrity_check")]
-        found = [] if told == ["ok"] else told
-        for table, row, parent, _ in connection.execute("pragma foreign_key_check"):
-            found.append(f"row {row} of {table} refers to a row of {parent} that is not there")
-        for key, content in connection.execute("select sha256, content from artifacts"):
-            if sha256(content) != key:
-                found.append(f"artifact {key} has other bytes than its name says")
+        try:
+            told = [str(line) for (line,) in connection.execute("pragma integrity_check")]
+            found += [] if told == ["ok"] else told
+            for table, row, parent, _ in connection.execute("pragma foreign_key_check"):
+                found.append(f"row {row} of {table} refers to a row of {parent} that is not there")
+            for key, content in connection.execute("select sha256, content from artifacts"):
+                if sha256(content) != key:
+                    found.append(f"artifact {key} has other bytes than its name says")
+        except sqlite3.DatabaseError as error:
+            found.append(f"it cannot be read to its end: {error}")
     return found
 
 
 def counts(path: Path) -> dict[str, int]:
     """How many rows there are of what users know."""
-    tables = ("benchmarks", "runs", "events", "stages", "artifacts", "datasets")
+    known = ("benchmarks", "runs", "events", "stages", "artifacts", "datasets")
     with _reader(path) as connection:
+        there = {name for (name,) in connection.execute("select name from sqlite_master")}
         return {
             table: int(connection.execute(f"select count(*) from {table}").fetchone()[0])  # noqa: S608
-            for table in tables
+            for table in known
+            if table in there  # older databases lack some
         }
 
 
@@ -53,10 +59,15 @@ def backup(path: Path, copy: Path) -> None:
         raise InvalidInput(f"{copy} is there already; a backup overwrites nothing")
     part = copy.with_name(f"{copy.name}.part")
     part.unlink(missing_ok=True)
-    with _reader(path) as connection, closing(sqlite3.connect(part)) as target:
-        connection.backup(target)
-    part.chmod(0o600)
-    part.replace(copy)
+    with _reader(path) as connection:
+        try:
+            with closing(sqlite3.connect(part)) as target:
+                connection.backup(target)
+            part.chmod(0o600)
+            part.replace(copy)
+        except (sqlite3.Error, OSError) as error:
+            part.unlink(missing_ok=True)
+            raise InvalidInput(f"{path} could not be copied to {copy}: {error}") from error
 
 
 @contextmanager
@@ -64,8 +75,9 @@ def _reader(path: Path) -> Generator[sqlite3.Connection]:
     if not path.exists():
         raise InvalidInput(f"there is no database {path}; is it in another --data-dir?")
     address = f"{path.absolute().as_uri()}?mode=ro"
-    try:
-        with closing(sqlite3.connect(address, uri=True)) as connection:
-            yield connection
-    except sqlite3.DatabaseError as error:
-        raise InvalidInput(f"{path} cannot be read as a database: {error}") from error
+    with closing(sqlite3.connect(address, uri=True)) as connection:
+        try:
+            connection.execute("pragma schema_version")
+        except sqlite3.DatabaseError as error:
+            raise InvalidInput(f"{path} cannot be read as a database: {error}") from error
+        yield connection

@@ -9,6 +9,7 @@ import logging
 import sqlite3
 from collections.abc import Generator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from threading import RLock
 from typing import Any
@@ -27,7 +28,7 @@ from db.maintenance import backup, revision_of
 
 log = logging.getLogger(__name__)
 CHUNK = 10_000  # of a query's variables, of which SQLite has 32,766
-_BUSY_TIMEOUT_MS = 5_000  # for other processes, such as a backup
+_BUSY_TIMEOUT_MS = 5_000  # for other processes, such as a backup, and for other writers of ours
 # what passes by itself, or once somebody frees the disk
 _PASSING = (
     sqlite3.SQLITE_BUSY,
@@ -81,10 +82,19 @@ class Database:
 
         `name` tells it apart from others, for the tests that let the service die in it.
         """
-        with _told(), self._write_lock, Session(self._writer) as session, session.begin():
+        with self._turn(), _told(), Session(self._writer) as session, session.begin():
             yield session
             failpoint(f"{name}:before")
         failpoint(f"{name}:after")
+
+    @contextmanager
+    def _turn(self) -> Generator[None]:
+        if not self._write_lock.acquire(timeout=_BUSY_TIMEOUT_MS / 1000):
+            raise DatabaseUnavailable("too much waits to be written to the database just now")
+        try:
+            yield
+        finally:
+            self._write_lock.release()
 
     @contextmanager
     def read(self) -> Generator[Session]:
@@ -124,9 +134,8 @@ def _upgrade(url: str) -> None:
                 f"{path} has tables of revision {now}, which this version does not know (its own "
                 f"is {head}); start the version of the service that wrote it, or restore a backup"
             )
-        copy = path.with_name(f"{path.name}.{now}.bak")
-        if not copy.exists():  # else it is of an upgrade that did not get to its end
-            backup(path, copy)
+        copy = path.with_name(f"{path.name}.{now}.{datetime.now(UTC):%Y%m%dT%H%M%S%f}.bak")
+        backup(path, copy)
         log.info("upgrading %s from revision %s to %s; it was copied to %s", path, now, head, copy)
     command.upgrade(config, "head")
 

@@ -108,7 +108,14 @@ class TestDecision:
     def test_the_best_that_is_more_than_chance_is_named_beside_a_larger_one_that_is_not(self):
         flaky = np.full(20, -0.5)
         flaky[:2] = 60.0
-        assert self.decide([flaky, np.full(20, 4.0)]).alike == (1,)
+        found = self.decide([flaky, np.full(20, 4.0)])
+        assert found.alike == (1,)
+        assert found.confidence[1] > 0.99
+
+    def test_what_few_episodes_show_clearly_is_evidence(self):
+        gains = self.NOTHING.copy()
+        gains[:3] = 100.0
+        assert self.decide([gains]).alike == (0,)
 
     def test_no_candidate_at_all_is_none(self):
         assert not self.decide(np.empty((0, 20))).alike
@@ -268,7 +275,7 @@ def test_a_second_cause_is_found_beside_the_first():
         assert named.strengths[0].value == pytest.approx(cause.values[0], rel=0.05)
 
 
-def test_what_the_sealed_episodes_refute_is_unknown():
+def test_what_the_sealed_episodes_refute_is_not_named():
     """A spring in the episodes to learn from, the opposite of it in the sealed ones."""
     task, nominal = arm()
     stiff, soft = (
@@ -287,7 +294,8 @@ def test_what_the_sealed_episodes_refute_is_unknown():
         **{name: np.where(is_sealed, soft[name].T, stiff[name].T).T for name in stiff}
     )
     found = criticise(nominal, data, np.random.default_rng(0), threads=1)
-    assert found.verdict.finding == "unknown"
+    assert found.verdict.finding == "unknown"  # by the flexible force
+    assert "joint_spring joint:elbow" in found.verdict.remarks[0]
     assert not found.verdict.causes
     assert found.verdict.gain is None
     assert found.extension is None

@@ -370,8 +370,8 @@ class TestMigrations:
         command.upgrade(alembic_config(url), "0002")
         for _ in range(2):  # the second time there is nothing to upgrade
             open_database(url).close()
-            assert [path.name for path in tmp_path.glob("*.bak")] == ["old.sqlite.0002.bak"]
-        assert maintenance.revision_of(tmp_path / "old.sqlite.0002.bak") == "0002"
+            (copy,) = tmp_path.glob("old.sqlite.0002.*.bak")
+        assert maintenance.revision_of(copy) == "0002"
         assert maintenance.revision_of(tmp_path / "old.sqlite") == "0003"
 
     def test_a_database_of_a_later_version_is_left_as_it_is(self, database, tmp_path):
@@ -428,6 +428,8 @@ class TestUpkeep:
             assert count(restored, "runs") == 1
         with pytest.raises(InvalidInput, match="is there already"):
             maintenance.backup(tmp_path / "adr.sqlite", copy)
+        with pytest.raises(InvalidInput, match=r"could not be copied to .*nowhere"):
+            maintenance.backup(tmp_path / "adr.sqlite", tmp_path / "nowhere" / "copy.sqlite")
 
     def test_what_is_no_database_is_said(self, tmp_path):
         with pytest.raises(InvalidInput, match="there is no database"):
@@ -438,6 +440,7 @@ class TestUpkeep:
 
     def test_an_older_database_is_upgraded(self, tmp_path):
         command.upgrade(alembic_config(f"sqlite:///{tmp_path / 'adr.sqlite'}"), "0001")
+        assert "is sound" in self.adr(tmp_path, "check").output.replace("\n", "")
         told = self.adr(tmp_path, "upgrade").output.replace("\n", "")
         assert told.endswith("revision 0001 -> 0003")
 

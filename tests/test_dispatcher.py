@@ -221,6 +221,7 @@ def test_a_process_that_hangs_is_lost_as_well(started, monkeypatch):
     until(lambda: not Path(f"/proc/{pid}").exists())
 
 
+@pytest.mark.slow
 def test_a_process_lost_three_times_fails_the_stage(started):
     dispatcher, _ = started
     future = dispatcher.submit(long_training(60), "run_doomed")

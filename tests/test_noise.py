@@ -22,7 +22,7 @@ def drawn(sensor, misfit, rng):
     wrong = np.sqrt(misfit)[stiff.astype(int)] * rng.standard_normal((EPISODES, STEPS, WIDTH))
     passed = (transition @ errors[:, :-1, :, None])[..., 0]
     residual = np.where(mask[..., None], errors[:, 1:] - passed + wrong, 0.0)
-    return Chain(mask, transition, stiff), residual, errors
+    return Chain(mask, transition, stiff, np.ones(transition.shape[2], bool)), residual, errors
 
 
 def dense(chain, noise, episode):
@@ -117,7 +117,12 @@ def test_what_is_left_out_in_the_middle_of_an_episode_says_nothing():
     white = Whitener.of(masked, noise).whiten(left[..., None])[..., 0]
     assert not white[2, 7].any()
     for rows in (slice(0, 7), slice(8, STEPS)):  # each half as an episode of its own
-        part = Chain(chain.mask[2:3, rows], chain.transition[2:3, rows], chain.stiff[2:3, rows])
+        part = replace(
+            chain,
+            mask=chain.mask[2:3, rows],
+            transition=chain.transition[2:3, rows],
+            stiff=chain.stiff[2:3, rows],
+        )
         own = Whitener.of(part, replace(noise, weights=noise.weights[2:3, rows]))
         alone = own.whiten(residual[2:3, rows, :, None])[..., 0]
         np.testing.assert_allclose(white[2, rows], alone[0], atol=1e-12)

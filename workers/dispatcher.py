@@ -116,7 +116,9 @@ class Dispatcher:
     def __init__(self, options: RayOptions, find: Find, commit: Commit, note: Note):
         self._options, self._find, self._commit, self._note = options, find, commit, note
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._later: list[tuple[float, Callable[[], None]]] = []  # (monotonic time, what to do)
+        # of runs, what the database could not be used for; from when on it is tried again
+        self._later: list[tuple[str | None, Callable[[], None]]] = []
+        self._retry_at = 0.0
         self._jobs: dict[str, _Job] = {}
         self._numbers = 0
         self._stop = threading.Event()
@@ -204,9 +206,8 @@ class Dispatcher:
     def _read_inbox(self) -> None:
         """Carry out what other threads asked for; sleep a tick when nothing runs either."""
         idle = not any(job.ref is not None for job in self._jobs.values())
-        now, later = time.monotonic(), self._later
-        self._later = [entry for entry in later if entry[0] > now]
-        for _, action in (entry for entry in later if entry[0] <= now):
+        while self._later and time.monotonic() >= self._retry_at and not self._stop.is_set():
+            _, action = self._later.pop(0)
             action()
         try:
             self._inbox.get(timeout=_TICK_S if idle else 0.001)()
@@ -221,7 +222,7 @@ class Dispatcher:
             try:
                 stored = self._find(stage, run_id)
             except DatabaseUnavailable as error:
-                self._again(lambda: self._accept(stage, run_id, future), error)
+                self._again(lambda: self._accept(stage, run_id, future), error, run_id)
                 return
             except Exception as error:  # the database's trouble must not stop other runs
                 log.exception("stage %s could not be looked up", stage.digest)
@@ -237,6 +238,7 @@ class Dispatcher:
         job.waiters.append(_Waiter(run_id, future))
 
     def _withdraw(self, run_id: str) -> None:
+        self._later = [entry for entry in self._later if entry[0] != run_id]
         for digest, job in list(self._jobs.items()):
             if not job.is_wanted_by(run_id):
                 continue
@@ -301,10 +303,13 @@ class Dispatcher:
         for waiter in job.waiters:
             waiter.future.set_result(ending.result)
 
-    def _again(self, action: Callable[[], None], error: DatabaseUnavailable) -> None:
-        """Do something once more, a little later."""
+    def _again(
+        self, action: Callable[[], None], error: DatabaseUnavailable, run_id: str | None = None
+    ) -> None:
+        """Do something once more a little later, for a run if it is still wanted then."""
         log.warning("%s; trying again in %g s", error, _RETRY_S)
-        self._later.append((time.monotonic() + _RETRY_S, action))
+        self._later.append((run_id, action))
+        self._retry_at = time.monotonic() + _RETRY_S
 
     def _lost(self, job: _Job, actor: Actor, error: RayError) -> None:
         """A process died under a job: another attempt, or the end."""

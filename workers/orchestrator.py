@@ -67,8 +67,6 @@ class Orchestrator:
     def submit(self, record: RunRecord) -> None:
         """Run a stored run; it may have begun before."""
         flag = self._cancelled[record.id] = threading.Event()
-        if run_store.get_run(self._database, record.id).cancel_requested:
-            flag.set()  # it may have come since the record was read
         self._waiting[record.id] = self._pool.submit(self._guard, record, flag)
 
     def cancel(self, record: RunRecord) -> None:
@@ -82,7 +80,7 @@ class Orchestrator:
             try:
                 run_store.append_event(self._database, record.id, stopped)
             except DatabaseUnavailable:  # nobody who asks should have to wait for it
-                self._pool.submit(self._record, record, stopped)
+                threading.Thread(target=self._record, args=(record, stopped), daemon=True).start()
 
     @property
     def is_alive(self) -> bool:
@@ -103,6 +101,9 @@ class Orchestrator:
         """Iterate a run's program to an end that is on record, whatever happens."""
         try:
             self._record(record, RunStarted(submission=record.submission))
+            now = self._when_possible(lambda: run_store.get_run(self._database, record.id))
+            if now.cancel_requested:  # perhaps before there was a flag
+                flag.set()
             stages = RayStages(
                 record.id, self._dispatcher, lambda: flag.is_set() or self._closing.is_set()
             )

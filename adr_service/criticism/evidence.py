@@ -270,7 +270,8 @@ def _linearise(
             "may be too long, or its state is in other units than the measurement"
         )
     folded[~mask] = 0.0
-    chain = Chain(mask, folded[..., 1 : m + 1], layout.fold(stiff))
+    measured = simulator.data.is_measured()
+    chain = Chain(mask, folded[..., 1 : m + 1], layout.fold(stiff), measured)
     return _known_before(chain, folded[..., 0], folded[..., m + 1 :], len(parameters))
 
 
@@ -325,7 +326,9 @@ def _derivatives(
 
 
 def _flatter(one: Matrix, other: Matrix | None = None) -> Matrix:
-    return one if other is None else np.where(np.abs(other) < np.abs(one), other, one)
+    if other is None:
+        return one
+    return np.where(np.isnan(one) | (np.abs(other) < np.abs(one)), other, one)
 
 
 def _strengthened(causes: tuple[Cause, ...], change: Vector) -> tuple[Cause, ...]:

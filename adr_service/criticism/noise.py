@@ -38,10 +38,13 @@ class Chain:
     mask: Mask  # (E, T)
     transition: np.ndarray  # (E, T, m, m) F, zero where there is none
     stiff: Mask  # (E, T) whether a contact or a limit acts
+    measured: Mask  # (m,) of which sensors there are readings
 
     def where(self, mask: Mask) -> "Chain":
         """Fewer transitions."""
-        return Chain(mask, np.where(mask[..., None, None], self.transition, 0.0), self.stiff)
+        return replace(
+            self, mask=mask, transition=np.where(mask[..., None, None], self.transition, 0.0)
+        )
 
 
 @dataclass(frozen=True)
@@ -151,6 +154,7 @@ class Ascent:
     weights: Matrix  # (E, T) the most likely ones
     regimes: tuple[Mask, Mask]  # (E, T) free, stiff
     floor: Vector  # (m,) of all variances that are estimated
+    measured: Mask  # (m,)
 
     @classmethod
     def of(cls, whitener: Whitener, residual: Array3) -> "Ascent":
@@ -178,7 +182,8 @@ class Ascent:
         energy = np.sum(moment / (spread * noise.weights[..., None]), axis=2)
         weights = np.where(mask, (DEGREES + m) / (DEGREES + energy), 1.0)
         floor = _LEAST * np.maximum(np.mean(residual[mask] ** 2, axis=0), 1e-30)
-        return cls(noise, gradient, rows.T @ rows / 2, weights, regimes, floor)
+        bend = rows.T @ rows / 2
+        return cls(noise, gradient, bend, weights, regimes, floor, chain.measured)
 
     def step(self, known: Mask, damping: float) -> Noise:
         """Noise after a damped Newton step of the variances and an EM update of the weights.
@@ -199,7 +204,8 @@ class Ascent:
                 lighter = np.log(self.weights[where] / noise.weights[where]).mean()
                 misfit[number] *= np.exp(lighter)
         sensor = np.where(known, noise.sensor, np.maximum(sensor, self.floor))
-        return Noise(sensor, np.maximum(misfit, _least_misfit(sensor, self.floor)), self.weights)
+        least = _least_misfit(sensor, self.floor, self.measured)
+        return Noise(sensor, np.maximum(misfit, least), self.weights)
 
 
 def lifted(noise: Noise, chain: Chain, residual: Array3, known: Mask) -> Noise:
@@ -209,7 +215,7 @@ def lifted(noise: Noise, chain: Chain, residual: Array3, known: Mask) -> Noise:
     """
     least = _LIFTED * _typical_variance(chain, residual)
     sensor = np.where(known, noise.sensor, np.maximum(noise.sensor, least))
-    misfit = np.maximum(noise.misfit, _least_misfit(sensor, least))
+    misfit = np.maximum(noise.misfit, _least_misfit(sensor, least, chain.measured))
     return replace(noise, sensor=sensor, misfit=misfit)
 
 
@@ -223,9 +229,9 @@ def at_start(chain: Chain, residual: Array3, sensor: Vector) -> Noise:
     return Noise(given, np.tile(variance / 10, (2, 1)), np.ones(chain.mask.shape))
 
 
-def _least_misfit(sensor: Vector, floor: Vector) -> Vector:
+def _least_misfit(sensor: Vector, floor: Vector, measured: Mask) -> Vector:
     """Variances (m,) that sensors hide, but from which weights still find outliers."""
-    return np.maximum(floor, _HIDDEN * sensor)
+    return np.maximum(floor, np.where(measured, _HIDDEN * sensor, 0.0))
 
 
 def _typical_variance(chain: Chain, residual: Array3) -> Vector:

@@ -132,6 +132,9 @@ class Simulator:
         self.measured = np.concatenate([data.qpos, data.qvel], axis=1)  # (rows, 2 nv)
         self._pool = rollout.Rollout(nthread=_threads(threads))
         self._scratch = [mujoco.MjData(self.base) for _ in range(max(1, _threads(threads)))]
+        self._rough = 1  # of its steps, that differences take for one of the model's
+        if finer > 1 and np.isnan(self.predict_quickly(nominal.start, (), self.measured)).any():
+            self._rough = finer  # the model's own step diverges
 
     def __enter__(self) -> "Simulator":
         return self
@@ -179,7 +182,7 @@ class Simulator:
         others of this kind.
 
         Where steps are `finer`, or the model's own integrator is of fourth order, it takes a
-        fraction of the time.
+        fraction of the time. With the `finer` steps where the model's own diverge.
         """
         return self._predict(causes, states, self._quick(values, causes))
 
@@ -198,11 +201,12 @@ class Simulator:
         return self._predict(causes, states, model)
 
     def predict_free(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
-        """`predict_quickly` without contacts and joint limits."""
+        """`predict_quickly` without contacts and joint limits in the step that is predicted."""
         model = self._quick(values, causes)
+        true = self._true(causes, states, model)
         bits = mujoco.mjtDisableBit
         model.opt.disableflags |= bits.mjDSBL_CONTACT | bits.mjDSBL_LIMIT
-        return self._predict(causes, states, model)
+        return self._shown(causes, true[self.starts], self._ends(causes, true, model))
 
     def predict_pushed(
         self, values: Vector, causes: Sequence[Cause], states: Matrix, dof: int, force: float
@@ -239,7 +243,7 @@ class Simulator:
 
     def _quick(self, values: Vector, causes: Sequence[Cause]) -> mujoco.MjModel:
         model = self._model(values, causes)
-        model.opt.timestep *= self.finer
+        model.opt.timestep *= self.finer / self._rough
         if not is_first_order(model):
             model.opt.integrator = other_integrator(model.opt.integrator)
         return model
@@ -361,11 +365,12 @@ class Simulator:
                 raise InvalidInput(f"{cause.kind} is not in a sensor")
 
     def slope(self, values: Vector, causes: Sequence[Cause], states: Matrix) -> Matrix:
-        """(rows, 2 nv) rate of change since the row before; of first rows, as after them.
+        """(rows, 2 nv) rate of change since the row before, by the model of `predict_quickly`; of
+        first rows, as after them.
 
         Simulated: the measured one would tell the simulator what it is to predict.
         """
-        return self._slope(causes, states, self._model(values, causes))
+        return self._slope(causes, states, self._quick(values, causes))
 
     def _slope(self, causes: Sequence[Cause], states: Matrix, model: mujoco.MjModel) -> Matrix:
         ends = self._ends(causes, states, model)

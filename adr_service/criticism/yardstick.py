@@ -17,6 +17,7 @@ from adr_service.criticism.linear import Normal, estimate
 from adr_service.criticism.noise import Whitener
 
 _PADDED = 4  # times as many frequencies as the recording resolves
+_SLOWEST = 3  # swings in a recording; less is a drift
 _RIDGES = (0.01, 0.1, 1.0, 10.0)  # prior precisions, relative to what all data say of a coefficient
 
 
@@ -58,15 +59,23 @@ def _responses(fit: Fit) -> list[Matrix]:
 
 def _swing(fit: Fit, responses: Sequence[Matrix]) -> Array3:
     """(N, m, 2) effects of a sine and a cosine, at the degree of freedom and the frequency where
-    the log-likelihood rises most; episodes are taken as parts of one recording."""
+    the log-likelihood rises most; episodes are taken as parts of one recording.
+
+    Both are chosen from all episodes, which chance gains about 10 nats by (the logarithm of how
+    many there are to choose from).
+    """
     simulator, layout, chain = fit.simulator, fit.layout, fit.linear.chain
     whitener = Whitener.of(chain, fit.noise)
     adjoint = whitener.adjoint(whitener.whiten(fit.left[..., None])[..., 0])
-    pull = np.stack([np.sum(layout.fold(r) * adjoint, axis=2) for r in responses])
+    folded = np.stack([layout.fold(np.nan_to_num(r)) for r in responses], axis=3)
+    folded[~chain.mask] = 0.0
+    pull = np.einsum("etmd,etm->det", folded, adjoint)
+    said = np.sum(whitener.whiten(folded) ** 2, axis=(0, 1, 2))  # (d,) of a force, by the data
     rows = np.zeros((len(responses), _PADDED * len(simulator.data.time)))
     rows[:, simulator.starts] = np.nan_to_num(pull[:, layout.mask])
     power = np.abs(np.fft.rfft(rows)) ** 2
-    power /= np.maximum(np.sum(rows**2, axis=1, keepdims=True), 1e-300)  # if nothing swings
+    power /= np.maximum(said, 1e-300)[:, None]
+    power[:, : _SLOWEST * _PADDED] = 0.0
     dof, wave = np.unravel_index(np.argmax(power), power.shape)
     angle = 2 * np.pi * int(wave) / rows.shape[1] * simulator.starts
     return (

@@ -47,6 +47,7 @@ def test_a_killed_service_goes_on_where_it_was(tmp_path, uninterrupted, after):
     assert len(set(first_log) | set(second_log)) == stages
 
 
+@pytest.mark.slow
 def test_one_core_gives_the_same_bytes_as_two(tmp_path, uninterrupted):
     with start_service(tmp_path, cpus=1) as running:
         id = running.client.submit_benchmark(BENCHMARK)["id"]

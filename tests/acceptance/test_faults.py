@@ -1,5 +1,6 @@
 """The service dies at every transaction, before and after it is on disk; nothing is lost."""
 
+import json
 import re
 import sqlite3
 import sys
@@ -37,36 +38,37 @@ def test_after_any_death_the_same_bytes_and_no_stage_lost_or_committed_twice(tmp
     deaths = lost = twice = 0
     for name in names:
         folder = tmp_path_factory.mktemp("faulty")
-        died, again, left = with_a_death(folder, name, table)
+        died, gone, again = with_a_death(folder, name, table)
         report(f"{name}: {'died' if died else 'was not reached'}")
         deaths += died
-        lost += len(stages - left)
+        lost += gone + len(stages - committed(folder))
         twice += again
     report(f"faults injected {deaths} of {len(names)}, runs completed {(deaths + 1) * RUNS}")
     report(f"stages lost {lost}, stages committed twice {twice}")
     assert (lost, twice) == (0, 0)
-    assert deaths > 0.9 * len(names)
+    # whether a training is noted before it has finished is a matter of time
+    assert deaths >= len(names) - 2
 
 
 def report(line: str) -> None:
     sys.stderr.write(f"{line}\n")
 
 
-def with_a_death(folder: Path, failpoint: str, table: str) -> tuple[bool, int, set[str]]:
-    """Whether the service died there; how many stages it then computed although their results
-    were on disk; and the stages that are there in the end."""
+def with_a_death(folder: Path, failpoint: str, table: str) -> tuple[bool, int, int]:
+    """Whether the service died there; of how many stages runs were told the end but the result is
+    not on disk; and how many it then computed although their results were."""
     with start_service(folder, cpus=2, failpoint=failpoint) as running:
         try:
             assert everything(running.client) == table
         except Unreachable:
             assert running.process.wait(timeout=30) == 137
         else:
-            return False, 0, committed(folder)
-    before = committed(folder)
+            return False, 0, 0
+    before, told = committed(folder), finished(folder)
     with start_service(folder, cpus=2) as running:
         assert everything(running.client) == table
         again = len(before & set(running.started_stages))
-    return True, again, committed(folder)
+    return True, len(told - before), again
 
 
 def everything(client: AdrClient) -> str:
@@ -89,6 +91,13 @@ def everything(client: AdrClient) -> str:
     client.delete(run)
     client.delete(dataset)
     return table
+
+
+def finished(folder: Path) -> set[str]:
+    """Digests of the stages of whose end some run has been told."""
+    with closing(sqlite3.connect(folder / "adr.sqlite")) as database:
+        bodies = database.execute("select body from events where type = 'stage_finished'")
+        return {json.loads(body)["digest"] for (body,) in bodies}
 
 
 def committed(folder: Path) -> set[str]:
