@@ -45,12 +45,15 @@ def backup(
 @app.command()
 def upgrade(data_dir: DataDir = None) -> None:
     """Bring an older database to the present tables, as `adr serve` does; a backup stays."""
-    path = _path(data_dir)
+    path, url = _path(data_dir), _url(data_dir)
     before = maintenance.revision_of(path)
-    open_database(f"sqlite:///{path}").close()
+    open_database(url).close()
     console.print(escape(f"{path}: revision {before} -> {maintenance.revision_of(path)}"))
 
 
 def _path(data_dir: Path | None) -> Path:
-    given = {} if data_dir is None else {"data_dir": data_dir}
-    return file_of(read_settings(**given).database)
+    return file_of(_url(data_dir))
+
+
+def _url(data_dir: Path | None) -> str:
+    return read_settings(**({} if data_dir is None else {"data_dir": data_dir})).database

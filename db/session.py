@@ -27,6 +27,7 @@ from db.failpoints import failpoint
 from db.maintenance import backup, revision_of
 
 log = logging.getLogger(__name__)
+RETRY_S = 1.0  # after which what was DatabaseUnavailable is worth another try
 CHUNK = 10_000  # of a query's variables, of which SQLite has 32,766
 _BUSY_TIMEOUT_MS = 5_000  # for other processes, such as a backup, and for other writers of ours
 # what passes by itself, or once somebody frees the disk
@@ -82,7 +83,7 @@ class Database:
 
         `name` tells it apart from others, for the tests that let the service die in it.
         """
-        with self._turn(), _told(), Session(self._writer) as session, session.begin():
+        with self._turn(), _translated(), Session(self._writer) as session, session.begin():
             yield session
             failpoint(f"{name}:before")
         failpoint(f"{name}:after")
@@ -98,7 +99,7 @@ class Database:
 
     @contextmanager
     def read(self) -> Generator[Session]:
-        with _told(), Session(self._reader) as session:
+        with _translated(), Session(self._reader) as session:
             yield session
 
     def close(self) -> None:
@@ -148,7 +149,7 @@ def alembic_config(url: str) -> Config:
 
 
 @contextmanager
-def _told() -> Generator[None]:
+def _translated() -> Generator[None]:
     """Trouble with the file, and not with what was asked of it, under a name of its own."""
     try:
         yield

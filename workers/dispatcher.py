@@ -23,7 +23,7 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 from adr_service.errors import AdrError, RunCancelled, StageFailed
 from adr_service.progress import SoFar
 from adr_service.stages import KINDS, Role, Stage, StageResult
-from db.session import DatabaseUnavailable
+from db.session import RETRY_S, DatabaseUnavailable
 from workers.actors import Board, Ending, Failed, Finished, SignOfLife, Stopped
 from workers.cluster import ClusterUnavailable, RayOptions, join
 from workers.slots import Actor, Slots
@@ -33,7 +33,6 @@ MAX_ATTEMPTS = 3
 _TICK_S = 0.05
 _READ_BOARD_S = 0.5
 _SILENT_S = 60.0  # without a sign of life, which comes every second: the process hangs
-_RETRY_S = 1.0  # after the database could not be used
 # light stages first: they are short, and trainings wait for them
 _PRIORITY: dict[Role, int] = {"target": 0, "inference": 1, "trainer": 2}
 
@@ -277,7 +276,7 @@ class Dispatcher:
         match ending:
             case Finished():
                 job.finished = ending
-                self._deliver(job, ending)
+                self._deliver(job)
             case Failed(code, message):
                 del self._jobs[job.stage.digest]
                 _fail(job, StageFailed(job.stage.kind, code, message))
@@ -286,13 +285,15 @@ class Dispatcher:
                     del self._jobs[job.stage.digest]
                 # else it was wanted again while it was stopping, and waits for its turn
 
-    def _deliver(self, job: _Job, ending: Finished) -> None:
+    def _deliver(self, job: _Job) -> None:
         """Commit a result, then hand it to those who wait; later, while nothing can be stored."""
+        finished = job.finished
+        assert finished is not None
         try:
             attempt = Attempt(job.attempt, job.started_by, job.asked, job.placed, self.cores)
-            self._commit(job.stage, ending, attempt, job.run_ids)
+            self._commit(job.stage, finished, attempt, job.run_ids)
         except DatabaseUnavailable as error:
-            self._again(lambda: self._deliver(job, ending), error)
+            self._again(lambda: self._deliver(job), error)
             return
         except Exception as error:  # the database's trouble must not stop other runs
             log.exception("stage %s could not be stored", job.stage.digest)
@@ -301,15 +302,15 @@ class Dispatcher:
             return
         del self._jobs[job.stage.digest]
         for waiter in job.waiters:
-            waiter.future.set_result(ending.result)
+            waiter.future.set_result(finished.result)
 
     def _again(
         self, action: Callable[[], None], error: DatabaseUnavailable, run_id: str | None = None
     ) -> None:
         """Do something once more a little later, for a run if it is still wanted then."""
-        log.warning("%s; trying again in %g s", error, _RETRY_S)
+        log.warning("%s; trying again in %g s", error, RETRY_S)
         self._later.append((run_id, action))
-        self._retry_at = time.monotonic() + _RETRY_S
+        self._retry_at = time.monotonic() + RETRY_S
 
     def _lost(self, job: _Job, actor: Actor, error: RayError) -> None:
         """A process died under a job: another attempt, or the end."""

@@ -29,7 +29,7 @@ from db import datasets as dataset_store
 from db import runs as run_store
 from db import stages as stage_store
 from db.runs import RunRecord
-from db.session import Database, DatabaseUnavailable
+from db.session import RETRY_S, Database, DatabaseUnavailable
 from workers.actors import Finished
 from workers.cluster import ClusterUnavailable, RayOptions
 from workers.dispatcher import Activity, Attempt, Dispatcher
@@ -38,7 +38,6 @@ from workers.stages import RayStages
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 _RUNS_AT_ONCE = 64  # threads that mostly wait; the cores are shared out by the dispatcher
-_RETRY_S = 1.0  # after the database could not be used
 
 
 class Orchestrator:
@@ -138,8 +137,8 @@ class Orchestrator:
             try:
                 return action()
             except DatabaseUnavailable as error:
-                log.warning("%s; trying again in %g s", error, _RETRY_S)
-                if self._closing.wait(_RETRY_S):
+                log.warning("%s; trying again in %g s", error, RETRY_S)
+                if self._closing.wait(RETRY_S):
                     raise RunCancelled("the service is stopping") from error
 
     def _recording(self, record: RunRecord) -> bytes | None:

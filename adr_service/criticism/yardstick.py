@@ -29,7 +29,7 @@ def flexible_gains(fit: Fit, sensor: Vector) -> Vector:
         *(r[:, :, None] * _features(fit, dof)[:, None, :] for dof, r in enumerate(responses)),
         _swing(fit, responses),
     ]
-    folded = fit.layout.fold(np.nan_to_num(np.concatenate(forces, axis=2)))
+    folded = fit.layout.fold(np.concatenate(forces, axis=2))
     folded[~fit.linear.chain.mask] = 0.0
     columns = np.concatenate([fit.linear.columns, folded], axis=3)
     added = np.zeros(columns.shape[3] - base)
@@ -46,13 +46,13 @@ def flexible_gains(fit: Fit, sensor: Vector) -> Vector:
 
 
 def _responses(fit: Fit) -> list[Matrix]:
-    """(N, m) what a unit of force on each degree of freedom adds."""
+    """(N, m) what a unit of force on each degree of freedom adds; nothing where that diverges."""
     simulator = fit.simulator
     known = (fit.parameters, fit.causes, fit.states)
     predicted = simulator.predict_quickly(*known)
     sizes = 0.01 * simulator.base.dof_M0 / simulator.period
     return [
-        (simulator.predict_pushed(*known, dof, size) - predicted) / size
+        np.nan_to_num(simulator.predict_pushed(*known, dof, size) - predicted) / size
         for dof, size in enumerate(sizes.tolist())
     ]
 
@@ -67,7 +67,7 @@ def _swing(fit: Fit, responses: Sequence[Matrix]) -> Array3:
     simulator, layout, chain = fit.simulator, fit.layout, fit.linear.chain
     whitener = Whitener.of(chain, fit.noise)
     adjoint = whitener.adjoint(whitener.whiten(fit.left[..., None])[..., 0])
-    folded = np.stack([layout.fold(np.nan_to_num(r)) for r in responses], axis=3)
+    folded = np.stack([layout.fold(r) for r in responses], axis=3)
     folded[~chain.mask] = 0.0
     pull = np.einsum("etmd,etm->det", folded, adjoint)
     said = np.sum(whitener.whiten(folded) ** 2, axis=(0, 1, 2))  # (d,) of a force, by the data
