@@ -9,6 +9,7 @@ import numpy as np
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Nominal
 from adr_service.distributions import Uniform, distribution_from_json
+from adr_service.errors import InvalidInput
 from adr_service.events import RunEvent
 from adr_service.methods.base import Evidence, OfflineSettings, OnlineSettings, Problem
 from adr_service.methods.bayrn import propose
@@ -16,7 +17,7 @@ from adr_service.methods.catalogue import parse_settings
 from adr_service.preparation import preparing
 from adr_service.progress import Progress, silent
 from adr_service.randomness import stream
-from adr_service.stages import Stage, StageResult, events_of
+from adr_service.stages import KINDS, Stage, StageResult, events_of
 from adr_service.target import random_actions, simulate_evaluation, simulate_rollout
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.training.policy import Policy
@@ -29,12 +30,16 @@ Blobs = Mapping[str, bytes]
 
 def compute(stage: Stage, progress: Progress = silent) -> StageResult:
     """Run a stage here and now; its random numbers come from its digest."""
+    if KINDS[stage.kind].role == "robot":
+        raise InvalidInput("a target outside needs the service, from which its client takes tasks")
     rng = stream("stage", stage.digest)
     return _FUNCTIONS[stage.kind](stage.inputs, stage.blobs, rng, progress)
 
 
 class LocalStages:
     """Runs stages in this process, one after the other, and remembers them by digest."""
+
+    run_id = "local"
 
     def __init__(self) -> None:
         self._memory: dict[str, StageResult] = {}

@@ -1,4 +1,4 @@
-"""Reading `.npz` files that anybody may have written: checked by headers, then loaded.
+"""`.npz` files, which anybody may have written: checked by their headers, then loaded.
 
 arrays = read_arrays(content, ["time", "qpos"])     # InvalidInput says what is wrong
 """
@@ -9,10 +9,11 @@ import math
 import struct
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.lib import format as npy
+from numpy.typing import ArrayLike
 
 from adr_service.errors import InvalidInput
 
@@ -53,6 +54,14 @@ def read_arrays(content: bytes, accepted: Sequence[str]) -> dict[str, np.ndarray
             return {m.filename.removesuffix(".npy"): _read(archive, m) for m in members}
     except _BROKEN as error:
         raise InvalidInput(f"not a readable .npz of plain arrays: {error}") from error
+
+
+def write_arrays(arrays: Mapping[str, ArrayLike]) -> bytes:
+    """An `.npz` of these arrays; the same arrays always give the same bytes."""
+    buffer = io.BytesIO()
+    # np.savez has names for its own arguments
+    np.savez(buffer, **dict(arrays))  # pyright: ignore[reportArgumentType]
+    return buffer.getvalue()
 
 
 def names_in(content: bytes) -> list[str]:

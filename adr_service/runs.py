@@ -32,7 +32,7 @@ from adr_service.methods.udr import UdrSettings, random_bounds
 from adr_service.randomness import stream
 from adr_service.specs import AnyRun, CriticismSpec, RecordedTarget, RunSpec
 from adr_service.stages import Stage, StageResult, Stages
-from adr_service.target import Recording, Target, Visit, truth_as_distribution
+from adr_service.target import Recording, Target, Visit, open_target, truth_as_distribution
 from adr_service.tasks.catalogue import get_task, identity_of, source_of
 from adr_service.transitions import TransitionDataset
 from adr_service.wire import sha256
@@ -76,7 +76,7 @@ def run(spec: AnyRun, stages: Stages, recording: bytes | None = None) -> Program
         case OracleSettings():
             truth = truth_as_distribution(spec.task, spec.variant)
             trained = yield from stages.run(oracle_training(spec))
-            yield from _report(spec, Target(spec, stages), 0, [truth], [trained])
+            yield from _report(spec, open_target(spec, stages), 0, [truth], [trained])
         case _:
             raise InvalidInput(f"no program runs the method {spec.method.name}")
 
@@ -92,7 +92,7 @@ def _criticise(spec: CriticismSpec, stages: Stages, measurement: bytes | None) -
 
 
 def _online(spec: RunSpec, stages: Stages) -> Program:
-    loop = _OnlineLoop(spec, stages, Target(spec, stages))
+    loop = _OnlineLoop(spec, stages, open_target(spec, stages))
     for iteration in range(spec.iterations + 1):
         trained = yield from loop.train()
         yield from _report(spec, loop.target, iteration, [loop.distribution], [trained], loop.last)
@@ -102,7 +102,7 @@ def _online(spec: RunSpec, stages: Stages) -> Program:
 
 
 def _offline(spec: RunSpec, stages: Stages) -> Program:
-    target = Target(spec, stages)
+    target = open_target(spec, stages)
     # whoever collects, the first policy is the prior's
     simopt = spec.simopt or SimOptSettings.model_validate({})
     collector = _OnlineLoop(spec.model_copy(update={"method": simopt}), stages, target)
@@ -169,7 +169,7 @@ def _estimate(spec: RunSpec, stages: Stages, data: bytes) -> Generator[RunEvent,
 
 def _single_shot(spec: RunSpec, stages: Stages) -> Program:
     """SimOpt-1: ever more trajectories of the prior's policy, and one inference from the prior."""
-    loop = _OnlineLoop(spec, stages, Target(spec, stages))
+    loop = _OnlineLoop(spec, stages, open_target(spec, stages))
     collecting = yield from loop.train()
     yield from _report(spec, loop.target, 0, [loop.distribution], [collecting])
     visits: list[Visit] = []
@@ -185,7 +185,7 @@ def _single_shot(spec: RunSpec, stages: Stages) -> Program:
 
 def _bayesian(spec: RunSpec, stages: Stages, start: UdrSettings) -> Program:
     """BayRn: UDR's policies and their target returns, then one more policy per iteration."""
-    target, boxes = Target(spec, stages), _boxes(spec, start)
+    target, boxes = open_target(spec, stages), _boxes(spec, start)
     trained = yield from stages.all([_training(spec, box) for box in boxes])
     returns = yield from target.returns([result.blobs["policy"] for result in trained], 0)
     yield from _report(spec, target, 0, boxes, trained)
@@ -233,7 +233,7 @@ def _train_and_report(
 ) -> Program:
     """For methods without data: one policy per distribution, all at the same time."""
     trained = yield from stages.all([_training(spec, d) for d in distributions])
-    yield from _report(spec, Target(spec, stages), 0, distributions, trained)
+    yield from _report(spec, open_target(spec, stages), 0, distributions, trained)
 
 
 class _OnlineLoop:

@@ -17,6 +17,7 @@ from adr_service.causes import Cause, domain_of
 from adr_service.errors import AdrError, InvalidInput, UnknownName
 from adr_service.methods.base import OfflineSettings
 from adr_service.methods.catalogue import AnyMethod, methods
+from adr_service.methods.references import OracleSettings
 from adr_service.methods.simopt import SimOptSettings
 from adr_service.presets import PRESETS
 from adr_service.simulation.batch import check_effects
@@ -57,7 +58,16 @@ class RecordedTarget(Wire):
     episodes: int | None = Field(None, ge=1, description="the first so many; default: all")
 
 
-AnyTarget = Annotated[SimulatedTarget | RecordedTarget, Field(discriminator="kind")]
+class ExternalTarget(Wire):
+    """A real robot, or any machine, whose client asks the service for episodes to run."""
+
+    kind: Literal["external"] = "external"
+
+
+AnyTarget = Annotated[
+    SimulatedTarget | RecordedTarget | ExternalTarget, Field(discriminator="kind")
+]
+EXTERNAL_EPISODES = 5  # of the final evaluation: a robot's time is dear
 
 
 class RunSpec(Wire):
@@ -106,7 +116,10 @@ class RunSpec(Wire):
         if "method" in given:
             filled["method"] = _fill_method(given["method"], preset["methods"])
         target = filled.get("target")
-        if isinstance(target, dict) and cast(dict[str, Any], target).get("kind") == "recorded":
+        kind = cast(dict[str, Any], target).get("kind") if isinstance(target, dict) else None
+        if kind == "external" and "evaluation_episodes" not in given:
+            filled["evaluation_episodes"] = EXTERNAL_EPISODES
+        if kind == "recorded":
             filled.setdefault("collector", "recording")
         elif _learns_from_simopt(filled):
             filled["simopt"] = _fill_method(given.get("simopt") or "simopt", preset["methods"])
@@ -148,6 +161,8 @@ class RunSpec(Wire):
                 f"method: {self.method.name} needs a target that it can visit; a recorded one "
                 f"serves {', '.join(_offline_methods())}"
             )
+        if isinstance(self.method, OracleSettings) and not isinstance(self.target, SimulatedTarget):
+            raise ValueError("method: nobody knows the truth that the oracle would be trained on")
         if (self.collector == "recording") != isinstance(self.target, RecordedTarget):
             raise ValueError(
                 f"collector: {self.collector!r} given, with a {self.target.kind} target; "

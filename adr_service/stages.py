@@ -16,7 +16,7 @@ from typing import Any, Literal, Protocol
 from adr_service.events import RunEvent, StageFinished, TrainingEvaluated
 from adr_service.wire import canonical_json, sha256
 
-Role = Literal["trainer", "inference", "target"]
+Role = Literal["trainer", "inference", "target", "robot"]
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,7 @@ KINDS = {
     "target_return": StageKind(version=1, role="target"),
     "propose": StageKind(version=1, role="inference"),
     "evaluate": StageKind(version=2, role="target"),
+    "target_episode": StageKind(version=1, role="robot"),
     "criticise": StageKind(version=1, role="inference"),
 }
 
@@ -82,6 +83,8 @@ def events_of(stage: Stage, result: StageResult) -> list[RunEvent]:
 
 class Stages(Protocol):
     """Who runs stages. Both functions yield the events of what happens meanwhile."""
+
+    run_id: str  # who asks; a robot's episodes are of one run alone
 
     def all(self, stages: Sequence[Stage]) -> Generator[RunEvent, None, list[StageResult]]:
         """The results of `stages`, in their order; they may run at the same time.

@@ -1,14 +1,15 @@
 """The target domain: the one door to it, and the meter on the door.
 
-    target = Target(spec, stages)
+    target = open_target(spec, stages)
     visit = yield from target.rollout(policy, iteration=0)     # counted
     found = yield from target.evaluate([policy])               # counted apart, for no method
 
 No method reads a task's hidden truth: it acts behind this door. Simulated targets live here
-too: `simulate_rollout` and `simulate_evaluation` are what the target stages compute.
+too: `simulate_rollout` and `simulate_evaluation` are what the target stages compute. What a robot
+did arrives as an `.npz` and is checked by `episode_result`.
 """
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,11 +19,12 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.distributions import Uniform
 from adr_service.errors import BudgetExceeded, InvalidInput
 from adr_service.events import RunEvent
+from adr_service.npz import read_arrays
 from adr_service.simulation.batch import Simulations, control_period
 from adr_service.simulation.replay import check_recorded
 from adr_service.simulation.rollout import Act, Episodes, run_episodes
-from adr_service.specs import RecordedTarget, RunSpec
-from adr_service.stages import Stage, Stages
+from adr_service.specs import ExternalTarget, RecordedTarget, RunSpec
+from adr_service.stages import Stage, StageResult, Stages
 from adr_service.tasks.base import Task
 from adr_service.tasks.catalogue import get_task, hidden_of, identity_of, variant_of
 from adr_service.training.policy import Policy
@@ -54,19 +56,7 @@ class Target:
         spec = self._spec
         if self.rollouts + 1 > spec.iterations:
             raise BudgetExceeded("target rollouts", self.rollouts, 1, spec.iterations)
-        result = yield from self._stages.run(
-            Stage(
-                "target_rollout",
-                {
-                    **identity_of(spec.task),
-                    "variant": spec.target_domain,
-                    "transitions": spec.transitions,
-                    "iteration": iteration,
-                    "seed": spec.seed,
-                },
-                {} if policy is None else {"policy": policy},
-            )
-        )
+        result = yield from self._stages.run(self._rollout(policy, iteration))
         taken = int(result.values["transitions"])
         self.rollouts += 1
         self.transitions += taken
@@ -79,21 +69,7 @@ class Target:
 
         Metered as rollouts are, beyond the spec's, because UDR's policies come on top.
         """
-        results = yield from self._stages.all(
-            [
-                Stage(
-                    "target_return",
-                    {
-                        **identity_of(self._spec.task),
-                        "variant": self._spec.target_domain,
-                        "iteration": iteration,
-                        "seed": self._spec.seed,
-                    },
-                    {"policy": policy},
-                )
-                for policy in policies
-            ]
-        )
+        results = yield from self._stages.all([self._return(p, iteration) for p in policies])
         self.rollouts += len(results)
         self.transitions += sum(int(result.values["transitions"]) for result in results)
         return [float(result.values["return"]) for result in results]
@@ -119,6 +95,92 @@ class Target:
             ]
         )
         return [result.values for result in results]
+
+    def _rollout(self, policy: bytes | None, iteration: int) -> Stage:
+        inputs = {
+            **identity_of(self._spec.task),
+            "variant": self._spec.target_domain,
+            "transitions": self._spec.transitions,
+            "iteration": iteration,
+            "seed": self._spec.seed,
+        }
+        return Stage("target_rollout", inputs, {} if policy is None else {"policy": policy})
+
+    def _return(self, policy: bytes, iteration: int) -> Stage:
+        inputs = {
+            **identity_of(self._spec.task),
+            "variant": self._spec.target_domain,
+            "iteration": iteration,
+            "seed": self._spec.seed,
+        }
+        return Stage("target_return", inputs, {"policy": policy})
+
+
+class RobotTarget(Target):
+    """A target outside: each visit is an episode that a robot's client takes as a task.
+
+    Episodes are of one run: robots do not repeat themselves.
+    """
+
+    def evaluate(
+        self, policies: Sequence[bytes]
+    ) -> Generator[RunEvent, None, list[dict[str, Any]]]:
+        count = self._spec.evaluation_episodes
+        asked = [self._full("evaluation", i, policy) for policy in policies for i in range(count)]
+        results = yield from self._stages.all(asked)
+        returns = [result.values["return"] for result in results]
+        each = [returns[first : first + count] for first in range(0, len(returns), count)]
+        return [{"returns": episodes, "diverged_episodes": 0} for episodes in each]
+
+    def _rollout(self, policy: bytes | None, iteration: int) -> Stage:
+        return self._episode("rollout", iteration, policy, self._spec.transitions)
+
+    def _return(self, policy: bytes, iteration: int) -> Stage:
+        return self._full("return", iteration, policy)
+
+    def _full(self, purpose: str, number: int, policy: bytes) -> Stage:
+        return self._episode(purpose, number, policy, get_task(self._spec.task).horizon)
+
+    def _episode(self, purpose: str, number: int, policy: bytes | None, transitions: int) -> Stage:
+        inputs = {
+            **identity_of(self._spec.task),
+            "run": self._stages.run_id,
+            "purpose": purpose,  # "rollout", of which fewer transitions are as good; else a return
+            "number": number,
+            "transitions": transitions,
+            "seed": self._spec.seed,
+        }
+        return Stage("target_episode", inputs, {} if policy is None else {"policy": policy})
+
+
+def open_target(spec: RunSpec, stages: Stages) -> Target:
+    """The target that a spec names, simulated or outside."""
+    return (RobotTarget if isinstance(spec.target, ExternalTarget) else Target)(spec, stages)
+
+
+def episode_result(inputs: Mapping[str, Any], content: bytes) -> StageResult:
+    """What a robot's episode is worth as the result of a `target_episode`.
+
+    `content` is the `.npz` of a TransitionDataset with `rewards` (N,). Raises InvalidInput where
+    it is not of the task, is not one episode, or is longer than was asked for.
+    """
+    fields = read_arrays(content, (*TransitionDataset.ARRAYS, "rewards"))
+    rewards = fields.pop("rewards", None)
+    data = TransitionDataset.from_arrays(fields)
+    check_recorded(get_task(inputs["task"]), data)
+    if len(data.split()) != 1:
+        raise InvalidInput(f"a task is one episode; the data have {len(data.split())}")
+    if len(data) > inputs["transitions"]:
+        raise InvalidInput(
+            f"the task asks for {inputs['transitions']} transitions at most; given {len(data)}"
+        )
+    if rewards is None or rewards.dtype.kind not in "iuf" or rewards.shape != (len(data),):
+        given = "nothing" if rewards is None else f"{rewards.dtype} {rewards.shape}"
+        raise InvalidInput(f"rewards must be ({len(data)},) numbers; given {given}")
+    earned = float(np.sum(rewards, dtype=np.float64))
+    if not np.isfinite(earned):
+        raise InvalidInput("rewards must be finite, and their sum")
+    return StageResult({"transitions": len(data), "return": earned}, {"data": data.to_npz()})
 
 
 class Recording:

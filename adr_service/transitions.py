@@ -6,9 +6,8 @@
 The `.npz` keys are DROPO's (`observations`, `next_observations`, `actions`, `terminals`), and `dt`.
 """
 
-import io
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import numpy as np
 
 from adr_service.arrays import Indices, Matrix, frozen
 from adr_service.errors import InvalidInput
-from adr_service.npz import read_arrays
+from adr_service.npz import read_arrays, write_arrays
 from adr_service.wire import sha256
 
 _NEEDED = ("observations", "actions", "next_observations", "dt")
@@ -34,6 +33,8 @@ class TransitionDataset:
     dt: float  # control period [s]
     columns: tuple[str, ...]  # observation columns with their units, "thigh_angle [rad]"
     origin: str  # where the data comes from, in words
+
+    ARRAYS = (*_NEEDED, *_OPTIONAL)  # of an `.npz`, by name
 
     def __post_init__(self) -> None:
         for name in ("observations", "actions", "next_observations"):
@@ -97,25 +98,29 @@ class TransitionDataset:
 
     def to_npz(self) -> bytes:
         """Bytes that `from_npz` reads; the same data always gives the same bytes."""
-        terminals = np.append(np.diff(self.episodes) > 0, True)
-        buffer = io.BytesIO()
-        np.savez(
-            buffer,
-            observations=self.observations,
-            actions=self.actions,
-            next_observations=self.next_observations,
-            terminals=terminals,
-            episodes=self.episodes,
-            dt=np.float64(self.dt),
-            columns=np.array(self.columns),
-            origin=np.array(self.origin),
-        )
-        return buffer.getvalue()
+        return write_arrays(self.to_arrays())
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """The arrays of an `.npz`, by name."""
+        return {
+            "observations": self.observations,
+            "actions": self.actions,
+            "next_observations": self.next_observations,
+            "terminals": np.append(np.diff(self.episodes) > 0, True),
+            "episodes": self.episodes,
+            "dt": np.array(self.dt, dtype=np.float64),
+            "columns": np.array(self.columns),
+            "origin": np.array(self.origin),
+        }
 
     @classmethod
     def from_npz(cls, content: bytes) -> "TransitionDataset":
         """The data in an `.npz`; where it has no `episodes`, `terminals` mark their ends."""
-        fields = read_arrays(content, [*_NEEDED, *_OPTIONAL])
+        return cls.from_arrays(read_arrays(content, cls.ARRAYS))
+
+    @classmethod
+    def from_arrays(cls, fields: Mapping[str, np.ndarray]) -> "TransitionDataset":
+        """The data in the arrays of an `.npz`, by name."""
         missing = [name for name in _NEEDED if name not in fields]
         if not fields.keys() & {"episodes", "terminals"}:
             missing.append("episodes (or terminals)")
@@ -207,7 +212,7 @@ def unnamed(width: int) -> np.ndarray:
     return np.array([f"observation_{i}" for i in range(width)], dtype=str)
 
 
-def _episodes(fields: dict[str, np.ndarray]) -> np.ndarray:
+def _episodes(fields: Mapping[str, np.ndarray]) -> np.ndarray:
     """Episode ids (N,), from `episodes` or from the ends that `terminals` mark."""
     ids, terminals = fields.get("episodes"), fields.get("terminals")
     if ids is not None and (ids.dtype.kind not in "iu" or ids.ndim != 1):

@@ -9,7 +9,7 @@ from fastapi import FastAPI, Request, Response
 
 import adr_service
 from api import errors, page
-from api.routes import benchmarks, catalogue, claims, criticisms, datasets, runs
+from api.routes import benchmarks, catalogue, claims, criticisms, datasets, runs, target_tasks
 from api.service import open_service
 from api.settings import Settings
 
@@ -33,7 +33,7 @@ def create_app(settings: Settings) -> FastAPI:
         max_body_size=1_000_000,
     )
     errors.install(app)
-    for routes in (runs, benchmarks, criticisms, datasets, claims, catalogue, page):
+    for routes in (runs, benchmarks, criticisms, datasets, target_tasks, claims, catalogue, page):
         app.include_router(routes.router)
     if settings.token:
         app.middleware("http")(_token_check(settings.token))

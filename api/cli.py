@@ -5,6 +5,7 @@ import logging
 import os
 import socket
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -399,6 +400,30 @@ def tune(
         console.print_json(data=trials)
     else:
         console.print(trials_table(trials))
+
+
+@app.command()
+def robot(
+    env: Annotated[str, typer.Option(help="module:factory of a Gymnasium environment.")],
+    task: Annotated[str, typer.Option(help="Whose target it is: hopper, …")],
+    name: Annotated[str, typer.Option(help="Shown to those who watch.")] = "robot",
+    max_seconds: Annotated[
+        float | None, typer.Option(help="An episode never takes longer.", min=0.1)
+    ] = None,
+    max_action: Annotated[
+        list[float] | None,
+        typer.Option(help="No action beyond ± this; once for all, or once for each."),
+    ] = None,
+    episodes: Annotated[int | None, typer.Option(help="Then stop.", min=1)] = None,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Run the episodes that runs with an external target ask for; see docs/robots.md."""
+    from api import robot as client_of_a_robot  # imports Gymnasium
+
+    limits = client_of_a_robot.Limits(max_seconds, tuple(max_action or ()))
+    connect = partial(_client, url)
+    worker = client_of_a_robot.Robot(connect, task, env, name, limits, console.print)
+    worker.work(episodes)
 
 
 @app.command()

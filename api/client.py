@@ -6,7 +6,7 @@ with AdrClient() as client:
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -23,6 +23,10 @@ class Refused(AdrError):
     """The service refused a request; the message says why."""
 
     code = "refused"
+
+    def __init__(self, status: int, detail: str, retry_after_s: float | None = None):
+        super().__init__(detail)
+        self.status, self.retry_after_s = status, retry_after_s
 
 
 class Unreachable(AdrError):
@@ -87,7 +91,7 @@ class AdrClient:
         return self._json("GET", _path(id))
 
     def list_all(self, collection: str, **filters: str) -> list[Json]:
-        """All members of "runs", "benchmarks" or "datasets", page after page."""
+        """All members of "runs", "benchmarks", "datasets" or "target_tasks", page after page."""
         return self._pages(f"/v1/{collection}", "page_token", **filters)
 
     def cost(self, id: str) -> Json:
@@ -135,6 +139,38 @@ class AdrClient:
         """The run's latest policy as safetensors."""
         return self.content(f"{_path(run_id)}/policy")
 
+    def claim_task(self, worker: str, tasks: Sequence[str], wait_s: float = 20.0) -> Json | None:
+        """An episode for a robot, and its lease; None where there is none after `wait_s`."""
+        given = {"worker": worker, "tasks": list(tasks), "wait_s": wait_s}
+        response = self._request("POST", "/v1/target_tasks/claim", json=given)
+        return None if response.status_code == 204 else response.json()
+
+    def heartbeat(self, task_id: str, lease: str, steps: int) -> Json:
+        """Say that an episode goes on; the answer has `cancel_requested`."""
+        given = {"lease": lease, "steps": steps}
+        return self._json("POST", f"/v1/target_tasks/{task_id}/heartbeat", json=given)
+
+    def complete_task(self, task_id: str, lease: str, trajectory: bytes) -> Json:
+        """Upload what happened, an `.npz`."""
+        return self._json(
+            "PUT",
+            f"/v1/target_tasks/{task_id}/trajectory",
+            content=trajectory,
+            headers={"Content-Type": "application/octet-stream", "Lease": lease},
+        )
+
+    def release_task(self, task_id: str, lease: str) -> Json:
+        return self._json("POST", f"/v1/target_tasks/{task_id}/release", json={"lease": lease})
+
+    def fail_task(self, task_id: str, lease: str, message: str) -> Json:
+        """Say that no robot can do this; the run fails."""
+        given = {"lease": lease, "message": message}
+        return self._json("POST", f"/v1/target_tasks/{task_id}/fail", json=given)
+
+    def tasks(self) -> list[Json]:
+        """What there is to train for, with columns, bounds and periods."""
+        return list(self._json("GET", "/v1/tasks"))
+
     def ready(self) -> Json:
         return self._json("GET", "/readyz")
 
@@ -171,7 +207,9 @@ class AdrClient:
                 "or name another with ADR_URL"
             ) from error
         if response.is_error:
-            raise Refused(_explain(response))
+            wait = response.headers.get("Retry-After")
+            after = None if wait is None else float(wait)
+            raise Refused(response.status_code, _explain(response), after)
         return response
 
 

@@ -15,6 +15,7 @@ _STATUS = {
     "not_found": 404,
     "unknown_name": 404,
     "conflict": 409,
+    "lease_lost": 409,
     "invalid_input": 422,
     "cluster_unavailable": 503,
     "database_unavailable": 503,

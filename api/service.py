@@ -3,6 +3,7 @@
 import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -21,8 +22,10 @@ from api.views import CostView, cost_view
 from db import datasets as dataset_store
 from db import runs as store
 from db import stages as stage_store
+from db import target_tasks as task_store
 from db.runs import RunRecord
 from db.session import Database, open_database
+from db.target_tasks import TargetTask
 from workers.cluster import RayOptions
 from workers.orchestrator import Orchestrator
 
@@ -71,6 +74,13 @@ class Service:
             check_measurement(nominal, Measurement.from_npz(content))
         else:
             Recording(spec, content)
+
+    def claim(self, worker: str, tasks: Sequence[str]) -> TargetTask | None:
+        """A target task for a robot, if there is one; the lock is taken only then."""
+        now = datetime.now(UTC)
+        if not task_store.is_one_free(self.database, tasks, now):
+            return None
+        return task_store.claim(self.database, worker, tasks, now, self.settings.lease_s)
 
     def close(self) -> None:
         self.orchestrator.close()

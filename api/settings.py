@@ -25,6 +25,7 @@ class Settings(BaseSettings):
     ray_address: str = Field("local", description="local, auto, or the address of a cluster")
     cpus: int | None = Field(None, ge=1, description="of a local cluster; default: all")
     dashboard: bool = True
+    lease_s: float = Field(60.0, ge=1, le=3600, description="of a robot that shows no life")
 
     @model_validator(mode="after")
     def _loopback_or_token(self) -> Self:

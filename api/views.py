@@ -17,8 +17,10 @@ from adr_service.events import (
     TrainingEvaluated,
 )
 from adr_service.specs import AnyRun, BenchmarkSpec, CriticismSpec, RecordedTarget
+from adr_service.tasks.catalogue import get_task
 from db.datasets import DatasetRecord
 from db.runs import BenchmarkRecord, EventRecord, RunRecord, states_of
+from db.target_tasks import TargetTask
 from workers.dispatcher import Activity
 
 Item = TypeVar("Item")
@@ -169,6 +171,42 @@ class DatasetView(BaseModel):
     links: dict[str, str]
 
 
+class TaskView(BaseModel):
+    """A visit to a target: an episode that somebody has, had, or may claim."""
+
+    id: str
+    run_id: str
+    task: str
+    kind: str  # of the episode: rollout, return, evaluation; else of the stage
+    number: int
+    transitions: int  # at most
+    seed: int
+    has_policy: bool  # else random actions
+    external: bool
+    state: str
+    attempt: int
+    worker: str | None
+    steps: int
+    claimed_at: datetime | None
+    lease_expires_at: datetime | None
+    error: str | None
+    created_at: datetime
+    links: dict[str, str]
+
+
+class ClaimView(BaseModel):
+    """A task for a robot, and the lease that everything said of it must carry."""
+
+    task: TaskView
+    lease: str
+    lease_s: float  # from now on, or from the last heartbeat
+
+
+class HeartbeatView(BaseModel):
+    lease_expires_at: datetime
+    cancel_requested: bool  # stop moving, and release the task
+
+
 class ParameterView(BaseModel):
     name: str
     address: str  # in the model
@@ -260,6 +298,42 @@ def page_of(
     shown = found[:size]
     token = str(position(shown[-1])) if len(found) > size else None
     return Page(items=[render(record) for record in shown], next_page_token=token)
+
+
+def task_view(task: TargetTask) -> TaskView:
+    here, inputs = f"/v1/target_tasks/{task.id}", task.inputs
+    return TaskView(
+        id=task.id,
+        run_id=task.run_id,
+        task=task.task,
+        kind=inputs.get("purpose", task.kind),
+        number=inputs.get("number", inputs.get("iteration", 0)),
+        transitions=inputs.get("transitions", get_task(task.task).horizon),
+        seed=inputs["seed"],
+        has_policy=task.has_policy,
+        external=task.external,
+        state=task.state,
+        attempt=task.attempt,
+        worker=task.worker,
+        steps=task.steps,
+        claimed_at=task.claimed_at,
+        lease_expires_at=task.expires_at,
+        error=task.error,
+        created_at=task.created_at,
+        links={
+            "self": here,
+            "run": f"/v1/runs/{task.run_id}",
+            **({"policy": f"{here}/policy"} if task.has_policy else {}),
+        },
+    )
+
+
+def claim_view(task: TargetTask) -> ClaimView:
+    assert task.lease is not None
+    assert task.expires_at is not None
+    assert task.claimed_at is not None
+    lease_s = (task.expires_at - task.claimed_at).total_seconds()
+    return ClaimView(task=task_view(task), lease=task.lease, lease_s=lease_s)
 
 
 def event_view(record: EventRecord) -> EventView:

@@ -18,6 +18,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.types import TypeDecorator
 
 STATES = "'queued', 'running', 'succeeded', 'failed', 'cancelled'"
+TASK_STATES = "'pending', 'claimed', 'done', 'failed', 'withdrawn'"
 
 
 class Utc(TypeDecorator[datetime]):
@@ -154,6 +155,41 @@ class DatasetRow(Base):
     dt: Mapped[float]  # control period [s]
     columns: Mapped[str] = mapped_column(Text)  # JSON list
     origin: Mapped[str] = mapped_column(Text)
+
+
+class TargetTaskRow(Base):
+    """A stage that visits the target, and who has it: a robot's client, or the simulated target.
+
+    While it is claimed it has a lease, whose token the claimant shows with everything that it
+    says; another claim has another token. Done: the stage has a result, of that lease.
+    """
+
+    __tablename__ = "target_tasks"
+    __table_args__ = (
+        CheckConstraint(f"state IN ({TASK_STATES})", name="state"),
+        CheckConstraint("(state = 'claimed') = (expires_at IS NOT NULL)", name="lease_iff_claimed"),
+        CheckConstraint("(state = 'failed') = (error IS NOT NULL)", name="error_iff_failed"),
+        CheckConstraint("attempt >= 0 AND steps >= 0", name="counts"),
+        Index(None, "external", "state"),
+    )
+
+    number: Mapped[int] = mapped_column(primary_key=True)  # order of publication
+    id: Mapped[str] = mapped_column(String(40), unique=True)
+    digest: Mapped[str] = mapped_column(String(64), unique=True)  # of the stage
+    document: Mapped[str] = mapped_column(Text)  # what was digested
+    run_id: Mapped[str] = mapped_column(String(40), index=True)  # it may be deleted since
+    task: Mapped[str] = mapped_column(String(80))
+    external: Mapped[bool]  # for robots; else the simulated target's
+    state: Mapped[str] = mapped_column(String(20))
+    attempt: Mapped[int]  # number of claims
+    worker: Mapped[str | None] = mapped_column(String(80))  # who claimed it last
+    lease: Mapped[str | None] = mapped_column(String(64))  # token of the last claim
+    claimed_at: Mapped[datetime | None] = mapped_column(Utc)
+    expires_at: Mapped[datetime | None] = mapped_column(Utc)
+    steps: Mapped[int]  # of the episode so far, as the claimant says
+    policy_sha256: Mapped[str | None] = mapped_column(ForeignKey("artifacts.sha256"), index=True)
+    error: Mapped[str | None] = mapped_column(Text)
+    created_at: Mapped[datetime] = mapped_column(Utc)
 
 
 class StageArtifactRow(Base):

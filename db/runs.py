@@ -24,6 +24,7 @@ from db.errors import NotFound, NotPossible
 from db.models import BenchmarkRow, EventRow, RunRow
 from db.session import CHUNK, Database
 from db.stages import delete_unreferenced
+from db.target_tasks import withdraw_tasks
 
 _ANY_RUN: TypeAdapter[AnyRun] = TypeAdapter(AnyRun)
 
@@ -181,6 +182,8 @@ def append(session: Session, run_id: str, event: RunEvent) -> bool:
     elif row.state != "failed":
         row.error_code, row.error_message = None, None
     row.updated_at = _now()
+    if row.state in FINISHED:
+        withdraw_tasks(session, run_id)
     return True
 
 

@@ -1,7 +1,7 @@
 """Results of stages and their artifacts; one function per transaction."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -10,7 +10,7 @@ from sqlalchemy import delete, exists, select
 from sqlalchemy.orm import Session
 
 from adr_service.benchmark.utilisation import Timing
-from adr_service.stages import Stage, StageResult
+from adr_service.stages import StageResult
 from adr_service.wire import canonical_json, sha256
 from db.models import (
     ArtifactRow,
@@ -19,13 +19,15 @@ from db.models import (
     EventRow,
     StageArtifactRow,
     StageRow,
+    TargetTaskRow,
 )
 from db.session import CHUNK, Database
 
-_UNUSED = [  # artifacts that nothing has
-    ~exists().where(owner.sha256 == ArtifactRow.sha256)
-    for owner in (StageArtifactRow, DatasetRow, CheckpointRow)
-]
+_OWNERS = (
+    *(StageArtifactRow.sha256, DatasetRow.sha256, CheckpointRow.sha256),
+    TargetTaskRow.policy_sha256,
+)
+_UNUSED = [~exists().where(owner == ArtifactRow.sha256) for owner in _OWNERS]  # that nothing has
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,8 @@ class Execution:
 
     attempt: int
     started_by: str  # run id
-    timing: Timing
+    seconds: float
+    timing: Timing | None  # None: it was not computed here
     provenance: dict[str, Any]  # package versions, CPU
 
 
@@ -51,39 +54,36 @@ def find_result(session: Session, digest: str) -> StageResult | None:
     return StageResult(json.loads(row.result), {row.name: row.content for row in blobs})
 
 
-def commit_result(
-    database: Database,
-    stage: Stage,
-    result: StageResult,
-    execution: Execution,
-    also: Callable[[Session], None],
+def add_result(
+    session: Session, digest: str, document: str, result: StageResult, execution: Execution
 ) -> None:
-    """Store a result, its artifacts and what `also` writes, in one transaction, once.
+    """Store a stage's result and its artifacts, once; inside a transaction.
 
-    A result that is there already stays; results of a digest are equal by construction.
+    `document` is the canonical JSON of what was digested. A result that is there already stays;
+    results of a digest are equal by construction.
     """
-    with database.write("commit_result") as session:
-        if session.get(StageRow, stage.digest) is None:
-            session.add(
-                StageRow(
-                    digest=stage.digest,
-                    kind=stage.kind,
-                    document=canonical_json(stage.document),
-                    result=canonical_json(result.values),
-                    attempt=execution.attempt,
-                    started_by=execution.started_by,
-                    seconds=execution.timing.ended - execution.timing.began,
-                    timing=canonical_json(asdict(execution.timing)),
-                    provenance=canonical_json(execution.provenance),
-                    created_at=datetime.now(UTC),
-                )
+    if session.get(StageRow, digest) is None:
+        timing = execution.timing
+        session.add(
+            StageRow(
+                digest=digest,
+                kind=json.loads(document)["kind"],
+                document=document,
+                result=canonical_json(result.values),
+                attempt=execution.attempt,
+                started_by=execution.started_by,
+                seconds=execution.seconds,
+                timing=None if timing is None else canonical_json(asdict(timing)),
+                provenance=canonical_json(execution.provenance),
+                created_at=datetime.now(UTC),
             )
-            session.flush()
-            for name, content in result.blobs.items():
-                key = add_artifact(session, content)
-                session.add(StageArtifactRow(digest=stage.digest, name=name, sha256=key))
-        _drop_checkpoint(session, stage.digest)
-        also(session)
+        )
+        session.flush()
+        for name, content in result.blobs.items():
+            key = add_artifact(session, content)
+            session.add(StageArtifactRow(digest=digest, name=name, sha256=key))
+        session.flush()
+    _drop_checkpoint(session, digest)
 
 
 def note_checkpoint(session: Session, digest: str, steps: int, policy: bytes) -> None:
@@ -158,13 +158,17 @@ def artifact(database: Database, digest: str) -> bytes | None:
 
 
 def delete_unreferenced(session: Session) -> None:
-    """Delete stages that no run's events mention, then artifacts that nothing has."""
+    """Delete stages that no run's events mention, what is left of target tasks without a stage,
+    then artifacts that nothing has."""
     mentioned = exists().where(EventRow.key == "stage_finished:" + StageRow.digest)
     session.execute(delete(StageRow).where(~mentioned))
     evaluated = exists().where(
         EventRow.key.startswith("training_evaluated:" + CheckpointRow.digest + ":")
     )
     session.execute(delete(CheckpointRow).where(~evaluated))
+    has_result = exists().where(StageRow.digest == TargetTaskRow.digest)
+    is_wanted = TargetTaskRow.state.in_(("pending", "claimed"))
+    session.execute(delete(TargetTaskRow).where(~has_result, ~is_wanted))
     session.execute(delete(ArtifactRow).where(*_UNUSED))
 
 

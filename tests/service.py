@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,7 +50,9 @@ class RunningService:
 
 
 @contextmanager
-def start_service(data_dir: Path, *, cpus: int, failpoint: str = "") -> Generator[RunningService]:
+def start_service(
+    data_dir: Path, *, cpus: int, environment: Mapping[str, str] | None = None
+) -> Generator[RunningService]:
     """A service on a free port; terminated by pid when the block ends."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -59,11 +61,9 @@ def start_service(data_dir: Path, *, cpus: int, failpoint: str = "") -> Generato
     command = [sys.executable, "-m", "api", "serve", "--port", str(port)]
     command += ["--data-dir", str(data_dir), "--cpus", str(cpus)]
     # Ray's default folder is shared by everyone on the machine; ours must be short for sockets
-    environment = {**os.environ, "HOME": str(data_dir), "ADR_FAILPOINT": failpoint}
+    its_own = {**os.environ, "HOME": str(data_dir), **(environment or {})}
     with log.open("wb") as output:
-        process = subprocess.Popen(
-            command, stdout=output, stderr=subprocess.STDOUT, env=environment
-        )
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=its_own)
     try:
         with AdrClient(f"http://127.0.0.1:{port}") as client:
             _wait(client, process, log)

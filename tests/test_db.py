@@ -29,6 +29,7 @@ from adr_service.presets import PRESETS
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec, RunSpec
 from adr_service.stages import Stage, StageResult
 from adr_service.transitions import TransitionDataset
+from adr_service.wire import canonical_json
 from api import upkeep
 from api.cli import app
 from db import datasets, maintenance, runs, stages
@@ -46,18 +47,16 @@ from db.session import (
 SPEC = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})
 STAGE = Stage("evaluate", {"x": 1})
 TIMING = Timing(100.0, 101.0, 101.5, 102.0, cpu=0.4, preparing=0.1, is_first=True, cores=2)
-EXECUTION = stages.Execution(1, "run_a", TIMING, {"python": "3.11"})
+EXECUTION = stages.Execution(1, "run_a", 0.5, TIMING, {"python": "3.11"})
 
 
 def commit(database, stage, result, *run_ids):
     event = StageFinished(kind=stage.kind, digest=stage.digest)
-    stages.commit_result(
-        database,
-        stage,
-        result,
-        EXECUTION,
-        lambda session: [runs.append(session, run_id, event) for run_id in run_ids],
-    )
+    with database.write("commit") as session:
+        document = canonical_json(stage.document)
+        stages.add_result(session, stage.digest, document, result, EXECUTION)
+        for run_id in run_ids:
+            runs.append(session, run_id, event)
 
 
 def count(database, table):
@@ -230,9 +229,9 @@ class TestStages:
         now = datetime.now(UTC).timestamp()
         recent = replace(TIMING, placed=now - 2, began=now - 1, ended=now)
         other = Stage("evaluate", {"x": 3})
-        stages.commit_result(
-            database, other, self.result, replace(EXECUTION, timing=recent), lambda session: None
-        )
+        with database.write("test") as session:
+            document, execution = canonical_json(other.document), replace(EXECUTION, timing=recent)
+            stages.add_result(session, other.digest, document, self.result, execution)
         assert stages.timings_between(database, now - 1, now) == [recent]
         assert stages.timings_between(database, now - 9, now - 3) == []
         assert stages.seconds_of(database, [STAGE.digest]) == {STAGE.digest: 0.5}
@@ -372,7 +371,7 @@ class TestMigrations:
             open_database(url).close()
             (copy,) = tmp_path.glob("old.sqlite.0002.*.bak")
         assert maintenance.revision_of(copy) == "0002"
-        assert maintenance.revision_of(tmp_path / "old.sqlite") == "0003"
+        assert maintenance.revision_of(tmp_path / "old.sqlite") == "0004"
 
     def test_a_database_of_a_later_version_is_left_as_it_is(self, database, tmp_path):
         database.close()
@@ -442,7 +441,7 @@ class TestUpkeep:
         command.upgrade(alembic_config(f"sqlite:///{tmp_path / 'adr.sqlite'}"), "0001")
         assert "is sound" in self.adr(tmp_path, "check").output.replace("\n", "")
         told = self.adr(tmp_path, "upgrade").output.replace("\n", "")
-        assert told.endswith("revision 0001 -> 0003")
+        assert told.endswith("revision 0001 -> 0004")
 
 
 class TestDatasets:

@@ -67,6 +67,12 @@ class Store:
     def note(self, stage, so_far, run_ids):
         self.notes.append((stage.digest, so_far, run_ids))
 
+    def begin(self, stage, run_id, worker):
+        return None
+
+    def drop(self, stage):
+        pass
+
     def commit(self, stage, finished, attempt, run_ids):
         self.refuse()
         if "run_unlucky" in run_ids:
@@ -92,7 +98,7 @@ def started(tmp_path_factory):
     options = RayOptions(
         cpus=2, dashboard=False, compile_cache=folder / "jax", token_file=token, keep_idle_s=8
     )
-    dispatcher = Dispatcher(options, store.find, store.commit, store.note)
+    dispatcher = Dispatcher(options, store)
     dispatcher.start()
     yield dispatcher, store
     dispatcher.close()

@@ -25,7 +25,9 @@ from adr_service.progress import SoFar
 from adr_service.stages import KINDS, Role, Stage, StageResult
 from db.session import RETRY_S, DatabaseUnavailable
 from workers.actors import Board, Ending, Failed, Finished, SignOfLife, Stopped
+from workers.attempt import Attempt
 from workers.cluster import ClusterUnavailable, RayOptions, join
+from workers.ledger import Ledger
 from workers.slots import Actor, Slots
 
 log = logging.getLogger(__name__)
@@ -54,6 +56,7 @@ class _Job:
     started_by: str
     waiters: list[_Waiter] = field(default_factory=list[_Waiter])
     attempt: int = 0
+    lease: str | None = None  # of the attempt, where it visits the simulated target
     asked: float = field(default_factory=time.time)
     placed: float = 0.0
     losses: int = 0  # attempts whose process was lost
@@ -93,27 +96,11 @@ class Activity:
     started_by: str
 
 
-@dataclass(frozen=True)
-class Attempt:
-    """One try at a stage; times in seconds since the epoch."""
-
-    number: int
-    started_by: str  # run id
-    asked: float  # when the stage was, for the first time
-    placed: float  # when it was given a core
-    cores: int  # of the cluster
-
-
-Find = Callable[[Stage, str], StageResult | None]  # (stage, run id)
-Commit = Callable[[Stage, Finished, "Attempt", list[str]], None]
-Note = Callable[[Stage, SoFar, list[str]], None]
-
-
 class Dispatcher:
     """Runs stages for many runs at once. `submit` and `withdraw` may be called by any thread."""
 
-    def __init__(self, options: RayOptions, find: Find, commit: Commit, note: Note):
-        self._options, self._find, self._commit, self._note = options, find, commit, note
+    def __init__(self, options: RayOptions, ledger: Ledger):
+        self._options, self._ledger = options, ledger
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         # of runs, what the database could not be used for; from when on it is tried again
         self._later: list[tuple[str | None, Callable[[], None]]] = []
@@ -151,6 +138,14 @@ class Dispatcher:
     def withdraw(self, run_id: str) -> None:
         """The run wants nothing any more: its stages go, unless another run wants them."""
         self._inbox.put(lambda: self._withdraw(run_id))
+
+    def arrived(self, digest: str) -> None:
+        """A robot's episode has been stored: whoever waits for it may have it."""
+        self._inbox.put(lambda: self._arrived(digest))
+
+    def refused(self, digest: str, message: str) -> None:
+        """No robot can do an episode, and says why."""
+        self._inbox.put(lambda: self._refused(digest, message))
 
     def activities(self, run_id: str) -> list[Activity]:
         """What is in the works for a run, running stages first."""
@@ -219,7 +214,7 @@ class Dispatcher:
         job = self._jobs.get(stage.digest)
         if job is None:
             try:
-                stored = self._find(stage, run_id)
+                stored = self._ledger.find(stage, run_id)
             except DatabaseUnavailable as error:
                 self._again(lambda: self._accept(stage, run_id, future), error, run_id)
                 return
@@ -235,6 +230,23 @@ class Dispatcher:
         if not job.waiters:
             self._board.set_unwanted.remote(stage.digest, False)
         job.waiters.append(_Waiter(run_id, future))
+
+    def _arrived(self, digest: str) -> None:
+        job = self._jobs.get(digest)
+        if job is None:  # its run has not asked yet, or does not any more
+            return
+        try:
+            stored = self._ledger.find(job.stage, job.started_by)
+        except DatabaseUnavailable as error:
+            self._again(lambda: self._arrived(digest), error)
+            return
+        if stored is not None:
+            self._hand_over(job, stored)
+
+    def _refused(self, digest: str, message: str) -> None:
+        job = self._jobs.pop(digest, None)
+        if job is not None:
+            _fail(job, StageFailed(job.stage.kind, "target_failed", message))
 
     def _withdraw(self, run_id: str) -> None:
         self._later = [entry for entry in self._later if entry[0] != run_id]
@@ -252,9 +264,16 @@ class Dispatcher:
     def _schedule(self) -> None:
         jobs = self._jobs.values()
         waiting = [j for j in jobs if j.ref is None and j.finished is None and j.waiters]
-        for job in sorted(waiting, key=lambda job: (_PRIORITY[job.role], job.number)):
+        ours = [job for job in waiting if job.role in _PRIORITY]  # others are the robots'
+        for job in sorted(ours, key=lambda job: (_PRIORITY[job.role], job.number)):
             actor = self._slots.take(job.role, job.started_by, avoid=job.lost_on)
             if actor is None:
+                return
+            try:
+                job.lease = self._ledger.begin(job.stage, job.started_by, actor.name)
+            except DatabaseUnavailable as error:
+                self._slots.give_back(actor)
+                log.warning("%s; trying again", error)
                 return
             job.attempt += 1
             job.since, job.placed = time.monotonic(), time.time()
@@ -278,11 +297,10 @@ class Dispatcher:
                 job.finished = ending
                 self._deliver(job)
             case Failed(code, message):
-                del self._jobs[job.stage.digest]
-                _fail(job, StageFailed(job.stage.kind, code, message))
+                self._give_up(job, StageFailed(job.stage.kind, code, message))
             case Stopped():
                 if not job.waiters:
-                    del self._jobs[job.stage.digest]
+                    self._give_up(job)
                 # else it was wanted again while it was stopping, and waits for its turn
 
     def _deliver(self, job: _Job) -> None:
@@ -290,19 +308,38 @@ class Dispatcher:
         finished = job.finished
         assert finished is not None
         try:
-            attempt = Attempt(job.attempt, job.started_by, job.asked, job.placed, self.cores)
-            self._commit(job.stage, finished, attempt, job.run_ids)
+            attempt = Attempt(
+                job.attempt, job.started_by, job.asked, job.placed, self.cores, job.lease
+            )
+            self._ledger.commit(job.stage, finished, attempt, job.run_ids)
         except DatabaseUnavailable as error:
             self._again(lambda: self._deliver(job), error)
             return
         except Exception as error:  # the database's trouble must not stop other runs
             log.exception("stage %s could not be stored", job.stage.digest)
-            del self._jobs[job.stage.digest]
-            _fail(job, _not_stored(job.stage, error))
+            self._give_up(job, _not_stored(job.stage, error))
             return
+        self._hand_over(job, finished.result)
+
+    def _hand_over(self, job: _Job, result: StageResult) -> None:
         del self._jobs[job.stage.digest]
         for waiter in job.waiters:
-            waiter.future.set_result(finished.result)
+            waiter.future.set_result(result)
+
+    def _give_up(self, job: _Job, error: AdrError | None = None) -> None:
+        """The end of a job that had begun, without a result."""
+        del self._jobs[job.stage.digest]
+        if error is not None:
+            _fail(job, error)
+        self._drop(job.stage)
+
+    def _drop(self, stage: Stage) -> None:
+        if stage.digest in self._jobs:  # it was asked for again
+            return
+        try:
+            self._ledger.drop(stage)
+        except DatabaseUnavailable as error:
+            self._again(lambda: self._drop(stage), error)
 
     def _again(
         self, action: Callable[[], None], error: DatabaseUnavailable, run_id: str | None = None
@@ -318,11 +355,10 @@ class Dispatcher:
         self._slots.lose(actor)
         job.losses, job.lost_on = job.losses + 1, actor.slot.node
         if not job.waiters:
-            del self._jobs[job.stage.digest]
+            self._give_up(job)
         elif job.losses >= MAX_ATTEMPTS:
-            del self._jobs[job.stage.digest]
             detail = f"its process was lost {MAX_ATTEMPTS} times; last: {error}"
-            _fail(job, StageFailed(job.stage.kind, "worker_lost", detail))
+            self._give_up(job, StageFailed(job.stage.kind, "worker_lost", detail))
 
     def _read_board(self) -> None:
         """Ask the board for news now and then, never waiting for it."""
@@ -359,7 +395,7 @@ class Dispatcher:
 
     def _note_so_far(self, job: _Job, so_far: SoFar) -> None:
         try:
-            self._note(job.stage, so_far, job.run_ids)
+            self._ledger.note(job.stage, so_far, job.run_ids)
         except Exception:  # the result will be stored, or fail, by itself
             log.exception("what stage %s has so far could not be stored", job.stage.digest)
 

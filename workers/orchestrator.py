@@ -8,12 +8,9 @@ import logging
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict
+from datetime import UTC, datetime
 from typing import TypeVar
 
-from sqlalchemy.orm import Session
-
-from adr_service.benchmark.utilisation import Timing
 from adr_service.errors import AdrError, RunCancelled, StageFailed
 from adr_service.events import (
     RunEvent,
@@ -21,18 +18,19 @@ from adr_service.events import (
     RunStarted,
     RunStopped,
     RunSucceeded,
+    StageFinished,
 )
-from adr_service.progress import SoFar
 from adr_service.runs import run
-from adr_service.stages import Stage, StageResult, events_of, learning_curve
+from adr_service.target import episode_result
 from db import datasets as dataset_store
 from db import runs as run_store
-from db import stages as stage_store
+from db import target_tasks as task_store
 from db.runs import RunRecord
 from db.session import RETRY_S, Database, DatabaseUnavailable
-from workers.actors import Finished
+from db.target_tasks import TargetTask
 from workers.cluster import ClusterUnavailable, RayOptions
-from workers.dispatcher import Activity, Attempt, Dispatcher
+from workers.dispatcher import Activity, Dispatcher
+from workers.ledger import DatabaseLedger, append_to_all
 from workers.stages import RayStages
 
 log = logging.getLogger(__name__)
@@ -45,7 +43,7 @@ class Orchestrator:
 
     def __init__(self, database: Database, options: RayOptions):
         self._database = database
-        self._dispatcher = Dispatcher(options, self._find, self._commit, self._note)
+        self._dispatcher = Dispatcher(options, DatabaseLedger(database))
         self._pool = ThreadPoolExecutor(_RUNS_AT_ONCE, thread_name_prefix="run")
         self._cancelled: dict[str, threading.Event] = {}
         self._waiting: dict[str, Future[None]] = {}
@@ -54,6 +52,7 @@ class Orchestrator:
     def start(self) -> None:
         """Start Ray, and go on with every unfinished run."""
         self._dispatcher.start()
+        task_store.drop_simulated(self._database)  # who had claimed them died with the service
         for record in run_store.unfinished_runs(self._database):
             self.submit(record)
 
@@ -80,6 +79,28 @@ class Orchestrator:
                 run_store.append_event(self._database, record.id, stopped)
             except DatabaseUnavailable:  # nobody who asks should have to wait for it
                 threading.Thread(target=self._record, args=(record, stopped), daemon=True).start()
+
+    def complete_task(self, id: str, lease: str, content: bytes) -> TargetTask:
+        """Accept a robot's episode, the `.npz` of `episode_result`, and let its run go on."""
+        task = task_store.get_task(self._database, id)
+        result = episode_result(task.inputs, content)
+        told = [StageFinished(kind="target_episode", digest=task.digest)]
+        done = task_store.complete(
+            self._database,
+            id,
+            lease,
+            result,
+            datetime.now(UTC),
+            lambda session: append_to_all(session, [task.run_id], told),
+        )
+        self._dispatcher.arrived(done.digest)
+        return done
+
+    def fail_task(self, id: str, lease: str, message: str) -> TargetTask:
+        """No robot can do this task; its run fails."""
+        failed = task_store.fail(self._database, id, lease, message)
+        self._dispatcher.refused(failed.digest, message)
+        return failed
 
     @property
     def is_alive(self) -> bool:
@@ -146,45 +167,6 @@ class Orchestrator:
         if id is None:
             return None
         return self._when_possible(lambda: dataset_store.load_dataset(self._database, id)[1])
-
-    def _find(self, stage: Stage, run_id: str) -> StageResult | None:
-        """A stored result, which from now on this run refers to as well."""
-        with self._database.write("find_result") as session:
-            result = stage_store.find_result(session, stage.digest)
-            if result is not None:
-                _append_to_all(session, [run_id], events_of(stage, result))
-            return result
-
-    def _note(self, stage: Stage, so_far: SoFar, run_ids: list[str]) -> None:
-        """Store the learning curve and the best policy of a training that goes on."""
-        with self._database.write("note_checkpoint") as session:
-            steps = so_far.values["curve"][-1]["steps"]
-            stage_store.note_checkpoint(session, stage.digest, steps, so_far.blobs["policy"])
-            _append_to_all(session, run_ids, learning_curve(stage.digest, so_far.values))
-
-    def _commit(
-        self, stage: Stage, finished: Finished, attempt: Attempt, run_ids: list[str]
-    ) -> None:
-        events = events_of(stage, finished.result)
-        timing = Timing(
-            asked=attempt.asked,
-            placed=attempt.placed,
-            cores=attempt.cores,
-            **asdict(finished.work),
-        )
-        stage_store.commit_result(
-            self._database,
-            stage,
-            finished.result,
-            stage_store.Execution(attempt.number, attempt.started_by, timing, finished.provenance),
-            lambda session: _append_to_all(session, run_ids, events),
-        )
-
-
-def _append_to_all(session: Session, run_ids: list[str], events: list[RunEvent]) -> None:
-    for run_id in run_ids:
-        if run_store.exists(session, run_id):  # it may have been deleted meanwhile
-            run_store.append_all(session, run_id, events)
 
 
 def _failure(record: RunRecord, code: str, message: str) -> RunFailed:

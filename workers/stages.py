@@ -16,12 +16,12 @@ class RayStages:
     """The `Stages` of one run in the service."""
 
     def __init__(self, run_id: str, dispatcher: Dispatcher, is_cancelled: Callable[[], bool]):
-        self._run_id, self._dispatcher = run_id, dispatcher
+        self.run_id, self._dispatcher = run_id, dispatcher
         self._is_cancelled = is_cancelled
 
     def all(self, stages: Sequence[Stage]) -> Generator[RunEvent, None, list[StageResult]]:
         asked: dict[Future[StageResult], Stage] = {}
-        futures = [self._dispatcher.submit(stage, self._run_id) for stage in stages]
+        futures = [self._dispatcher.submit(stage, self.run_id) for stage in stages]
         asked.update(zip(futures, stages, strict=True))
         while asked:
             if self._is_cancelled():

@@ -21,7 +21,7 @@ from adr_service.benchmark.comparison import Outcome, returns_of, table
 from adr_service.benchmark.statistics import Interval, difference, interval, mean
 from adr_service.methods.references import PriorSettings
 from adr_service.randomness import stream
-from adr_service.specs import RunSpec
+from adr_service.specs import RunSpec, SimulatedTarget
 from adr_service.wire import canonical_json
 
 Verdict = Literal["supported", "contradicted", "undecided", "not measured"]
@@ -57,11 +57,12 @@ class Report:
 
 def reports(outcomes: Iterable[Outcome]) -> list[Report]:
     """One report per budget. Smoke runs mean nothing, and have none; nor have runs with effects
-    beyond the paper's tasks."""
+    beyond the paper's tasks, or with a target that is none of them."""
     budgets: dict[str, list[Outcome]] = {}
     for outcome in outcomes:
         spec = outcome.spec
-        is_plain = not spec.extension and not spec.hidden_effects
+        is_simulated = isinstance(spec.target, SimulatedTarget)
+        is_plain = is_simulated and not spec.extension and not spec.hidden_effects
         if is_plain and spec.preset != "smoke" and outcome.iteration.returns:
             budgets.setdefault(canonical_json(_budget(spec)), []).append(outcome)
     return [_report(found) for _, found in sorted(budgets.items())]

@@ -53,7 +53,7 @@ class Row:
     episodes: int
     target_rollouts: int  # per seed, what the method could learn from
     target_transitions: float  # per seed, mean
-    estimation_error: float | None  # RMS of the mean from the truth in [0, 4]; None for UDR, oracle
+    estimation_error: float | None  # RMS of the mean from the truth in [0, 4], where both are
     posterior_std: float | None  # RMS over the parameters in [0, 4]; the prior's is 1
     reached_threshold: float  # share of policies that did, on their source distribution
 
@@ -73,7 +73,7 @@ class ParameterEstimate:
     mean: float
     std: float
     normalised_std: float  # in [0, 4] coordinates; the prior's is 1
-    truth: float | None  # None for a recorded target
+    truth: float | None  # None where the target is not simulated
 
 
 @dataclass(frozen=True)
@@ -261,6 +261,8 @@ def _row(key: _Key, outcomes: Sequence[Outcome]) -> Row:
 def _error(outcome: Outcome) -> float | None:
     if not _has_one_belief(outcome.spec):
         return None
+    if not isinstance(outcome.spec.target, SimulatedTarget):
+        return None  # nobody knows the truth
     return estimation_error(outcome.spec.task, outcome.spec.variant, decode(outcome)[0].mean)
 
 

@@ -147,7 +147,7 @@ def policy_of_training(run_id: str, digest: str, service: ServiceDependency) -> 
     content = stage_store.policy_of_training(service.database, digest)
     if content is None or digest not in {training.digest for training in known}:
         raise NotFound("policy of training", digest)
-    return _bytes_response(content, sha256(content), f"{digest[:12]}.safetensors")
+    return bytes_response(content, f"{digest[:12]}.safetensors")
 
 
 @router.get("/{run_id}/figures")
@@ -186,15 +186,16 @@ def artifact_response(service: Service, digest: str, filename: str) -> Response:
     content = stage_store.artifact(service.database, digest)
     if content is None:
         raise NotFound("artifact", digest)
-    return _bytes_response(content, digest, filename)
+    return bytes_response(content, filename)
 
 
-def _bytes_response(content: bytes, digest: str, filename: str) -> Response:
+def bytes_response(content: bytes, filename: str) -> Response:
+    """A file to be saved."""
     return Response(
         content,
         media_type="application/octet-stream",
         headers={
-            "ETag": f'"{digest}"',
+            "ETag": f'"{sha256(content)}"',
             "Content-Disposition": f'attachment; filename="{filename}"',
         },
     )

@@ -29,7 +29,7 @@ RECORDING = recording("arm", 100, [1.2, 0.6, 2.0, 1.0]).to_npz()
 
 def test_after_any_death_the_same_bytes_and_no_stage_lost_or_committed_twice(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
-    with start_service(folder, cpus=2, failpoint="list") as running:
+    with start_service(folder, cpus=2, environment={"ADR_FAILPOINT": "list"}) as running:
         table = everything(running.client)
         passed = re.findall(r"failpoint (\S+)", running.log.read_text())
     names = [name for name in dict.fromkeys(passed) if not name.startswith("readyz:")]
@@ -57,7 +57,7 @@ def report(line: str) -> None:
 def with_a_death(folder: Path, failpoint: str, table: str) -> tuple[bool, int, int]:
     """Whether the service died there; of how many stages runs were told the end but the result is
     not on disk; and how many it then computed although their results were."""
-    with start_service(folder, cpus=2, failpoint=failpoint) as running:
+    with start_service(folder, cpus=2, environment={"ADR_FAILPOINT": failpoint}) as running:
         try:
             assert everything(running.client) == table
         except Unreachable:

@@ -1,0 +1,303 @@
+"""The client of a robot: runs the episodes that the service's runs wait for (docs/robots.md).
+
+The robot is a Gymnasium environment: `reset` brings it to a start, `step` sends one command and
+returns one control period later. It never acts beyond the limits that its owner gives here, and
+stops within one control step once its lease is lost or its run was asked to stop.
+"""
+
+import importlib
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from adr_service.arrays import Matrix, Vector
+from adr_service.errors import InvalidInput, UnknownName
+from adr_service.npz import write_arrays
+from adr_service.randomness import stream
+from adr_service.training.policy import Policy
+from adr_service.transitions import TransitionDataset
+from api.client import AdrClient, Json, Refused, Unreachable
+
+Env = gymnasium.Env[Any, Any]
+_LONGEST_HEARTBEAT_S = 1.0  # between two
+_RETRY_S = 2.0
+_WAIT_S = 5.0  # for a task, by one request
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the owner of the robot allows, whatever a task asks for."""
+
+    seconds: float | None = None  # of an episode, by the clock and by its steps
+    actions: tuple[float, ...] = ()  # largest magnitudes: one for all, or one for each; (): none
+
+    def allows(self, seconds: float) -> bool:
+        return self.seconds is None or seconds <= self.seconds
+
+    def apply(self, action: Vector) -> Vector:
+        """The nearest action that is allowed."""
+        if not self.actions:
+            return action
+        most = np.broadcast_to(np.array(self.actions), action.shape)
+        return np.clip(action, -most, most)
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What happened; T transitions."""
+
+    observations: Matrix  # (T + 1, s)
+    actions: Matrix  # (T, a), as they were sent
+    rewards: Vector  # (T,)
+    limited: int  # actions that the owner's limit changed
+
+
+class Robot:
+    """Claims tasks and runs them, one after the other."""
+
+    def __init__(
+        self,
+        connect: Callable[[], AdrClient],
+        task: str,
+        environment: str,
+        name: str,
+        limits: Limits,
+        report: Callable[[str], None],
+    ):
+        self._connect, self._name, self._limits, self._report = connect, name, limits, report
+        self._stopped = threading.Event()
+        with connect() as client:
+            about = {known["name"]: known for known in self._patiently(client.tasks)}
+        if task not in about:
+            raise UnknownName("task", task, about)
+        self._about = about[task]
+        self._env = _environment(environment)
+        _check(self._env, self._about, limits)
+
+    def work(self, episodes: int | None = None) -> None:
+        """Run tasks as they come; `episodes` of them, or without an end."""
+        done, name = 0, self._about["name"]
+        with closing(self._env), self._connect() as self._client:
+            while (episodes is None or done < episodes) and not self._stopped.is_set():
+                claimed = self._patiently(
+                    lambda: self._client.claim_task(self._name, [name], _WAIT_S)
+                )
+                if claimed is not None:
+                    done += self._serve(claimed)
+
+    def stop(self) -> None:
+        """Stop within one control step, from any thread; the task goes back."""
+        self._stopped.set()
+
+    def _serve(self, claimed: Json) -> bool:
+        """Run one task; whether its episode was accepted."""
+        task, lease = claimed["task"], claimed["lease"]
+        longest = task["transitions"] * self._about["control_period_s"]
+        if task["kind"] != "rollout" and not self._limits.allows(longest):
+            allowed = self._limits.seconds
+            self._fail(task, lease, f"{self._name} may move for {allowed} s, not for {longest:g} s")
+            return False
+        with _Heart(self._connect(), claimed) as heart:
+            try:
+                episode = self._run(task, heart)
+            except BaseException:  # whatever broke, the robot's owner must see to it
+                self._release(task, lease)
+                raise
+            if why := self._why_stop(heart):
+                self._report(f"{task['id']}: stopped, {why}")
+                self._release(task, lease)
+                return False
+            return self._upload(task, lease, episode)
+
+    def _run(self, task: Json, heart: "_Heart") -> Episode:
+        act = self._actor(task)
+        observation, _ = self._env.reset(seed=_seed(task))
+        observations, actions, rewards = [_row(observation)], [], []
+        limited, began = 0, time.monotonic()
+        while len(actions) < task["transitions"] and not self._why_stop(heart):
+            moved = (len(actions) + 1) * self._about["control_period_s"]
+            if not self._limits.allows(max(moved, time.monotonic() - began)):
+                break
+            wanted = act(observations[-1][None])[0]
+            action = self._limits.apply(wanted)
+            limited += not np.array_equal(action, wanted)
+            observation, reward, ended, cut, _ = self._env.step(action)
+            observations.append(_row(observation))
+            actions.append(action)
+            rewards.append(float(reward))
+            heart.steps = len(actions)
+            if ended or cut:
+                break
+        return Episode(np.array(observations), np.array(actions), np.array(rewards), limited)
+
+    def _why_stop(self, heart: "_Heart") -> str:
+        return heart.why or ("by its owner" if self._stopped.is_set() else "")
+
+    def _actor(self, task: Json) -> Callable[[Matrix], Matrix]:
+        if task["has_policy"]:
+            content = self._patiently(lambda: self._client.content(task["links"]["policy"]))
+            return Policy.from_bytes(content).act
+        low, high = np.array(self._about["action_low"]), np.array(self._about["action_high"])
+        rng = stream("random actions", *_names(task))
+        return lambda observations: rng.uniform(low, high, (len(observations), len(low)))
+
+    def _upload(self, task: Json, lease: str, episode: Episode) -> bool:
+        if not len(episode.actions):
+            self._fail(task, lease, f"{self._name} may not move for a single control step")
+            return False
+        content = _trajectory(episode, self._about, self._name)
+        try:
+            self._patiently(lambda: self._client.complete_task(task["id"], lease, content))
+        except Refused as error:
+            if error.status == 409:
+                self._report(f"{task['id']}: not accepted, {error}")
+                return False
+            self._fail(task, lease, f"the service refused the episode: {error}")
+            return False
+        earned, steps = float(episode.rewards.sum()), len(episode.actions)
+        note = f", {episode.limited} actions at the owner's limit" if episode.limited else ""
+        self._report(f"{task['id']}: {task['kind']}, {steps} steps, return {earned:.4g}{note}")
+        return True
+
+    def _fail(self, task: Json, lease: str, message: str) -> None:
+        self._report(f"{task['id']}: {message}")
+        try:
+            self._patiently(lambda: self._client.fail_task(task["id"], lease, message))
+        except Refused as error:
+            if error.status != 409:  # the task is not ours any more
+                raise
+
+    def _release(self, task: Json, lease: str) -> None:
+        try:
+            self._client.release_task(task["id"], lease)
+        except (Refused, Unreachable):
+            return  # it is free, or will be when the lease ends
+
+    def _patiently(self, ask: Callable[[], Any]) -> Any:
+        """The answer to a request, once the service is there and ready."""
+        told = False
+        while True:
+            try:
+                return ask()
+            except Refused as error:
+                if error.retry_after_s is None:
+                    raise
+                time.sleep(error.retry_after_s)
+            except Unreachable as error:
+                if not told:
+                    self._report(str(error))
+                told = True
+                time.sleep(_RETRY_S)
+
+
+class _Heart:
+    """Beats while an episode goes on; `why` says why it should stop, once it should."""
+
+    def __init__(self, client: AdrClient, claimed: Json):
+        self._client, self._task_id, self._lease = client, claimed["task"]["id"], claimed["lease"]
+        self._lease_s: float = claimed["lease_s"]
+        self._good_until = time.monotonic() + self._lease_s
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._beat, daemon=True)
+        self.steps = 0
+        self.why = ""
+
+    def __enter__(self) -> "_Heart":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _beat(self) -> None:
+        with self._client:
+            while not self._ended.wait(min(_LONGEST_HEARTBEAT_S, self._lease_s / 3)):
+                asked = time.monotonic()
+                try:
+                    self._ask()
+                    self._good_until = asked + self._lease_s
+                except Refused as error:
+                    if error.status == 409:
+                        self.why = str(error)
+                        return
+                except Unreachable:
+                    pass  # until the lease ends, others cannot have the task
+                if time.monotonic() > self._good_until:
+                    self.why = "the service did not answer for as long as the lease lasts"
+                    return
+
+    def _ask(self) -> None:
+        """Say that the episode goes on, and hear whether it should."""
+        answer = self._client.heartbeat(self._task_id, self._lease, self.steps)
+        if answer["cancel_requested"]:
+            self.why = "its run was asked to stop"
+
+
+def _environment(path: str) -> Env:
+    """The environment that `module:factory` makes; modules of the working directory count."""
+    module, colon, factory = path.partition(":")
+    if not colon or not module or not factory:
+        raise InvalidInput(f"--env needs module:factory; given {path!r}")
+    sys.path.insert(0, "")
+    try:
+        make: Any = getattr(importlib.import_module(module), factory)
+    except (ImportError, AttributeError) as error:
+        raise InvalidInput(f"{path} cannot be imported: {error}") from error
+    env = make()
+    if not isinstance(env, gymnasium.Env):
+        raise InvalidInput(f"{path} makes a {type(env).__name__}; needed is a gymnasium.Env")
+    return env
+
+
+def _check(env: Env, about: Mapping[str, Any], limits: Limits) -> None:
+    """Refuse an environment that is not of the task, or limits that are not of the environment."""
+    given = (env.observation_space.shape, env.action_space.shape)
+    needed = ((len(about["observation_columns"]),), (about["actions"],))
+    if given != needed:
+        raise InvalidInput(
+            f"the environment has observations {given[0]} and actions {given[1]}; "
+            f"{about['name']} has {needed[0]} and {needed[1]}"
+        )
+    if len(limits.actions) not in (0, 1, about["actions"]):
+        raise InvalidInput(
+            f"{len(limits.actions)} limits given for {about['actions']} actions; give one, or each"
+        )
+    if not all(0 < most < np.inf for most in limits.actions):
+        raise InvalidInput(f"limits of actions must be positive; given {limits.actions}")
+
+
+def _seed(task: Json) -> int:
+    """For environments that are simulations; a robot does not care."""
+    return int(stream("robot", *_names(task)).integers(2**31))
+
+
+def _names(task: Json) -> tuple[str, int, int]:
+    """What tells the episodes of a run apart."""
+    return (task["kind"], task["number"], task["seed"])
+
+
+def _row(observation: Any) -> Vector:
+    return np.asarray(observation, dtype=np.float64)
+
+
+def _trajectory(episode: Episode, about: Mapping[str, Any], name: str) -> bytes:
+    """The `.npz` that the service takes: what it measures, and the rewards."""
+    measured = episode.observations[:, : about["measured_columns"]]
+    data = TransitionDataset(
+        observations=measured[:-1],
+        actions=episode.actions,
+        next_observations=measured[1:],
+        episodes=np.zeros(len(episode.actions), dtype=np.int64),
+        dt=about["control_period_s"],
+        columns=tuple(about["observation_columns"][: measured.shape[1]]),
+        origin=name,
+    )
+    return write_arrays({**data.to_arrays(), "rewards": episode.rewards})

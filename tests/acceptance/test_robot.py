@@ -1,0 +1,221 @@
+"""A robot in the loop: another process that the service knows by its leases alone."""
+
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from contextlib import closing, contextmanager
+
+import numpy as np
+import pytest
+
+from adr_service.errors import InvalidInput
+from adr_service.transitions import TransitionDataset
+from api.client import AdrClient, Refused
+from api.robot import Limits, Robot
+from tests.service import start_service, wait_until_finished
+
+pytestmark = pytest.mark.ray
+LEASE_S = 2.0
+RUN = {
+    "task": "arm",
+    "method": "simopt",
+    "preset": "smoke",
+    "iterations": 2,
+    "transitions": 60,
+    "evaluation_episodes": 2,
+    "training": {"max_steps": 900},
+    "target": {"kind": "external"},
+}
+NO_LIMITS = Limits()
+EPISODES_BEFORE_FIT = 3  # of an offline method: two evaluations of the prior, one rollout
+EPISODES = 8  # two rollouts, and two evaluations after each of 0, 1 and 2
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("robots")
+    with start_service(folder, cpus=2, environment={"ADR_LEASE_S": str(LEASE_S)}) as running:
+        yield running
+
+
+@contextmanager
+def robot_process(url, factory, log, *options):
+    """`adr robot` as its owner starts it; ended by pid."""
+    command = [sys.executable, "-m", "api", "robot", "--task", "arm", "--url", url]
+    command += ["--env", f"tests.robots:{factory}", *options]
+    with log.open("wb") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.terminate()
+                process.wait(timeout=30)
+
+
+def in_this_process(client, env, limits=NO_LIMITS, task="arm"):
+    """A robot whose environment the test can look at, and what it reports."""
+    told = []
+    return Robot(lambda: AdrClient(client.url), task, env, "here", limits, told.append), told
+
+
+@contextmanager
+def at_work(robot):
+    thread = threading.Thread(target=robot.work, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        robot.stop()
+        thread.join(30)
+
+
+def until(condition, seconds=60):
+    deadline = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.02)
+    return found
+
+
+def tasks_of(client, run_id, **filters):
+    return client.list_all("target_tasks", run_id=run_id, external="true", **filters)
+
+
+def test_a_robot_that_dies_in_an_episode_costs_that_episode_alone(service, tmp_path):
+    client = service.client
+    run_id = client.submit_run(RUN)["id"]
+    with robot_process(client.url, "slow_arm", tmp_path / "a", "--name", "a") as robot:
+        # it has moved, and then nobody hears of it again
+        claimed = until(
+            lambda: [t for t in tasks_of(client, run_id, state="claimed") if t["steps"] > 5]
+        )
+        robot.kill()
+        robot.wait(timeout=30)
+    with robot_process(client.url, "fast_arm", tmp_path / "b", "--name", "b"):
+        assert wait_until_finished(client, run_id, 120)["state"] == "succeeded"
+    tasks = tasks_of(client, run_id)
+    assert [task["state"] for task in tasks] == ["done"] * EPISODES
+    (again,) = [task for task in tasks if task["id"] == claimed[0]["id"]]
+    assert (again["worker"], again["attempt"]) == ("b", 2)
+    events = [e["event"] for e in client.get_events(run_id)]
+    visits = [e["digest"] for e in events if e.get("kind") == "target_episode"]
+    assert len(visits) == len(set(visits)) == EPISODES
+    rows = client.results(run_id)["rows"]
+    assert [row["target_transitions"] for row in rows] == [0, 60, 120]
+    assert [row["episodes"] for row in rows] == [2, 2, 2]
+    assert rows[0]["estimation_error"] is None  # nobody knows a robot's truth
+    assert "return" in (tmp_path / "b").read_text()
+
+
+def test_a_simulated_target_goes_through_the_same_tasks(service):
+    client = service.client
+    spec = {**RUN, "target": {"kind": "simulated"}, "seed": 3}
+    run_id = client.submit_run(spec)["id"]
+    assert wait_until_finished(client, run_id, 120)["state"] == "succeeded"
+    tasks = client.list_all("target_tasks", run_id=run_id)
+    assert {(t["external"], t["state"], t["attempt"]) for t in tasks} == {(False, "done", 1)}
+    assert [t["kind"] for t in tasks].count("target_rollout") == RUN["iterations"]
+
+
+def test_a_robot_stops_within_a_control_step_of_hearing_that_its_run_is_cancelled(service):
+    client = service.client
+    run_id = client.submit_run({**RUN, "seed": 1})["id"]
+    robot, told = in_this_process(client, "tests.robots:slow_arm")
+    with at_work(robot):
+        until(lambda: [t for t in tasks_of(client, run_id, state="claimed") if t["steps"] > 5])
+        client.cancel(run_id)
+        until(lambda: any("stopped" in line for line in told), 5)
+        last = robot._env.step_times[-1]
+        time.sleep(0.2)
+        assert robot._env.step_times[-1] == last, "it moves on"
+    assert "asked to stop" in told[-1] or "withdrawn" in told[-1]
+    assert wait_until_finished(client, run_id, 60)["state"] == "cancelled"
+    assert {t["state"] for t in tasks_of(client, run_id)} == {"withdrawn"}
+
+
+def test_the_owners_limits_hold_whatever_a_task_asks_for(service):
+    client = service.client
+    run_id = client.submit_run({**RUN, "seed": 2})["id"]
+    robot, told = in_this_process(client, "tests.robots:fast_arm", Limits(seconds=0.5))
+    with at_work(robot):
+        failed = wait_until_finished(client, run_id, 60)
+    assert failed["error"]["code"] == "target_failed"
+    assert "here may move for 0.5 s, not for" in failed["error"]["message"]
+    assert not robot._env.actions
+    assert "may move for" in told[0]
+
+
+def test_actions_beyond_the_owners_limit_are_not_sent_and_recorded_as_sent(service):
+    client = service.client
+    spec = {**RUN, "method": "dropo", "collector": "random", "seed": 4, "iterations": 1}
+    run_id = client.submit_run(spec)["id"]
+    limits = Limits(actions=(0.25, 0.5))
+    robot, told = in_this_process(client, "tests.robots:fast_arm", limits)
+    robot.work(EPISODES_BEFORE_FIT)
+    sent = np.abs(robot._env.actions)
+    assert np.all(sent <= np.array([0.25, 0.5]))
+    assert sent[:, 1].max() == pytest.approx(0.5)
+    (line,) = [line for line in told if "rollout" in line]
+    assert "actions at the owner's limit" in line
+    (visit,) = [t for t in tasks_of(client, run_id) if t["kind"] == "rollout"]
+    assert (visit["state"], visit["steps"]) == ("done", RUN["transitions"])
+    with closing(sqlite3.connect(service.data_dir / "adr.sqlite")) as database:
+        (content,) = database.execute(
+            "select content from artifacts join stage_artifacts using (sha256) "
+            "join target_tasks using (digest) where target_tasks.id = ?",
+            [visit["id"]],
+        ).fetchone()
+    stored = TransitionDataset.from_npz(content).actions
+    assert np.array_equal(stored, np.array(robot._env.actions)[-len(stored) :])
+    client.cancel(run_id)
+
+
+def test_the_owner_can_stop_it_at_once_and_the_task_goes_back(service):
+    client = service.client
+    run_id = client.submit_run({**RUN, "seed": 6})["id"]
+    robot, told = in_this_process(client, "tests.robots:slow_arm")
+    with at_work(robot):
+        until(lambda: robot._env.actions)
+        robot.stop()
+        until(lambda: any("stopped, by its owner" in line for line in told), 5)
+    assert tasks_of(client, run_id)[0]["state"] == "pending"
+    client.cancel(run_id)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"env": "tests.robots"}, "--env needs module:factory; given 'tests.robots'"),
+        ({"env": "tests.robots:missing"}, "cannot be imported"),
+        ({"env": "tests.robots:not_an_environment"}, "needed is a gymnasium.Env"),
+        ({"task": "hopper"}, "the environment has observations"),
+        ({"task": "hoper"}, "did you mean 'hopper'"),
+        ({"limits": Limits(actions=(1.0, 1.0, 1.0))}, "3 limits given for 2 actions"),
+        ({"limits": Limits(actions=(-1.0,))}, "limits of actions must be positive"),
+    ],
+)
+def test_what_cannot_serve_is_told_before_anything_moves(service, changes, message):
+    given = {"env": "tests.robots:fast_arm", **changes}
+    with pytest.raises(InvalidInput, match=message):
+        in_this_process(service.client, **given)
+
+
+def test_an_upload_that_is_not_the_episode_is_refused_and_the_task_stays(service):
+    client = service.client
+    spec = {**RUN, "method": "dropo", "collector": "random", "seed": 5, "iterations": 1}
+    run_id = client.submit_run(spec)["id"]
+    claimed = client.claim_task("by hand", ["arm"])
+    id, lease = claimed["task"]["id"], claimed["lease"]
+    data = TransitionDataset(
+        np.zeros((3, 4)), np.zeros((3, 2)), np.zeros((3, 4)), np.zeros(3), 0.02, ("x",) * 4, "t"
+    )
+    with pytest.raises(Refused, match="columns are x, x, x, x") as refused:
+        client.complete_task(id, lease, data.to_npz())
+    assert refused.value.status == 422
+    (task,) = [t for t in tasks_of(client, run_id) if t["id"] == id]
+    assert task["state"] == "claimed"
+    client.release_task(id, lease)
+    client.cancel(run_id)

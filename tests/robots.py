@@ -1,0 +1,31 @@
+"""Machines for `adr robot`: an arm in simulation that takes its time, as a real one does."""
+
+import time
+
+from adr_service.simulation.gym_env import RandomizedEnv
+
+
+class SlowArm(RandomizedEnv):
+    """The arm of the noisy variant, at its own pace."""
+
+    def __init__(self, pause_s=0.01):
+        super().__init__("arm", "noisy")
+        self.pause_s, self.actions, self.step_times = pause_s, [], []
+
+    def step(self, action):
+        time.sleep(self.pause_s)
+        self.actions.append(action)
+        self.step_times.append(time.monotonic())
+        return super().step(action)
+
+
+def fast_arm():
+    return SlowArm(0.0)
+
+
+def slow_arm():
+    return SlowArm(0.02)
+
+
+def not_an_environment():
+    return object()

@@ -1,0 +1,380 @@
+"""Visits to targets as leased tasks: whatever happens, one result is accepted of each."""
+
+import tempfile
+import threading
+import time
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    Bundle,
+    RuleBasedStateMachine,
+    consumes,
+    invariant,
+    multiple,
+    rule,
+)
+
+from adr_service.events import FINISHED, RunStarted, RunStopped, RunSucceeded, state_after
+from adr_service.specs import RunSpec
+from adr_service.stages import Stage, StageResult
+from db import runs, stages, target_tasks
+from db.errors import NotFound, NotPossible
+from db.session import open_database
+from db.target_tasks import LeaseLost
+
+SPEC = RunSpec.model_validate(
+    {"task": "arm", "method": "simopt", "preset": "smoke", "target": {"kind": "external"}}
+)
+START = datetime(2026, 1, 1, tzinfo=UTC)
+LEASE_S = 60.0
+
+
+def visit(run_id, number=0, kind="target_episode"):
+    inputs = {"task": "arm", "run": run_id, "purpose": "rollout", "number": number, "seed": 0}
+    return Stage(kind, {**inputs, "transitions": 10}, {"policy": b"weights"})
+
+
+def publish(database, run_id, number=0):
+    with database.write("test") as session:
+        return target_tasks.publish(session, visit(run_id, number), run_id, START).id
+
+
+def claim(database, worker="robot", now=START, tasks=("arm",)):
+    return target_tasks.claim(database, worker, tasks, now, LEASE_S)
+
+
+def complete(database, task, lease=None, content=b"data", now=START):
+    result = StageResult({"transitions": 10, "return": 1.0}, {"data": content})
+    return target_tasks.complete(
+        database, task.id, lease or task.lease, result, now, lambda session: None
+    )
+
+
+def stored(database, digest):
+    with database.read() as session:
+        return stages.find_result(session, digest)
+
+
+@pytest.fixture
+def run_id(database):
+    return runs.create_run(database, SPEC).id
+
+
+class TestLeases:
+    def test_a_task_is_one_claimants_at_a_time(self, database, run_id):
+        id = publish(database, run_id)
+        first = claim(database, "a")
+        assert (first.id, first.state, first.worker, first.attempt) == (id, "claimed", "a", 1)
+        assert claim(database, "b") is None
+        assert claim(database, "b", START + timedelta(seconds=LEASE_S - 1)) is None
+
+    def test_after_the_lease_another_may_have_it_and_the_first_is_refused(self, database, run_id):
+        publish(database, run_id)
+        first = claim(database, "a")
+        second = claim(database, "b", START + timedelta(seconds=LEASE_S))
+        assert (second.id, second.attempt) == (first.id, 2)
+        for late in (
+            lambda: complete(database, first),
+            lambda: target_tasks.heartbeat(database, first.id, first.lease, 3, START, LEASE_S),
+            lambda: target_tasks.release(database, first.id, first.lease),
+            lambda: target_tasks.fail(database, first.id, first.lease, "late"),
+        ):
+            with pytest.raises(LeaseLost, match="was claimed 2 times; stop"):
+                late()
+        assert stored(database, first.digest) is None
+        assert complete(database, second).state == "done"
+
+    def test_a_heartbeat_makes_the_lease_longer(self, database, run_id):
+        publish(database, run_id)
+        task = claim(database)
+        later = START + timedelta(seconds=50)
+        beaten = target_tasks.heartbeat(database, task.id, task.lease, 7, later, LEASE_S)
+        assert (beaten.steps, beaten.expires_at) == (7, later + timedelta(seconds=LEASE_S))
+        assert claim(database, "b", START + timedelta(seconds=100)) is None
+
+    def test_an_expired_lease_that_nobody_took_is_good(self, database, run_id):
+        publish(database, run_id)
+        task = claim(database)
+        done = complete(database, task, now=START + timedelta(hours=1))
+        assert done.state == "done"
+        assert stored(database, task.digest).blobs == {"data": b"data"}
+        assert done.steps == 10
+
+    def test_the_same_upload_again_changes_nothing_and_another_is_refused(self, database, run_id):
+        publish(database, run_id)
+        task = claim(database)
+        assert complete(database, task) == complete(database, task)
+        with pytest.raises(LeaseLost, match="the task is done"):
+            complete(database, task, content=b"other data")
+
+    def test_what_is_given_back_is_free_and_what_failed_is_not(self, database, run_id):
+        publish(database, run_id)
+        task = claim(database)
+        target_tasks.release(database, task.id, task.lease)
+        again = claim(database)
+        assert (again.id, again.attempt) == (task.id, 2)
+        failed = target_tasks.fail(database, again.id, again.lease, "the gripper is broken")
+        assert (failed.state, failed.error) == ("failed", "the gripper is broken")
+        assert claim(database) is None
+        publish(database, run_id)  # its run was resumed
+        assert claim(database).attempt == 3
+
+    def test_a_robot_gets_tasks_of_its_kind_alone_in_order(self, database, run_id):
+        first, second = publish(database, run_id, 0), publish(database, run_id, 1)
+        assert claim(database, tasks=["hopper"]) is None
+        assert claim(database, tasks=["hopper", "arm"]).id == first
+        assert claim(database).id == second
+
+    def test_a_run_that_is_to_stop_offers_nothing_and_tells_who_is_at_work(self, database, run_id):
+        publish(database, run_id, 0)
+        publish(database, run_id, 1)
+        task = claim(database)
+        assert not task.is_unwanted
+        runs.request_cancel(database, run_id)
+        beaten = target_tasks.heartbeat(database, task.id, task.lease, 1, START, LEASE_S)
+        assert beaten.is_unwanted
+        assert claim(database, "b") is None
+
+    def test_the_end_of_a_run_withdraws_its_tasks(self, database, run_id):
+        publish(database, run_id)
+        task = claim(database)
+        runs.append_event(database, run_id, RunStopped(submission=1))
+        assert target_tasks.get_task(database, task.id).state == "withdrawn"
+        with pytest.raises(LeaseLost, match="the task is withdrawn"):
+            complete(database, task)
+        runs.delete_run(database, run_id)
+        with pytest.raises(NotFound, match="no target task"):
+            target_tasks.get_task(database, task.id)
+
+    def test_the_policy_is_kept_for_the_robot_and_goes_with_its_run(self, database, run_id):
+        id = publish(database, run_id)
+        assert target_tasks.policy_of(database, id) == b"weights"
+        runs.append_event(database, run_id, RunSucceeded())
+        runs.delete_run(database, run_id)
+        with pytest.raises(NotFound):
+            target_tasks.policy_of(database, id)
+
+
+class TestSimulated:
+    def test_the_simulated_target_completes_under_a_lease_like_a_robot(self, database, run_id):
+        stage = visit(run_id, kind="target_rollout")
+        with database.write("test") as session:
+            first, second = (
+                target_tasks.claim_simulated(session, stage, run_id, name, START, LEASE_S)
+                for name in ("lost", "next")
+            )
+        with database.write("test") as session, pytest.raises(LeaseLost):
+            target_tasks.finish(session, stage.digest, first)
+        with database.write("test") as session:
+            target_tasks.finish(session, stage.digest, second)
+        (task,) = target_tasks.list_tasks(database, external=False)
+        assert (task.state, task.attempt, task.worker) == ("done", 2, "next")
+
+    def test_no_robot_is_offered_it_and_a_claim_that_led_nowhere_is_forgotten(
+        self, database, run_id
+    ):
+        stage = visit(run_id, kind="target_rollout")
+        with database.write("test") as session:
+            target_tasks.claim_simulated(session, stage, run_id, "actor", START, LEASE_S)
+        assert claim(database, now=START + timedelta(days=1)) is None
+        target_tasks.drop_simulated(database, stage.digest)
+        assert target_tasks.list_tasks(database) == []
+
+
+class Machine(RuleBasedStateMachine):
+    """Runs, their visits and robots that come, go, hang and are late; the service crashes."""
+
+    tasks = Bundle("tasks")
+    leases = Bundle("leases")  # (task as claimed), good or not
+
+    def __init__(self):
+        super().__init__()
+        self.folder = tempfile.TemporaryDirectory()
+        self.url = f"sqlite:///{Path(self.folder.name) / 'adr.sqlite'}"
+        self.database = open_database(self.url)
+        self.now = START
+        self.runs = {}  # id: number of visits
+        self.current = {}  # task id: the lease that counts
+        self.accepted = {}  # task id: content
+
+    def teardown(self):
+        self.database.close()
+        self.folder.cleanup()
+
+    @rule(target=tasks, visits=st.integers(1, 2))
+    def submit(self, visits):
+        run_id = runs.create_run(self.database, SPEC).id
+        runs.append_event(self.database, run_id, RunStarted(submission=1))
+        self.runs[run_id] = visits
+        return multiple(*(publish(self.database, run_id, i) for i in range(visits)))
+
+    @rule(seconds=st.sampled_from([1, 59, 61]))
+    def tick(self, seconds):
+        self.now += timedelta(seconds=seconds)
+
+    @rule(target=leases, worker=st.sampled_from(["a", "b"]))
+    def claim(self, worker):
+        task = claim(self.database, worker, self.now)
+        if task is None:
+            return multiple()
+        assert task.id not in self.accepted
+        self.current[task.id] = task.lease
+        return task
+
+    @rule(task=leases)
+    def heartbeat(self, task):
+        try:
+            target_tasks.heartbeat(self.database, task.id, task.lease, 1, self.now, LEASE_S)
+        except LeaseLost:
+            assert self.current.get(task.id) != task.lease
+        else:
+            assert self.current[task.id] == task.lease
+
+    @rule(task=leases, content=st.sampled_from([b"x", b"y"]))
+    def complete(self, task, content):
+        """In time, late, again, or with something else than before."""
+        try:
+            complete(self.database, task, content=content, now=self.now)
+        except LeaseLost:
+            same = self.accepted.get(task.id) == (task.lease, content)
+            assert not same
+            assert self.current.get(task.id) != task.lease
+        else:
+            known = self.accepted.setdefault(task.id, (task.lease, content))
+            assert known == (task.lease, content)
+            self.current.pop(task.id, None)
+
+    @rule(task=consumes(leases), ending=st.sampled_from(["release", "fail"]))
+    def give_up(self, task, ending):
+        try:
+            if ending == "release":
+                target_tasks.release(self.database, task.id, task.lease)
+            else:
+                target_tasks.fail(self.database, task.id, task.lease, "broken")
+        except LeaseLost:
+            assert self.current.get(task.id) != task.lease
+        else:
+            del self.current[task.id]
+
+    @rule(data=st.data())
+    def cancel(self, data):
+        if not self.runs:
+            return
+        run_id = data.draw(st.sampled_from(list(self.runs)))
+        with suppress(NotPossible):
+            runs.request_cancel(self.database, run_id)
+
+    @rule(data=st.data())
+    def end(self, data):
+        """The run's thread sees that it was cancelled, or finds all its visits."""
+        live = [r for r in self.runs if self.state(r) not in FINISHED]
+        if not live:
+            return
+        run_id = data.draw(st.sampled_from(live))
+        record = runs.get_run(self.database, run_id)
+        visits = target_tasks.list_tasks(self.database, run_id=run_id)
+        if record.cancel_requested:
+            runs.append_event(self.database, run_id, RunStopped(submission=record.submission))
+        elif all(task.state == "done" for task in visits):
+            runs.append_event(self.database, run_id, RunSucceeded())
+        for task in visits:
+            if self.state(run_id) in FINISHED:
+                self.current.pop(task.id, None)
+
+    @rule(data=st.data())
+    def resume(self, data):
+        if not self.runs:
+            return
+        run_id = data.draw(st.sampled_from(list(self.runs)))
+        try:
+            record = runs.resubmit(self.database, run_id)
+        except NotPossible:
+            return
+        runs.append_event(self.database, run_id, RunStarted(submission=record.submission))
+        for number in range(self.runs[run_id]):
+            if stored(self.database, visit(run_id, number).digest) is None:
+                publish(self.database, run_id, number)
+
+    @rule()
+    def crash(self):
+        """What is not on disk is gone."""
+        self.database.close()
+        self.database = open_database(self.url)
+
+    @invariant()
+    def one_result_of_each_task_and_it_is_the_accepted_one(self):
+        for run_id, visits in self.runs.items():
+            for task in target_tasks.list_tasks(self.database, run_id=run_id):
+                result = stored(self.database, task.digest)
+                assert (task.state == "done") == (result is not None) == (task.id in self.accepted)
+                if result is not None:
+                    assert result.blobs["data"] == self.accepted[task.id][1]
+                if task.state == "claimed":
+                    assert task.lease == self.current[task.id]
+            assert len(target_tasks.list_tasks(self.database, run_id=run_id)) == visits
+
+    @invariant()
+    def a_run_is_what_its_events_say_and_nothing_open_is_left_of_one_that_ended(self):
+        for run_id in self.runs:
+            events = [e.event for e in runs.events_of(self.database, run_id)]
+            state = self.state(run_id)
+            assert state == state_after(events)
+            if state in FINISHED:
+                open_tasks = target_tasks.list_tasks(self.database, run_id=run_id)
+                assert not [t for t in open_tasks if t.state in ("pending", "claimed")]
+
+    def state(self, run_id):
+        return runs.get_run(self.database, run_id).state
+
+
+TestMachine = Machine.TestCase
+TestMachine.settings = settings(
+    max_examples=25,
+    stateful_step_count=30,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=list(HealthCheck),
+)
+
+
+def test_of_eight_claimers_that_sleep_over_their_leases_one_is_accepted_for_each_task(
+    database, run_id
+):
+    ids = [publish(database, run_id, number) for number in range(40)]
+    accepted, late, wrong = [], [], []
+
+    def work(seed):
+        rng = np.random.default_rng(seed)
+        while len(accepted) < len(ids):
+            task = target_tasks.claim(database, f"robot-{seed}", ["arm"], datetime.now(UTC), 0.02)
+            if task is None:
+                time.sleep(0.002)
+                continue
+            time.sleep(rng.choice([0.0, 0.01, 0.05]))  # the lease is 0.02 s
+            content = f"{task.id} {task.attempt}".encode()
+            try:
+                complete(database, task, content=content, now=datetime.now(UTC))
+            except LeaseLost:
+                late.append(task.id)
+            except Exception as error:  # noqa: BLE001 - the test says which
+                wrong.append(error)
+            else:
+                accepted.append((task.id, content))
+
+    claimers = [threading.Thread(target=work, args=(seed,)) for seed in range(8)]
+    for claimer in claimers:
+        claimer.start()
+    for claimer in claimers:
+        claimer.join(60)
+    assert not wrong
+    assert late, "nobody was late: the test has shown nothing"
+    assert sorted(id for id, _ in accepted) == sorted(ids)
+    for id, content in accepted:
+        digest = target_tasks.get_task(database, id).digest
+        assert stored(database, digest).blobs == {"data": content}
