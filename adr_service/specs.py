@@ -11,7 +11,8 @@ from dataclasses import replace
 from itertools import product
 from typing import Annotated, Any, Literal, Self, cast
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, GetJsonSchemaHandler, ValidationError, field_validator, model_validator
+from pydantic_core import CoreSchema
 
 from adr_service.causes import Cause, domain_of
 from adr_service.errors import AdrError, InvalidInput, UnknownName
@@ -107,7 +108,8 @@ class RunSpec(Wire):
             name: value.model_dump(exclude_unset=True) if isinstance(value, Wire) else value
             for name, value in cast(dict[str, Any], given).items()
         }
-        preset = PRESETS.get(given.get("preset", "quick"))
+        name = given.get("preset", "quick")
+        preset = PRESETS.get(name) if isinstance(name, str) else None
         if preset is None:
             return given  # the field's own validation says what is accepted
         filled = {"preset": "quick", **preset["run"], **given}
@@ -122,8 +124,27 @@ class RunSpec(Wire):
         if kind == "recorded":
             filled.setdefault("collector", "recording")
         elif _learns_from_simopt(filled):
-            filled["simopt"] = _fill_method(given.get("simopt") or "simopt", preset["methods"])
+            simopt = given.get("simopt")
+            filled["simopt"] = _fill_method(
+                "simopt" if simopt is None else simopt, preset["methods"]
+            )
         return filled
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """What may be given, of which the preset fills the rest, as `_fill_from_preset` does."""
+        reference = handler(core_schema)
+        schema = handler.resolve_ref_schema(reference)
+        if handler.mode == "validation":
+            fields = schema["properties"]
+            training = handler.resolve_ref_schema(fields["training"])
+            fields["training"] = {k: v for k, v in training.items() if k != "required"}
+            for name in ("method", "simopt"):
+                fields[name] = {"anyOf": [{"type": "string"}, fields[name]]}
+            schema["required"] = ["task", "method"]
+        return reference
 
     @field_validator("task")
     @classmethod

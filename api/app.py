@@ -1,19 +1,19 @@
 """The HTTP application."""
 
-import hmac
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
 import anyio.to_thread
-from fastapi import FastAPI, Request, Response
+from fastapi import FastAPI
 
 import adr_service
 from api import errors, page
+from api.errors import Problem
+from api.etags import Etags
+from api.guard import Guard
 from api.routes import benchmarks, catalogue, claims, criticisms, datasets, runs, target_tasks
 from api.service import open_service
 from api.settings import Settings
-
-_OPEN_PATHS = {"/healthz"}  # for health checks, which hold no secret
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -30,31 +30,20 @@ def create_app(settings: Settings) -> FastAPI:
         title="ADR benchmark service",
         version=adr_service.__version__,
         lifespan=lifespan,
-        max_body_size=1_000_000,
+        docs_url=None,  # they load scripts from elsewhere; `api.page` has our own
+        redoc_url=None,
+        responses={
+            "default": {
+                "description": "What was refused, and what is accepted (RFC 9457)",
+                "content": {"application/problem+json": {"schema": Problem.model_json_schema()}},
+            }
+        },
     )
     errors.install(app)
-    for routes in (runs, benchmarks, criticisms, datasets, target_tasks, claims, catalogue, page):
-        app.include_router(routes.router)
-    if settings.token:
-        app.middleware("http")(_token_check(settings.token))
+    parts = (runs, benchmarks, criticisms, datasets, target_tasks, claims, catalogue, page)
+    app.state.routers = [part.router for part in parts]
+    for router in app.state.routers:
+        app.include_router(router)
+    app.add_middleware(Etags)
+    app.add_middleware(Guard, settings=settings)  # outermost
     return app
-
-
-def _token_check(
-    token: str,
-) -> Callable[[Request, Callable[[Request], Awaitable[Response]]], Awaitable[Response]]:
-    """Middleware that lets only holders of the token in."""
-    expected = f"Bearer {token}".encode()
-
-    async def check(
-        request: Request, call_next: Callable[[Request], Awaitable[Response]]
-    ) -> Response:
-        given = request.headers.get("Authorization", "").encode()
-        if request.url.path in _OPEN_PATHS or hmac.compare_digest(given, expected):
-            return await call_next(request)
-        detail = "send the service's token in the header 'Authorization: Bearer …'"
-        response = errors.problem(401, "unauthorised", detail)
-        response.headers["WWW-Authenticate"] = "Bearer"
-        return response
-
-    return check

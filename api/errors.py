@@ -1,12 +1,16 @@
 """Errors as problem documents (RFC 9457): what was given, and what is accepted."""
 
 import logging
+from collections.abc import Sequence
+from http import HTTPStatus
 from typing import Any
 
-from fastapi import FastAPI, Request
+from fastapi import APIRouter, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from pydantic import BaseModel
 from starlette.exceptions import HTTPException
+from starlette.routing import Match, Route
 
 from adr_service.errors import AdrError
 
@@ -18,11 +22,22 @@ _STATUS = {
     "lease_lost": 409,
     "invalid_input": 422,
     "cluster_unavailable": 503,
+    "queue_full": 429,
     "database_unavailable": 503,
     "disk_full": 507,
 }
 _RETRY_AFTER_S = 5
 _LONGEST = 200  # characters of what was given that a problem repeats
+
+
+class Problem(BaseModel):
+    """What was refused, and why (RFC 9457)."""
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    errors: list[dict[str, str]] = []  # of fields: pointer, detail, given
 
 
 def install(app: FastAPI) -> None:
@@ -46,7 +61,7 @@ def problem(status: int, code: str, detail: str, **more: Any) -> JSONResponse:
 async def _adr_error(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, AdrError)
     response = problem(_STATUS.get(error.code, 500), error.code, str(error))
-    if response.status_code in (503, 507):
+    if response.status_code in (429, 503, 507):
         response.headers["Retry-After"] = str(_RETRY_AFTER_S)
     return response
 
@@ -68,7 +83,18 @@ async def _http_error(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)
     response = problem(error.status_code, "http_error", str(error.detail))
     response.headers.update(error.headers or {})
+    if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+        response.headers["Allow"] = ", ".join(sorted(_methods_of(request)))
     return response
+
+
+def _methods_of(request: Request) -> set[str]:
+    """What may be done with the path of a request; Starlette knows one route at a time."""
+    routers: Sequence[APIRouter] = request.app.state.routers
+    routes = [route for router in routers for route in router.routes if isinstance(route, Route)]
+    matching = [route for route in routes if route.matches(request.scope)[0] is not Match.NONE]
+    mine = [route for route in matching if route.path == matching[0].path]
+    return {method for route in mine for method in route.methods or ()} - {"HEAD"}
 
 
 async def _defect(request: Request, error: Exception) -> JSONResponse:

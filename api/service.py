@@ -1,33 +1,48 @@
 """What the routes work with: one database and one orchestrator."""
 
+import logging
 import secrets
+import shutil
+import stat
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
-from fastapi import Depends, Request
+from fastapi import Depends, Header, Request
+from pydantic import BaseModel
 
 from adr_service.benchmark.comparison import Outcome
 from adr_service.benchmark.utilisation import utilisation
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Nominal, check_measurement
+from adr_service.errors import AdrError
 from adr_service.events import IterationFinished
 from adr_service.specs import AnyRun, CriticismSpec, RunSpec
 from adr_service.target import Recording
 from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.wire import sha256
 from api.settings import Settings
 from api.views import CostView, cost_view
 from db import datasets as dataset_store
 from db import runs as store
 from db import stages as stage_store
 from db import target_tasks as task_store
+from db.requests import RequestKey
 from db.runs import RunRecord
-from db.session import Database, open_database
+from db.session import Database, DiskFull, open_database
 from db.target_tasks import TargetTask
 from workers.cluster import RayOptions
 from workers.orchestrator import Orchestrator
+
+log = logging.getLogger(__name__)
+
+
+class QueueFull(AdrError):
+    """There are too many live runs; later there are fewer."""
+
+    code = "queue_full"
 
 
 @dataclass(frozen=True)
@@ -75,6 +90,25 @@ class Service:
         else:
             Recording(spec, content)
 
+    def check_queue(self, more: int) -> None:
+        """Refuse runs beyond what the service keeps waiting, or the disk can hold."""
+        self.check_disk()
+        live, most = store.count_live(self.database), self.settings.max_live_runs
+        if live + more > most:
+            raise QueueFull(
+                f"{live} runs wait or run, and {more} more were asked for; accepted are {most} "
+                "(ADR_MAX_LIVE_RUNS)"
+            )
+
+    def check_disk(self) -> None:
+        """Refuse new work while the disk is nearly full; what runs may end."""
+        free, floor = shutil.disk_usage(self.settings.data_dir).free, self.settings.disk_floor_mb
+        if free < floor * 1e6:
+            raise DiskFull(
+                f"the disk that has the results has {free / 1e6:.0f} MB left; new work is refused "
+                f"below {floor} (ADR_DISK_FLOOR_MB): free some space, or delete runs"
+            )
+
     def claim(self, worker: str, tasks: Sequence[str]) -> TargetTask | None:
         """A target task for a robot, if there is one; the lock is taken only then."""
         now = datetime.now(UTC)
@@ -89,7 +123,7 @@ class Service:
 
 def open_service(settings: Settings) -> Service:
     """Open the database, start Ray, and go on with what is unfinished."""
-    settings.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+    _prepare(settings.data_dir)
     database = open_database(settings.database)
     try:
         orchestrator = Orchestrator(database, _ray_options(settings))
@@ -98,6 +132,15 @@ def open_service(settings: Settings) -> Service:
         database.close()
         raise
     return Service(settings, database, orchestrator)
+
+
+def _prepare(data_dir: Path) -> None:
+    """A folder for results, and secrets, that nobody else on the machine can look into."""
+    data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+    mode = stat.S_IMODE(data_dir.stat().st_mode)
+    if mode & 0o077:
+        data_dir.chmod(0o700)
+        log.warning("%s was open to others (mode %o); now it is yours alone", data_dir, mode)
 
 
 def _ray_options(settings: Settings) -> RayOptions:
@@ -126,4 +169,15 @@ def _service(request: Request) -> Service:
     return service
 
 
+def request_key(key: str | None, spec: BaseModel) -> RequestKey | None:
+    """What tells a request that came twice."""
+    if key is None:
+        return None
+    return RequestKey(key, sha256(f"{type(spec).__name__} {spec.model_dump_json()}".encode()))
+
+
+IdempotencyKey = Annotated[
+    str | None,
+    Header(min_length=1, max_length=200, description="for a day, the same makes nothing new"),
+]
 ServiceDependency = Annotated[Service, Depends(_service)]

@@ -3,13 +3,15 @@
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import Field, ValidationError, model_validator
+from limits import parse
+from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from adr_service.errors import InvalidInput
 from adr_service.wire import explain
 
 DEFAULT_URL = "http://127.0.0.1:8000"
+_SHORTEST_TOKEN = 16
 
 
 class Settings(BaseSettings):
@@ -21,7 +23,14 @@ class Settings(BaseSettings):
     database_url: str = Field("", description="an SQLite file; default: in data_dir")
     host: str = "127.0.0.1"
     port: int = Field(8000, ge=0, le=65535)
-    token: str = Field("", description="needed to listen on other addresses than loopback")
+    token: SecretStr = Field(
+        SecretStr(""), description="of users; needed to listen on other addresses than loopback"
+    )
+    robot_token: SecretStr = Field(SecretStr(""), description="of robots' clients, if not users'")
+    allowed_hosts: str = Field("", description="names of the service, with commas between")
+    rate: str = Field("500/second", description="of requests from one address")
+    disk_floor_mb: int = Field(500, ge=0, description="free space below which work is refused")
+    max_live_runs: int = Field(10_000, ge=1, description="that wait or run at once")
     ray_address: str = Field("local", description="local, auto, or the address of a cluster")
     cpus: int | None = Field(None, ge=1, description="of a local cluster; default: all")
     dashboard: bool = True
@@ -29,12 +38,26 @@ class Settings(BaseSettings):
 
     @model_validator(mode="after")
     def _loopback_or_token(self) -> Self:
-        if self.host not in {"127.0.0.1", "localhost", "::1"} and len(self.token) < 16:
+        if self.host not in {"127.0.0.1", "localhost", "::1"} and not self.token:
             raise ValueError(
                 f"refusing to listen on {self.host!r} for everyone: set ADR_TOKEN to a secret of "
                 "16 characters or more, or listen on 127.0.0.1"
             )
+        for name, token in (("ADR_TOKEN", self.token), ("ADR_ROBOT_TOKEN", self.robot_token)):
+            if 0 < len(token) < _SHORTEST_TOKEN:
+                raise ValueError(f"{name} must have {_SHORTEST_TOKEN} characters or more")
+        if self.robot_token and not self.token:
+            raise ValueError("ADR_ROBOT_TOKEN is of no use without ADR_TOKEN: everyone is let in")
         return self
+
+    @field_validator("rate")
+    @classmethod
+    def _is_a_rate(cls, given: str) -> str:
+        try:
+            parse(given)
+        except ValueError as error:
+            raise ValueError(f"{given!r} is no rate; as 500/second or 1000/minute") from error
+        return given
 
     @property
     def database(self) -> str:

@@ -8,6 +8,7 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel
 
 from adr_service.benchmark.comparison import Outcome, comparisons, costs, decode, estimates, table
+from adr_service.benchmark.protocol import Plan
 from adr_service.benchmark.utilisation import Timing, Utilisation
 from adr_service.events import (
     CriticismFinished,
@@ -16,7 +17,7 @@ from adr_service.events import (
     StageFinished,
     TrainingEvaluated,
 )
-from adr_service.specs import AnyRun, BenchmarkSpec, CriticismSpec, RecordedTarget
+from adr_service.specs import AnyRun, BenchmarkSpec, CriticismSpec, RecordedTarget, RunSpec
 from adr_service.tasks.catalogue import get_task
 from db.datasets import DatasetRecord
 from db.runs import BenchmarkRecord, EventRecord, RunRecord, states_of
@@ -74,6 +75,21 @@ class BenchmarkView(BaseModel):
     spec: BenchmarkSpec
     runs: list[RunView]
     links: dict[str, str]
+
+
+class PlannedRun(BaseModel):
+    """What a run would cost."""
+
+    spec: RunSpec
+    plan: Plan
+
+
+class PlannedBenchmark(BaseModel):
+    """What a benchmark would cost, and its runs."""
+
+    spec: BenchmarkSpec
+    runs: list[RunSpec]
+    plan: Plan
 
 
 class EventView(BaseModel):

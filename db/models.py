@@ -192,6 +192,17 @@ class TargetTaskRow(Base):
     created_at: Mapped[datetime] = mapped_column(Utc)
 
 
+class RequestRow(Base):
+    """A request that made something, by the key that its client gave it."""
+
+    __tablename__ = "requests"
+
+    key: Mapped[str] = mapped_column(String(200), primary_key=True)
+    request: Mapped[str] = mapped_column(String(64))  # SHA-256
+    made: Mapped[str] = mapped_column(String(40))  # id; it may be deleted since
+    created_at: Mapped[datetime] = mapped_column(Utc, index=True)
+
+
 class StageArtifactRow(Base):
     """A named binary result of a stage."""
 

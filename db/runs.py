@@ -22,6 +22,7 @@ from adr_service.specs import AnyRun, BenchmarkExtension, BenchmarkSpec, RunSpec
 from db.datasets import get_dataset
 from db.errors import NotFound, NotPossible
 from db.models import BenchmarkRow, EventRow, RunRow
+from db.requests import RequestKey, once
 from db.session import CHUNK, Database
 from db.stages import delete_unreferenced
 from db.target_tasks import withdraw_tasks
@@ -63,23 +64,29 @@ class EventRecord:
     event: RunEvent
 
 
-def create_run(database: Database, spec: AnyRun) -> RunRecord:
+def create_run(database: Database, spec: AnyRun, key: RequestKey | None = None) -> RunRecord:
     """Store a run; when this returns it is on disk.
 
-    Raises NotFound where the spec names a dataset that is not there.
+    Raises NotFound where the spec names a dataset that is not there, Replayed where `key` has
+    made a run before.
     """
     with database.write("create_run") as session:
-        return _record(_insert_run(session, spec, None))
+        row = _insert_run(session, spec, None)
+        once(session, key, row.id)
+        return _record(row)
 
 
-def create_benchmark(database: Database, spec: BenchmarkSpec) -> BenchmarkRecord:
-    """Store a benchmark and all its runs, or nothing."""
+def create_benchmark(
+    database: Database, spec: BenchmarkSpec, key: RequestKey | None = None
+) -> BenchmarkRecord:
+    """Store a benchmark and all its runs, or nothing. Raises Replayed as `create_run` does."""
     with database.write("create_benchmark") as session:
         # as it was given: its runs are stored complete, and mean the same when presets change
         given = spec.model_dump_json(exclude_unset=True)
         row = BenchmarkRow(id=_new_id("bench"), created_at=_now(), spec=given)
         session.add(row)
         session.flush()
+        once(session, key, row.id)
         for run in spec.runs():
             _insert_run(session, run, row.id)
         return _benchmark(row)
@@ -120,6 +127,13 @@ def unfinished_runs(database: Database) -> list[RunRecord]:
     query = select(RunRow).where(RunRow.state.not_in(FINISHED)).order_by(RunRow.number)
     with database.read() as session:
         return [_record(row) for row in session.scalars(query)]
+
+
+def count_live(database: Database) -> int:
+    """How many runs wait or run."""
+    live = RunRow.state.not_in(FINISHED)
+    with database.read() as session:
+        return session.scalar(select(func.count()).select_from(RunRow).where(live)) or 0
 
 
 def get_benchmark(database: Database, benchmark_id: str) -> BenchmarkRecord:

@@ -11,12 +11,13 @@ from adr_service.benchmark.claims import reports
 from adr_service.benchmark.comparison import table, to_csv
 from adr_service.benchmark.figures import Format, draw, drawable
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec
-from api.routes.runs import MEDIA, PageSize, plan_here
-from api.service import Service, ServiceDependency
+from api.routes.runs import CSV, MEDIA, PageSize, plan_here
+from api.service import IdempotencyKey, Service, ServiceDependency, request_key
 from api.views import (
     BenchmarkView,
     CostView,
     Page,
+    PlannedBenchmark,
     ResultsView,
     benchmark_view,
     page_of,
@@ -25,26 +26,31 @@ from api.views import (
 )
 from db import runs as store
 from db.errors import NotPossible
+from db.requests import Replayed
 from db.runs import BenchmarkRecord
 
 router = APIRouter(prefix="/v1/benchmarks", tags=["benchmarks"])
+EXAMPLE = {"tasks": ["arm"], "methods": ["simopt", "dropo"], "seeds": [0], "preset": "smoke"}
 
 
-@router.post("", status_code=status.HTTP_202_ACCEPTED, response_model=None)
+@router.post(
+    "",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses={200: {"model": PlannedBenchmark, "description": "with `validate_only`"}},
+)
 def submit(
-    spec: Annotated[BenchmarkSpec, Body()],
+    spec: Annotated[BenchmarkSpec, Body(examples=[EXAMPLE])],
     service: ServiceDependency,
     response: Response,
     validate_only: bool = False,
-) -> BenchmarkView | dict[str, Any]:
+    idempotency_key: IdempotencyKey = None,
+) -> BenchmarkView | PlannedBenchmark:
     """Store a benchmark and start its runs; with `validate_only`, say what it would cost."""
     if validate_only:
         response.status_code = status.HTTP_200_OK
         runs = list(spec.runs())
-        return {"spec": spec, "runs": runs, "plan": asdict(plan_here(service, runs))}
-    record = store.create_benchmark(service.database, spec)
-    for run in store.runs_of(service.database, record.id):
-        service.orchestrator.submit(run)
+        return PlannedBenchmark(spec=spec, runs=runs, plan=plan_here(service, runs))
+    record = _start(service, spec, idempotency_key)
     response.headers["Location"] = f"/v1/benchmarks/{record.id}"
     return view(service, record)
 
@@ -62,6 +68,7 @@ def list_benchmarks(
 
 @router.get("/{benchmark_id}")
 def get_benchmark(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
+    """How it stands, with all its runs."""
     return view(service, store.get_benchmark(service.database, benchmark_id))
 
 
@@ -86,10 +93,11 @@ def resume(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
 @router.post("/{benchmark_id}/extend", status_code=status.HTTP_202_ACCEPTED)
 def extend(
     benchmark_id: str,
-    extension: Annotated[BenchmarkExtension, Body()],
+    extension: Annotated[BenchmarkExtension, Body(examples=[{"seeds": [1]}])],
     service: ServiceDependency,
 ) -> BenchmarkView:
     """Add seeds, methods, tasks, variants or collectors; nothing is computed twice."""
+    service.check_queue(0)
     for run in store.extend_benchmark(service.database, benchmark_id, extension):
         service.orchestrator.submit(run)
     return get_benchmark(benchmark_id, service)
@@ -101,10 +109,11 @@ def delete(benchmark_id: str, service: ServiceDependency) -> None:
     store.delete_benchmark(service.database, benchmark_id)
 
 
-@router.get("/{benchmark_id}/results", response_model=None)
+@router.get("/{benchmark_id}/results", response_model=ResultsView, responses=CSV)
 def results(
     benchmark_id: str, service: ServiceDependency, format: Literal["json", "csv"] = "json"
 ) -> ResultsView | Response:
+    """The result table of all methods, after every iteration; and comparisons."""
     outcomes = service.outcomes(store.runs_of(service.database, benchmark_id))
     if format == "csv":
         return Response(to_csv(table(outcomes)), media_type="text/csv")
@@ -134,8 +143,21 @@ def figures(benchmark_id: str, service: ServiceDependency) -> list[str]:
 def figure(
     benchmark_id: str, name: str, file_format: Format, service: ServiceDependency
 ) -> Response:
+    """A figure, or its numbers as CSV."""
     outcomes = service.outcomes(store.runs_of(service.database, benchmark_id))
     return Response(draw(name, outcomes, file_format), media_type=MEDIA[file_format])
+
+
+def _start(service: Service, spec: BenchmarkSpec, key: str | None) -> BenchmarkRecord:
+    """Store a benchmark and start its runs; where the key has started one before, that one."""
+    service.check_queue(spec.size)
+    try:
+        record = store.create_benchmark(service.database, spec, request_key(key, spec))
+    except Replayed as before:
+        return store.get_benchmark(service.database, before.id)
+    for run in store.runs_of(service.database, record.id):
+        service.orchestrator.submit(run)
+    return record
 
 
 def view(service: Service, record: BenchmarkRecord) -> BenchmarkView:

@@ -51,6 +51,7 @@ def methods() -> dict[str, Any]:
 
 @router.get("/v1/presets")
 def presets() -> dict[str, dict[str, Any]]:
+    """What is filled into a spec that does not say."""
     return PRESETS
 
 
@@ -68,7 +69,8 @@ def healthz() -> dict[str, str]:
 
 @router.get("/readyz", response_model=None)
 def readyz(service: ServiceDependency) -> dict[str, Any] | Response:
-    """The database can be written and Ray is reachable."""
+    """The database can be written, the disk has room, and Ray is reachable."""
+    service.check_disk()
     with service.database.write("readyz") as session:
         session.connection()  # begins a transaction, which takes the lock to write
     if not service.orchestrator.is_alive:
@@ -82,4 +84,5 @@ def readyz(service: ServiceDependency) -> dict[str, Any] | Response:
 
 @router.get("/version")
 def version() -> dict[str, str]:
+    """Of the service."""
     return {"version": adr_service.__version__}

@@ -11,8 +11,8 @@ from adr_service.criticism.report import FILES
 from adr_service.errors import UnknownName
 from adr_service.events import CriticismFinished
 from adr_service.specs import CriticismSpec
-from api.routes.runs import artifact_response, run_view_of
-from api.service import Service, ServiceDependency
+from api.routes.runs import artifact_response, run_view_of, start
+from api.service import IdempotencyKey, Service, ServiceDependency
 from api.views import CriticismView, criticism_view
 from db import runs as store
 from db.errors import NotFound
@@ -24,12 +24,14 @@ _MEDIA = {"html": "text/html", "json": "application/json", "xml": "application/x
 
 @router.post("", status_code=status.HTTP_202_ACCEPTED)
 def submit(
-    spec: Annotated[CriticismSpec, Body()], service: ServiceDependency, response: Response
+    spec: Annotated[CriticismSpec, Body()],
+    service: ServiceDependency,
+    response: Response,
+    idempotency_key: IdempotencyKey = None,
 ) -> CriticismView:
     """Store a criticism and start it."""
     service.check_dataset(spec)
-    record = store.create_run(service.database, spec)
-    service.orchestrator.submit(record)
+    record = start(service, spec, idempotency_key)
     response.headers["Location"] = f"/v1/criticisms/{record.id}"
     return criticism_view(run_view_of(service, record), None)
 

@@ -34,6 +34,7 @@ def upload(
         check_measurement(nominal, Measurement.from_npz(content))
     elif task is not None:
         check_recorded(get_task(task), TransitionDataset.from_npz(content))
+    service.check_disk()
     record, is_new = store.store_dataset(service.database, content)
     if not is_new:
         response.status_code = status.HTTP_200_OK
@@ -54,6 +55,7 @@ def list_datasets(
 
 @router.get("/{dataset_id}")
 def get_dataset(dataset_id: str, service: ServiceDependency) -> DatasetView:
+    """What it holds."""
     return dataset_view(store.describe_dataset(service.database, dataset_id))
 
 

@@ -1,23 +1,27 @@
 """/v1/runs: submit, watch, stop, resume and read single runs."""
 
-from dataclasses import asdict
+import time
+from collections.abc import AsyncIterable
 from functools import partial
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Body, Query, Response, status
+import anyio
+from fastapi import APIRouter, Body, Depends, Header, Query, Response, status
+from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from adr_service.benchmark.comparison import table, to_csv
 from adr_service.benchmark.figures import Format, draw, drawable
 from adr_service.benchmark.protocol import Plan, plan
 from adr_service.events import RunState
-from adr_service.specs import RunSpec
+from adr_service.specs import AnyRun, RunSpec
 from adr_service.wire import sha256
-from api.service import Service, ServiceDependency
+from api.service import IdempotencyKey, Service, ServiceDependency, request_key
 from api.views import (
     CostView,
     DistributionView,
     EventView,
     Page,
+    PlannedRun,
     ResultsView,
     RunView,
     TrainingView,
@@ -31,27 +35,49 @@ from api.views import (
 from db import runs as store
 from db import stages as stage_store
 from db.errors import NotFound
+from db.requests import Replayed
 from db.runs import RunRecord
 
 router = APIRouter(prefix="/v1/runs", tags=["runs"])
+LOOK_EVERY_S = 0.25  # for those who wait
+_STREAMED = 500  # events at once
+EXAMPLE = {"task": "arm", "method": "dropo", "seed": 0, "preset": "smoke"}
+CSV: dict[int | str, Any] = {200: {"content": {"text/csv": {"schema": {"type": "string"}}}}}
 PageSize = Annotated[int, Query(ge=1, le=1000)]
 MEDIA = {"svg": "image/svg+xml", "png": "image/png", "csv": "text/csv"}
 
 
-@router.post("", status_code=status.HTTP_202_ACCEPTED, response_model=None)
+def _existing(run_id: str, service: ServiceDependency) -> str:
+    """Refuses a run that is not there, before a stream begins."""
+    return store.get_run(service.database, run_id).id
+
+
+def _last_seen(
+    last_event_id: Annotated[
+        str | None, Header(pattern=r"^[0-9]{1,18}$", description="of the last event seen")
+    ] = None,
+) -> int:
+    return int(last_event_id or 0)
+
+
+@router.post(
+    "",
+    status_code=status.HTTP_202_ACCEPTED,
+    responses={200: {"model": PlannedRun, "description": "with `validate_only`"}},
+)
 def submit(
-    spec: Annotated[RunSpec, Body()],
+    spec: Annotated[RunSpec, Body(examples=[EXAMPLE])],
     service: ServiceDependency,
     response: Response,
     validate_only: bool = False,
-) -> RunView | dict[str, Any]:
+    idempotency_key: IdempotencyKey = None,
+) -> RunView | PlannedRun:
     """Store a run and start it; with `validate_only`, say what it would cost instead."""
     service.check_dataset(spec)
     if validate_only:
         response.status_code = status.HTTP_200_OK
-        return {"spec": spec, "plan": asdict(plan_here(service, [spec]))}
-    record = store.create_run(service.database, spec)
-    service.orchestrator.submit(record)
+        return PlannedRun(spec=spec, plan=plan_here(service, [spec]))
+    record = start(service, spec, idempotency_key)
     response.headers["Location"] = f"/v1/runs/{record.id}"
     return run_view_of(service, record)
 
@@ -80,8 +106,18 @@ def list_runs(
 
 
 @router.get("/{run_id}")
-def get_run(run_id: str, service: ServiceDependency) -> RunView:
-    return run_view_of(service, store.get_run(service.database, run_id))
+async def get_run(
+    run_id: str,
+    service: ServiceDependency,
+    wait: Annotated[float, Query(ge=0, le=20, description="s for its state to change")] = 0.0,
+) -> RunView:
+    """How it stands; with `wait`, as soon as its state is another, or has ended."""
+    until = time.monotonic() + wait
+    record = first = await anyio.to_thread.run_sync(store.get_run, service.database, run_id)
+    while record.state == first.state and not record.is_finished and time.monotonic() < until:
+        await anyio.sleep(LOOK_EVERY_S)
+        record = await anyio.to_thread.run_sync(store.get_run, service.database, run_id)
+    return run_view_of(service, record)
 
 
 @router.post("/{run_id}/cancel", status_code=status.HTTP_202_ACCEPTED)
@@ -118,10 +154,33 @@ def events(
     return page_of(found, limit, event_view, lambda record: record.seq)
 
 
-@router.get("/{run_id}/results", response_model=None)
+@router.get("/{run_id}/events/stream", response_class=EventSourceResponse)
+async def stream(
+    run_id: Annotated[str, Depends(_existing)],
+    service: ServiceDependency,
+    seen: Annotated[int, Depends(_last_seen)],
+) -> AsyncIterable[ServerSentEvent]:
+    """Its events as they happen (`id` is their sequence number), until it has ended."""
+    while True:
+        # its state is read first: what ended it is among the events then
+        record = await anyio.to_thread.run_sync(store.get_run, service.database, run_id)
+        page = partial(store.events_of, service.database, run_id, after=seen, limit=_STREAMED)
+        found = await anyio.to_thread.run_sync(page)
+        for event in found:
+            seen = event.seq
+            yield ServerSentEvent(id=str(seen), event=event.event.type, data=event_view(event))
+        if record.is_finished and len(found) < _STREAMED:
+            yield ServerSentEvent(event="end", data={"state": record.state})
+            return
+        if not found:
+            await anyio.sleep(LOOK_EVERY_S)
+
+
+@router.get("/{run_id}/results", response_model=ResultsView, responses=CSV)
 def results(
     run_id: str, service: ServiceDependency, format: Literal["json", "csv"] = "json"
 ) -> ResultsView | Response:
+    """Its result table, after every iteration; and comparisons, estimates, costs."""
     outcomes = service.outcomes([store.get_run(service.database, run_id)])
     if format == "csv":
         return Response(to_csv(table(outcomes)), media_type="text/csv")
@@ -158,6 +217,7 @@ def figures(run_id: str, service: ServiceDependency) -> list[str]:
 
 @router.get("/{run_id}/figures/{name}.{file_format}", response_class=Response)
 def figure(run_id: str, name: str, file_format: Format, service: ServiceDependency) -> Response:
+    """A figure, or its numbers as CSV."""
     outcomes = service.outcomes([store.get_run(service.database, run_id)])
     return Response(draw(name, outcomes, file_format), media_type=MEDIA[file_format])
 
@@ -180,6 +240,17 @@ def policy(run_id: str, service: ServiceDependency) -> Response:
         raise NotFound("evaluated policy of run", run_id)
     digest = outcomes[-1].iteration.policies[0]
     return artifact_response(service, digest, f"{run_id}.safetensors")
+
+
+def start(service: Service, spec: AnyRun, key: str | None) -> RunRecord:
+    """Store a run and start it; where the key has started one before, that run."""
+    service.check_queue(1)
+    try:
+        record = store.create_run(service.database, spec, request_key(key, spec))
+    except Replayed as before:
+        return store.get_run(service.database, before.id)
+    service.orchestrator.submit(record)
+    return record
 
 
 def artifact_response(service: Service, digest: str, filename: str) -> Response:

@@ -13,14 +13,13 @@ from fastapi import APIRouter, Body, Header, Query, Response, status
 from pydantic import Field
 
 from adr_service.wire import Wire
-from api.routes.runs import PageSize, bytes_response
+from api.routes.runs import LOOK_EVERY_S, PageSize, bytes_response
 from api.service import ServiceDependency
 from api.views import ClaimView, HeartbeatView, Page, TaskView, claim_view, page_of, task_view
 from db import target_tasks as store
 
 router = APIRouter(prefix="/v1/target_tasks", tags=["target tasks"])
 _LARGEST = 64_000_000  # bytes of a trajectory
-_LOOK_EVERY_S = 0.25
 _Name = Annotated[str, Field(min_length=1, max_length=80)]
 _Lease = Annotated[str, Field(min_length=1, max_length=64)]
 
@@ -30,7 +29,7 @@ class Claim(Wire):
 
     worker: _Name
     tasks: list[_Name] = Field(min_length=1, max_length=100)
-    wait_s: float = Field(0.0, ge=0, le=30, description="for a task, where there is none")
+    wait_s: float = Field(0.0, ge=0, le=20, description="for a task, where there is none")
 
 
 class Heartbeat(Wire):
@@ -48,7 +47,10 @@ class Failure(Wire):
 
 
 @router.post("/claim", response_model=ClaimView, responses={204: {"description": "no task"}})
-async def claim(body: Annotated[Claim, Body()], service: ServiceDependency) -> ClaimView | Response:
+async def claim(
+    body: Annotated[Claim, Body(examples=[{"worker": "robot-7", "tasks": ["arm"]}])],
+    service: ServiceDependency,
+) -> ClaimView | Response:
     """The oldest task that nobody has; waits for one for a while."""
     until = time.monotonic() + body.wait_s
     while True:
@@ -57,7 +59,7 @@ async def claim(body: Annotated[Claim, Body()], service: ServiceDependency) -> C
             return claim_view(found)
         if time.monotonic() >= until:
             return Response(status_code=status.HTTP_204_NO_CONTENT)
-        await anyio.sleep(_LOOK_EVERY_S)
+        await anyio.sleep(LOOK_EVERY_S)
 
 
 @router.get("")
@@ -83,6 +85,7 @@ def list_tasks(
 
 @router.get("/{task_id}")
 def get_task(task_id: str, service: ServiceDependency) -> TaskView:
+    """Who has it, since when, and how far it is."""
     return task_view(store.get_task(service.database, task_id))
 
 

@@ -1,4 +1,4 @@
-"""tasks of targets, simulated ones and robots"""
+"""tasks of targets, simulated ones and robots; requests that came with a key"""
 
 import sqlalchemy as sa
 from alembic import op
@@ -54,6 +54,17 @@ def upgrade() -> None:
         batch_op.create_index(batch_op.f("ix_target_tasks_policy_sha256"), ["policy_sha256"])
         batch_op.create_index(batch_op.f("ix_target_tasks_external_state"), ["external", "state"])
 
+    op.create_table(
+        "requests",
+        sa.Column("key", sa.String(length=200), nullable=False),
+        sa.Column("request", sa.String(length=64), nullable=False),
+        sa.Column("made", sa.String(length=40), nullable=False),
+        sa.Column("created_at", sa.DateTime(timezone=True), nullable=False),
+        sa.PrimaryKeyConstraint("key", name=op.f("pk_requests")),
+    )
+    op.create_index(op.f("ix_requests_created_at"), "requests", ["created_at"])
+
 
 def downgrade() -> None:
+    op.drop_table("requests")
     op.drop_table("target_tasks")

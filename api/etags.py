@@ -1,0 +1,42 @@
+"""ETag and If-None-Match for everything that is read: who polls gets 304 while nothing changes."""
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from adr_service.wire import sha256
+
+
+class Etags:
+    """Plain ASGI; answers to GET that are whole get a tag, streams pass."""
+
+    def __init__(self, app: ASGIApp):
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http" and scope["method"] == "GET":
+            known = Headers(scope=scope).get("if-none-match", "")
+            send = _Tagged(send, {tag.strip() for tag in known.split(",")}).send
+        await self._app(scope, receive, send)
+
+
+class _Tagged:
+    def __init__(self, send: Send, known: set[str]):
+        self._send, self._known = send, known
+        self._start: Message | None = None
+
+    async def send(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            # a stream does not say how long it is
+            if message["status"] == 200 and "content-length" in Headers(raw=message["headers"]):
+                self._start = message
+                return
+        elif self._start is not None:
+            start, self._start = self._start, None
+            headers = MutableHeaders(raw=start["headers"])
+            tag = headers.setdefault("ETag", f'"{sha256(message["body"])[:32]}"')
+            if tag in self._known or "*" in self._known:
+                start["status"], message = 304, {**message, "body": b""}
+                del headers["content-length"]
+                start["headers"] = headers.raw
+            await self._send(start)
+        await self._send(message)

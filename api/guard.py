@@ -1,0 +1,158 @@
+"""Who may come in, how often, and with how much; and what every answer says to browsers.
+
+Plain ASGI, so that streams pass through unbuffered.
+"""
+
+import base64
+import binascii
+import hmac
+import math
+import re
+import time
+
+from limits import parse
+from limits.storage import MemoryStorage
+from limits.strategies import MovingWindowRateLimiter
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.middleware.body_limit import MAX_BODY_SIZE_SCOPE_KEY, RequestBodyLimitMiddleware
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.errors import problem
+from api.settings import Settings
+
+_OPEN_PATHS = {"/healthz"}  # for health checks, which hold no secret
+_ROBOT_PATHS = re.compile(r"/v1/target_tasks(/.*)?|/v1/tasks|/readyz|/version")
+_LARGEST_BODY = 1_000_000  # bytes; routes that take files have their own
+_LOOPBACK = {"127.0.0.1", "localhost", "::1"}
+_EVERY_ADDRESS = {"0.0.0.0", "::"}  # noqa: S104 - known, not used
+_HEADERS = {
+    # pages have no scripts, and nothing from elsewhere
+    "Content-Security-Policy": "default-src 'none'; img-src 'self' data:; style-src "
+    "'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+
+
+class Guard:
+    """Refuses unknown hosts, too many requests, wrong tokens and large bodies."""
+
+    def __init__(self, app: ASGIApp, settings: Settings):
+        self._app = RequestBodyLimitMiddleware(app, _LARGEST_BODY)
+        self._user = settings.token.get_secret_value()
+        self._robot = settings.robot_token.get_secret_value()
+        self._hosts = _hosts(settings)
+        self._rate = parse(settings.rate)
+        self._limiter = MovingWindowRateLimiter(MemoryStorage())
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        answer = _Answer(scope, receive, send)
+        refusal = self._refusal(scope)
+        if refusal is not None:
+            await refusal(scope, receive, answer.send)
+            return
+        await self._app(scope, receive, answer.send)
+
+    def _refusal(self, scope: Scope) -> Response | None:
+        headers = Headers(scope=scope)
+        return (
+            self._unknown_host(headers.get("host", ""))
+            or self._too_many(scope["client"][0] if scope.get("client") else "")
+            or self._not_allowed(headers, scope["method"], scope["path"])
+        )
+
+    def _unknown_host(self, given: str) -> Response | None:
+        host = _without_port(given)
+        if self._hosts is None or host in self._hosts:
+            return None
+        accepted = ", ".join(sorted(self._hosts))
+        detail = f"{host!r} is not a name of this service; accepted: {accepted} (ADR_ALLOWED_HOSTS)"
+        return problem(400, "unknown_host", detail)
+
+    def _too_many(self, client: str) -> Response | None:
+        if self._limiter.hit(self._rate, client):
+            return None
+        reset = self._limiter.get_window_stats(self._rate, client).reset_time
+        refusal = problem(429, "too_many_requests", f"an address may send {self._rate}")
+        refusal.headers["Retry-After"] = str(max(1, math.ceil(reset - time.time())))
+        return refusal
+
+    def _not_allowed(self, headers: Headers, method: str, path: str) -> Response | None:
+        if not self._user or path in _OPEN_PATHS:
+            return None
+        given = _token(headers, method)
+        if hmac.compare_digest(given, self._user.encode()):
+            return None
+        if self._robot and hmac.compare_digest(given, self._robot.encode()):
+            if _ROBOT_PATHS.fullmatch(path):
+                return None
+            return problem(403, "forbidden", "a robot's token opens /v1/target_tasks and /v1/tasks")
+        detail = "send the service's token in the header 'Authorization: Bearer …'"
+        refusal = problem(401, "unauthorised", detail)
+        # a browser asks for it as a password, under any name
+        refusal.headers["WWW-Authenticate"] = 'Bearer, Basic realm="ADR: the token as password"'
+        return refusal
+
+
+class _Answer:
+    """Adds what every answer says, and tells why a body was too large."""
+
+    def __init__(self, scope: Scope, receive: Receive, send: Send):
+        self._scope, self._receive, self._send = scope, receive, send
+        self._replaced = False
+
+    async def send(self, message: Message) -> None:
+        if self._replaced:
+            return
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(raw=message["headers"])
+            if message["status"] == 413 and "problem" not in headers.get("content-type", ""):
+                self._replaced = True
+                most = self._scope.get(MAX_BODY_SIZE_SCOPE_KEY, _LARGEST_BODY)
+                detail = f"the body may have {most} bytes here"
+                await problem(413, "too_large", detail)(self._scope, self._receive, self._plain)
+                return
+            _add(headers)
+        await self._send(message)
+
+    async def _plain(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            _add(MutableHeaders(raw=message["headers"]))
+        await self._send(message)
+
+
+def _add(headers: MutableHeaders) -> None:
+    for name, value in _HEADERS.items():
+        headers.setdefault(name, value)
+
+
+def _hosts(settings: Settings) -> set[str] | None:
+    """Names that requests may call the service by; None: any, where a token guards it."""
+    given = {name.strip() for name in settings.allowed_hosts.split(",") if name.strip()}
+    if not given and settings.host in _EVERY_ADDRESS:
+        return None
+    return _LOOPBACK | given | {settings.host}
+
+
+def _without_port(host: str) -> str:
+    if host.startswith("["):  # IPv6
+        return host[1:].partition("]")[0]
+    return host.partition(":")[0]
+
+
+def _token(headers: Headers, method: str) -> bytes:
+    """The token of a request; as a password only for reading, since browsers resend those."""
+    kind, _, value = headers.get("authorization", "").partition(" ")
+    if kind.lower() == "bearer":
+        return value.encode()
+    if kind.lower() == "basic" and method in ("GET", "HEAD"):
+        try:
+            return base64.b64decode(value, validate=True).partition(b":")[2]
+        except binascii.Error:
+            return b""
+    return b""

@@ -1,0 +1,51 @@
+"""Requests that may come twice: the same Idempotency-Key makes one thing (IETF draft 06)."""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+from sqlalchemy import delete
+from sqlalchemy.orm import Session
+
+from adr_service.errors import InvalidInput
+from db.models import RequestRow
+
+_KEPT = timedelta(hours=24)
+
+
+@dataclass(frozen=True)
+class RequestKey:
+    key: str  # the client's
+    request: str  # SHA-256 of what was asked for
+
+
+class Replayed(Exception):
+    """The request has been carried out before; nothing was done now."""
+
+    def __init__(self, id: str):
+        super().__init__(id)
+        self.id = id  # of what was made then
+
+
+class KeyReused(InvalidInput):
+    """The same key with another request."""
+
+
+def once(session: Session, key: RequestKey | None, id: str) -> None:
+    """Let a request make `id` in this transaction, unless its key has made something.
+
+    Raises Replayed, or KeyReused where that was another request; both undo the transaction.
+    """
+    if key is None:
+        return
+    now = datetime.now(UTC)
+    session.execute(delete(RequestRow).where(RequestRow.created_at < now - _KEPT))
+    known = session.get(RequestRow, key.key)
+    if known is None:
+        session.add(RequestRow(key=key.key, request=key.request, made=id, created_at=now))
+        return
+    if known.request != key.request:
+        raise KeyReused(
+            f"the Idempotency-Key {key.key!r} came with another request before; use a new key "
+            "for a new request"
+        )
+    raise Replayed(known.made)
