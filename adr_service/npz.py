@@ -19,6 +19,7 @@ from adr_service.errors import InvalidInput
 
 _MOST_NUMBERS = 2**25  # of all arrays together: 256 MB as float64
 _MOST_TEXTS = 10_000
+_WIDEST = 8  # bytes of a number
 _KINDS = "biufU"  # booleans, integers, floats, texts; never objects
 _BROKEN = (  # what a damaged or contrived file makes its readers raise
     zipfile.BadZipFile,
@@ -88,7 +89,8 @@ def _check_header(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
         read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
         shape, _, dtype = read_header(file)
         count = math.prod(shape)
-        if dtype.hasobject or dtype.kind not in _KINDS or dtype.itemsize == 0:
+        wide = dtype.kind != "U" and dtype.itemsize > _WIDEST
+        if dtype.hasobject or dtype.kind not in _KINDS or dtype.itemsize == 0 or wide:
             raise InvalidInput(f"{member.filename} holds {dtype}; accepted are numbers and texts")
         if dtype.kind == "U" and count > _MOST_TEXTS:
             raise InvalidInput(f"{member.filename} holds {count} texts; accepted: {_MOST_TEXTS}")

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Query, Response, status
+from fastapi import APIRouter, Body, Depends, Header, HTTPException, Query, Response, status
 
 from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.criticism.simulator import Nominal, check_measurement
@@ -15,14 +15,26 @@ from api.views import DatasetView, Page, dataset_view, page_of
 from db import datasets as store
 
 router = APIRouter(prefix="/v1/datasets", tags=["datasets"])
-_LARGEST = 64_000_000  # bytes of an upload
-_NPZ = "application/octet-stream"
+LARGEST = 64_000_000  # bytes of an upload
+NPZ = "application/octet-stream"
 
 
-@router.post("", status_code=status.HTTP_201_CREATED, max_body_size=_LARGEST)
+def octets(content_type: Annotated[str, Header(include_in_schema=False)] = "") -> None:
+    """Refuses what a page elsewhere could make a browser send: forms and texts."""
+    if content_type.partition(";")[0].strip().lower() != NPZ:
+        detail = f"the body must be {NPZ}; given {content_type or 'no type'!r}"
+        raise HTTPException(status.HTTP_415_UNSUPPORTED_MEDIA_TYPE, detail)
+
+
+@router.post(
+    "",
+    status_code=status.HTTP_201_CREATED,
+    max_body_size=LARGEST,
+    dependencies=[Depends(octets)],
+)
 def upload(
     content: Annotated[
-        bytes, Body(media_type=_NPZ, description="an .npz of transitions, or a measurement")
+        bytes, Body(media_type=NPZ, description="an .npz of transitions, or a measurement")
     ],
     service: ServiceDependency,
     response: Response,
@@ -67,7 +79,7 @@ def content(dataset_id: str, service: ServiceDependency) -> Response:
         "ETag": f'"{record.sha256}"',
         "Content-Disposition": f'attachment; filename="{record.id}.npz"',
     }
-    return Response(found, media_type=_NPZ, headers=headers)
+    return Response(found, media_type=NPZ, headers=headers)
 
 
 @router.delete("/{dataset_id}", status_code=status.HTTP_204_NO_CONTENT)

@@ -9,17 +9,17 @@ from datetime import UTC, datetime
 from typing import Annotated, Literal
 
 import anyio
-from fastapi import APIRouter, Body, Header, Query, Response, status
+from fastapi import APIRouter, Body, Depends, Header, Query, Response, status
 from pydantic import Field
 
 from adr_service.wire import Wire
+from api.routes.datasets import LARGEST, NPZ, octets
 from api.routes.runs import LOOK_EVERY_S, PageSize, bytes_response
 from api.service import ServiceDependency
 from api.views import ClaimView, HeartbeatView, Page, TaskView, claim_view, page_of, task_view
 from db import target_tasks as store
 
 router = APIRouter(prefix="/v1/target_tasks", tags=["target tasks"])
-_LARGEST = 64_000_000  # bytes of a trajectory
 _Name = Annotated[str, Field(min_length=1, max_length=80)]
 _Lease = Annotated[str, Field(min_length=1, max_length=64)]
 
@@ -106,10 +106,10 @@ def heartbeat(
     return HeartbeatView(lease_expires_at=task.expires_at, cancel_requested=task.is_unwanted)
 
 
-@router.put("/{task_id}/trajectory", max_body_size=_LARGEST)
+@router.put("/{task_id}/trajectory", max_body_size=LARGEST, dependencies=[Depends(octets)])
 def upload(
     task_id: str,
-    content: Annotated[bytes, Body(media_type="application/octet-stream")],
+    content: Annotated[bytes, Body(media_type=NPZ)],
     lease: Annotated[_Lease, Header()],
     service: ServiceDependency,
 ) -> TaskView:
