@@ -13,25 +13,25 @@ from typing import Annotated
 from fastapi import Depends, Header, Request
 from pydantic import BaseModel
 
+import adr_service
 from adr_service.benchmark.comparison import Outcome
 from adr_service.benchmark.utilisation import utilisation
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Nominal, check_measurement
 from adr_service.errors import AdrError
-from adr_service.events import IterationFinished
 from adr_service.specs import AnyRun, CriticismSpec, RunSpec
 from adr_service.target import Recording
 from adr_service.tasks.catalogue import get_task, source_of
-from adr_service.wire import sha256
+from adr_service.wire import canonical_json, sha256
 from api.settings import Settings
-from api.views import CostView, cost_view
+from api.views import CostView, cost_view, results_view
 from db import datasets as dataset_store
 from db import runs as store
 from db import stages as stage_store
 from db import target_tasks as task_store
 from db.requests import RequestKey
 from db.runs import RunRecord
-from db.session import Database, DiskFull, open_database
+from db.session import Database, DatabaseUnavailable, DiskFull, open_database
 from db.target_tasks import TargetTask
 from workers.cluster import RayOptions
 from workers.orchestrator import Orchestrator
@@ -53,12 +53,11 @@ class Service:
 
     def outcomes(self, records: Sequence[RunRecord]) -> list[Outcome]:
         """Everything that the runs have found so far, and how long it took."""
+        specs = {record.id: record.spec for record in records}
         found = [
-            (record.spec, event.event)
-            for record in records
-            if isinstance(record.spec, RunSpec)
-            for event in store.events_of(self.database, record.id, type="iteration_finished")
-            if isinstance(event.event, IterationFinished)
+            (spec, event)
+            for run_id, event in store.iterations_of(self.database, list(specs))
+            if isinstance(spec := specs[run_id], RunSpec)
         ]
         digests = [digest for _, event in found for digest in event.inferences]
         seconds = stage_store.seconds_of(self.database, digests)
@@ -66,6 +65,22 @@ class Service:
             Outcome(spec, event, sum(seconds[d] for d in event.inferences) or None)
             for spec, event in found
         ]
+
+    def results(self, id: str, records: Sequence[RunRecord]) -> str:
+        """The result table of a run or a benchmark, a ResultsView's JSON.
+
+        Its bootstraps take seconds, so it is kept until one of the runs has found more.
+        """
+        found = [[record.id, record.updated_at.isoformat()] for record in records]
+        version = sha256(canonical_json([adr_service.__version__, found]).encode())
+        known = store.kept_results(self.database, id, version)
+        if known is None:
+            known = results_view(self.outcomes(records)).model_dump_json()
+            try:
+                store.keep_results(self.database, id, version, known)
+            except DatabaseUnavailable as error:
+                log.warning("the results of %s are not kept: %s", id, error)
+        return known
 
     def cost(self, records: Sequence[RunRecord]) -> CostView:
         """What the runs have cost so far."""

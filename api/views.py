@@ -1,26 +1,27 @@
 """What the API answers: domain values with their links."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from typing import Any, Generic, TypeVar
 
-from pydantic import BaseModel
+from pydantic import BaseModel, SkipValidation
 
 from adr_service.benchmark.comparison import Outcome, comparisons, costs, decode, estimates, table
 from adr_service.benchmark.protocol import Plan
 from adr_service.benchmark.utilisation import Timing, Utilisation
 from adr_service.events import (
+    FINISHED,
     CriticismFinished,
     RunEvent,
     RunState,
     StageFinished,
     TrainingEvaluated,
 )
-from adr_service.specs import AnyRun, BenchmarkSpec, CriticismSpec, RecordedTarget, RunSpec
+from adr_service.specs import BenchmarkSpec, CriticismSpec, RecordedTarget, RunSpec
 from adr_service.tasks.catalogue import get_task
 from db.datasets import DatasetRecord
-from db.runs import BenchmarkRecord, EventRecord, RunRecord, states_of
+from db.runs import BenchmarkRecord, EventRecord, RunRecord
 from db.target_tasks import TargetTask
 from workers.dispatcher import Activity
 
@@ -63,18 +64,25 @@ class RunView(BaseModel):
     updated_at: datetime
     error: RunError | None
     progress: list[ActivityView]
-    spec: AnyRun
+    spec: SkipValidation[
+        RunSpec | CriticismSpec
+    ]  # it is valid, and checking a benchmark takes a while
     links: dict[str, str]
 
 
-class BenchmarkView(BaseModel):
+class BenchmarkSummary(BaseModel):
+    """A benchmark in a list."""
+
     id: str
     created_at: datetime
     states: dict[str, int]
     is_finished: bool
-    spec: BenchmarkSpec
-    runs: list[RunView]
+    spec: SkipValidation[BenchmarkSpec]
     links: dict[str, str]
+
+
+class BenchmarkView(BenchmarkSummary):
+    runs: list[RunView]
 
 
 class PlannedRun(BaseModel):
@@ -87,7 +95,7 @@ class PlannedRun(BaseModel):
 class PlannedBenchmark(BaseModel):
     """What a benchmark would cost, and its runs."""
 
-    spec: BenchmarkSpec
+    spec: SkipValidation[BenchmarkSpec]
     runs: list[RunSpec]
     plan: Plan
 
@@ -281,17 +289,19 @@ def criticism_view(run: RunView, finished: CriticismFinished | None) -> Criticis
     )
 
 
-def benchmark_view(
-    record: BenchmarkRecord, runs: Sequence[RunView], records: Sequence[RunRecord]
-) -> BenchmarkView:
+def benchmark_view(summary: BenchmarkSummary, runs: Sequence[RunView]) -> BenchmarkView:
+    return BenchmarkView(**dict(summary), runs=list(runs))
+
+
+def benchmark_summary(record: BenchmarkRecord, states: Mapping[str, int]) -> BenchmarkSummary:
+    """`states` are the numbers of its runs in each."""
     here = f"/v1/benchmarks/{record.id}"
-    return BenchmarkView(
+    return BenchmarkSummary(
         id=record.id,
         created_at=record.created_at,
-        states=states_of(records),
-        is_finished=all(run.is_finished for run in records),
+        states=dict(states),
+        is_finished=set(states) <= FINISHED,
         spec=record.spec,
-        runs=list(runs),
         links={
             "self": here,
             "page": f"/benchmarks/{record.id}",

@@ -68,6 +68,7 @@ class RunRow(Base):
         Index(None, "state"),
         Index(None, "benchmark_id"),
         Index(None, "dataset_id"),
+        Index(None, "task", "method"),
     )
 
     number: Mapped[int] = mapped_column(primary_key=True)  # order of submission
@@ -190,6 +191,16 @@ class TargetTaskRow(Base):
     policy_sha256: Mapped[str | None] = mapped_column(ForeignKey("artifacts.sha256"), index=True)
     error: Mapped[str | None] = mapped_column(Text)
     created_at: Mapped[datetime] = mapped_column(Utc)
+
+
+class ResultsRow(Base):
+    """The result table of a run or a benchmark, which takes a while to compute."""
+
+    __tablename__ = "results"
+
+    id: Mapped[str] = mapped_column(String(40), primary_key=True)
+    version: Mapped[str] = mapped_column(String(64))  # of what it was computed from
+    body: Mapped[str] = mapped_column(Text)
 
 
 class RequestRow(Base):

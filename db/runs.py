@@ -4,6 +4,7 @@ import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 
 from pydantic import TypeAdapter
 from sqlalchemy import delete, func, select
@@ -11,6 +12,7 @@ from sqlalchemy.orm import Session
 
 from adr_service.events import (
     FINISHED,
+    IterationFinished,
     RunEvent,
     RunFailed,
     RunQueued,
@@ -21,7 +23,7 @@ from adr_service.events import (
 from adr_service.specs import AnyRun, BenchmarkExtension, BenchmarkSpec, RunSpec
 from db.datasets import get_dataset
 from db.errors import NotFound, NotPossible
-from db.models import BenchmarkRow, EventRow, RunRow
+from db.models import BenchmarkRow, EventRow, ResultsRow, RunRow
 from db.requests import RequestKey, once
 from db.session import CHUNK, Database
 from db.stages import delete_unreferenced
@@ -62,6 +64,16 @@ class EventRecord:
     seq: int
     created_at: datetime
     event: RunEvent
+
+
+@lru_cache(maxsize=4096)  # parsing costs more than reading, and they never change
+def _run_spec(text: str) -> AnyRun:
+    return _ANY_RUN.validate_json(text)
+
+
+@lru_cache(maxsize=256)
+def _benchmark_spec(text: str) -> BenchmarkSpec:
+    return BenchmarkSpec.model_validate_json(text)
 
 
 def create_run(database: Database, spec: AnyRun, key: RequestKey | None = None) -> RunRecord:
@@ -262,6 +274,7 @@ def delete_run(database: Database, run_id: str) -> None:
                 "delete the benchmark"
             )
         session.execute(delete(RunRow).where(RunRow.id == run_id))
+        session.execute(delete(ResultsRow).where(ResultsRow.id == run_id))
         delete_unreferenced(session)
 
 
@@ -274,10 +287,26 @@ def delete_benchmark(database: Database, benchmark_id: str) -> None:
         mine = RunRow.benchmark_id == benchmark_id
         if session.scalar(select(RunRow.id).where(mine, RunRow.state.not_in(FINISHED)).limit(1)):
             raise NotPossible(f"benchmark {benchmark_id} is not finished; cancel it first")
+        of_runs = select(RunRow.id).where(mine).scalar_subquery()
+        both = (ResultsRow.id == benchmark_id) | ResultsRow.id.in_(of_runs)
+        session.execute(delete(ResultsRow).where(both))
         session.execute(delete(RunRow).where(mine))
         session.delete(row)
         session.flush()
         delete_unreferenced(session)
+
+
+def kept_results(database: Database, id: str, version: str) -> str | None:
+    """The result table of a run or a benchmark, if it was computed from this version."""
+    with database.read() as session:
+        row = session.get(ResultsRow, id)
+        return row.body if row is not None and row.version == version else None
+
+
+def keep_results(database: Database, id: str, version: str, body: str) -> None:
+    """Keep a result table in the place of the one before."""
+    with database.write("keep_results") as session:
+        session.merge(ResultsRow(id=id, version=version, body=body))
 
 
 def exists(session: Session, run_id: str) -> bool:
@@ -292,9 +321,9 @@ def extend_benchmark(
         row = session.scalar(select(BenchmarkRow).where(BenchmarkRow.id == benchmark_id))
         if row is None:
             raise NotFound("benchmark", benchmark_id)
-        spec = BenchmarkSpec.model_validate_json(row.spec).extended(extension)
+        spec = _benchmark_spec(row.spec).extended(extension)
         mine = session.scalars(select(RunRow.spec).where(RunRow.benchmark_id == benchmark_id))
-        present = {_cell(run): run for run in map(RunSpec.model_validate_json, mine)}
+        present = {_cell(run): run for run in map(_run_spec, mine) if isinstance(run, RunSpec)}
         added: list[RunRecord] = []
         for run in spec.runs():
             before = present.get(_cell(run))
@@ -354,7 +383,7 @@ def _record(row: RunRow) -> RunRecord:
         row.benchmark_id,
         row.created_at,
         row.updated_at,
-        _ANY_RUN.validate_json(row.spec),
+        _run_spec(row.spec),
         _state(row),
         row.submission,
         row.cancel_requested,
@@ -364,8 +393,7 @@ def _record(row: RunRow) -> RunRecord:
 
 
 def _benchmark(row: BenchmarkRow) -> BenchmarkRecord:
-    spec = BenchmarkSpec.model_validate_json(row.spec)
-    return BenchmarkRecord(row.number, row.id, row.created_at, spec)
+    return BenchmarkRecord(row.number, row.id, row.created_at, _benchmark_spec(row.spec))
 
 
 def _state(row: RunRow) -> RunState:
@@ -380,9 +408,28 @@ def _now() -> datetime:
     return datetime.now(UTC)
 
 
-def states_of(records: Sequence[RunRecord]) -> dict[str, int]:
-    """How many of the runs are in each state."""
-    counts: dict[str, int] = {}
-    for record in records:
-        counts[record.state] = counts.get(record.state, 0) + 1
-    return counts
+def states_of(database: Database, benchmark_ids: Sequence[str]) -> dict[str, dict[str, int]]:
+    """By benchmark, how many of its runs are in each state."""
+    found: dict[str, dict[str, int]] = {id: {} for id in benchmark_ids}
+    mine = RunRow.benchmark_id.in_(benchmark_ids)
+    query = select(RunRow.benchmark_id, RunRow.state, func.count(), func.min(RunRow.number))
+    grouped = query.where(mine).group_by(RunRow.benchmark_id, RunRow.state)
+    with database.read() as session:
+        for id, state, count, _ in session.execute(grouped.order_by(func.min(RunRow.number))):
+            found[str(id)][state] = count
+    return found
+
+
+def iterations_of(
+    database: Database, run_ids: Sequence[str]
+) -> list[tuple[str, IterationFinished]]:
+    """(run id, event) of all iterations of the runs, in the order of `run_ids`."""
+    found: dict[str, list[IterationFinished]] = {id: [] for id in run_ids}
+    finished = EventRow.type == "iteration_finished"
+    with database.read() as session:
+        for first in range(0, len(run_ids), CHUNK):
+            mine = EventRow.run_id.in_(run_ids[first : first + CHUNK])
+            query = select(EventRow.run_id, EventRow.body).where(mine, finished)
+            for run_id, body in session.execute(query.order_by(EventRow.seq)):
+                found[run_id].append(IterationFinished.model_validate_json(body))
+    return [(run_id, event) for run_id, events in found.items() for event in events]

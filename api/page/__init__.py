@@ -8,7 +8,7 @@ from fastapi.templating import Jinja2Templates
 from adr_service.benchmark.claims import reports
 from adr_service.benchmark.comparison import table
 from adr_service.benchmark.figures import FIGURES, drawable
-from api.routes.benchmarks import view
+from api.routes.benchmarks import summaries, view
 from api.service import ServiceDependency
 from db import runs as store
 
@@ -20,11 +20,12 @@ _templates = Jinja2Templates(Path(__file__).parent / "templates")
 @router.get("/")
 def index(request: Request, service: ServiceDependency) -> Response:
     benchmarks, single = store.latest(service.database, _SHOWN)
+    summary = summaries(service, benchmarks)
     return _templates.TemplateResponse(
         request,
         "index.html",
         {
-            "benchmarks": [view(service, record) for record in benchmarks],
+            "benchmarks": [summary(record) for record in benchmarks],
             "runs": single,
             "ray": service.orchestrator.dashboard_url,
         },

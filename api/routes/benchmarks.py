@@ -1,8 +1,8 @@
 """/v1/benchmarks: grids of runs, their results and figures."""
 
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
-from functools import partial
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Body, Query, Response, status
@@ -14,14 +14,15 @@ from adr_service.specs import BenchmarkExtension, BenchmarkSpec
 from api.routes.runs import CSV, MEDIA, PageSize, plan_here
 from api.service import IdempotencyKey, Service, ServiceDependency, request_key
 from api.views import (
+    BenchmarkSummary,
     BenchmarkView,
     CostView,
     Page,
     PlannedBenchmark,
     ResultsView,
+    benchmark_summary,
     benchmark_view,
     page_of,
-    results_view,
     run_view,
 )
 from db import runs as store
@@ -60,10 +61,10 @@ def list_benchmarks(
     service: ServiceDependency,
     page_size: PageSize = 100,
     page_token: Annotated[int, Query(ge=0, lt=2**63)] = 0,
-) -> Page[BenchmarkView]:
-    """Benchmarks in order of submission."""
+) -> Page[BenchmarkSummary]:
+    """Benchmarks in order of submission, without their runs."""
     found = store.list_benchmarks(service.database, after=page_token, limit=page_size + 1)
-    return page_of(found, page_size, partial(view, service), lambda record: record.number)
+    return page_of(found, page_size, summaries(service, found), lambda record: record.number)
 
 
 @router.get("/{benchmark_id}")
@@ -112,12 +113,12 @@ def delete(benchmark_id: str, service: ServiceDependency) -> None:
 @router.get("/{benchmark_id}/results", response_model=ResultsView, responses=CSV)
 def results(
     benchmark_id: str, service: ServiceDependency, format: Literal["json", "csv"] = "json"
-) -> ResultsView | Response:
+) -> Response:
     """The result table of all methods, after every iteration; and comparisons."""
-    outcomes = service.outcomes(store.runs_of(service.database, benchmark_id))
+    records = store.runs_of(service.database, benchmark_id)
     if format == "csv":
-        return Response(to_csv(table(outcomes)), media_type="text/csv")
-    return results_view(outcomes)
+        return Response(to_csv(table(service.outcomes(records))), media_type="text/csv")
+    return Response(service.results(benchmark_id, records), media_type="application/json")
 
 
 @router.get("/{benchmark_id}/claims")
@@ -160,7 +161,15 @@ def _start(service: Service, spec: BenchmarkSpec, key: str | None) -> BenchmarkR
     return record
 
 
+def summaries(
+    service: Service, records: Sequence[BenchmarkRecord]
+) -> Callable[[BenchmarkRecord], BenchmarkSummary]:
+    """What shows each of these benchmarks in a list."""
+    states = store.states_of(service.database, [record.id for record in records])
+    return lambda record: benchmark_summary(record, states[record.id])
+
+
 def view(service: Service, record: BenchmarkRecord) -> BenchmarkView:
-    records = store.runs_of(service.database, record.id)
-    runs = [run_view(run, service.orchestrator.activities(run.id)) for run in records]
-    return benchmark_view(record, runs, records)
+    runs = store.list_runs(service.database, benchmark_id=record.id, limit=-1)
+    views = [run_view(run, service.orchestrator.activities(run.id)) for run in runs]
+    return benchmark_view(summaries(service, [record])(record), views)

@@ -28,7 +28,6 @@ from api.views import (
     distribution_view,
     event_view,
     page_of,
-    results_view,
     run_view,
     training_views,
 )
@@ -179,12 +178,12 @@ async def stream(
 @router.get("/{run_id}/results", response_model=ResultsView, responses=CSV)
 def results(
     run_id: str, service: ServiceDependency, format: Literal["json", "csv"] = "json"
-) -> ResultsView | Response:
+) -> Response:
     """Its result table, after every iteration; and comparisons, estimates, costs."""
-    outcomes = service.outcomes([store.get_run(service.database, run_id)])
+    record = store.get_run(service.database, run_id)
     if format == "csv":
-        return Response(to_csv(table(outcomes)), media_type="text/csv")
-    return results_view(outcomes)
+        return Response(to_csv(table(service.outcomes([record]))), media_type="text/csv")
+    return Response(service.results(run_id, [record]), media_type="application/json")
 
 
 @router.get("/{run_id}/cost")

@@ -1,4 +1,4 @@
-"""tasks of targets, simulated ones and robots; requests that came with a key"""
+"""tasks of targets, simulated ones and robots; requests that came with a key; tables"""
 
 import sqlalchemy as sa
 from alembic import op
@@ -63,8 +63,18 @@ def upgrade() -> None:
         sa.PrimaryKeyConstraint("key", name=op.f("pk_requests")),
     )
     op.create_index(op.f("ix_requests_created_at"), "requests", ["created_at"])
+    op.create_table(
+        "results",
+        sa.Column("id", sa.String(length=40), nullable=False),
+        sa.Column("version", sa.String(length=64), nullable=False),
+        sa.Column("body", sa.Text(), nullable=False),
+        sa.PrimaryKeyConstraint("id", name=op.f("pk_results")),
+    )
+    op.create_index(op.f("ix_runs_task_method"), "runs", ["task", "method"])
 
 
 def downgrade() -> None:
+    op.drop_index(op.f("ix_runs_task_method"), "runs")
+    op.drop_table("results")
     op.drop_table("requests")
     op.drop_table("target_tasks")
