@@ -9,7 +9,7 @@ from adr_service.stages import Stage, StageResult, events_of
 from workers.cluster import ClusterUnavailable
 from workers.dispatcher import Dispatcher
 
-_POLL_S = 0.2
+_POLL_S = 1.0  # to look whether the run is to stop
 
 
 class RayStages:
