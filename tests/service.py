@@ -51,7 +51,7 @@ class RunningService:
 
 @contextmanager
 def start_service(
-    data_dir: Path, *, cpus: int, environment: Mapping[str, str] | None = None
+    data_dir: Path, *, cpus: int | None, environment: Mapping[str, str] | None = None
 ) -> Generator[RunningService]:
     """A service on a free port; terminated by pid when the block ends."""
     with socket.socket() as probe:
@@ -59,7 +59,8 @@ def start_service(
         port = probe.getsockname()[1]
     log = data_dir / f"service-{port}.log"
     command = [sys.executable, "-m", "api", "serve", "--port", str(port)]
-    command += ["--data-dir", str(data_dir), "--cpus", str(cpus)]
+    command += ["--data-dir", str(data_dir)]
+    command += [] if cpus is None else ["--cpus", str(cpus)]  # None: of a cluster that is there
     # Ray's default folder is shared by everyone on the machine; ours must be short for sockets
     its_own = {**os.environ, "HOME": str(data_dir), **(environment or {})}
     with log.open("wb") as output:

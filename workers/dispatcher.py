@@ -384,6 +384,16 @@ class Dispatcher:
             self._board_ref = self._board.news.remote()
             self._slots.refresh()
             self.cores = len(self._slots)
+            if self._slots.nodes == 0 and self._options.address == "local":
+                self._restart_ray()
+
+    def _restart_ray(self) -> None:
+        """Our own cluster has died: start another, and what was running again."""
+        log.warning("Ray has died; starting it again")
+        ray.shutdown()
+        self._start_ray()
+        for job in self._jobs.values():
+            job.ref, job.actor, job.sign = None, None, None
 
     def _end_the_silent(self) -> None:
         """Kill processes that hang after they had begun, which then are lost like any other."""

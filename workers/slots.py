@@ -57,6 +57,7 @@ class Slots:
     def __init__(self, keep_idle_s: float):
         self._keep_idle_s = keep_idle_s
         self._slots: list[Slot] = []
+        self.nodes = 0  # alive, as last seen
         self._numbers = itertools.count(1)  # Ray frees the name of a dead actor late, if at all
         self.refresh()
 
@@ -66,6 +67,7 @@ class Slots:
     def refresh(self) -> None:
         """Follow nodes that came and went, and end who has been idle for too long."""
         cores = {n["NodeID"]: int(n["Resources"].get("CPU", 0)) for n in ray.nodes() if n["Alive"]}
+        self.nodes = len(cores)
         known = [slot.node for slot in self._slots]
         self._slots = [slot for slot in self._slots if slot.busy or slot.node in cores]
         for node, count in cores.items():

@@ -1,0 +1,78 @@
+"""A cluster of three nodes, one of which dies: the same bytes as on one node."""
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from tests.acceptance.test_faults import committed
+from tests.acceptance.test_kills import BENCHMARK, WORK, until, working
+from tests.service import start_service, wait_until_finished
+
+pytestmark = [pytest.mark.ray, pytest.mark.slow]
+
+
+@pytest.fixture(scope="module")
+def on_one_node(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("one")
+    with start_service(folder, cpus=2) as running:
+        id = running.client.submit_benchmark(BENCHMARK)["id"]
+        wait_until_finished(running.client, id, 240)
+        return running.client.results_csv(id), committed(folder)
+
+
+@pytest.fixture
+def secret(tmp_path):
+    """What every process of the cluster must know."""
+    token = tmp_path / "token"
+    token.write_text("t" * 40)
+    return {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)}
+
+
+@pytest.fixture
+def nodes(secret):
+    """A head and two workers; see `tests.nodes`."""
+    environment = {**os.environ, **secret}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    command = [sys.executable, "-m", "tests.nodes"]
+    with subprocess.Popen(command, env=environment, text=True, **pipes) as process:
+        yield process
+        process.stdin.close()
+        process.wait(60)
+
+
+def told(process, word):
+    """The rest of the next line that begins with a word; Ray prints others."""
+    for line in process.stdout:
+        if line.startswith(word):
+            return line.removeprefix(word).strip()
+    raise RuntimeError("the nodes have ended")
+
+
+def test_a_node_that_dies_in_the_middle_changes_nothing(tmp_path, on_one_node, cluster):
+    table, stages = on_one_node
+    started, workers = cluster
+    folder = tmp_path / "data"
+    folder.mkdir()
+    with start_service(
+        folder, cpus=None, environment={"ADR_RAY_ADDRESS": started.address}
+    ) as service:
+        assert service.client.ready()["cores"] == 2
+        id = service.client.submit_benchmark(BENCHMARK)["id"]
+        until(lambda: working(service.client, id, WORK["trainer"]))
+        before = committed(folder)
+        nodes.stdin.write("\n")
+        nodes.stdin.flush()
+        told(nodes, "removed")
+        final = wait_until_finished(service.client, id, 280)
+        assert final["states"] == {"succeeded": 4}
+        assert service.client.results_csv(id) == table
+        attempts = re.findall(r"stage \w+ (\w{64}): attempt (\d)", service.log.read_text())
+        assert service.client.ready()["cores"] == 1
+    lost = len(stages - committed(folder))
+    twice = sum(digest in before for digest, number in attempts if number != "1")
+    sys.stderr.write(f"node removed: runs completed 4, lost {lost}, committed twice {twice}\n")
+    assert (lost, twice) == (0, 0)
+    assert {number for _, number in attempts} == {"1", "2"}
