@@ -115,9 +115,13 @@ class Service:
                 "(ADR_MAX_LIVE_RUNS)"
             )
 
+    def free_disk(self) -> int:
+        """Bytes that are left where results are."""
+        return shutil.disk_usage(self.settings.data_dir).free
+
     def check_disk(self) -> None:
         """Refuse new work while the disk is nearly full; what runs may end."""
-        free, floor = shutil.disk_usage(self.settings.data_dir).free, self.settings.disk_floor_mb
+        free, floor = self.free_disk(), self.settings.disk_floor_mb
         if free < floor * 1e6:
             raise DiskFull(
                 f"the disk that has the results has {free / 1e6:.0f} MB left; new work is refused "

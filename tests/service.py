@@ -66,7 +66,7 @@ def start_service(
     with log.open("wb") as output:
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=its_own)
     try:
-        with AdrClient(f"http://127.0.0.1:{port}") as client:
+        with AdrClient(f"http://127.0.0.1:{port}", its_own.get("ADR_TOKEN", "")) as client:
             _wait(client, process, log)
             yield RunningService(process, client, data_dir, log)
     finally:

@@ -35,6 +35,7 @@ MAX_ATTEMPTS = 3
 _TICK_S = 0.05
 _READ_BOARD_S = 0.5
 _SILENT_S = 60.0  # without a sign of life, which comes every second: the process hangs
+_DEATH_TOLD_S = 20.0  # Ray needs 10 to 15 to notice that a node has died
 # light stages first: they are short, and trainings wait for them
 _PRIORITY: dict[Role, int] = {"target": 0, "inference": 1, "trainer": 2}
 
@@ -61,6 +62,7 @@ class _Job:
     placed: float = 0.0
     losses: int = 0  # attempts whose process was lost
     lost_on: str | None = None  # the node of the last one
+    lost_at: float = 0.0  # monotonic
     ref: Any = None  # of the running call
     actor: Actor | None = None
     sign: SignOfLife | None = None
@@ -75,6 +77,11 @@ class _Job:
     @property
     def run_ids(self) -> list[str]:
         return list(dict.fromkeys(waiter.run_id for waiter in self.waiters))
+
+    @property
+    def avoid(self) -> str | None:
+        """A node that may have died with the last attempt."""
+        return self.lost_on if time.monotonic() - self.lost_at < _DEATH_TOLD_S else None
 
     def is_wanted_by(self, run_id: str) -> bool:
         return run_id in self.run_ids
@@ -147,10 +154,11 @@ class Dispatcher:
         """No robot can do an episode, and says why."""
         self._inbox.put(lambda: self._refused(digest, message))
 
-    def activities(self, run_id: str) -> list[Activity]:
-        """What is in the works for a run, running stages first."""
+    def activities(self, run_id: str | None = None) -> list[Activity]:
+        """What is in the works for a run, or for all, running stages first."""
         now = time.monotonic()
-        mine = [job for job in list(self._jobs.values()) if job.is_wanted_by(run_id)]
+        jobs = list(self._jobs.values())
+        mine = [job for job in jobs if run_id is None or job.is_wanted_by(run_id)]
         found = [_activity(job, now) for job in sorted(mine, key=lambda job: job.number)]
         return sorted(found, key=lambda activity: activity.state)  # "running" before "waiting"
 
@@ -266,9 +274,9 @@ class Dispatcher:
         waiting = [j for j in jobs if j.ref is None and j.finished is None and j.waiters]
         ours = [job for job in waiting if job.role in _PRIORITY]  # others are the robots'
         for job in sorted(ours, key=lambda job: (_PRIORITY[job.role], job.number)):
-            actor = self._slots.take(job.role, job.started_by, avoid=job.lost_on)
+            actor = self._slots.take(job.role, job.started_by, avoid=job.avoid)
             if actor is None:
-                return
+                continue
             try:
                 job.lease = self._ledger.begin(job.stage, job.started_by, actor.name)
             except DatabaseUnavailable as error:
@@ -353,7 +361,8 @@ class Dispatcher:
         """A process died under a job: another attempt, or the end."""
         log.warning("%s: lost attempt %d: %s", job.stage.kind, job.attempt, error)
         self._slots.lose(actor)
-        job.losses, job.lost_on = job.losses + 1, actor.slot.node
+        job.losses += 1
+        job.lost_on, job.lost_at = actor.slot.node, time.monotonic()
         if not job.waiters:
             self._give_up(job)
         elif job.losses >= MAX_ATTEMPTS:

@@ -114,7 +114,8 @@ class Orchestrator:
     def dashboard_url(self) -> str | None:
         return self._dispatcher.dashboard_url
 
-    def activities(self, run_id: str) -> list[Activity]:
+    def activities(self, run_id: str | None = None) -> list[Activity]:
+        """What is in the works, for a run or for all."""
         return self._dispatcher.activities(run_id)
 
     def _guard(self, record: RunRecord, flag: threading.Event) -> None:

@@ -80,14 +80,16 @@ class Slots:
                 ray.kill(actor.handle)
 
     def take(self, role: Role, run_id: str, avoid: str | None) -> Actor | None:
-        """An actor for a stage, warm if possible, and where possible not on the node to avoid.
+        """An actor for a stage, warm if possible, and not on the node to avoid if there are others.
 
         None: all cores are busy. A new actor is named after the run that it is started for.
         """
+        others = {slot.node for slot in self._slots} - {avoid}
         free = [slot for slot in self._slots if slot.busy is None]
+        free = [slot for slot in free if slot.node != avoid or not others]
         if not free:
             return None
-        slot = min(free, key=lambda slot: (slot.node == avoid, slot.able(role) is None))
+        slot = min(free, key=lambda slot: slot.able(role) is None)
         slot.busy = slot.able(role) or self._start(slot, _ABLE[role][0], run_id)
         return slot.busy
 

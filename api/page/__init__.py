@@ -32,6 +32,13 @@ def index(request: Request, service: ServiceDependency) -> Response:
     )
 
 
+@router.get("/docs")
+def docs(request: Request) -> Response:
+    """The API's reference, from its own description."""
+    description = request.app.openapi()
+    return _templates.TemplateResponse(request, "docs.html", {"api": description})
+
+
 @router.get("/benchmarks/{benchmark_id}")
 def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -> Response:
     shown = view(service, store.get_benchmark(service.database, benchmark_id))

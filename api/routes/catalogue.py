@@ -11,6 +11,7 @@ from adr_service.presets import PRESETS
 from adr_service.simulation.batch import control_period
 from adr_service.tasks.catalogue import catalogue
 from api.errors import problem
+from api.metrics import CONTENT_TYPE, exposition
 from api.routes.runs import artifact_response
 from api.service import ServiceDependency
 
@@ -80,6 +81,16 @@ def readyz(service: ServiceDependency) -> dict[str, Any] | Response:
         "cores": service.orchestrator.cores,
         "dashboard": service.orchestrator.dashboard_url,
     }
+
+
+@router.get(
+    "/metrics",
+    response_class=Response,
+    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+)
+def metrics(service: ServiceDependency) -> Response:
+    """How it does, for Prometheus."""
+    return Response(exposition(service), media_type=CONTENT_TYPE)
 
 
 @router.get("/version")

@@ -51,14 +51,12 @@ def told(process, word):
     raise RuntimeError("the nodes have ended")
 
 
-def test_a_node_that_dies_in_the_middle_changes_nothing(tmp_path, on_one_node, cluster):
+def test_a_node_that_dies_in_the_middle_changes_nothing(tmp_path, on_one_node, nodes, secret):
     table, stages = on_one_node
-    started, workers = cluster
     folder = tmp_path / "data"
     folder.mkdir()
-    with start_service(
-        folder, cpus=None, environment={"ADR_RAY_ADDRESS": started.address}
-    ) as service:
+    environment = {**secret, "ADR_RAY_ADDRESS": told(nodes, "address")}
+    with start_service(folder, cpus=None, environment=environment) as service:
         assert service.client.ready()["cores"] == 2
         id = service.client.submit_benchmark(BENCHMARK)["id"]
         until(lambda: working(service.client, id, WORK["trainer"]))

@@ -1,0 +1,200 @@
+"""A walk through the threats of docs/security.md: a test for each row, or its reason there."""
+
+import base64
+import re
+import stat
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import httpx2
+import pytest
+
+from api.page import router as page_router
+from tests.service import start_service
+
+pytestmark = pytest.mark.ray
+ROOT = Path(__file__).parents[1]
+TOKEN, ROBOT = "u" * 32, "r" * 32
+RUN = {"task": "arm", "method": "prior", "preset": "smoke"}
+XSS = "<script>alert(1)</script>"
+
+
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory):
+    """A service with tokens, few live runs and a low rate, in a folder that was open to all."""
+    folder = tmp_path_factory.mktemp("guarded")
+    folder.chmod(0o755)
+    environment = {
+        "ADR_TOKEN": TOKEN,
+        "ADR_ROBOT_TOKEN": ROBOT,
+        "ADR_RATE": "200/second",
+        "ADR_MAX_LIVE_RUNS": "3",
+    }
+    with start_service(folder, cpus=1, environment=environment) as running:
+        yield running
+
+
+@pytest.fixture
+def http(guarded):
+    with httpx2.Client(base_url=guarded.client.url, timeout=60) as client:
+        yield client
+
+
+def bearer(token):
+    return {"Authorization": f"Bearer {token}"}
+
+
+def test_the_table_names_a_test_or_a_reason_for_every_threat():
+    table = (ROOT / "docs/security.md").read_text()
+    rows = [line.split("|")[1:-1] for line in table.splitlines() if line.startswith("| ")]
+    assert len(rows) > 11
+    here = "\n".join(path.read_text() for path in (ROOT / "tests").rglob("test_*.py"))
+    for threat, _, shown in rows[2:]:
+        tests = re.findall(r"`(test_\w+)`", shown)
+        assert tests or "no test:" in shown, threat
+        for name in tests:
+            assert f"def {name}(" in here, name
+
+
+def test_nothing_is_open_without_the_token_but_the_health_check(http, guarded):
+    assert http.get("/healthz").status_code == 200
+    routes = httpx2.get(f"{guarded.client.url}/openapi.json", headers=bearer(TOKEN)).json()["paths"]
+    pages = [route.path for route in page_router.routes]
+    for path in [*routes, *pages, "/openapi.json"]:
+        if path != "/healthz":
+            refused = http.get(path)
+            assert refused.status_code == 401, path
+            assert refused.headers["WWW-Authenticate"].startswith("Bearer")
+
+
+def test_a_robots_token_opens_its_tasks_and_nothing_else(http):
+    assert http.get("/v1/target_tasks", headers=bearer(ROBOT)).status_code == 200
+    claim = {"worker": "r", "tasks": ["arm"]}
+    assert http.post("/v1/target_tasks/claim", json=claim, headers=bearer(ROBOT)).status_code == 204
+    for method, path in (
+        ("GET", "/v1/runs"),
+        ("POST", "/v1/runs"),
+        ("GET", "/"),
+        ("GET", "/metrics"),
+    ):
+        assert http.request(method, path, headers=bearer(ROBOT)).status_code == 403
+
+
+def test_a_browser_reads_by_password_and_cannot_be_made_to_write(http):
+    password = base64.b64encode(f"anyone:{TOKEN}".encode()).decode()
+    basic = {"Authorization": f"Basic {password}"}
+    assert http.get("/", headers=basic).status_code == 200
+    assert http.post("/v1/runs", json=RUN, headers=basic).status_code == 401
+    for wrong in ("Basic !!!", "Basic", "Bearer", f"Bearer {TOKEN}x", f"Digest {TOKEN}"):
+        assert http.get("/", headers={"Authorization": wrong}).status_code == 401
+
+
+def test_a_name_that_is_not_the_services_is_refused(http):
+    refused = http.get("/healthz", headers={"Host": "attacker.example"})
+    assert refused.status_code == 400
+    assert "not a name of this service" in refused.json()["detail"]
+    assert http.get("/healthz", headers={"Host": "localhost:1"}).status_code == 200
+
+
+def test_browsers_are_told_to_load_and_run_nothing(http):
+    for path in ("/", "/docs", "/v1/runs", "/nothing"):
+        headers = http.get(path, headers=bearer(TOKEN)).headers
+        assert headers["Content-Security-Policy"].startswith("default-src 'none'")
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert "Access-Control-Allow-Origin" not in headers
+    pages = "".join(http.get(p, headers=bearer(TOKEN)).text for p in ("/", "/docs"))
+    assert "<script" not in pages
+    assert not re.search(r"(src=|<link[^>]*href=)\"(https?:)?//", pages)
+
+
+def test_names_that_are_markup_are_shown_and_not_run(http):
+    refused = http.get(f"/benchmarks/{XSS}", headers=bearer(TOKEN))
+    assert refused.headers["Content-Type"].startswith("application/problem+json")
+    for path in (f"/v1/runs?task={XSS}", f"/v1/runs/{XSS}"):
+        assert "json" in http.get(path, headers=bearer(TOKEN)).headers["Content-Type"]
+
+
+def test_code_does_not_come_in_by_a_spec(http):
+    for given in (
+        {**RUN, "task": "os:system"},
+        {**RUN, "runtime_env": {"pip": ["evil"]}},
+        {**RUN, "method": {"name": "prior", "entrypoint": "os:system"}},
+        {**RUN, "target": {"kind": "external", "env": "os:system"}},
+        {**RUN, "model": "<mujoco><include file='/etc/passwd'/></mujoco>"},
+    ):
+        assert http.post("/v1/runs", json=given, headers=bearer(TOKEN)).status_code == 422
+    xml = {**bearer(TOKEN), "Content-Type": "application/xml"}
+    assert http.post("/v1/datasets", content=b"<mujoco/>", headers=xml).status_code in (400, 415)
+
+
+def test_paths_do_not_lead_to_files(http):
+    for path in ("..%2f..%2fray_token", "%2e%2e/ray_token", "ray_token", "/etc/passwd"):
+        for place in ("/v1/artifacts/", "/v1/criticisms/x/", "/v1/datasets/"):
+            answer = http.get(place + path, headers=bearer(TOKEN))
+            assert answer.status_code == 404
+
+
+def test_more_requests_than_the_rate_wait(http):
+    answers = [http.get("/healthz") for _ in range(450)]
+    refused = [answer for answer in answers if answer.status_code == 429]
+    assert refused
+    assert {int(answer.headers["Retry-After"]) for answer in refused} == {1}
+    assert refused[0].headers["Content-Type"] == "application/problem+json"
+
+
+def test_more_runs_than_may_wait_are_refused(http):
+    long = {**RUN, "training": {"max_steps": 10_000_000, "stop_at_threshold": False}}
+    made = [
+        http.post("/v1/runs", json={**long, "seed": seed}, headers=bearer(TOKEN))
+        for seed in range(5)
+    ]
+    assert [answer.status_code for answer in made] == [202, 202, 202, 429, 429]
+    assert made[-1].headers["Retry-After"]
+    assert "ADR_MAX_LIVE_RUNS" in made[-1].json()["detail"]
+    grid = {"tasks": ["arm"], "methods": ["dropo"], "preset": "smoke"}
+    assert http.post("/v1/benchmarks", json=grid, headers=bearer(TOKEN)).status_code == 429
+    for answer in made[:3]:
+        http.post(f"/v1/runs/{answer.json()['id']}/cancel", headers=bearer(TOKEN))
+
+
+def test_secrets_are_in_no_log_and_no_answer(http, guarded):
+    http.get("/v1/runs", headers=bearer("w" * 32))
+    told = guarded.log.read_text() + http.get("/metrics", headers=bearer(TOKEN)).text
+    ray_token = (guarded.data_dir / "ray_token").read_text()
+    for secret in (TOKEN, ROBOT, "w" * 32, ray_token):
+        assert secret not in told
+
+
+def test_the_folder_is_the_owners_alone(guarded):
+    assert stat.S_IMODE(guarded.data_dir.stat().st_mode) == 0o700
+    assert "was open to others (mode 755)" in guarded.log.read_text()
+    assert stat.S_IMODE((guarded.data_dir / "ray_token").stat().st_mode) == 0o600
+
+
+def test_ray_asks_for_a_token_and_is_new_enough(guarded):
+    assert tuple(map(int, version("ray").split(".")[:2])) >= (2, 54)
+    raylets = [name for name in guarded.children.values() if "raylet/raylet" in name]
+    assert raylets
+    environ = Path(f"/proc/{guarded.process.pid}/environ").read_bytes()
+    assert b"RAY_AUTH_MODE=disabled" not in environ
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"ADR_HOST": "0.0.0.0"}, "refusing to listen"),  # noqa: S104
+        ({"ADR_HOST": "192.0.2.7", "ADR_TOKEN": "short"}, "16 characters or more"),
+        ({"ADR_ROBOT_TOKEN": ROBOT}, "of no use without ADR_TOKEN"),
+        ({"ADR_RATE": "many"}, "is no rate"),
+    ],
+)
+def test_it_does_not_start_open_by_mistake(tmp_path, given, told):
+    command = [sys.executable, "-m", "api", "serve", "--data-dir", str(tmp_path)]
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), **given}
+    ended = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=False, timeout=60, cwd=ROOT
+    )
+    assert ended.returncode == 2
+    assert told in ended.stderr.replace("\n", " ")
