@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-criticism bench-extension clean
+.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-criticism bench-extension bench-api clean
 
 setup: $(STAMP)
 
@@ -33,9 +33,9 @@ test: lint
 test-slow: setup
 	$(BIN)/pytest -m slow --timeout 3600
 
-# the service dies at every transaction in turn; the better part of an hour, by 4 of its 34 points
+# the service dies at every transaction in turn, then every kind of process, then a node; an hour
 test-faults: setup
-	$(BIN)/pytest -s --timeout 7200 tests/acceptance/test_faults.py
+	$(BIN)/pytest -s --timeout 7200 tests/acceptance/test_faults.py tests/acceptance/test_kills.py tests/acceptance/test_cluster.py
 
 protocol: setup
 	ADR_KEEP=build/protocol $(BIN)/pytest -m slow --timeout 10800 tests/test_protocol.py
@@ -60,6 +60,10 @@ bench-criticism: setup
 # half an hour on one core
 bench-extension: setup
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/extension.py
+
+# three minutes
+bench-api: setup
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/load.py
 
 clean:
 	rm -rf $(VENV) build *.egg-info
