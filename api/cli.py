@@ -65,7 +65,13 @@ def serve(
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no calls home
     sys.setswitchinterval(0.0005)  # many threads: who answers should not wait 5 ms for each of them
-    uvicorn.run(create_app(settings), host=settings.host, port=settings.port, log_level="info")
+    uvicorn.run(
+        create_app(settings),
+        host=settings.host,
+        port=settings.port,
+        log_level="info",
+        timeout_graceful_shutdown=5,  # for those who follow a stream
+    )
 
 
 @app.command()
@@ -422,7 +428,7 @@ def robot(
     from api import robot as client_of_a_robot  # imports Gymnasium
 
     limits = client_of_a_robot.Limits(max_seconds, tuple(max_action or ()))
-    connect = partial(_client, url)
+    connect = partial(AdrClient, url, os.environ.get("ADR_TOKEN", ""))
     worker = client_of_a_robot.Robot(connect, task, env, name, limits, console.print)
     worker.work(episodes)
 

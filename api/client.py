@@ -38,10 +38,10 @@ class Unreachable(AdrError):
 class AdrClient:
     """A connection to a running service. All answers are the service's JSON."""
 
-    def __init__(self, url: str = DEFAULT_URL, token: str = ""):
+    def __init__(self, url: str = DEFAULT_URL, token: str = "", timeout_s: float = 60.0):
         headers = {"Authorization": f"Bearer {token}"} if token else {}
         self.url = url.rstrip("/")
-        self._http = httpx2.Client(base_url=self.url, headers=headers, timeout=60.0)
+        self._http = httpx2.Client(base_url=self.url, headers=headers, timeout=timeout_s)
 
     def __enter__(self) -> Self:
         return self
@@ -208,7 +208,7 @@ class AdrClient:
             ) from error
         if response.is_error:
             wait = response.headers.get("Retry-After")
-            after = None if wait is None else float(wait)
+            after = float(wait) if wait is not None and wait.isdigit() else None
             raise Refused(response.status_code, _explain(response), after)
         return response
 

@@ -15,7 +15,9 @@ class Etags:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http" and scope["method"] == "GET":
             known = Headers(scope=scope).get("if-none-match", "")
-            send = _Tagged(send, {tag.strip() for tag in known.split(",")}).send
+            # a proxy that compresses makes a tag weak
+            tags = {tag.strip().removeprefix("W/") for tag in known.split(",")}
+            send = _Tagged(send, tags).send
         await self._app(scope, receive, send)
 
 
@@ -32,8 +34,14 @@ class _Tagged:
                 return
         elif self._start is not None:
             start, self._start = self._start, None
+            if message.get("more_body"):  # it comes in parts, of which this is one
+                await self._send(start)
+                await self._send(message)
+                return
             headers = MutableHeaders(raw=start["headers"])
-            tag = headers.setdefault("ETag", f'"{sha256(message["body"])[:32]}"')
+            tag = headers.get("ETag")
+            if tag is None:
+                tag = headers["ETag"] = f'"{sha256(message["body"])[:32]}"'
             if tag in self._known or "*" in self._known:
                 start["status"], message = 304, {**message, "body": b""}
                 del headers["content-length"]

@@ -4,7 +4,6 @@ Plain ASGI, so that streams pass through unbuffered.
 """
 
 import base64
-import binascii
 import hmac
 import math
 import re
@@ -149,10 +148,10 @@ def _token(headers: Headers, method: str) -> bytes:
     """The token of a request; as a password only for reading, since browsers resend those."""
     kind, _, value = headers.get("authorization", "").partition(" ")
     if kind.lower() == "bearer":
-        return value.encode()
+        return value.encode("latin-1")  # as it was sent
     if kind.lower() == "basic" and method in ("GET", "HEAD"):
         try:
             return base64.b64decode(value, validate=True).partition(b":")[2]
-        except binascii.Error:
+        except ValueError:
             return b""
     return b""

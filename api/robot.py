@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +28,7 @@ from api.client import AdrClient, Json, Refused, Unreachable
 Env = gymnasium.Env[Any, Any]
 _LONGEST_HEARTBEAT_S = 1.0  # between two
 _RETRY_S = 2.0
+_REQUEST_S = 60.0  # at most, but for heartbeats
 _WAIT_S = 5.0  # for a task, by one request
 
 
@@ -57,14 +58,18 @@ class Episode:
     actions: Matrix  # (T, a), as they were sent
     rewards: Vector  # (T,)
     limited: int  # actions that the owner's limit changed
+    wrong: str = ""  # what ended it too early to count
 
 
 class Robot:
-    """Claims tasks and runs them, one after the other."""
+    """Claims tasks and runs them, one after the other.
+
+    `connect` makes a client whose requests end after so many seconds.
+    """
 
     def __init__(
         self,
-        connect: Callable[[], AdrClient],
+        connect: Callable[[float], AdrClient],
         task: str,
         environment: str,
         name: str,
@@ -73,7 +78,7 @@ class Robot:
     ):
         self._connect, self._name, self._limits, self._report = connect, name, limits, report
         self._stopped = threading.Event()
-        with connect() as client:
+        with connect(_REQUEST_S) as client:
             about = {known["name"]: known for known in self._patiently(client.tasks)}
         if task not in about:
             raise UnknownName("task", task, about)
@@ -84,7 +89,7 @@ class Robot:
     def work(self, episodes: int | None = None) -> None:
         """Run tasks as they come; `episodes` of them, or without an end."""
         done, name = 0, self._about["name"]
-        with closing(self._env), self._connect() as self._client:
+        with closing(self._env), self._connect(_REQUEST_S) as self._client, suppress(_Stopped):
             while (episodes is None or done < episodes) and not self._stopped.is_set():
                 claimed = self._patiently(
                     lambda: self._client.claim_task(self._name, [name], _WAIT_S)
@@ -104,7 +109,7 @@ class Robot:
             allowed = self._limits.seconds
             self._fail(task, lease, f"{self._name} may move for {allowed} s, not for {longest:g} s")
             return False
-        with _Heart(self._connect(), claimed) as heart:
+        with _Heart(self._connect(claimed["lease_s"] / 3), claimed) as heart:
             try:
                 episode = self._run(task, heart)
             except BaseException:  # whatever broke, the robot's owner must see to it
@@ -118,14 +123,20 @@ class Robot:
 
     def _run(self, task: Json, heart: "_Heart") -> Episode:
         act = self._actor(task)
-        observation, _ = self._env.reset(seed=_seed(task))
-        observations, actions, rewards = [_row(observation)], [], []
-        limited, began = 0, time.monotonic()
+        observations, actions, rewards = [], [], []
+        limited, wrong, began = 0, "", time.monotonic()
+        if not self._why_stop(heart):  # to reset is to move
+            observation, _ = self._env.reset(seed=_seed(task))
+            observations, began = [_row(observation)], time.monotonic()
         while len(actions) < task["transitions"] and not self._why_stop(heart):
             moved = (len(actions) + 1) * self._about["control_period_s"]
             if not self._limits.allows(max(moved, time.monotonic() - began)):
+                wrong = f"{self._name} may move for {self._limits.seconds} s, which were over"
                 break
             wanted = act(observations[-1][None])[0]
+            if not np.all(np.isfinite(wanted)):
+                wrong = f"the policy's action is {wanted.tolist()} at {observations[-1].tolist()}"
+                break
             action = self._limits.apply(wanted)
             limited += not np.array_equal(action, wanted)
             observation, reward, ended, cut, _ = self._env.step(action)
@@ -135,10 +146,11 @@ class Robot:
             heart.steps = len(actions)
             if ended or cut:
                 break
-        return Episode(np.array(observations), np.array(actions), np.array(rewards), limited)
+        arrays = (np.array(observations), np.array(actions), np.array(rewards))
+        return Episode(*arrays, limited, wrong)
 
     def _why_stop(self, heart: "_Heart") -> str:
-        return heart.why or ("by its owner" if self._stopped.is_set() else "")
+        return heart.why_stop() or ("by its owner" if self._stopped.is_set() else "")
 
     def _actor(self, task: Json) -> Callable[[Matrix], Matrix]:
         if task["has_policy"]:
@@ -149,8 +161,8 @@ class Robot:
         return lambda observations: rng.uniform(low, high, (len(observations), len(low)))
 
     def _upload(self, task: Json, lease: str, episode: Episode) -> bool:
-        if not len(episode.actions):
-            self._fail(task, lease, f"{self._name} may not move for a single control step")
+        if episode.wrong and (task["kind"] != "rollout" or not len(episode.actions)):
+            self._fail(task, lease, episode.wrong)
             return False
         content = _trajectory(episode, self._about, self._name)
         try:
@@ -183,22 +195,27 @@ class Robot:
     def _patiently(self, ask: Callable[[], Any]) -> Any:
         """The answer to a request, once the service is there and ready."""
         told = False
-        while True:
+        while not self._stopped.is_set():
             try:
                 return ask()
             except Refused as error:
                 if error.retry_after_s is None:
                     raise
-                time.sleep(error.retry_after_s)
+                self._stopped.wait(error.retry_after_s)
             except Unreachable as error:
                 if not told:
                     self._report(str(error))
                 told = True
-                time.sleep(_RETRY_S)
+                self._stopped.wait(_RETRY_S)
+        raise _Stopped
+
+
+class _Stopped(Exception):
+    """The owner has stopped the robot while it waited for the service."""
 
 
 class _Heart:
-    """Beats while an episode goes on; `why` says why it should stop, once it should."""
+    """Beats while an episode goes on, and knows when it should stop."""
 
     def __init__(self, client: AdrClient, claimed: Json):
         self._client, self._task_id, self._lease = client, claimed["task"]["id"], claimed["lease"]
@@ -207,7 +224,13 @@ class _Heart:
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._beat, daemon=True)
         self.steps = 0
-        self.why = ""
+        self._why = ""
+
+    def why_stop(self) -> str:
+        """Why the episode should stop, where it should; never waits."""
+        if not self._why and time.monotonic() > self._good_until:
+            self._why = "the service did not answer for as long as the lease lasts"
+        return self._why
 
     def __enter__(self) -> "_Heart":
         self._thread.start()
@@ -226,19 +249,19 @@ class _Heart:
                     self._good_until = asked + self._lease_s
                 except Refused as error:
                     if error.status == 409:
-                        self.why = str(error)
+                        self._why = str(error)
                         return
                 except Unreachable:
                     pass  # until the lease ends, others cannot have the task
-                if time.monotonic() > self._good_until:
-                    self.why = "the service did not answer for as long as the lease lasts"
+                except Exception as error:  # noqa: BLE001 - a robot must not move on without a heart
+                    self._why = f"the service's answer is none: {error}"
                     return
 
     def _ask(self) -> None:
         """Say that the episode goes on, and hear whether it should."""
         answer = self._client.heartbeat(self._task_id, self._lease, self.steps)
         if answer["cancel_requested"]:
-            self.why = "its run was asked to stop"
+            self._why = "its run was asked to stop"
 
 
 def _environment(path: str) -> Env:

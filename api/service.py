@@ -71,7 +71,7 @@ class Service:
 
         Its bootstraps take seconds, so it is kept until one of the runs has found more.
         """
-        found = [[record.id, record.updated_at.isoformat()] for record in records]
+        found = store.count_iterations(self.database, [record.id for record in records])
         version = sha256(canonical_json([adr_service.__version__, found]).encode())
         known = store.kept_results(self.database, id, version)
         if known is None:
@@ -105,14 +105,13 @@ class Service:
         else:
             Recording(spec, content)
 
-    def check_queue(self, more: int) -> None:
-        """Refuse runs beyond what the service keeps waiting, or the disk can hold."""
+    def check_queue(self, live: int) -> None:
+        """Refuse to have so many live runs, or any more on a disk that is nearly full."""
         self.check_disk()
-        live, most = store.count_live(self.database), self.settings.max_live_runs
-        if live + more > most:
+        most = self.settings.max_live_runs
+        if live > most:
             raise QueueFull(
-                f"{live} runs wait or run, and {more} more were asked for; accepted are {most} "
-                "(ADR_MAX_LIVE_RUNS)"
+                f"{live} runs would wait or run; accepted are {most} (ADR_MAX_LIVE_RUNS)"
             )
 
     def free_disk(self) -> int:

@@ -46,6 +46,8 @@ class Settings(BaseSettings):
         for name, token in (("ADR_TOKEN", self.token), ("ADR_ROBOT_TOKEN", self.robot_token)):
             if 0 < len(token) < _SHORTEST_TOKEN:
                 raise ValueError(f"{name} must have {_SHORTEST_TOKEN} characters or more")
+        if self.robot_token and self.robot_token == self.token:
+            raise ValueError("ADR_ROBOT_TOKEN must not be ADR_TOKEN: robots could do everything")
         if self.robot_token and not self.token:
             raise ValueError("ADR_ROBOT_TOKEN is of no use without ADR_TOKEN: everyone is let in")
         return self

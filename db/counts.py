@@ -31,8 +31,8 @@ def count(database: Database) -> Counts:
             )
         )
         return Counts(
-            dict(runs.tuples()),
-            dict(stages.tuples()),
+            dict(runs.tuples().all()),
+            dict(stages.tuples().all()),
             {(state, external): number for state, external, number in tasks},
             [(id, str(worker), since) for id, worker, since in claims if since is not None],
         )

@@ -1,7 +1,7 @@
 """Runs, benchmarks and their events; one function per transaction."""
 
 import secrets
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -76,22 +76,34 @@ def _benchmark_spec(text: str) -> BenchmarkSpec:
     return BenchmarkSpec.model_validate_json(text)
 
 
-def create_run(database: Database, spec: AnyRun, key: RequestKey | None = None) -> RunRecord:
+Accept = Callable[[int], None]  # raises where so many live runs are too many
+
+
+def create_run(
+    database: Database,
+    spec: AnyRun,
+    key: RequestKey | None = None,
+    accept: Accept | None = None,
+) -> RunRecord:
     """Store a run; when this returns it is on disk.
 
     Raises NotFound where the spec names a dataset that is not there, Replayed where `key` has
-    made a run before.
+    made a run before, and what `accept` raises.
     """
     with database.write("create_run") as session:
         row = _insert_run(session, spec, None)
         once(session, key, row.id)
+        _check(session, accept)
         return _record(row)
 
 
 def create_benchmark(
-    database: Database, spec: BenchmarkSpec, key: RequestKey | None = None
+    database: Database,
+    spec: BenchmarkSpec,
+    key: RequestKey | None = None,
+    accept: Accept | None = None,
 ) -> BenchmarkRecord:
-    """Store a benchmark and all its runs, or nothing. Raises Replayed as `create_run` does."""
+    """Store a benchmark and all its runs, or nothing. Raises as `create_run` does."""
     with database.write("create_benchmark") as session:
         # as it was given: its runs are stored complete, and mean the same when presets change
         given = spec.model_dump_json(exclude_unset=True)
@@ -101,6 +113,7 @@ def create_benchmark(
         once(session, key, row.id)
         for run in spec.runs():
             _insert_run(session, run, row.id)
+        _check(session, accept)
         return _benchmark(row)
 
 
@@ -141,11 +154,11 @@ def unfinished_runs(database: Database) -> list[RunRecord]:
         return [_record(row) for row in session.scalars(query)]
 
 
-def count_live(database: Database) -> int:
-    """How many runs wait or run."""
-    live = RunRow.state.not_in(FINISHED)
-    with database.read() as session:
-        return session.scalar(select(func.count()).select_from(RunRow).where(live)) or 0
+def _check(session: Session, accept: Accept | None) -> None:
+    """Whether there may be as many live runs as there are now; else nothing of it is stored."""
+    if accept is not None:
+        live = RunRow.state.not_in(FINISHED)
+        accept(session.scalar(select(func.count()).select_from(RunRow).where(live)) or 0)
 
 
 def get_benchmark(database: Database, benchmark_id: str) -> BenchmarkRecord:
@@ -296,6 +309,18 @@ def delete_benchmark(database: Database, benchmark_id: str) -> None:
         delete_unreferenced(session)
 
 
+def count_iterations(database: Database, run_ids: Sequence[str]) -> list[tuple[str, int]]:
+    """(run id, number of iterations that it has finished), in the order of `run_ids`."""
+    found = dict.fromkeys(run_ids, 0)
+    finished = EventRow.type == "iteration_finished"
+    with database.read() as session:
+        for first in range(0, len(run_ids), CHUNK):
+            mine = EventRow.run_id.in_(run_ids[first : first + CHUNK])
+            query = select(EventRow.run_id, func.count()).where(mine, finished)
+            found |= dict(session.execute(query.group_by(EventRow.run_id)).tuples().all())
+    return list(found.items())
+
+
 def kept_results(database: Database, id: str, version: str) -> str | None:
     """The result table of a run or a benchmark, if it was computed from this version."""
     with database.read() as session:
@@ -314,7 +339,10 @@ def exists(session: Session, run_id: str) -> bool:
 
 
 def extend_benchmark(
-    database: Database, benchmark_id: str, extension: BenchmarkExtension
+    database: Database,
+    benchmark_id: str,
+    extension: BenchmarkExtension,
+    accept: Accept | None = None,
 ) -> list[RunRecord]:
     """Add runs to a benchmark, and return them; what it has already stays as it is."""
     with database.write("extend_benchmark") as session:
@@ -337,6 +365,7 @@ def extend_benchmark(
                     f"{run.preset!r} has changed since, or the SimOpt that others learn from"
                 )
         row.spec = spec.model_dump_json(exclude_unset=True)
+        _check(session, accept)
         return added
 
 

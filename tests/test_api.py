@@ -366,6 +366,49 @@ class TestService:
         assert http.get("/readyz").json()["status"] == "ready"
         assert wait_until_finished(service.client, run, 120)["state"] == "succeeded"
 
+    def test_its_numbers_are_there_for_prometheus(self, http, finished):
+        answer = http.get("/metrics")
+        assert answer.headers["Content-Type"].startswith("text/plain; version=0.0.4")
+        numbers = dict(
+            line.rsplit(" ", 1) for line in answer.text.splitlines() if not line.startswith("#")
+        )
+        assert float(numbers['adr_runs{state="succeeded"}']) >= 1
+        assert float(numbers['adr_stages_stored{kind="train_policy"}']) >= 1
+        assert float(numbers['adr_target_tasks{of="simulated",state="done"}']) >= 1
+        assert float(numbers["adr_cores"]) == 2
+        assert float(numbers["adr_disk_free_bytes"]) > 0
+
+    def test_the_same_key_makes_one_run(self, http):
+        key, body = {"Idempotency-Key": "once"}, {**SMOKE, "method": "prior", "seed": 77}
+        first, again = (http.post("/v1/runs", json=body, headers=key) for _ in range(2))
+        assert (first.status_code, again.status_code) == (202, 202)
+        assert first.json()["id"] == again.json()["id"]
+        other = http.post("/v1/runs", json={**body, "seed": 78}, headers=key)
+        assert other.status_code == 422
+        assert "came with another request before" in other.json()["detail"]
+
+    def test_what_has_not_changed_is_not_sent_again(self, http, finished):
+        first = http.get(f"/v1/runs/{finished}/results")
+        tag = first.headers["ETag"]
+        same = http.get(f"/v1/runs/{finished}/results", headers={"If-None-Match": f'"x", W/{tag}'})
+        assert (same.status_code, same.content, same.headers["ETag"]) == (304, b"", tag)
+        other = http.get(f"/v1/runs/{finished}/results", headers={"If-None-Match": '"x"'})
+        assert other.content == first.content
+
+    def test_a_run_can_be_waited_for_and_followed(self, service, http):
+        run = service.client.submit_run({**SMOKE, "method": "prior", "seed": 79})["id"]
+        state = "queued"
+        while state not in ("succeeded", "failed"):
+            state = http.get(f"/v1/runs/{run}", params={"wait": 20}).json()["state"]
+        lines = http.get(f"/v1/runs/{run}/events/stream").text.splitlines()
+        ids = [int(line[3:]) for line in lines if line.startswith("id:")]
+        assert ids == list(range(1, len(ids) + 1))
+        assert [line for line in lines if line.startswith("event:")][-1].split()[1] == "end"
+        rest = http.get(f"/v1/runs/{run}/events/stream", headers={"Last-Event-ID": "2"}).text
+        assert [line for line in rest.splitlines() if line.startswith("id:")] == [
+            f"id: {i}" for i in ids[2:]
+        ]
+
     def test_the_catalogue_lists_tasks_methods_and_presets(self, http):
         assert {task["name"] for task in http.get("/v1/tasks").json()} == set(BUILT_IN)
         assert "DropoSettings" in json.dumps(http.get("/v1/methods").json())

@@ -63,6 +63,7 @@ class _Job:
     losses: int = 0  # attempts whose process was lost
     lost_on: str | None = None  # the node of the last one
     lost_at: float = 0.0  # monotonic
+    not_before: float = 0.0  # monotonic; the database was not there
     ref: Any = None  # of the running call
     actor: Actor | None = None
     sign: SignOfLife | None = None
@@ -265,28 +266,40 @@ class Dispatcher:
             if job.waiters:
                 continue
             if job.ref is None and job.finished is None:
-                del self._jobs[digest]
+                self._give_up(job)
             elif job.ref is not None:
                 self._board.set_unwanted.remote(digest, True)
 
     def _schedule(self) -> None:
         jobs = self._jobs.values()
         waiting = [j for j in jobs if j.ref is None and j.finished is None and j.waiters]
-        ours = [job for job in waiting if job.role in _PRIORITY]  # others are the robots'
+        now = time.monotonic()  # robots' roles have no priority
+        ours = [job for job in waiting if job.role in _PRIORITY and job.not_before <= now]
         for job in sorted(ours, key=lambda job: (_PRIORITY[job.role], job.number)):
             actor = self._slots.take(job.role, job.started_by, avoid=job.avoid)
             if actor is None:
                 continue
-            try:
-                job.lease = self._ledger.begin(job.stage, job.started_by, actor.name)
-            except DatabaseUnavailable as error:
-                self._slots.give_back(actor)
-                log.warning("%s; trying again", error)
-                return
+            if not self._has_begun(job, actor):
+                continue
             job.attempt += 1
             job.since, job.placed = time.monotonic(), time.time()
             log.info("stage %s %s: attempt %d", job.stage.kind, job.stage.digest, job.attempt)
             job.actor, job.ref = actor, actor.handle.compute.remote(job.stage, self._board)
+
+    def _has_begun(self, job: _Job, actor: Actor) -> bool:
+        """Claim what a process is about to do; where that cannot be, the process is free again."""
+        try:
+            job.lease = self._ledger.begin(job.stage, job.started_by, actor.name)
+        except DatabaseUnavailable as error:
+            log.warning("%s; trying again in %g s", error, RETRY_S)
+            job.not_before = time.monotonic() + RETRY_S
+        except Exception as error:  # the database's trouble must not stop other runs
+            log.exception("stage %s could not be begun", job.stage.digest)
+            self._give_up(job, _not_stored(job.stage, error))
+        else:
+            return True
+        self._slots.give_back(actor)
+        return False
 
     def _finish(self, job: _Job) -> None:
         ref, actor = job.ref, job.actor
@@ -335,11 +348,12 @@ class Dispatcher:
             waiter.future.set_result(result)
 
     def _give_up(self, job: _Job, error: AdrError | None = None) -> None:
-        """The end of a job that had begun, without a result."""
+        """The end of a job, without a result."""
         del self._jobs[job.stage.digest]
         if error is not None:
             _fail(job, error)
-        self._drop(job.stage)
+        if job.lease is not None:
+            self._drop(job.stage)
 
     def _drop(self, stage: Stage) -> None:
         if stage.digest in self._jobs:  # it was asked for again
@@ -361,12 +375,15 @@ class Dispatcher:
         """A process died under a job: another attempt, or the end."""
         log.warning("%s: lost attempt %d: %s", job.stage.kind, job.attempt, error)
         self._slots.lose(actor)
-        job.losses += 1
         job.lost_on, job.lost_at = actor.slot.node, time.monotonic()
+        self._count_loss(job, str(error))
+
+    def _count_loss(self, job: _Job, why: str) -> None:
+        job.losses += 1
         if not job.waiters:
             self._give_up(job)
         elif job.losses >= MAX_ATTEMPTS:
-            detail = f"its process was lost {MAX_ATTEMPTS} times; last: {error}"
+            detail = f"its process was lost {MAX_ATTEMPTS} times; last: {why}"
             self._give_up(job, StageFailed(job.stage.kind, "worker_lost", detail))
 
     def _read_board(self) -> None:
@@ -401,8 +418,9 @@ class Dispatcher:
         log.warning("Ray has died; starting it again")
         ray.shutdown()
         self._start_ray()
-        for job in self._jobs.values():
+        for job in [job for job in self._jobs.values() if job.ref is not None]:
             job.ref, job.actor, job.sign = None, None, None
+            self._count_loss(job, "Ray has died")
 
     def _end_the_silent(self) -> None:
         """Kill processes that hang after they had begun, which then are lost like any other."""

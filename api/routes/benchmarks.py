@@ -85,6 +85,7 @@ def cancel(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
 @router.post("/{benchmark_id}/resume", status_code=status.HTTP_202_ACCEPTED)
 def resume(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
     """Go on with every failed or cancelled run."""
+    service.check_disk()
     for run in store.runs_of(service.database, benchmark_id):
         with suppress(NotPossible):  # it needs no resuming
             service.orchestrator.submit(store.resubmit(service.database, run.id))
@@ -98,8 +99,8 @@ def extend(
     service: ServiceDependency,
 ) -> BenchmarkView:
     """Add seeds, methods, tasks, variants or collectors; nothing is computed twice."""
-    service.check_queue(0)
-    for run in store.extend_benchmark(service.database, benchmark_id, extension):
+    added = store.extend_benchmark(service.database, benchmark_id, extension, service.check_queue)
+    for run in added:
         service.orchestrator.submit(run)
     return get_benchmark(benchmark_id, service)
 
@@ -151,9 +152,10 @@ def figure(
 
 def _start(service: Service, spec: BenchmarkSpec, key: str | None) -> BenchmarkRecord:
     """Store a benchmark and start its runs; where the key has started one before, that one."""
-    service.check_queue(spec.size)
     try:
-        record = store.create_benchmark(service.database, spec, request_key(key, spec))
+        record = store.create_benchmark(
+            service.database, spec, request_key(key, spec), service.check_queue
+        )
     except Replayed as before:
         return store.get_benchmark(service.database, before.id)
     for run in store.runs_of(service.database, record.id):

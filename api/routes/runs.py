@@ -130,6 +130,7 @@ def cancel(run_id: str, service: ServiceDependency) -> RunView:
 @router.post("/{run_id}/resume", status_code=status.HTTP_202_ACCEPTED)
 def resume(run_id: str, service: ServiceDependency) -> RunView:
     """Go on with a failed or cancelled run from its last finished stage."""
+    service.check_disk()
     record = store.resubmit(service.database, run_id)
     service.orchestrator.submit(record)
     return run_view_of(service, record)
@@ -243,9 +244,10 @@ def policy(run_id: str, service: ServiceDependency) -> Response:
 
 def start(service: Service, spec: AnyRun, key: str | None) -> RunRecord:
     """Store a run and start it; where the key has started one before, that run."""
-    service.check_queue(1)
     try:
-        record = store.create_run(service.database, spec, request_key(key, spec))
+        record = store.create_run(
+            service.database, spec, request_key(key, spec), service.check_queue
+        )
     except Replayed as before:
         return store.get_run(service.database, before.id)
     service.orchestrator.submit(record)

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from contextlib import closing, contextmanager
+from functools import partial
 
 import numpy as np
 import pytest
@@ -58,7 +59,8 @@ def robot_process(url, factory, log, *options):
 def in_this_process(client, env, limits=NO_LIMITS, task="arm"):
     """A robot whose environment the test can look at, and what it reports."""
     told = []
-    return Robot(lambda: AdrClient(client.url), task, env, "here", limits, told.append), told
+    connect = partial(AdrClient, client.url, "")
+    return Robot(connect, task, env, "here", limits, told.append), told
 
 
 @contextmanager
