@@ -64,7 +64,7 @@ def test_a_node_that_dies_in_the_middle_changes_nothing(tmp_path, on_one_node, n
         nodes.stdin.write("\n")
         nodes.stdin.flush()
         told(nodes, "removed")
-        final = wait_until_finished(service.client, id, 280)
+        final = wait_until_finished(service.client, id, 600)
         assert final["states"] == {"succeeded": 4}
         assert service.client.results_csv(id) == table
         attempts = re.findall(r"stage \w+ (\w{64}): attempt (\d)", service.log.read_text())

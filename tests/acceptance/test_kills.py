@@ -42,7 +42,7 @@ def test_a_process_that_is_killed_costs_its_stage_alone(tmp_path, uninterrupted,
         pid = until(lambda: pid_of(running, id, victim))
         before = committed(tmp_path)
         os.kill(pid, signal.SIGKILL)
-        final = wait_until_finished(running.client, id, 240)
+        final = wait_until_finished(running.client, id, 600)
         assert final["states"] == {"succeeded": 4}
         assert running.client.results_csv(id) == table
         attempts = re.findall(r"stage \w+ (\w{64}): attempt (\d)", running.log.read_text())
