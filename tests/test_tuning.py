@@ -16,6 +16,7 @@ def tune(*arguments):
     return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
 
 
+@pytest.mark.slow
 def test_every_rate_and_seed_is_tried_and_the_best_comes_first():
     given = {**TINY, "backend": "sb3"}
     settings = [

@@ -175,6 +175,7 @@ def test_actions_beyond_the_owners_limit_are_not_sent_and_recorded_as_sent(servi
     client.cancel(run_id)
 
 
+@pytest.mark.slow
 def test_the_owner_can_stop_it_at_once_and_the_task_goes_back(service):
     client = service.client
     run_id = client.submit_run({**RUN, "seed": 6})["id"]
