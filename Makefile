@@ -33,7 +33,7 @@ test: lint
 test-slow: setup
 	$(BIN)/pytest -m slow --timeout 3600
 
-# the service dies at every transaction in turn, then processes are killed, then a node; about an hour
+# the service dies at every transaction in turn, then processes are killed, then a node; an hour, by estimate
 test-faults: setup
 	$(BIN)/pytest -s --timeout 7200 tests/acceptance/test_faults.py tests/acceptance/test_kills.py tests/acceptance/test_cluster.py
 

@@ -4,7 +4,8 @@ Counted when it is asked for, from the database and the dispatcher; nothing is k
 """
 
 import time
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 
 from prometheus_client import CollectorRegistry, generate_latest
@@ -32,27 +33,40 @@ class _Now(Collector):
         now, began = datetime.now(UTC), time.perf_counter()
         counted = store.count(self._service.database)
         read_s = time.perf_counter() - began
-        runs = GaugeMetricFamily("adr_runs", "Runs by state.", labels=["state"])
-        for state, number in counted.runs.items():
-            runs.add_metric([state], number)
-        yield runs
-        stored = GaugeMetricFamily("adr_stages_stored", "Stages with a result.", labels=["kind"])
-        for kind, number in counted.stages.items():
-            stored.add_metric([kind], number)
-        yield stored
-        yield from self._in_the_works()
-        tasks = GaugeMetricFamily(
-            "adr_target_tasks", "Visits to targets by state and claimant.", labels=["state", "of"]
+        activities = self._service.orchestrator.activities()
+        steps = [(float(a.facts["steps"]), a.seconds) for a in activities if "steps" in a.facts]
+        yield _gauge(
+            "adr_runs", "Runs by state.", ["state"], {(s,): n for s, n in counted.runs.items()}
         )
-        for (state, external), number in counted.tasks.items():
-            tasks.add_metric([state, "robots" if external else "simulated"], number)
-        yield tasks
-        ages = GaugeMetricFamily(
-            "adr_lease_age_seconds", "Since a robot claimed its task.", labels=["task", "worker"]
+        yield _gauge(
+            "adr_stages_stored",
+            "Stages with a result.",
+            ["kind"],
+            {(kind,): n for kind, n in counted.stages.items()},
         )
-        for id, worker, claimed_at in counted.claims:
-            ages.add_metric([id, worker], (now - claimed_at).total_seconds())
-        yield ages
+        yield _gauge(
+            "adr_stages",
+            "Stages that wait or run, by kind.",
+            ["kind", "state"],
+            Counter((activity.kind, activity.state) for activity in activities),
+        )
+        yield GaugeMetricFamily(
+            "adr_environment_steps_per_second",
+            "Of the trainings that go on, each since it began.",
+            sum(done / seconds for done, seconds in steps if seconds > 0),
+        )
+        yield _gauge(
+            "adr_target_tasks",
+            "Visits to targets by state and claimant.",
+            ["state", "of"],
+            {(s, "robots" if e else "simulated"): n for (s, e), n in counted.tasks.items()},
+        )
+        yield _gauge(
+            "adr_lease_age_seconds",
+            "Since a robot claimed its task.",
+            ["task", "worker"],
+            {(id, worker): (now - at).total_seconds() for id, worker, at in counted.claims},
+        )
         yield GaugeMetricFamily("adr_cores", "Of the cluster.", self._service.orchestrator.cores)
         yield GaugeMetricFamily(
             "adr_database_read_seconds", "How long counting all this took.", read_s
@@ -61,21 +75,12 @@ class _Now(Collector):
             "adr_disk_free_bytes", "Where results are.", self._service.free_disk()
         )
 
-    def _in_the_works(self) -> Iterable[Metric]:
-        activities = self._service.orchestrator.activities()
-        works = GaugeMetricFamily(
-            "adr_stages", "Stages that wait or run, by kind.", labels=["kind", "state"]
-        )
-        found: dict[tuple[str, str], int] = {}
-        for activity in activities:
-            key = (activity.kind, activity.state)
-            found[key] = found.get(key, 0) + 1
-        for key, number in found.items():
-            works.add_metric(key, number)
-        yield works
-        steps = [(float(a.facts["steps"]), a.seconds) for a in activities if "steps" in a.facts]
-        yield GaugeMetricFamily(
-            "adr_environment_steps_per_second",
-            "Of the trainings that go on, each since it began.",
-            sum(done / seconds for done, seconds in steps if seconds > 0),
-        )
+
+def _gauge(
+    name: str, text: str, labels: Sequence[str], values: Mapping[tuple[str, ...], float]
+) -> Metric:
+    """Numbers by the values of their labels."""
+    gauge = GaugeMetricFamily(name, text, labels=labels)
+    for key, value in values.items():
+        gauge.add_metric(key, value)
+    return gauge

@@ -175,6 +175,7 @@ class Robot:
             return False
         earned, steps = float(episode.rewards.sum()), len(episode.actions)
         note = f", {episode.limited} actions at the owner's limit" if episode.limited else ""
+        note += f"; cut: {episode.wrong}" if episode.wrong else ""
         self._report(f"{task['id']}: {task['kind']}, {steps} steps, return {earned:.4g}{note}")
         return True
 

@@ -7,14 +7,16 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from api.client import AdrClient, Unreachable
 
 START_TIMEOUT_S = 120
+T = TypeVar("T")
 
 
 @dataclass
@@ -32,7 +34,13 @@ class RunningService:
     @property
     def started_stages(self) -> list[str]:
         """Digests of the stages this process has started, in order, from its log."""
-        return re.findall(r"stage \w+ (\w{64}): attempt", self.log.read_text())
+        return [digest for digest, _ in self.attempts]
+
+    @property
+    def attempts(self) -> list[tuple[str, int]]:
+        """(digest, number of the attempt) of the same."""
+        found = re.findall(r"stage \w+ (\w{64}): attempt (\d)", self.log.read_text())
+        return [(digest, int(number)) for digest, number in found]
 
     @property
     def children(self) -> dict[int, str]:
@@ -82,6 +90,15 @@ def wait_until_finished(client: AdrClient, id: str, timeout_s: float) -> dict[st
             raise TimeoutError(f"{id} did not finish in {timeout_s} s: {seen}")
         last = seen
     return last
+
+
+def until(condition: Callable[[], T], seconds: float = 120) -> T:
+    """Wait for something that another process does; what it was."""
+    deadline = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.02)  # it can only be asked again
+    return found
 
 
 def _wait(client: AdrClient, process: subprocess.Popen[bytes], log: Path) -> None:

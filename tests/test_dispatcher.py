@@ -4,7 +4,6 @@ import os
 import re
 import signal
 import threading
-import time
 from pathlib import Path
 
 import pytest
@@ -16,6 +15,7 @@ from adr_service.specs import RunSpec
 from adr_service.stages import Stage
 from adr_service.training.policy import Policy
 from db.session import DatabaseUnavailable
+from tests.service import until
 from workers.cluster import RayOptions
 from workers.dispatcher import Dispatcher
 from workers.stages import RayStages
@@ -102,15 +102,6 @@ def started(tmp_path_factory):
     dispatcher.start()
     yield dispatcher, store
     dispatcher.close()
-
-
-def until(condition, seconds=60):
-    """Wait for something that another process does."""
-    deadline = time.monotonic() + seconds
-    while not (found := condition()):
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.05)
-    return found
 
 
 def running(dispatcher, run_id):

@@ -253,9 +253,8 @@ class Dispatcher:
             self._hand_over(job, stored)
 
     def _refused(self, digest: str, message: str) -> None:
-        job = self._jobs.pop(digest, None)
-        if job is not None:
-            _fail(job, StageFailed(job.stage.kind, "target_failed", message))
+        if (job := self._jobs.get(digest)) is not None:
+            self._give_up(job, StageFailed(job.stage.kind, "target_failed", message))
 
     def _withdraw(self, run_id: str) -> None:
         self._later = [entry for entry in self._later if entry[0] != run_id]
@@ -277,9 +276,7 @@ class Dispatcher:
         ours = [job for job in waiting if job.role in _PRIORITY and job.not_before <= now]
         for job in sorted(ours, key=lambda job: (_PRIORITY[job.role], job.number)):
             actor = self._slots.take(job.role, job.started_by, avoid=job.avoid)
-            if actor is None:
-                continue
-            if not self._has_begun(job, actor):
+            if actor is None or not self._has_begun(job, actor):
                 continue
             job.attempt += 1
             job.since, job.placed = time.monotonic(), time.time()

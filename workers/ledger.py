@@ -37,7 +37,7 @@ class Ledger(Protocol):
         ...
 
     def drop(self, stage: Stage) -> None:
-        """A stage that was begun led to nothing, and nobody wants it any more."""
+        """A stage that was begun under a lease led to nothing, and nobody wants it any more."""
         ...
 
     def commit(
@@ -74,8 +74,7 @@ class DatabaseLedger:
             return task_store.claim_simulated(session, stage, run_id, worker, now, _LEASE_S)
 
     def drop(self, stage: Stage) -> None:
-        if _role(stage) == "target":
-            task_store.drop_simulated(self._database, stage.digest)
+        task_store.drop_simulated(self._database, stage.digest)
 
     def commit(
         self, stage: Stage, finished: Finished, attempt: Attempt, run_ids: Sequence[str]

@@ -15,7 +15,7 @@ from adr_service.errors import InvalidInput
 from adr_service.transitions import TransitionDataset
 from api.client import AdrClient, Refused
 from api.robot import Limits, Robot
-from tests.service import start_service, wait_until_finished
+from tests.service import start_service, until, wait_until_finished
 
 pytestmark = pytest.mark.ray
 LEASE_S = 2.0
@@ -72,14 +72,6 @@ def at_work(robot):
     finally:
         robot.stop()
         thread.join(30)
-
-
-def until(condition, seconds=60):
-    deadline = time.monotonic() + seconds
-    while not (found := condition()):
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.02)
-    return found
 
 
 def tasks_of(client, run_id, **filters):
