@@ -29,9 +29,10 @@ from db import datasets as dataset_store
 from db import runs as store
 from db import stages as stage_store
 from db import target_tasks as task_store
+from db.errors import DatabaseUnavailable, DiskFull
 from db.requests import RequestKey
 from db.runs import RunRecord
-from db.session import Database, DatabaseUnavailable, DiskFull, open_database
+from db.session import Database, open_database
 from db.target_tasks import TargetTask
 from workers.cluster import RayOptions
 from workers.orchestrator import Orchestrator

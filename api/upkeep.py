@@ -7,10 +7,11 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from adr_service.errors import AdrError
+from adr_service.errors import AdrError, InvalidInput
 from api.settings import read_settings
 from db import maintenance
-from db.session import file_of, open_database
+from db.backends import file_of
+from db.session import open_database
 
 app = typer.Typer(help="Look after the service's database.", no_args_is_help=True)
 console = Console()
@@ -52,7 +53,13 @@ def upgrade(data_dir: DataDir = None) -> None:
 
 
 def _path(data_dir: Path | None) -> Path:
-    return file_of(_url(data_dir))
+    url = _url(data_dir)
+    if url.startswith("postgresql"):
+        raise InvalidInput(
+            "`adr db` looks after SQLite files. PostgreSQL has pg_amcheck and pg_dump, and "
+            "`adr serve` upgrades its tables when it starts"
+        )
+    return file_of(url)
 
 
 def _url(data_dir: Path | None) -> str:

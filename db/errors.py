@@ -16,3 +16,27 @@ class NotPossible(AdrError):
     """The thing exists, but its state does not allow this."""
 
     code = "conflict"
+
+
+class DatabaseInUse(AdrError):
+    """Another service holds the database."""
+
+    code = "database_in_use"
+
+
+class DatabaseNewer(AdrError):
+    """A later version of the service has written the database."""
+
+    code = "database_newer"
+
+
+class DatabaseUnavailable(AdrError):
+    """The database cannot be used just now; what was asked for may be asked for again."""
+
+    code = "database_unavailable"
+
+
+class DiskFull(DatabaseUnavailable):
+    """Nothing can be stored before somebody frees the disk."""
+
+    code = "disk_full"

@@ -130,7 +130,7 @@ def list_runs(
     task: str | None = None,
     benchmark_id: str | None = None,
     after: int = 0,
-    limit: int = 100,
+    limit: int | None = 100,
 ) -> list[RunRecord]:
     """Runs in order of submission, those numbered above `after`."""
     query = select(RunRow).where(RunRow.number > after).order_by(RunRow.number).limit(limit)
@@ -145,7 +145,7 @@ def list_runs(
 def runs_of(database: Database, benchmark_id: str) -> list[RunRecord]:
     """All runs of a benchmark, in order."""
     get_benchmark(database, benchmark_id)
-    return list_runs(database, benchmark_id=benchmark_id, limit=-1)
+    return list_runs(database, benchmark_id=benchmark_id, limit=None)
 
 
 def unfinished_runs(database: Database) -> list[RunRecord]:
@@ -239,7 +239,12 @@ def append_all(session: Session, run_id: str, events: Sequence[RunEvent]) -> Non
 
 
 def events_of(
-    database: Database, run_id: str, *, after: int = 0, limit: int = -1, type: str | None = None
+    database: Database,
+    run_id: str,
+    *,
+    after: int = 0,
+    limit: int | None = None,
+    type: str | None = None,
 ) -> list[EventRecord]:
     """Events of a run with `seq` above `after`, in order."""
     query = select(EventRow).where(EventRow.run_id == run_id, EventRow.seq > after)

@@ -8,6 +8,7 @@ import pytest
 
 from adr_service.transitions import TransitionDataset
 from db.session import Database, open_database
+from tests.postgresql import Server, start_server
 from tests.recordings import load_hopper
 from tests.service import RunningService, start_service
 
@@ -31,8 +32,30 @@ def hopper_noisy(datasets: Path) -> TransitionDataset:
     return load_hopper(datasets / "dropo_hopper/hoppernoisy1e-510000", "hopper_n10000")
 
 
+@pytest.fixture(scope="session")
+def postgresql() -> Iterator[Server]:
+    with start_server() as server:
+        yield server
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Of an empty database of each kind."""
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path / 'adr.sqlite'}"
+    return request.getfixturevalue("postgresql").new_database()
+
+
 @pytest.fixture
-def database(tmp_path: Path) -> Iterator[Database]:
+def database(database_url: str) -> Iterator[Database]:
+    opened = open_database(database_url)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def file_database(tmp_path: Path) -> Iterator[Database]:
+    """One in SQLite, adr.sqlite, for what looks at the file."""
     opened = open_database(f"sqlite:///{tmp_path / 'adr.sqlite'}")
     yield opened
     opened.close()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from alembic import command
 from sqlalchemy import inspect, text
-from sqlalchemy.exc import IntegrityError, OperationalError
+from sqlalchemy.exc import DBAPIError, IntegrityError, OperationalError
 from typer.testing import CliRunner
 
 from adr_service.benchmark.utilisation import Timing
@@ -33,16 +33,16 @@ from adr_service.wire import canonical_json
 from api import upkeep
 from api.cli import app
 from db import datasets, maintenance, runs, stages
-from db.errors import NotFound, NotPossible
-from db.models import RunRow
-from db.session import (
+from db.errors import (
     DatabaseInUse,
     DatabaseNewer,
     DatabaseUnavailable,
     DiskFull,
-    alembic_config,
-    open_database,
+    NotFound,
+    NotPossible,
 )
+from db.models import ResultsRow, RunRow
+from db.session import Database, alembic_config, open_database
 
 SPEC = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})
 STAGE = Stage("evaluate", {"x": 1})
@@ -268,24 +268,34 @@ class TestStages:
 
 
 class TestSession:
-    def test_what_is_committed_is_on_disk_for_any_other_reader(self, database, tmp_path):
-        run = runs.create_run(database, SPEC)
+    def test_what_is_committed_is_on_disk_for_any_other_reader(self, file_database, tmp_path):
+        run = runs.create_run(file_database, SPEC)
         with sqlite3.connect(tmp_path / "adr.sqlite") as other:
             assert other.execute("select id from runs").fetchall() == [(run.id,)]
         other.close()
 
-    def test_the_writer_waits_for_the_disk_and_the_reader_cannot_write(self, database):
-        with database.write("test") as session:
+    def test_the_writer_waits_for_the_disk(self, file_database):
+        with file_database.write("test") as session:
             assert session.scalar(text("pragma journal_mode")) == "wal"
             assert session.scalar(text("pragma synchronous")) == 2  # FULL
             assert session.scalar(text("pragma foreign_keys")) == 1
-        with pytest.raises(OperationalError, match="readonly"), database.read() as session:
+
+    def test_a_reader_cannot_write(self, database):
+        refused = pytest.raises(DBAPIError, match=r"readonly|read-only transaction")
+        with refused, database.read() as session:
             session.execute(text("delete from runs"))
+
+    def test_a_reader_sees_one_moment(self, database):
+        with database.read() as session:
+            assert session.scalar(text("select count(*) from runs")) == 0
+            runs.create_run(database, SPEC)
+            assert session.scalar(text("select count(*) from runs")) == 0
+        assert count(database, "runs") == 1
 
     def test_a_lock_of_another_process_and_a_full_disk_are_told_apart_from_defects(
         self, tmp_path, monkeypatch
     ):
-        monkeypatch.setattr("db.session._BUSY_TIMEOUT_MS", 50)
+        monkeypatch.setattr("db.backends.BUSY_TIMEOUT_MS", 50)
         with closing(open_database(f"sqlite:///{tmp_path / 'adr.sqlite'}")) as database:
             with closing(sqlite3.connect(tmp_path / "adr.sqlite", isolation_level=None)) as other:
                 other.execute("begin immediate")
@@ -325,14 +335,67 @@ class TestSession:
         with pytest.raises(DatabaseInUse, match="in use by another service"):
             open_database(database.url)
 
-    @pytest.mark.parametrize("url", ["sqlite://", "sqlite:///:memory:", "postgresql://a/b"])
-    def test_anything_but_an_sqlite_file_is_refused(self, url):
-        with pytest.raises(InvalidInput, match="must be an SQLite file"):
+    @pytest.mark.parametrize("url", ["sqlite://", "sqlite:///:memory:", "mysql://a:secret@b/c"])
+    def test_other_databases_are_refused(self, url):
+        with pytest.raises(InvalidInput, match="must be an SQLite file") as refused:
             open_database(url)
+        assert "secret" not in str(refused.value)
 
-    def test_after_closing_the_file_is_free(self, database):
+    def test_after_closing_it_is_free(self, database):
         database.close()
         open_database(database.url).close()
+
+
+class TestPostgresql:
+    """What only a server can do to us."""
+
+    @pytest.fixture
+    def url(self, postgresql):
+        return postgresql.new_database()
+
+    def test_a_lost_connection_comes_back_and_keeps_others_away(self, url, postgresql):
+        with closing(open_database(url)) as database:
+            run = runs.create_run(database, SPEC)
+            postgresql.cut(url)
+            assert runs.get_run(database, run.id) == run
+            runs.create_run(database, SPEC)
+            with pytest.raises(DatabaseInUse, match="in use by another service"):
+                open_database(url)
+
+    def test_who_lost_the_lock_to_another_cannot_write_any_more(self, url, postgresql):
+        with closing(open_database(url)) as database:
+            postgresql.cut(url)
+            with closing(open_database(url)) as second:
+                runs.create_run(second, SPEC)
+                with pytest.raises(DatabaseInUse):
+                    runs.create_run(database, SPEC)
+                assert count(database, "runs") == 1
+
+    def test_a_connection_lost_in_a_transaction_stores_nothing_of_it(self, url, postgresql):
+        with closing(open_database(url)) as database:
+            lost = pytest.raises(DatabaseUnavailable, match="cannot be used just now")
+            with lost, database.write("test") as session:
+                stages.add_artifact(session, b"policy")
+                postgresql.cut(url)
+                stages.add_artifact(session, b"another")
+            assert count(database, "artifacts") == 0
+
+    def test_what_it_cannot_store_is_the_givers_fault(self, url):
+        with closing(open_database(url)) as database:
+            with pytest.raises(InvalidInput, match="cannot store this"):
+                runs.list_runs(database, task="hop\0per")
+            with pytest.raises(InvalidInput, match="too long"), database.write("test") as session:
+                session.add(ResultsRow(id="x" * 41, version="", body=""))
+
+    def test_a_server_that_is_not_there_is_said(self):
+        with pytest.raises(DatabaseUnavailable, match="cannot be used just now") as told:
+            open_database("postgresql+psycopg://me:secret@127.0.0.1:9/adr")
+        assert "secret" not in str(told.value)
+
+    def test_upkeep_is_the_servers(self, url, monkeypatch):
+        monkeypatch.setenv("ADR_DATABASE_URL", url)
+        refused = CliRunner().invoke(app, ["db", "check"])
+        assert "pg_dump" in str(refused.exception)
 
 
 class TestMigrations:
@@ -341,28 +404,28 @@ class TestMigrations:
         database.close()
         command.check(alembic_config(database.url))
 
-    def test_rows_survive_the_way_from_the_first_tables(self, tmp_path):
-        """The second recreates `runs`, whose deletion would take the events along."""
-        url = f"sqlite:///{tmp_path / 'old.sqlite'}"
-        command.upgrade(alembic_config(url), "0001")
-        now = "2026-01-01 00:00:00"
-        with sqlite3.connect(tmp_path / "old.sqlite") as old:
-            row = ("run_a", now, now, "arm", "vanilla", "prior", 0, SPEC.model_dump_json())
-            old.execute(
-                "insert into runs (id, created_at, updated_at, task, variant, method, seed, spec,"
-                " state, submission, cancel_requested) values (?,?,?,?,?,?,?,?,'queued',1,0)",
+    def test_rows_survive_the_way_from_the_first_tables(self, database_url):
+        """The second recreates `runs` in SQLite, whose deletion would take the events along."""
+        command.upgrade(alembic_config(database_url), "0001")
+        row = {"spec": SPEC.model_dump_json(), "now": "2026-01-01 00:00:00", "no": False}
+        event = RunQueued(submission=1)
+        values = {"key": event.key, "type": event.type, "body": event.model_dump_json()}
+        with closing(Database(database_url)) as old, old.write("test") as session:
+            session.execute(
+                text(
+                    "insert into runs (id, created_at, updated_at, task, variant, method, seed, "
+                    "spec, state, submission, cancel_requested) values ('run_a', :now, :now, "
+                    "'arm', 'vanilla', 'prior', 0, :spec, 'queued', 1, :no)"
+                ),
                 row,
             )
-            event = RunQueued(submission=1)
-            values = ("run_a", event.key, event.type, event.model_dump_json(), now)
-            old.execute("insert into events values (?, 1, ?, ?, ?, ?)", values)
-        old.close()
-        opened = open_database(url)
-        try:
+            session.execute(
+                text("insert into events values ('run_a', 1, :key, :type, :body, :now)"),
+                {**values, "now": row["now"]},
+            )
+        with closing(open_database(database_url)) as opened:
             assert runs.get_run(opened, "run_a").spec == SPEC
             assert [e.event for e in runs.events_of(opened, "run_a")] == [event]
-        finally:
-            opened.close()
 
     def test_before_an_upgrade_the_file_is_copied(self, tmp_path):
         url = f"sqlite:///{tmp_path / 'old.sqlite'}"
@@ -373,13 +436,14 @@ class TestMigrations:
         assert maintenance.revision_of(copy) == "0002"
         assert maintenance.revision_of(tmp_path / "old.sqlite") == "0004"
 
-    def test_a_database_of_a_later_version_is_left_as_it_is(self, database, tmp_path):
+    def test_a_database_of_a_later_version_is_left_as_it_is(self, database):
+        with database.write("test") as session:
+            session.execute(text("update alembic_version set version_num = '0999'"))
         database.close()
-        with closing(sqlite3.connect(tmp_path / "adr.sqlite")) as later, later:
-            later.execute("update alembic_version set version_num = '0999'")
         with pytest.raises(DatabaseNewer, match="revision 0999, which this version does not know"):
             open_database(database.url)
-        assert maintenance.revision_of(tmp_path / "adr.sqlite") == "0999"
+        with closing(Database(database.url)) as later:
+            assert later.revision() == "0999"
 
     def test_they_go_down_to_nothing_and_up_again(self, database):
         config = alembic_config(database.url)
@@ -394,6 +458,10 @@ class TestMigrations:
 
 class TestUpkeep:
     """`adr db`, beside a service that has the database open."""
+
+    @pytest.fixture
+    def database(self, file_database):
+        return file_database
 
     def adr(self, tmp_path, *arguments):
         return CliRunner().invoke(app, ["db", *arguments, "--data-dir", str(tmp_path)])

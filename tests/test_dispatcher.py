@@ -14,7 +14,7 @@ from adr_service.runs import run
 from adr_service.specs import RunSpec
 from adr_service.stages import Stage
 from adr_service.training.policy import Policy
-from db.session import DatabaseUnavailable
+from db.errors import DatabaseUnavailable
 from tests.service import until
 from workers.cluster import RayOptions
 from workers.dispatcher import Dispatcher

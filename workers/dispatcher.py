@@ -23,7 +23,8 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 from adr_service.errors import AdrError, RunCancelled, StageFailed
 from adr_service.progress import SoFar
 from adr_service.stages import KINDS, Role, Stage, StageResult
-from db.session import RETRY_S, DatabaseUnavailable
+from db.errors import DatabaseUnavailable
+from db.session import RETRY_S
 from workers.actors import Board, Ending, Failed, Finished, SignOfLife, Stopped
 from workers.attempt import Attempt
 from workers.cluster import ClusterUnavailable, RayOptions, join

@@ -25,8 +25,9 @@ from adr_service.target import episode_result
 from db import datasets as dataset_store
 from db import runs as run_store
 from db import target_tasks as task_store
+from db.errors import DatabaseUnavailable
 from db.runs import RunRecord
-from db.session import RETRY_S, Database, DatabaseUnavailable
+from db.session import RETRY_S, Database
 from db.target_tasks import TargetTask
 from workers.cluster import ClusterUnavailable, RayOptions
 from workers.dispatcher import Activity, Dispatcher

@@ -1,0 +1,82 @@
+"""A PostgreSQL server of our own, from Debian's package, for the tests of the database."""
+
+import getpass
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Generator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+
+import psycopg
+import pytest
+from sqlalchemy import make_url
+
+_USER = "adr"
+
+
+@dataclass
+class Server:
+    """Databases in a folder, reached through its socket alone."""
+
+    folder: Path
+    _numbers: count = field(default_factory=count)
+
+    def new_database(self) -> str:
+        """The URL of an empty one."""
+        name = f"test_{next(self._numbers)}"
+        with closing(self._connect("postgres")) as connection:
+            connection.execute(f"create database {name}")
+        return f"postgresql+psycopg://{_USER}@/{name}?host={self.folder}"
+
+    def cut(self, url: str) -> None:
+        """End all connections to a database, as a failing network would."""
+        with closing(self._connect(str(make_url(url).database))) as connection:
+            connection.execute(
+                "select pg_terminate_backend(pid) from pg_stat_activity "
+                "where datname = current_database() and pid <> pg_backend_pid()"
+            )
+
+    def _connect(self, name: str) -> psycopg.Connection:
+        return psycopg.connect(host=self.folder, user=_USER, dbname=name, autocommit=True)
+
+
+@contextmanager
+def start_server() -> Generator[Server]:
+    """Skips the test where PostgreSQL is not installed."""
+    newest = sorted(Path("/usr/lib/postgresql").glob("*/bin"), key=lambda p: int(p.parent.name))
+    path = os.pathsep.join([*map(str, newest[-1:]), os.environ["PATH"]])
+    initdb, pg_ctl = (shutil.which(name, path=path) for name in ("initdb", "pg_ctl"))
+    if initdb is None or pg_ctl is None:
+        pytest.skip("PostgreSQL is not installed (Debian's package postgresql)")
+    # it refuses to run as root
+    user = {"user": "postgres"} if getpass.getuser() == "root" else {}
+    with tempfile.TemporaryDirectory(prefix="adr-pg-") as name:
+        folder = Path(name)  # short, as a socket's path must be
+        if user:
+            shutil.chown(folder, user["user"])
+
+        def run(*command: object) -> None:
+            told = subprocess.DEVNULL  # no pipe, which the server would keep open
+            subprocess.run([*map(str, command)], check=True, stdout=told, cwd=folder, **user)
+
+        run(
+            initdb,
+            "--pgdata",
+            folder / "data",
+            "--username",
+            _USER,
+            "--auth",
+            "trust",
+            "-E",
+            "UTF8",
+        )
+        options = f"-k {folder} -c listen_addresses= -c fsync=off"
+        run(pg_ctl, "--pgdata", folder / "data", "--log", folder / "log", "-o", options, "start")
+        try:
+            yield Server(folder)
+        finally:
+            run(pg_ctl, "--pgdata", folder / "data", "--mode", "immediate", "stop")
