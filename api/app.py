@@ -1,19 +1,28 @@
 """The HTTP application."""
 
+import logging
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
+import anyio
 import anyio.to_thread
 from fastapi import FastAPI
+from starlette.datastructures import State
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 import adr_service
+from adr_service.errors import AdrError
 from api import errors, page
 from api.errors import Problem
 from api.etags import Etags
 from api.guard import Guard
 from api.routes import benchmarks, catalogue, claims, criticisms, datasets, runs, target_tasks
-from api.service import open_service
+from api.service import Service, open_service
 from api.settings import Settings
+from db.errors import DatabaseUnavailable
+
+log = logging.getLogger(__name__)
+_FORGET_S = 3600.0
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -21,9 +30,16 @@ def create_app(settings: Settings) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncGenerator[None]:
-        service = await anyio.to_thread.run_sync(open_service, settings)
+        try:
+            service = await anyio.to_thread.run_sync(open_service, settings)
+        except AdrError as error:
+            app.state.refusal = error
+            raise
         app.state.service = service
-        yield
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(_forget, service)
+            yield
+            tasks.cancel_scope.cancel()
         await anyio.to_thread.run_sync(service.close)
 
     app = FastAPI(
@@ -45,5 +61,32 @@ def create_app(settings: Settings) -> FastAPI:
     for router in app.state.routers:
         app.include_router(router)
     app.add_middleware(Etags)
-    app.add_middleware(Guard, settings=settings)  # outermost
+    app.add_middleware(Guard, settings=settings)
+    app.add_middleware(_Starting, state=app.state)  # outermost
     return app
+
+
+async def _forget(service: Service) -> None:
+    """Delete what is kept long enough, every hour."""
+    while True:
+        try:
+            await anyio.to_thread.run_sync(service.delete_expired)
+        except DatabaseUnavailable as error:
+            log.warning("nothing was deleted: %s", error)
+        await anyio.sleep(_FORGET_S)
+
+
+class _Starting:
+    """Says why the service does not start, without a trace where it is not a defect."""
+
+    def __init__(self, app: ASGIApp, state: State):
+        self._app, self._state = app, state
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def told(message: Message) -> None:
+            refusal = getattr(self._state, "refusal", None)
+            if message["type"] == "lifespan.startup.failed" and refusal is not None:
+                message["message"] = str(refusal)
+            await send(message)
+
+        await self._app(scope, receive, told if scope["type"] == "lifespan" else send)

@@ -1,7 +1,6 @@
 """The command line, `adr`: starts the service, or is its client."""
 
 import json
-import logging
 import os
 import socket
 import sys
@@ -58,18 +57,19 @@ def serve(
     import uvicorn
 
     from api.app import create_app
+    from api.logs import configure
 
     given = {"host": host, "port": port, "data_dir": data_dir, "cpus": cpus, "dashboard": dashboard}
     settings = read_settings(**{name: v for name, v in given.items() if v is not None})
     _refuse_a_busy_port(settings)
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    configure(settings.log_format)
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no calls home
     sys.setswitchinterval(0.0005)  # many threads: who answers should not wait 5 ms for each of them
     uvicorn.run(
         create_app(settings),
         host=settings.host,
         port=settings.port,
-        log_level="info",
+        log_config=None,  # ours
         timeout_graceful_shutdown=5,  # for those who follow a stream
     )
 

@@ -6,7 +6,7 @@ import shutil
 import stat
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated
 
@@ -29,12 +29,12 @@ from db import datasets as dataset_store
 from db import runs as store
 from db import stages as stage_store
 from db import target_tasks as task_store
-from db.errors import DatabaseUnavailable, DiskFull
+from db.errors import DatabaseUnavailable, DiskFull, NotFound, NotPossible
 from db.requests import RequestKey
 from db.runs import RunRecord
 from db.session import Database, open_database
 from db.target_tasks import TargetTask
-from workers.cluster import RayOptions
+from workers.cluster import ClusterUnavailable, RayOptions
 from workers.orchestrator import Orchestrator
 
 log = logging.getLogger(__name__)
@@ -107,7 +107,12 @@ class Service:
             Recording(spec, content)
 
     def check_queue(self, live: int) -> None:
-        """Refuse to have so many live runs, or any more on a disk that is nearly full."""
+        """Refuse what could not be run: too many runs, on no cores, on a disk nearly full."""
+        if self.orchestrator.cores == 0:
+            raise ClusterUnavailable(
+                "the cluster has no cores, so nothing would ever run: add a node with some "
+                "(ray start --address=HEAD:6379)"
+            )
         self.check_disk()
         most = self.settings.max_live_runs
         if live > most:
@@ -134,6 +139,21 @@ class Service:
         if not task_store.is_one_free(self.database, tasks, now):
             return None
         return task_store.claim(self.database, worker, tasks, now, self.settings.lease_s)
+
+    def delete_expired(self) -> None:
+        """Delete what has finished before the time that it is kept for; nothing by default."""
+        days = self.settings.retention_days
+        if days is None:
+            return
+        for delete, id in store.finished_before(
+            self.database, datetime.now(UTC) - timedelta(days=days)
+        ):
+            try:
+                delete(self.database, id)
+            except (NotFound, NotPossible) as error:  # somebody was faster, or resumed it
+                log.info("%s stays: %s", id, error)
+            else:
+                log.info("%s was deleted, %g days after it had finished", id, days)
 
     def close(self) -> None:
         self.orchestrator.close()

@@ -9,6 +9,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from adr_service.errors import InvalidInput
 from adr_service.wire import explain
+from api.logs import LogFormat
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 _SHORTEST_TOKEN = 16
@@ -30,10 +31,14 @@ class Settings(BaseSettings):
     allowed_hosts: str = Field("", description="names of the service, with commas between")
     rate: str = Field("500/second", description="of requests from one address")
     disk_floor_mb: int = Field(500, ge=0, description="free space below which work is refused")
+    retention_days: float | None = Field(
+        None, gt=0, description="after which what has finished is deleted; default: never"
+    )
     max_live_runs: int = Field(10_000, ge=1, description="that wait or run at once")
     ray_address: str = Field("local", description="local, auto, or the address of a cluster")
     cpus: int | None = Field(None, ge=1, description="of a local cluster; default: all")
     dashboard: bool = True
+    log_format: LogFormat = Field("text", description="of the log: text, or json, a line each")
     lease_s: float = Field(60.0, ge=1, le=3600, description="of a robot that shows no life")
 
     @model_validator(mode="after")

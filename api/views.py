@@ -50,6 +50,7 @@ class ActivityView(BaseModel):
     fraction: float
     facts: dict[str, Any]
     actor: str | None
+    actor_id: str | None  # as Ray's dashboard knows it
     pid: int | None
     started_by: str
 

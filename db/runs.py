@@ -314,6 +314,22 @@ def delete_benchmark(database: Database, benchmark_id: str) -> None:
         delete_unreferenced(session)
 
 
+def finished_before(
+    database: Database, moment: datetime
+) -> list[tuple[Callable[[Database, str], None], str]]:
+    """Benchmarks and single runs of which nothing has changed since, with what deletes them."""
+    is_recent = RunRow.state.not_in(FINISHED) | (RunRow.updated_at >= moment)
+    of_it = RunRow.benchmark_id == BenchmarkRow.id
+    has_recent = select(RunRow.id).where(of_it, is_recent).exists()
+    single = select(RunRow.id).where(RunRow.benchmark_id.is_(None), ~is_recent)
+    with database.read() as session:
+        benchmarks = session.scalars(select(BenchmarkRow.id).where(~has_recent)).all()
+        return [
+            *((delete_benchmark, id) for id in benchmarks),
+            *((delete_run, id) for id in session.scalars(single)),
+        ]
+
+
 def count_iterations(database: Database, run_ids: Sequence[str]) -> list[tuple[str, int]]:
     """(run id, number of iterations that it has finished), in the order of `run_ids`."""
     found = dict.fromkeys(run_ids, 0)

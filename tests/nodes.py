@@ -1,10 +1,11 @@
 """Ray nodes on this machine, in a process of their own: `python -m tests.nodes`.
 
-A head without cores, as in docker-compose.yml, and two workers of one core. Prints the address; a
-line on its input removes a worker without a goodbye, the end of the input ends everything.
+A head without cores, as in docker-compose.yml. Prints the address; a line on its input, `add` or
+`remove`, starts a worker of one core, or ends one without a goodbye; its end ends everything.
 """
 
 import sys
+from typing import Any
 
 from ray.cluster_utils import Cluster
 
@@ -13,11 +14,14 @@ MEMORY = {"object_store_memory": 100_000_000}
 
 def main() -> None:
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, **MEMORY})
-    workers = [cluster.add_node(num_cpus=1, **MEMORY) for _ in range(2)]
+    workers: list[Any] = []
     say(f"address {cluster.address}")
-    for _ in sys.stdin:
-        cluster.remove_node(workers.pop(), allow_graceful=False)
-        say("removed")
+    for line in sys.stdin:
+        if line == "add\n":
+            workers.append(cluster.add_node(num_cpus=1, **MEMORY))
+        else:
+            cluster.remove_node(workers.pop(), allow_graceful=False)
+        say("done")
     cluster.shutdown()
 
 

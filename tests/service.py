@@ -39,8 +39,8 @@ class RunningService:
     @property
     def attempts(self) -> list[tuple[str, int]]:
         """(digest, number of the attempt) of the same."""
-        found = re.findall(r"stage \w+ (\w{64}): attempt (\d)", self.log.read_text())
-        return [(digest, int(number)) for digest, number in found]
+        found = re.findall(r"stage begun .*attempt=(\d+) .*stage=(\w{64})", self.log.read_text())
+        return [(digest, int(number)) for number, digest in found]
 
     @property
     def children(self) -> dict[int, str]:

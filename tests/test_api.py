@@ -3,12 +3,14 @@
 import csv
 import io
 import json
+import re
 import sqlite3
 import stat
 import subprocess
 import sys
 import time
 from contextlib import closing
+from pathlib import Path
 
 import httpx2
 import pytest
@@ -17,7 +19,7 @@ from adr_service.tasks.catalogue import BUILT_IN
 from adr_service.training.policy import Policy
 from api.client import AdrClient, Refused, Unreachable
 from tests.recordings import recording
-from tests.service import RunningService, wait_until_finished
+from tests.service import RunningService, until, wait_until_finished
 
 pytestmark = pytest.mark.ray
 SMOKE = {"task": "arm", "method": "simopt", "preset": "smoke"}
@@ -408,6 +410,37 @@ class TestService:
         assert [line for line in rest.splitlines() if line.startswith("id:")] == [
             f"id: {i}" for i in ids[2:]
         ]
+
+    def test_the_page_of_a_run_tells_its_story(self, http, finished):
+        page = http.get(f"/runs/{finished}").text
+        assert "iteration_finished" in page
+        assert f"/v1/runs/{finished}/figures/returns.svg" in page
+        assert f'href="/runs/{finished}"' in http.get("/").text
+        assert http.get("/runs/run_0").status_code == 404
+
+    def test_a_stage_in_the_works_is_linked_to_its_process_in_rays_dashboard(self, service, http):
+        run = service.client.submit_run({**SMOKE, "task": "hopper", "method": "prior"})["id"]
+        link = re.compile(r'href="(http://\S+)/#/actors/\w{32}">adr:run_\w+:trainer:\d+<')
+        found = until(lambda: link.search(http.get(f"/runs/{run}").text))
+        assert found.group(1) == http.get("/readyz").json()["dashboard"]
+        http.post(f"/v1/runs/{run}/cancel")
+
+    def test_the_log_has_a_line_of_every_stage_with_its_ids(self, service, finished):
+        lines = [line for line in service.log.read_text().splitlines() if "stage begun" in line]
+        assert any(f"run={finished} " in line and "kind=infer " in line for line in lines)
+
+    def test_a_second_service_on_the_same_data_says_why_it_does_not_start(self, service):
+        command = [sys.executable, "-m", "api", "serve", "--port", "0", "--data-dir"]
+        given = [*command, str(service.data_dir)]
+        done = subprocess.run(given, capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode != 0
+        assert "is in use by another service; stop it, or give this one another" in done.stderr
+        assert "Traceback" not in done.stderr
+
+    def test_the_dashboard_shows_what_there_is(self, http):
+        shown = (Path(__file__).parents[1] / "docs/monitoring/dashboard.json").read_text()
+        asked = set(re.findall(r"\badr_\w+", shown))
+        assert asked == set(re.findall(r"^# TYPE (adr_\w+)", http.get("/metrics").text, re.M))
 
     def test_the_catalogue_lists_tasks_methods_and_presets(self, http):
         assert {task["name"] for task in http.get("/v1/tasks").json()} == set(BUILT_IN)

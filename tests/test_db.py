@@ -4,7 +4,7 @@ import sqlite3
 import threading
 from contextlib import closing
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
@@ -265,6 +265,26 @@ class TestStages:
             runs.append_event(database, run.id, RunSucceeded())
             runs.delete_run(database, run.id)
             assert [count(database, t) for t in ("checkpoints", "artifacts")] == [left, left]
+
+
+class TestRetention:
+    def test_what_ended_before_is_found_and_what_lives_or_is_recent_is_not(self, database):
+        spec = BenchmarkSpec.model_validate(
+            {"tasks": ["arm"], "methods": ["simopt"], "seeds": [0, 1], "preset": "smoke"}
+        )
+        whole, half = (runs.create_benchmark(database, spec).id for _ in range(2))
+        ended, live = (runs.create_run(database, SPEC).id for _ in range(2))
+        members = [run.id for run in runs.runs_of(database, whole)]
+        for id in [*members, *(run.id for run in runs.runs_of(database, half)[1:]), ended]:
+            runs.append_event(database, id, RunSucceeded())
+        later = datetime.now(UTC)
+        expected = [(runs.delete_benchmark, whole), (runs.delete_run, ended)]
+        assert runs.finished_before(database, later) == expected
+        assert runs.finished_before(database, later - timedelta(hours=1)) == []
+        for delete, id in expected:
+            delete(database, id)
+        left = {run.id for run in runs.list_runs(database)}
+        assert left == {run.id for run in runs.runs_of(database, half)} | {live}
 
 
 class TestSession:

@@ -1,5 +1,6 @@
 """The files around the code: what they promise is checked by reading them."""
 
+import json
 import os
 import re
 import subprocess
@@ -12,35 +13,44 @@ import yaml
 ROOT = Path(__file__).parent.parent
 
 
+NODES = ("head", "worker", "api")
+
+
 @pytest.fixture(scope="module")
 def compose():
     return yaml.safe_load((ROOT / "docker-compose.yml").read_text())
 
 
-class TestCompose:
-    def test_one_image_serves_head_workers_and_api(self, compose):
-        services = compose["services"]
-        assert set(services) == {"head", "worker", "api"}
-        assert len({service["image"] for service in services.values()}) == 1
-        assert [name for name, service in services.items() if "build" in service] == ["head"]
+@pytest.fixture(scope="module")
+def nodes(compose):
+    """The services that compute, without those that watch."""
+    return {name: compose["services"][name] for name in NODES}
 
-    def test_only_this_machine_reaches_the_api_and_the_dashboard(self, compose):
+
+class TestCompose:
+    def test_one_image_serves_head_workers_and_api(self, nodes):
+        assert len({service["image"] for service in nodes.values()}) == 1
+        assert [name for name, service in nodes.items() if "build" in service] == ["head"]
+
+    def test_only_this_machine_reaches_the_api_and_the_dashboards(self, compose):
         ports = {name: service.get("ports", []) for name, service in compose["services"].items()}
         assert ports == {
             "head": ["127.0.0.1:8265:8265"],
             "worker": [],
             "api": ["127.0.0.1:8000:8000"],
+            "prometheus": [],
+            "grafana": ["127.0.0.1:3000:3000"],
         }
         assert compose["networks"]["cluster"]["internal"] is True
 
-    def test_every_node_needs_the_clusters_token(self, compose):
-        for service in compose["services"].values():
+    def test_every_node_needs_the_clusters_token(self, compose, nodes):
+        for service in nodes.values():
             assert service["environment"]["RAY_AUTH_MODE"] == "token"
             assert ":?" in service["environment"]["RAY_AUTH_TOKEN"]
         assert ":?" in compose["services"]["api"]["environment"]["ADR_TOKEN"]
 
-    def test_every_node_has_room_for_objects_and_a_health_check(self, compose):
-        for service in compose["services"].values():
+    def test_every_node_has_room_for_objects_and_a_health_check(self, nodes):
+        for service in nodes.values():
             assert service["shm_size"] == "1gb"
             assert service["healthcheck"]["test"][0] == "CMD"
 
@@ -50,8 +60,24 @@ class TestCompose:
         assert not worker.get("ports")
 
     def test_results_live_in_a_volume_of_the_api_alone(self, compose):
-        mounted = [name for name, s in compose["services"].items() if "volumes" in s]
+        volumes = {name: s.get("volumes", []) for name, s in compose["services"].items()}
+        mounted = [name for name, given in volumes.items() if "data:/data" in given]
         assert mounted == ["api"]
+
+    def test_who_watches_comes_only_when_asked_for_and_knows_every_node(self, compose):
+        for name, service in compose["services"].items():
+            assert service.get("profiles", []) == ([] if name in NODES else ["monitoring"])
+        given = yaml.safe_load(compose["configs"]["prometheus"]["content"])
+        service, ray = given["scrape_configs"]
+        assert service["static_configs"] == [{"targets": ["api:8000"]}]
+        (found,) = ray["dns_sd_configs"]
+        assert set(found["names"]) == set(NODES)
+        for name in NODES:
+            command = compose["services"][name]["command"]
+            assert f"--metrics-export-port={found['port']}" in command
+        source = yaml.safe_load(compose["configs"]["grafana-source"]["content"])["datasources"][0]
+        dashboard = json.loads((ROOT / compose["configs"]["grafana-dashboard"]["file"]).read_text())
+        assert {panel["datasource"]["uid"] for panel in dashboard["panels"]} == {source["uid"]}
 
 
 def test_the_image_copies_every_package_and_the_pinned_versions():
@@ -64,7 +90,8 @@ def test_the_image_copies_every_package_and_the_pinned_versions():
 def test_every_dependency_is_pinned():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     wanted = project["project"]["dependencies"] + project["dependency-groups"]["dev"]
-    wanted += project["project"]["optional-dependencies"]["fast"]
+    for extra in project["project"]["optional-dependencies"].values():
+        wanted += extra
     names = {re.match(r"[\w-]+", line).group().lower().replace("_", "-") for line in wanted}
     pinned = {
         line.partition("==")[0].lower().replace("_", "-")

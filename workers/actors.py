@@ -71,6 +71,7 @@ class SignOfLife:
     digest: str
     fraction: float
     facts: dict[str, Any]
+    actor_id: str
     pid: int
     so_far: SoFar | None = None  # where there is a new one since the last sign
 
@@ -172,10 +173,11 @@ class _Reporter:
 
     def _report(self) -> None:
         told: SoFar | None = None
+        actor_id = str(ray.get_runtime_context().get_actor_id())
         while not self._done.is_set():
             so_far = self._so_far
             news = None if so_far is told else so_far
-            sign = SignOfLife(self._digest, *self._latest, os.getpid(), news)
+            sign = SignOfLife(self._digest, *self._latest, actor_id, os.getpid(), news)
             try:
                 if ray.get(self._board.report.remote(sign)):
                     self._unwanted.set()

@@ -85,6 +85,16 @@ class _Job:
         """A node that may have died with the last attempt."""
         return self.lost_on if time.monotonic() - self.lost_at < _DEATH_TOLD_S else None
 
+    @property
+    def ids(self) -> dict[str, str | int]:
+        """For the log."""
+        return {
+            "run": self.started_by,
+            "stage": self.stage.digest,
+            "kind": self.stage.kind,
+            "attempt": self.attempt,
+        }
+
     def is_wanted_by(self, run_id: str) -> bool:
         return run_id in self.run_ids
 
@@ -101,6 +111,7 @@ class Activity:
     fraction: float
     facts: dict[str, Any]
     actor: str | None
+    actor_id: str | None  # as Ray's dashboard knows it
     pid: int | None
     started_by: str
 
@@ -229,7 +240,8 @@ class Dispatcher:
                 self._again(lambda: self._accept(stage, run_id, future), error, run_id)
                 return
             except Exception as error:  # the database's trouble must not stop other runs
-                log.exception("stage %s could not be looked up", stage.digest)
+                ids = {"run": run_id, "stage": stage.digest, "kind": stage.kind}
+                log.exception("the stage could not be looked up", extra=ids)
                 future.set_exception(_not_stored(stage, error))
                 return
             if stored is not None:
@@ -281,18 +293,18 @@ class Dispatcher:
                 continue
             job.attempt += 1
             job.since, job.placed = time.monotonic(), time.time()
-            log.info("stage %s %s: attempt %d", job.stage.kind, job.stage.digest, job.attempt)
             job.actor, job.ref = actor, actor.handle.compute.remote(job.stage, self._board)
+            log.info("stage begun", extra={**job.ids, "actor": actor.name})
 
     def _has_begun(self, job: _Job, actor: Actor) -> bool:
         """Claim what a process is about to do; where that cannot be, the process is free again."""
         try:
             job.lease = self._ledger.begin(job.stage, job.started_by, actor.name)
         except DatabaseUnavailable as error:
-            log.warning("%s; trying again in %g s", error, RETRY_S)
+            log.warning("%s; trying again in %g s", error, RETRY_S, extra=job.ids)
             job.not_before = time.monotonic() + RETRY_S
         except Exception as error:  # the database's trouble must not stop other runs
-            log.exception("stage %s could not be begun", job.stage.digest)
+            log.exception("the stage could not be begun", extra=job.ids)
             self._give_up(job, _not_stored(job.stage, error))
         else:
             return True
@@ -335,7 +347,7 @@ class Dispatcher:
             self._again(lambda: self._deliver(job), error)
             return
         except Exception as error:  # the database's trouble must not stop other runs
-            log.exception("stage %s could not be stored", job.stage.digest)
+            log.exception("the stage's result could not be stored", extra=job.ids)
             self._give_up(job, _not_stored(job.stage, error))
             return
         self._hand_over(job, finished.result)
@@ -371,7 +383,7 @@ class Dispatcher:
 
     def _lost(self, job: _Job, actor: Actor, error: RayError) -> None:
         """A process died under a job: another attempt, or the end."""
-        log.warning("%s: lost attempt %d: %s", job.stage.kind, job.attempt, error)
+        log.warning("stage lost: %s", error, extra=job.ids)
         self._slots.lose(actor)
         job.lost_on, job.lost_at = actor.slot.node, time.monotonic()
         self._count_loss(job, str(error))
@@ -425,14 +437,14 @@ class Dispatcher:
         for job in self._jobs.values():
             silent = time.monotonic() - job.heard
             if job.actor is not None and job.sign is not None and silent > _SILENT_S:
-                log.warning("%s: no sign of life for %.0f s", job.actor.name, silent)
+                log.warning("no sign of life for %.0f s", silent, extra=job.ids)
                 ray.kill(job.actor.handle)
 
     def _note_so_far(self, job: _Job, so_far: SoFar) -> None:
         try:
             self._ledger.note(job.stage, so_far, job.run_ids)
         except Exception:  # the result will be stored, or fail, by itself
-            log.exception("what stage %s has so far could not be stored", job.stage.digest)
+            log.exception("what the stage has so far could not be stored", extra=job.ids)
 
 
 def _activity(job: _Job, now: float) -> Activity:
@@ -447,6 +459,7 @@ def _activity(job: _Job, now: float) -> Activity:
         fraction=sign.fraction if sign else 0.0,
         facts=sign.facts if sign else {},
         actor=actor.name if actor else None,
+        actor_id=sign.actor_id if sign else None,
         pid=sign.pid if sign else None,
         started_by=job.started_by,
     )

@@ -11,6 +11,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
 from typing import TypeVar
 
+from structlog.contextvars import bound_contextvars
+
 from adr_service.errors import AdrError, RunCancelled, StageFailed
 from adr_service.events import (
     RunEvent,
@@ -66,7 +68,7 @@ class Orchestrator:
     def submit(self, record: RunRecord) -> None:
         """Run a stored run; it may have begun before."""
         flag = self._cancelled[record.id] = threading.Event()
-        self._waiting[record.id] = self._pool.submit(self._guard, record, flag)
+        self._waiting[record.id] = self._pool.submit(self._run, record, flag)
 
     def cancel(self, record: RunRecord) -> None:
         """Stop a run at its next stage, or at once where it has no thread yet."""
@@ -118,6 +120,10 @@ class Orchestrator:
     def activities(self, run_id: str | None = None) -> list[Activity]:
         """What is in the works, for a run or for all."""
         return self._dispatcher.activities(run_id)
+
+    def _run(self, record: RunRecord, flag: threading.Event) -> None:
+        with bound_contextvars(run=record.id):  # in all its log says
+            self._guard(record, flag)
 
     def _guard(self, record: RunRecord, flag: threading.Event) -> None:
         """Iterate a run's program to an end that is on record, whatever happens."""

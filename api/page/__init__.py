@@ -1,15 +1,18 @@
-"""The page: benchmarks at a glance, rendered on the server, without scripts."""
+"""The pages: benchmarks and runs at a glance, rendered on the server, without scripts."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from fastapi import APIRouter, Request, Response
 from fastapi.templating import Jinja2Templates
 
 from adr_service.benchmark.claims import reports
-from adr_service.benchmark.comparison import table
+from adr_service.benchmark.comparison import Outcome, table
 from adr_service.benchmark.figures import FIGURES, drawable
 from api.routes.benchmarks import summaries, view
-from api.service import ServiceDependency
+from api.routes.runs import run_view_of
+from api.service import Service, ServiceDependency
 from db import runs as store
 
 router = APIRouter(include_in_schema=False)
@@ -39,6 +42,21 @@ def docs(request: Request) -> Response:
     return _templates.TemplateResponse(request, "docs.html", {"api": description})
 
 
+@router.get("/runs/{run_id}")
+def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
+    record = store.get_run(service.database, run_id)
+    return _templates.TemplateResponse(
+        request,
+        "run.html",
+        {
+            "run": run_view_of(service, record),
+            "is_finished": record.is_finished,
+            "events": store.events_of(service.database, run_id),
+            **_found(service, service.outcomes([record])),
+        },
+    )
+
+
 @router.get("/benchmarks/{benchmark_id}")
 def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -> Response:
     shown = view(service, store.get_benchmark(service.database, benchmark_id))
@@ -48,10 +66,18 @@ def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -
         "benchmark.html",
         {
             "benchmark": shown,
-            "rows": table(outcomes),
-            "figures": drawable(outcomes),
-            "captions": {name: kind.caption for name, kind in FIGURES.items()},
+            **_found(service, outcomes),
             # bootstraps take a moment: not at every refresh of what changes anyway
             "claims": reports(outcomes) if shown.is_finished else [],
         },
     )
+
+
+def _found(service: Service, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """What was found so far, and where it is computed."""
+    return {
+        "rows": table(outcomes),
+        "figures": drawable(outcomes),
+        "captions": {name: kind.caption for name, kind in FIGURES.items()},
+        "ray": service.orchestrator.dashboard_url,
+    }

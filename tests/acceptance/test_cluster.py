@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from api.client import Refused
 from tests.acceptance.test_faults import committed
 from tests.acceptance.test_kills import BENCHMARK, WORK, undisturbed, working
 from tests.service import start_service, until, wait_until_finished
@@ -23,7 +24,7 @@ def secret(tmp_path):
 
 @pytest.fixture
 def nodes(secret):
-    """A head and two workers; see `tests.nodes`."""
+    """A head, which adds and removes workers when told; see `tests.nodes`."""
     environment = {**os.environ, **secret}
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     command = [sys.executable, "-m", "tests.nodes"]
@@ -41,18 +42,26 @@ def told(process, word):
     raise RuntimeError("the nodes have ended")
 
 
+def tell(process, line):
+    process.stdin.write(f"{line}\n")
+    process.stdin.flush()
+    told(process, "done")
+
+
 def test_a_node_that_dies_in_the_middle_changes_nothing(tmp_path_factory, nodes, secret):
     table, stages = undisturbed(tmp_path_factory.mktemp("one"))
     folder = tmp_path_factory.mktemp("three")
     environment = {**secret, "ADR_RAY_ADDRESS": told(nodes, "address")}
     with start_service(folder, cpus=None, environment=environment) as service:
-        assert service.client.ready()["cores"] == 2
+        with pytest.raises(Refused, match="the cluster has no cores"):
+            service.client.submit_benchmark(BENCHMARK)
+        tell(nodes, "add")
+        tell(nodes, "add")
+        until(lambda: service.client.ready()["cores"] == 2)
         id = service.client.submit_benchmark(BENCHMARK)["id"]
         until(lambda: working(service.client, id, WORK["trainer"]))
         before = committed(folder)
-        nodes.stdin.write("\n")
-        nodes.stdin.flush()
-        told(nodes, "removed")
+        tell(nodes, "remove")
         final = wait_until_finished(service.client, id, 600)
         assert final["states"] == {"succeeded": 4}
         assert service.client.results_csv(id) == table

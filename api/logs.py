@@ -1,0 +1,52 @@
+"""What the service says of itself while it runs: lines for people, or JSON for machines.
+
+Every record of a run's thread has its `run`; those of stages have `run`, `stage`, `kind` and
+`attempt`.
+"""
+
+import logging
+import sys
+from typing import Literal
+
+import structlog
+
+LogFormat = Literal["text", "json"]
+
+
+def configure(log_format: LogFormat) -> None:
+    """Send all records of this process to standard error, in one form."""
+    known = [
+        structlog.contextvars.merge_contextvars,
+        structlog.stdlib.add_log_level,
+        structlog.stdlib.add_logger_name,
+        structlog.stdlib.ExtraAdder(),
+        structlog.processors.TimeStamper("iso", utc=True),
+        _without_others,
+    ]
+    form: list[structlog.typing.Processor] = [
+        structlog.stdlib.ProcessorFormatter.remove_processors_meta
+    ]
+    if log_format == "json":
+        form += [structlog.processors.format_exc_info, structlog.processors.JSONRenderer()]
+    else:
+        form.append(
+            structlog.dev.ConsoleRenderer(
+                colors=sys.stderr.isatty(),
+                pad_event_to=0,
+                exception_formatter=structlog.dev.plain_traceback,  # others print secrets' values
+            )
+        )
+    handler = logging.StreamHandler()
+    handler.setFormatter(
+        structlog.stdlib.ProcessorFormatter(foreign_pre_chain=known, processors=form)
+    )
+    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+
+
+def _without_others(
+    logger: structlog.typing.WrappedLogger, name: str, event: structlog.typing.EventDict
+) -> structlog.typing.EventDict:
+    """What uvicorn and Ray add to records for handlers of their own."""
+    for key in ("color_message", "_ray_timestamp_ns"):
+        event.pop(key, None)
+    return event
