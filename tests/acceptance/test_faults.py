@@ -4,7 +4,9 @@ import json
 import re
 import sqlite3
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from itertools import repeat
 from pathlib import Path
 
 import pytest
@@ -29,20 +31,21 @@ RECORDING = recording("arm", 100, [1.2, 0.6, 2.0, 1.0]).to_npz()
 
 def test_after_any_death_the_same_bytes_and_no_stage_lost_or_committed_twice(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
-    with start_service(folder, cpus=2, environment={"ADR_FAILPOINT": "list"}) as running:
+    with start_service(folder, cpus=1, environment={"ADR_FAILPOINT": "list"}) as running:
         table = everything(running.client)
         passed = re.findall(r"failpoint (\S+)", running.log.read_text())
     names = [name for name in dict.fromkeys(passed) if not name.startswith("readyz:")]
     stages = committed(folder)
     assert len(names) > 20
     deaths = lost = twice = 0
-    for name in names:
-        folder = tmp_path_factory.mktemp("faulty")
-        died, gone, again = with_a_death(folder, name, table)
-        report(f"{name}: {'died' if died else 'was not reached'}")
-        deaths += died
-        lost += gone + len(stages - committed(folder))
-        twice += again
+    folders = [tmp_path_factory.mktemp("faulty") for _ in names]
+    with ThreadPoolExecutor(2) as pool:  # services of one core each
+        found = pool.map(with_a_death, folders, names, repeat(table))
+        for name, folder, (died, gone, again) in zip(names, folders, found, strict=True):
+            report(f"{name}: {'died' if died else 'was not reached'}")
+            deaths += died
+            lost += gone + len(stages - committed(folder))
+            twice += again
     report(f"faults injected {deaths} of {len(names)}, runs completed {(deaths + 1) * RUNS}")
     report(f"stages lost {lost}, stages committed twice {twice}")
     assert (lost, twice) == (0, 0)
@@ -57,7 +60,7 @@ def report(line: str) -> None:
 def with_a_death(folder: Path, failpoint: str, table: str) -> tuple[bool, int, int]:
     """Whether the service died there; of how many stages runs were told the end but the result is
     not on disk; and how many it then computed although their results were."""
-    with start_service(folder, cpus=2, environment={"ADR_FAILPOINT": failpoint}) as running:
+    with start_service(folder, cpus=1, environment={"ADR_FAILPOINT": failpoint}) as running:
         try:
             assert everything(running.client) == table
         except Unreachable:
@@ -65,7 +68,7 @@ def with_a_death(folder: Path, failpoint: str, table: str) -> tuple[bool, int, i
         else:
             return False, 0, 0
     before, told = committed(folder), finished(folder)
-    with start_service(folder, cpus=2) as running:
+    with start_service(folder, cpus=1) as running:
         assert everything(running.client) == table
         again = len(before & set(running.started_stages))
     return True, len(told - before), again
