@@ -64,5 +64,6 @@ def file_database(tmp_path: Path) -> Iterator[Database]:
 @pytest.fixture(scope="session")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
     """One service with Ray on two cores for all tests that only add to it."""
-    with start_service(tmp_path_factory.mktemp("service"), cpus=2) as running:
+    folder = tmp_path_factory.mktemp("service")
+    with start_service(folder, cpus=2, dashboard=True) as running:
         yield running

@@ -59,9 +59,16 @@ class RunningService:
 
 @contextmanager
 def start_service(
-    data_dir: Path, *, cpus: int | None, environment: Mapping[str, str] | None = None
+    data_dir: Path,
+    *,
+    cpus: int | None,
+    environment: Mapping[str, str] | None = None,
+    dashboard: bool = False,
 ) -> Generator[RunningService]:
-    """A service on a free port; terminated by pid when the block ends."""
+    """A service on a free port; terminated by pid when the block ends.
+
+    Ray's dashboard costs as much as a small test.
+    """
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -69,6 +76,7 @@ def start_service(
     command = [sys.executable, "-m", "api", "serve", "--port", str(port)]
     command += ["--data-dir", str(data_dir)]
     command += [] if cpus is None else ["--cpus", str(cpus)]  # None: of a cluster that is there
+    command += ["--dashboard" if dashboard else "--no-dashboard"]
     # Ray's default folder is shared by everyone on the machine; ours must be short for sockets
     its_own = {**os.environ, "HOME": str(data_dir), **(environment or {})}
     with log.open("wb") as output:
