@@ -169,7 +169,10 @@ def verdict_table(verdict: Json) -> RenderableType:
                 f"{1000 * step['of_the_model']:.3g})"
             )
     headline = "\n".join([headline, *verdict["remarks"]])
-    table = Table("cause", "location", "strength", box=None, padding=(0, 2, 0, 0))
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for heading in ("cause", "location"):  # names to copy
+        table.add_column(heading, no_wrap=True)
+    table.add_column("strength")
     for heading in ("value", "95 % interval", "evidence [nats]"):
         table.add_column(heading, justify="right")
     for cause, tied in zip(verdict["causes"], verdict["tied"], strict=True):

@@ -19,6 +19,14 @@ START_TIMEOUT_S = 120
 T = TypeVar("T")
 
 
+class NotStarted(RuntimeError):
+    """The service ended, or did not answer, before it was ready."""
+
+    def __init__(self, status: int | None, told: str):
+        super().__init__(f"the service did not start ({status}):\n{told}")
+        self.status = status
+
+
 @dataclass
 class RunningService:
     process: subprocess.Popen[bytes]
@@ -118,4 +126,4 @@ def _wait(client: AdrClient, process: subprocess.Popen[bytes], log: Path) -> Non
             time.sleep(0.1)  # a process that starts can only be asked again
         else:
             return
-    raise RuntimeError(f"the service did not start:\n{log.read_text()[-3000:]}")
+    raise NotStarted(process.poll(), log.read_text()[-3000:])

@@ -202,7 +202,7 @@ class TestBayRn:
         np.testing.assert_allclose([whole.low, whole.high], [SPACE.low, SPACE.high])
         assert np.all(np.isfinite(bayrn.encode(whole)))
 
-    @pytest.mark.parametrize("seed", [0, 1])
+    @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
     def test_it_finds_the_optimum_of_a_known_return_surface(self, seed):
         """Best at mean 1.5 kg and width 0.5 kg; within 2 % of the range of returns, seeds 0 to 4:
         the worst regret after ten proposals was found below .01."""

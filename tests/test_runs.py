@@ -39,7 +39,7 @@ def benchmark():
     spec = BenchmarkSpec.model_validate(
         {
             "tasks": ["arm"],
-            "variants": ["vanilla", "noisy", "unmodeled"],
+            "variants": ["vanilla", "noisy"],
             "methods": METHODS,
             "collectors": ["simopt", "prior", "random"],
             "seeds": [0, 1],
@@ -267,11 +267,11 @@ class TestResults:
         assert draw(name, benchmark[2], "png").startswith(b"\x89PNG")
 
     def test_the_papers_four_figures_and_three_more_can_be_drawn(self, benchmark):
-        names = [f"returns-{variant}" for variant in ("vanilla", "noisy", "unmodeled")]
+        names = [f"returns-{variant}" for variant in ("vanilla", "noisy")]
         assert drawable(benchmark[2]) == [*names, "collection", "parameters", "spread", "cost"]
         alone = [o for o in benchmark[2] if o.spec.variant == "noisy"]
         assert draw("returns-noisy", benchmark[2], "png") == draw("returns", alone, "png")
-        with pytest.raises(UnknownName, match="vanilla, noisy, unmodeled"):
+        with pytest.raises(UnknownName, match="vanilla, noisy"):
             draw("returns-windy", benchmark[2], "png")
 
     def test_the_csv_of_a_figure_has_the_numbers_it_draws(self, benchmark):

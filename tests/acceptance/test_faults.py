@@ -13,7 +13,7 @@ import pytest
 
 from api.client import AdrClient, Unreachable
 from tests.recordings import recording
-from tests.service import start_service, wait_until_finished
+from tests.service import NotStarted, start_service, wait_until_finished
 
 pytestmark = [pytest.mark.ray, pytest.mark.slow]
 TRAINING = {"max_steps": 1800, "evaluate_every": 300}
@@ -60,13 +60,16 @@ def report(line: str) -> None:
 def with_a_death(folder: Path, failpoint: str, table: str) -> tuple[bool, int, int]:
     """Whether the service died there; of how many stages runs were told the end but the result is
     not on disk; and how many it then computed although their results were."""
-    with start_service(folder, cpus=1, environment={"ADR_FAILPOINT": failpoint}) as running:
-        try:
-            assert everything(running.client) == table
-        except Unreachable:
-            assert running.process.wait(timeout=30) == 137
-        else:
-            return False, 0, 0
+    try:
+        with start_service(folder, cpus=1, environment={"ADR_FAILPOINT": failpoint}) as running:
+            try:
+                assert everything(running.client) == table
+            except Unreachable:
+                assert running.process.wait(timeout=30) == 137
+            else:
+                return False, 0, 0
+    except NotStarted as death:
+        assert death.status == 137
     before, told = committed(folder), finished(folder)
     with start_service(folder, cpus=1) as running:
         assert everything(running.client) == table
