@@ -237,7 +237,7 @@ class TestResults:
             assert pair.seeds == 2
         names = {run.column for run in benchmark[0].runs()}
         assert len(names) == 6 + 3 * 3
-        assert len(found) == 3 * len(names) * (len(names) - 1) // 2
+        assert len(found) == 2 * len(names) * (len(names) - 1) // 2
 
     def test_the_prior_is_iteration_zero_of_every_method(self, benchmark):
         rows = table(benchmark[2])

@@ -69,7 +69,8 @@ def with_a_death(folder: Path, failpoint: str, table: str) -> tuple[bool, int, i
             else:
                 return False, 0, 0
     except NotStarted as death:
-        assert death.status == 137
+        if death.status != 137:
+            raise
     before, told = committed(folder), finished(folder)
     with start_service(folder, cpus=1) as running:
         assert everything(running.client) == table
