@@ -4,7 +4,14 @@ from pathlib import Path
 from typing import Any, Self
 
 from limits import parse
-from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
+from pydantic import (
+    AliasChoices,
+    Field,
+    SecretStr,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from adr_service.errors import InvalidInput
@@ -35,7 +42,11 @@ class Settings(BaseSettings):
         None, gt=0, description="after which what has finished is deleted; default: never"
     )
     max_live_runs: int = Field(10_000, ge=1, description="that wait or run at once")
-    ray_address: str = Field("local", description="local, auto, or the address of a cluster")
+    ray_address: str = Field(
+        "local",
+        validation_alias=AliasChoices("adr_ray_address", "ray_address"),
+        description="local, auto, or the address of a cluster; or in RAY_ADDRESS",
+    )
     cpus: int | None = Field(None, ge=1, description="of a local cluster; default: all")
     dashboard: bool = True
     log_format: LogFormat = Field("text", description="of the log: text, or json, a line each")

@@ -30,7 +30,7 @@ def guarded(tmp_path_factory):
     environment = {
         "ADR_TOKEN": TOKEN,
         "ADR_ROBOT_TOKEN": ROBOT,
-        "ADR_RATE": "200/second",
+        "ADR_RATE": "100/second",
         "ADR_MAX_LIVE_RUNS": "3",
     }
     with start_service(folder, cpus=1, environment=environment) as running:
@@ -175,12 +175,12 @@ def test_the_folder_is_the_owners_alone(guarded):
     assert stat.S_IMODE((guarded.data_dir / "ray_token").stat().st_mode) == 0o600
 
 
-def test_ray_asks_for_a_token_and_is_new_enough(guarded):
+def test_ray_asks_for_a_token_and_is_new_enough(service):
     assert tuple(map(int, version("ray").split(".")[:2])) >= (2, 54)
-    raylets = [name for name in guarded.children.values() if "raylet/raylet" in name]
-    assert raylets
-    environ = Path(f"/proc/{guarded.process.pid}/environ").read_bytes()
-    assert b"RAY_AUTH_MODE=disabled" not in environ
+    jobs = service.client.ready()["dashboard"] + "/api/jobs/"
+    assert httpx2.get(jobs).status_code == 401
+    known = {"Authorization": f"Bearer {(service.data_dir / 'ray_token').read_text()}"}
+    assert httpx2.get(jobs, headers=known).status_code == 200
 
 
 @pytest.mark.parametrize(
