@@ -19,10 +19,9 @@ from api.guard import Guard
 from api.routes import benchmarks, catalogue, claims, criticisms, datasets, runs, target_tasks
 from api.service import Service, open_service
 from api.settings import Settings
-from db.errors import DatabaseUnavailable
 
 log = logging.getLogger(__name__)
-_FORGET_S = 3600.0
+_LOOK_AFTER_S = 3600.0
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -36,11 +35,13 @@ def create_app(settings: Settings) -> FastAPI:
             app.state.refusal = error
             raise
         app.state.service = service
-        async with anyio.create_task_group() as tasks:
-            tasks.start_soon(_forget, service)
-            yield
-            tasks.cancel_scope.cancel()
-        await anyio.to_thread.run_sync(service.close)
+        try:
+            async with anyio.create_task_group() as tasks:
+                tasks.start_soon(_look_after, service)
+                yield
+                tasks.cancel_scope.cancel()
+        finally:
+            await anyio.to_thread.run_sync(service.close)
 
     app = FastAPI(
         title="ADR benchmark service",
@@ -66,14 +67,16 @@ def create_app(settings: Settings) -> FastAPI:
     return app
 
 
-async def _forget(service: Service) -> None:
-    """Delete what is kept long enough, every hour."""
+async def _look_after(service: Service) -> None:
+    """Every hour, delete what was kept long enough, and start what nobody has started."""
     while True:
         try:
-            await anyio.to_thread.run_sync(service.delete_expired)
-        except DatabaseUnavailable as error:
-            log.warning("nothing was deleted: %s", error)
-        await anyio.sleep(_FORGET_S)
+            await anyio.to_thread.run_sync(service.orchestrator.adopt)
+            for delete, id in await anyio.to_thread.run_sync(service.expired):
+                await anyio.to_thread.run_sync(service.forget, delete, id)
+        except Exception:  # there is another hour
+            log.exception("not everything was looked after")
+        await anyio.sleep(_LOOK_AFTER_S)
 
 
 class _Starting:

@@ -24,6 +24,7 @@ _STATUS = {
     "cluster_unavailable": 503,
     "queue_full": 429,
     "database_unavailable": 503,
+    "database_in_use": 503,
     "disk_full": 507,
 }
 _RETRY_AFTER_S = 5

@@ -4,7 +4,7 @@ import logging
 import secrets
 import shutil
 import stat
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -108,7 +108,7 @@ class Service:
 
     def check_queue(self, live: int) -> None:
         """Refuse what could not be run: too many runs, on no cores, on a disk nearly full."""
-        if self.orchestrator.cores == 0:
+        if self.orchestrator.cores == 0 and self.settings.ray_address != "local":
             raise ClusterUnavailable(
                 "the cluster has no cores, so nothing would ever run: add a node with some "
                 "(ray start --address=HEAD:6379)"
@@ -119,6 +119,11 @@ class Service:
             raise QueueFull(
                 f"{live} runs would wait or run; accepted are {most} (ADR_MAX_LIVE_RUNS)"
             )
+
+    @property
+    def dashboard_url(self) -> str | None:
+        """Where browsers reach Ray's dashboard."""
+        return self.settings.ray_dashboard_url or self.orchestrator.dashboard_url
 
     def free_disk(self) -> int:
         """Bytes that are left where results are."""
@@ -140,20 +145,21 @@ class Service:
             return None
         return task_store.claim(self.database, worker, tasks, now, self.settings.lease_s)
 
-    def delete_expired(self) -> None:
-        """Delete what has finished before the time that it is kept for; nothing by default."""
+    def expired(self) -> list[store.Deletion]:
+        """What has finished before the time that it is kept for; nothing by default."""
         days = self.settings.retention_days
         if days is None:
-            return
-        for delete, id in store.finished_before(
-            self.database, datetime.now(UTC) - timedelta(days=days)
-        ):
-            try:
-                delete(self.database, id)
-            except (NotFound, NotPossible) as error:  # somebody was faster, or resumed it
-                log.info("%s stays: %s", id, error)
-            else:
-                log.info("%s was deleted, %g days after it had finished", id, days)
+            return []
+        return store.finished_before(self.database, datetime.now(UTC) - timedelta(days=days))
+
+    def forget(self, delete: Callable[[Database, str], None], id: str) -> None:
+        """Delete something expired, if it still is."""
+        try:
+            delete(self.database, id)
+        except (NotFound, NotPossible) as error:  # somebody was faster, or resumed it
+            log.info("%s stays: %s", id, error)
+        else:
+            log.info("%s was deleted: it had been kept long enough", id)
 
     def close(self) -> None:
         self.orchestrator.close()

@@ -28,7 +28,9 @@ class Settings(BaseSettings):
     model_config = SettingsConfigDict(env_prefix="ADR_", frozen=True, extra="ignore")
 
     data_dir: Path = Path("data")
-    database_url: str = Field("", description="an SQLite file; default: in data_dir")
+    database_url: SecretStr = Field(
+        SecretStr(""), description="of SQLite or PostgreSQL; default: a file in data_dir"
+    )
     host: str = "127.0.0.1"
     port: int = Field(8000, ge=0, le=65535)
     token: SecretStr = Field(
@@ -39,7 +41,10 @@ class Settings(BaseSettings):
     rate: str = Field("500/second", description="of requests from one address")
     disk_floor_mb: int = Field(500, ge=0, description="free space below which work is refused")
     retention_days: float | None = Field(
-        None, gt=0, description="after which what has finished is deleted; default: never"
+        None,
+        gt=0,
+        le=36_500,
+        description="after which what has finished is deleted; default: never",
     )
     max_live_runs: int = Field(10_000, ge=1, description="that wait or run at once")
     ray_address: str = Field(
@@ -49,6 +54,7 @@ class Settings(BaseSettings):
     )
     cpus: int | None = Field(None, ge=1, description="of a local cluster; default: all")
     dashboard: bool = True
+    ray_dashboard_url: str = Field("", description="where browsers reach it, if not where Ray says")
     log_format: LogFormat = Field("text", description="of the log: text, or json, a line each")
     lease_s: float = Field(60.0, ge=1, le=3600, description="of a robot that shows no life")
 
@@ -79,7 +85,10 @@ class Settings(BaseSettings):
 
     @property
     def database(self) -> str:
-        return self.database_url or f"sqlite:///{self.data_dir.absolute() / 'adr.sqlite'}"
+        return (
+            self.database_url.get_secret_value()
+            or f"sqlite:///{self.data_dir.absolute() / 'adr.sqlite'}"
+        )
 
 
 def read_settings(**given: Any) -> Settings:

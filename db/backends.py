@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 from filelock import FileLock, Timeout
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
-from sqlalchemy.exc import DataError, DBAPIError, OperationalError
+from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, OperationalError
 
 from adr_service.errors import AdrError, InvalidInput
 from db.errors import DatabaseInUse, DatabaseUnavailable, DiskFull
@@ -20,7 +20,26 @@ from db.maintenance import backup
 
 log = logging.getLogger(__name__)
 BUSY_TIMEOUT_MS = 5_000  # for other processes, such as a backup, and for other writers of ours
+_ACCEPTED = (
+    "the database must be an SQLite file, sqlite:///PATH, or in PostgreSQL, "
+    "postgresql+psycopg://USER@HOST/NAME"
+)
 _ONE_CONNECTION: dict[str, Any] = {"pool_size": 1, "max_overflow": 0}
+
+_SERVER = {  # settings of a session in PostgreSQL
+    "lock_timeout": BUSY_TIMEOUT_MS,
+    "tcp_keepalives_idle": 30,
+    "tcp_keepalives_interval": 10,
+    "tcp_keepalives_count": 3,
+    "timezone": "UTC",
+}
+_CLIENT = {  # and of our end of it
+    "connect_timeout": BUSY_TIMEOUT_MS // 1000,
+    "keepalives_idle": 10,
+    "keepalives_interval": 5,
+    "keepalives_count": 3,
+    "tcp_user_timeout": 15_000,
+}
 
 
 class Backend(Protocol):
@@ -47,7 +66,10 @@ class Backend(Protocol):
 
 def backend_of(url: str) -> Backend:
     """Raises InvalidInput where the service knows no such database."""
-    kind = make_url(url).drivername
+    try:
+        kind = make_url(url).drivername
+    except (ArgumentError, ValueError):  # whose message may have a password
+        raise InvalidInput(f"the database's URL cannot be read; {_ACCEPTED}") from None
     if kind == "postgresql+psycopg":
         return _Postgresql(url)
     return _Sqlite(url)
@@ -57,11 +79,7 @@ def file_of(url: str) -> Path:
     """The SQLite file that a URL names."""
     parsed = make_url(url)
     if parsed.get_backend_name() != "sqlite" or parsed.database in {None, "", ":memory:"}:
-        raise InvalidInput(
-            "the database must be an SQLite file, sqlite:///PATH, or in PostgreSQL, "
-            f"postgresql+psycopg://USER@HOST/NAME; given "
-            f"{parsed.render_as_string(hide_password=True)!r}"
-        )
+        raise InvalidInput(f"{_ACCEPTED}; given {parsed.render_as_string(hide_password=True)!r}")
     return Path(str(parsed.database))
 
 
@@ -141,20 +159,24 @@ class _Postgresql:
     """A database of a PostgreSQL server; the writer's connection holds an advisory lock.
 
     Whoever cannot have the lock has no connection to write with, also after the server restarted.
+    Both ends notice within a minute that the other is gone without a word.
     """
 
     _LOCK = 0xAD5  # among the advisory locks of the database
-    _FULL = "53100"  # SQLSTATE disk_full
+    _LOCK_WAIT_MS = 1_000  # a server needs a moment to see that a connection was closed
+    _FULL, _NOT_AVAILABLE = "53100", "55P03"  # SQLSTATE disk_full, lock_not_available
 
     def __init__(self, url: str):
-        self.name = make_url(url).render_as_string(hide_password=True)
-        times = f"-c lock_timeout={BUSY_TIMEOUT_MS} -c timezone=UTC"
-        options: dict[str, Any] = {
-            "pool_pre_ping": True,
-            "connect_args": {"options": times, "connect_timeout": BUSY_TIMEOUT_MS // 1000},
-        }
+        parsed = make_url(url)
+        self.name = parsed.render_as_string(hide_password=True)
+        ours = {name: v for name, v in _CLIENT.items() if name not in parsed.query}
+        settings = [f"-c {name}={value}" for name, value in _SERVER.items()]
+        told = " ".join([*settings, str(parsed.query.get("options", ""))])  # the URL's come last
+        arguments: dict[str, Any] = {**ours, "options": told}
+        options: dict[str, Any] = {"pool_pre_ping": True}
+        can_write = {**arguments, "target_session_attrs": "read-write"}
         try:
-            self.writer = create_engine(url, **options, **_ONE_CONNECTION)
+            self.writer = create_engine(url, **options, **_ONE_CONNECTION, connect_args=can_write)
         except ModuleNotFoundError as error:
             raise InvalidInput(
                 f"{self.name} needs psycopg: pip install 'adr-service[postgresql]'"
@@ -162,23 +184,32 @@ class _Postgresql:
         self.reader = create_engine(
             url,
             **options,
+            connect_args=arguments,
             isolation_level="REPEATABLE READ",
             execution_options={"postgresql_readonly": True},
         )
         event.listen(self.writer, "connect", self._take)
 
     def _take(self, connection: Any, record: Any) -> None:
-        has_it = connection.execute("select pg_try_advisory_lock(%s)", (self._LOCK,)).fetchone()[0]
-        connection.commit()
-        if not has_it:
+        wait = f"set local lock_timeout = {self._LOCK_WAIT_MS}"
+        try:
+            connection.execute(wait)
+            connection.execute("select pg_advisory_lock(%s)", (self._LOCK,))
+            connection.commit()
+        except Exception as error:  # psycopg's, which is not there where SQLite serves
             connection.close()
-            raise DatabaseInUse(f"{self.name} is in use by another service; stop it first")
+            if getattr(error, "sqlstate", None) != self._NOT_AVAILABLE:
+                raise
+            raise DatabaseInUse(
+                f"{self.name} is in use by another service, or by a connection of this one that "
+                "was cut off; stop the other, or wait a minute"
+            ) from None
 
     def lock(self) -> None:
         self.writer.connect().close()  # the connection itself stays, in the pool
 
     def unlock(self) -> None:
-        self.writer.dispose()
+        """It went with the writer's connection."""
 
     def keep(self, revision: str) -> None:
         """Upgrades are one transaction there; copies are the server's business (pg_dump)."""

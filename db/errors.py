@@ -18,12 +18,6 @@ class NotPossible(AdrError):
     code = "conflict"
 
 
-class DatabaseInUse(AdrError):
-    """Another service holds the database."""
-
-    code = "database_in_use"
-
-
 class DatabaseNewer(AdrError):
     """A later version of the service has written the database."""
 
@@ -34,6 +28,12 @@ class DatabaseUnavailable(AdrError):
     """The database cannot be used just now; what was asked for may be asked for again."""
 
     code = "database_unavailable"
+
+
+class DatabaseInUse(DatabaseUnavailable):
+    """Another service holds the database."""
+
+    code = "database_in_use"
 
 
 class DiskFull(DatabaseUnavailable):

@@ -314,9 +314,10 @@ def delete_benchmark(database: Database, benchmark_id: str) -> None:
         delete_unreferenced(session)
 
 
-def finished_before(
-    database: Database, moment: datetime
-) -> list[tuple[Callable[[Database, str], None], str]]:
+Deletion = tuple[Callable[[Database, str], None], str]  # what deletes, and the id
+
+
+def finished_before(database: Database, moment: datetime) -> list[Deletion]:
     """Benchmarks and single runs of which nothing has changed since, with what deletes them."""
     is_recent = RunRow.state.not_in(FINISHED) | (RunRow.updated_at >= moment)
     of_it = RunRow.benchmark_id == BenchmarkRow.id

@@ -11,6 +11,7 @@ from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import TimeoutError as PoolTimeout
 from sqlalchemy.orm import Session
 
 from db.backends import BUSY_TIMEOUT_MS, backend_of
@@ -26,8 +27,8 @@ class Database:
     """Sessions on one database. Open it once, in the process that owns it.
 
     Both kinds raise DatabaseUnavailable where another process holds the database for longer than
-    seconds, the disk fails or is full, or the server is gone; nothing of the transaction is stored
-    then.
+    seconds, the disk fails or is full, or the server is gone. Nothing of the transaction is stored
+    then; but where a server went away before it could answer a commit, all of it may be.
     """
 
     def __init__(self, url: str):
@@ -71,6 +72,8 @@ class Database:
             if (told := self._backend.explain(error)) is None:
                 raise
             raise told from error
+        except PoolTimeout as error:
+            raise DatabaseUnavailable("too much is read from the database just now") from error
 
     def revision(self) -> str | None:
         """Which tables there are; None: none yet."""

@@ -6,14 +6,13 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Generator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 
-import psycopg
 import pytest
-from sqlalchemy import make_url
+from sqlalchemy import NullPool, create_engine
 
 _USER = "adr"
 
@@ -28,25 +27,30 @@ class Server:
     def new_database(self) -> str:
         """The URL of an empty one."""
         name = f"test_{next(self._numbers)}"
-        with closing(self._connect("postgres")) as connection:
-            connection.execute(f"create database {name}")
-        return f"postgresql+psycopg://{_USER}@/{name}?host={self.folder}"
+        self._execute(self._url("postgres"), f"create database {name}")
+        return self._url(name)
 
     def cut(self, url: str) -> None:
         """End all connections to a database, as a failing network would."""
-        with closing(self._connect(str(make_url(url).database))) as connection:
-            connection.execute(
-                "select pg_terminate_backend(pid) from pg_stat_activity "
-                "where datname = current_database() and pid <> pg_backend_pid()"
-            )
+        self._execute(
+            url,
+            "select pg_terminate_backend(pid, 5000) from pg_stat_activity "
+            "where datname = current_database() and pid <> pg_backend_pid()",
+        )
 
-    def _connect(self, name: str) -> psycopg.Connection:
-        return psycopg.connect(host=self.folder, user=_USER, dbname=name, autocommit=True)
+    def _url(self, name: str) -> str:
+        return f"postgresql+psycopg://{_USER}@/{name}?host={self.folder}"
+
+    def _execute(self, url: str, statement: str) -> None:
+        engine = create_engine(url, isolation_level="AUTOCOMMIT", poolclass=NullPool)
+        with engine.connect() as connection:
+            connection.exec_driver_sql(statement)
 
 
 @contextmanager
 def start_server() -> Generator[Server]:
-    """Skips the test where PostgreSQL is not installed."""
+    """Skips the test where PostgreSQL is not installed, or psycopg."""
+    pytest.importorskip("psycopg")
     newest = sorted(Path("/usr/lib/postgresql").glob("*/bin"), key=lambda p: int(p.parent.name))
     path = os.pathsep.join([*map(str, newest[-1:]), os.environ["PATH"]])
     initdb, pg_ctl = (shutil.which(name, path=path) for name in ("initdb", "pg_ctl"))

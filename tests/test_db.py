@@ -390,6 +390,8 @@ class TestPostgresql:
                 with pytest.raises(DatabaseInUse):
                     runs.create_run(database, SPEC)
                 assert count(database, "runs") == 1
+            runs.create_run(database, SPEC)  # the other has gone
+            assert count(database, "runs") == 2
 
     def test_a_connection_lost_in_a_transaction_stores_nothing_of_it(self, url, postgresql):
         with closing(open_database(url)) as database:
@@ -406,6 +408,19 @@ class TestPostgresql:
                 runs.list_runs(database, task="hop\0per")
             with pytest.raises(InvalidInput, match="too long"), database.write("test") as session:
                 session.add(ResultsRow(id="x" * 41, version="", body=""))
+
+    def test_options_of_the_url_count_for_tables_and_rows(self, url, postgresql):
+        with closing(Database(url)) as database, database.write("test") as session:
+            session.execute(text("create schema s"))
+        with closing(open_database(f"{url}&options=-csearch_path%3Ds")) as database:
+            runs.create_run(database, SPEC)
+            assert count(database, "s.runs") == 1
+
+    @pytest.mark.parametrize("given", ["what?", "postgresql+psycopg://me:secret@[::1/adr"])
+    def test_a_url_that_is_none_is_said_without_its_password(self, given):
+        with pytest.raises(InvalidInput, match="must be an SQLite file") as told:
+            open_database(given)
+        assert "secret" not in str(told.value)
 
     def test_a_server_that_is_not_there_is_said(self):
         with pytest.raises(DatabaseUnavailable, match="cannot be used just now") as told:

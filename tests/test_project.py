@@ -75,6 +75,10 @@ class TestCompose:
         for name in NODES:
             command = compose["services"][name]["command"]
             assert f"--metrics-export-port={found['port']}" in command
+        networks = [
+            set(compose["services"][name]["networks"]) for name in ("prometheus", "grafana")
+        ]
+        assert "cluster" in set.intersection(*networks)
         source = yaml.safe_load(compose["configs"]["grafana-source"]["content"])["datasources"][0]
         dashboard = json.loads((ROOT / compose["configs"]["grafana-dashboard"]["file"]).read_text())
         assert {panel["datasource"]["uid"] for panel in dashboard["panels"]} == {source["uid"]}

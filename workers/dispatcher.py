@@ -437,7 +437,7 @@ class Dispatcher:
         for job in self._jobs.values():
             silent = time.monotonic() - job.heard
             if job.actor is not None and job.sign is not None and silent > _SILENT_S:
-                log.warning("no sign of life for %.0f s", silent, extra=job.ids)
+                log.warning("%s: no sign of life for %.0f s", job.actor.name, silent, extra=job.ids)
                 ray.kill(job.actor.handle)
 
     def _note_so_far(self, job: _Job, so_far: SoFar) -> None:

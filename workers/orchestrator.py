@@ -50,14 +50,14 @@ class Orchestrator:
         self._pool = ThreadPoolExecutor(_RUNS_AT_ONCE, thread_name_prefix="run")
         self._cancelled: dict[str, threading.Event] = {}
         self._waiting: dict[str, Future[None]] = {}
+        self._submitting = threading.Lock()
         self._closing = threading.Event()
 
     def start(self) -> None:
         """Start Ray, and go on with every unfinished run."""
         self._dispatcher.start()
         task_store.drop_simulated(self._database)  # who had claimed them died with the service
-        for record in run_store.unfinished_runs(self._database):
-            self.submit(record)
+        self.adopt()
 
     def close(self) -> None:
         """Stop without a trace in the runs: they go on when the service starts again."""
@@ -65,10 +65,18 @@ class Orchestrator:
         self._dispatcher.close()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
+    def adopt(self) -> None:
+        """Submit stored runs that nobody has: those of an earlier service, or of a lost answer."""
+        for record in run_store.unfinished_runs(self._database):
+            self.submit(record)
+
     def submit(self, record: RunRecord) -> None:
-        """Run a stored run; it may have begun before."""
-        flag = self._cancelled[record.id] = threading.Event()
-        self._waiting[record.id] = self._pool.submit(self._run, record, flag)
+        """Run a stored run, unless that goes on; it may have begun before."""
+        with self._submitting:
+            if record.id in self._waiting:
+                return
+            flag = self._cancelled[record.id] = threading.Event()
+            self._waiting[record.id] = self._pool.submit(self._run, record, flag)
 
     def cancel(self, record: RunRecord) -> None:
         """Stop a run at its next stage, or at once where it has no thread yet."""
@@ -123,7 +131,11 @@ class Orchestrator:
 
     def _run(self, record: RunRecord, flag: threading.Event) -> None:
         with bound_contextvars(run=record.id):  # in all its log says
-            self._guard(record, flag)
+            try:
+                self._guard(record, flag)
+            except Exception:
+                log.exception("the end of the run is not on its record")
+                raise
 
     def _guard(self, record: RunRecord, flag: threading.Event) -> None:
         """Iterate a run's program to an end that is on record, whatever happens."""
@@ -178,4 +190,5 @@ class Orchestrator:
 
 
 def _failure(record: RunRecord, code: str, message: str) -> RunFailed:
-    return RunFailed(submission=record.submission, code=code, message=message)
+    told = message.replace("\0", "\\0")  # which PostgreSQL cannot store
+    return RunFailed(submission=record.submission, code=code, message=told)

@@ -30,7 +30,7 @@ def index(request: Request, service: ServiceDependency) -> Response:
         {
             "benchmarks": [summary(record) for record in benchmarks],
             "runs": single,
-            "ray": service.orchestrator.dashboard_url,
+            "ray": service.dashboard_url,
         },
     )
 
@@ -79,5 +79,5 @@ def _found(service: Service, outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "rows": table(outcomes),
         "figures": drawable(outcomes),
         "captions": {name: kind.caption for name, kind in FIGURES.items()},
-        "ray": service.orchestrator.dashboard_url,
+        "ray": service.dashboard_url,
     }

@@ -157,9 +157,10 @@ def _start(service: Service, spec: BenchmarkSpec, key: str | None) -> BenchmarkR
             service.database, spec, request_key(key, spec), service.check_queue
         )
     except Replayed as before:
-        return store.get_benchmark(service.database, before.id)
+        record = store.get_benchmark(service.database, before.id)
     for run in store.runs_of(service.database, record.id):
-        service.orchestrator.submit(run)
+        if not run.is_finished:
+            service.orchestrator.submit(run)
     return record
 
 

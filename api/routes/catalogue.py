@@ -79,7 +79,7 @@ def readyz(service: ServiceDependency) -> dict[str, Any] | Response:
     return {
         "status": "ready",
         "cores": service.orchestrator.cores,
-        "dashboard": service.orchestrator.dashboard_url,
+        "dashboard": service.dashboard_url,
     }
 
 

@@ -249,8 +249,9 @@ def start(service: Service, spec: AnyRun, key: str | None) -> RunRecord:
             service.database, spec, request_key(key, spec), service.check_queue
         )
     except Replayed as before:
-        return store.get_run(service.database, before.id)
-    service.orchestrator.submit(record)
+        record = store.get_run(service.database, before.id)
+    if not record.is_finished:
+        service.orchestrator.submit(record)
     return record
 
 

@@ -90,11 +90,11 @@ def everything(client: AdrClient) -> str:
     run = (spare[0] if spare else client.submit_run(SPARE))["id"]
     if client.get(run)["state"] in ("queued", "running"):
         client.cancel(run)
-    assert wait_until_finished(client, benchmark, 180)["states"] == {"succeeded": RUNS - 1}
+    assert wait_until_finished(client, benchmark, 600)["states"] == {"succeeded": RUNS - 1}
     table = client.results_csv(benchmark)
-    if wait_until_finished(client, run, 60)["state"] == "cancelled":
+    if wait_until_finished(client, run, 300)["state"] == "cancelled":
         client.resume(run)
-        assert wait_until_finished(client, run, 60)["state"] == "succeeded"
+        assert wait_until_finished(client, run, 300)["state"] == "succeeded"
     client.delete(run)
     client.delete(dataset)
     return table
