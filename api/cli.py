@@ -22,6 +22,7 @@ from api.display import (
     claims_table,
     comparisons_table,
     cost_table,
+    failures,
     label,
     live,
     plan_table,
@@ -484,6 +485,8 @@ def _follow(client: AdrClient, id: str) -> None:
     final = live(console, client, id)
     _show_results(client, final)
     states = final["states"] if "states" in final else {final["state"]: 1}
+    for line in failures(final):
+        errors.print(escape(line), highlight=False, soft_wrap=True)
     if set(states) != {"succeeded"}:
         raise typer.Exit(1)
 

@@ -233,6 +233,8 @@ def _explain(response: httpx2.Response) -> str:
         problem: Json = response.json()
     except ValueError:
         return f"{response.status_code} {response.text[:200]}"
+    if response.status_code == 401:
+        return "the service asks for its token: set ADR_TOKEN, or correct it"
     details = [
         f"{error['pointer']}: {error['detail']} (given: {error['given']})"
         for error in problem.get("errors", [])

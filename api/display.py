@@ -63,15 +63,27 @@ def results_table(results: Json) -> RenderableType:
 def plan_table(plan: Json) -> RenderableType:
     """What runs would cost."""
     table = Table("", "", box=None, padding=(0, 2, 0, 0), show_header=False)
-    hours = "unknown, there are no cores" if plan["hours"] is None else f"{plan['hours']:.2g} h"
+    hours = "unknown, there are no cores" if plan["hours"] is None else _duration(plan["hours"])
     table.add_row("runs", str(plan["runs"]))
     table.add_row("trainings, shared ones once", str(plan["trainings"]))
     table.add_row("their environment steps, at most", f"{plan['environment_steps']:,}")
     table.add_row("target transitions, at most", f"{plan['target_transitions']:,}")
-    table.add_row("computing", f"{plan['core_hours']:.2g} core hours")
+    table.add_row("computing", f"{_duration(plan['core_hours'])} on a core")
     table.add_row(f"time, with {plan['cores']} cores", hours)
     table.add_row("policies on disk", f"{plan['policies_mb']:.2g} MB")
     return Group(table, Text(plan["basis"], style="dim"))
+
+
+def _duration(hours: float) -> str:
+    """What is much less than a minute is mostly the start of processes, which no plan counts."""
+    if hours < 1 / 60:
+        return "less than a minute"
+    return f"{60 * hours:.0f} minutes" if hours < 1 else f"{hours:.2g} hours"
+
+
+def failures(seen: Json) -> list[str]:
+    """Why runs failed, a line each."""
+    return [f"{run['id']} failed: {run['error']['message']}" for run in _runs(seen) if run["error"]]
 
 
 def estimates_table(results: Json) -> RenderableType:
@@ -230,14 +242,21 @@ def _headline(seen: Json) -> str:
         for run, stage in stages
         if stage["state"] == "running"
     ]
-    waiting = sum(stage["state"] == "waiting" for _, stage in stages)
+    waiting = [(run, stage["kind"]) for run, stage in stages if stage["state"] == "waiting"]
+    robots = [run["spec"]["task"] for run, kind in waiting if kind == "target_episode"]
+    cores = len(waiting) - len(robots)
     broken = {run["state"] for run in runs} & {"failed", "cancelled"}
     return (
         f"{finished}/{len(runs)} runs done"
-        + (f" ({', '.join(sorted(broken))} ones too)" if broken else "")
+        + (f", others {' and '.join(sorted(broken))}" if broken else "")
         + (f"; now {', '.join(running)}" if running else "")
-        + (f"; {waiting} stages wait for a core" if waiting else "")
+        + (f"; {cores} stages wait for a core" if cores else "")
+        + (f"; {len(robots)} episodes wait for a robot of {_listed(robots)}" if robots else "")
     )
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(sorted(set(names)))
 
 
 def _progress(seen: Json) -> RenderableType:

@@ -89,6 +89,7 @@ class Robot:
     def work(self, episodes: int | None = None) -> None:
         """Run tasks as they come; `episodes` of them, or without an end."""
         done, name = 0, self._about["name"]
+        self._report(f"{self._name} waits for episodes of {name}")
         with closing(self._env), self._connect(_REQUEST_S) as self._client, suppress(_Stopped):
             while (episodes is None or done < episodes) and not self._stopped.is_set():
                 claimed = self._patiently(
@@ -106,9 +107,12 @@ class Robot:
         task, lease = claimed["task"], claimed["lease"]
         longest = task["transitions"] * self._about["control_period_s"]
         if task["kind"] != "rollout" and not self._limits.allows(longest):
-            allowed = self._limits.seconds
-            self._fail(task, lease, f"{self._name} may move for {allowed} s, not for {longest:g} s")
-            return False
+            self._release(task, lease)  # another robot may have longer
+            raise InvalidInput(
+                f"{task['id']} asks for {longest:g} s, and this robot may move for "
+                f"{self._limits.seconds:g}: allow --max-seconds {longest:g}, or submit runs of "
+                "fewer transitions"
+            )
         with _Heart(self._connect(claimed["lease_s"] / 3), claimed) as heart:
             try:
                 episode = self._run(task, heart)

@@ -18,7 +18,7 @@ from adr_service.benchmark.comparison import Outcome
 from adr_service.benchmark.utilisation import utilisation
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Nominal, check_measurement
-from adr_service.errors import AdrError
+from adr_service.errors import AdrError, InvalidInput
 from adr_service.specs import AnyRun, CriticismSpec, RunSpec
 from adr_service.target import Recording
 from adr_service.tasks.catalogue import get_task, source_of
@@ -181,7 +181,10 @@ def open_service(settings: Settings) -> Service:
 
 def _prepare(data_dir: Path) -> None:
     """A folder for results, and secrets, that nobody else on the machine can look into."""
-    data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+    try:
+        data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError as error:
+        raise InvalidInput(f"there can be no data in {data_dir}: {error}") from error
     mode = stat.S_IMODE(data_dir.stat().st_mode)
     if mode & 0o077:
         data_dir.chmod(0o700)

@@ -15,7 +15,6 @@ from pydantic import (
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from adr_service.errors import InvalidInput
-from adr_service.wire import explain
 from api.logs import LogFormat
 
 DEFAULT_URL = "http://127.0.0.1:8000"
@@ -96,4 +95,19 @@ def read_settings(**given: Any) -> Settings:
     try:
         return Settings(**given)
     except ValidationError as error:
-        raise InvalidInput(explain(error, "settings")) from error
+        raise InvalidInput(_told(error)) from error
+
+
+def _told(error: ValidationError) -> str:
+    """What is wrong with which variable; never the value of a secret."""
+    return "; ".join(
+        f"{'ADR_' + str(e['loc'][0]).upper() + ': ' if e['loc'] else ''}"
+        f"{e['msg'].removeprefix('Value error, ')}"
+        + ("" if _is_secret(e["loc"]) else f" (given: {e['input']})")
+        for e in error.errors()
+    )
+
+
+def _is_secret(location: tuple[int | str, ...]) -> bool:
+    """The whole has secrets in it as well."""
+    return not location or Settings.model_fields[str(location[0])].annotation is SecretStr

@@ -106,7 +106,8 @@ class _Sqlite:
         self.reader = self._engine(url, read_only=True)
 
     def lock(self) -> None:
-        self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if not self._path.parent.is_dir():
+            raise InvalidInput(f"there is no folder {self._path.parent} for the database")
         try:
             self._lock.acquire(timeout=0)
         except Timeout:

@@ -63,7 +63,7 @@ def test_a_benchmark_from_a_file_and_what_it_would_cost(adr, tmp_path):
     code, shown = adr("submit", "b.json", "--dry-run")
     assert code == 0
     assert re.search(r"trainings, shared ones once +4", shown)
-    assert "core hours" in shown
+    assert "less than a minute on a core" in shown
     assert json.loads(adr("submit", "b.json", "--dry-run", "--json")[1])["plan"]["trainings"] == 4
 
 

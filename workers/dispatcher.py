@@ -350,6 +350,7 @@ class Dispatcher:
             log.exception("the stage's result could not be stored", extra=job.ids)
             self._give_up(job, _not_stored(job.stage, error))
             return
+        log.info("stage finished", extra=job.ids)
         self._hand_over(job, finished.result)
 
     def _hand_over(self, job: _Job, result: StageResult) -> None:
@@ -361,6 +362,7 @@ class Dispatcher:
         """The end of a job, without a result."""
         del self._jobs[job.stage.digest]
         if error is not None:
+            log.warning("stage failed: %s", error, extra=job.ids)
             _fail(job, error)
         if job.lease is not None:
             self._drop(job.stage)

@@ -168,6 +168,8 @@ class Orchestrator:
         self._cancelled.pop(record.id, None)
         self._waiting.pop(record.id, None)
         self._record(record, ending)
+        level = logging.WARNING if isinstance(ending, RunFailed) else logging.INFO
+        log.log(level, "run ended: %s", getattr(ending, "message", ending.type))
 
     def _record(self, record: RunRecord, event: RunEvent) -> None:
         self._when_possible(lambda: run_store.append_event(self._database, record.id, event))
