@@ -21,7 +21,7 @@ def live(console: Console, client: AdrClient, id: str) -> Json:
     if not console.is_terminal:
         for look, seen in enumerate(client.watch(id)):
             if look % _REPORT_EVERY == 0 or is_finished(seen):
-                console.print(_headline(seen), highlight=False, soft_wrap=True)
+                console.print(headline(seen), highlight=False, soft_wrap=True)
         return seen
     with Live(console=console, refresh_per_second=4) as screen:
         for seen in client.watch(id):
@@ -233,7 +233,7 @@ def label(spec: Json) -> str:
     return spec["method"]["name"] if "method" in spec else spec["kind"]
 
 
-def _headline(seen: Json) -> str:
+def headline(seen: Json) -> str:
     runs = _runs(seen)
     finished = sum(run["state"] == "succeeded" for run in runs)
     stages = _stages(runs)
@@ -273,7 +273,7 @@ def _progress(seen: Json) -> RenderableType:
             f"{stage['seconds']:.0f} s",
             "" if score is None else f"return in simulation {score:.0f}",
         )
-    return Group(Text(_headline(seen)), table)
+    return Group(Text(headline(seen)), table)
 
 
 def _stages(runs: Iterable[Json]) -> list[tuple[Json, dict[str, Any]]]:

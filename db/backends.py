@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from filelock import FileLock, Timeout
-from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, OperationalError
 
 from adr_service.errors import AdrError, InvalidInput
@@ -66,21 +66,22 @@ class Backend(Protocol):
 
 def backend_of(url: str) -> Backend:
     """Raises InvalidInput where the service knows no such database."""
-    try:
-        kind = make_url(url).drivername
-    except (ArgumentError, ValueError):  # whose message may have a password
-        raise InvalidInput(f"the database's URL cannot be read; {_ACCEPTED}") from None
-    if kind == "postgresql+psycopg":
-        return _Postgresql(url)
-    return _Sqlite(url)
+    return (_Postgresql if _parsed(url).drivername == "postgresql+psycopg" else _Sqlite)(url)
 
 
 def file_of(url: str) -> Path:
     """The SQLite file that a URL names."""
-    parsed = make_url(url)
+    parsed = _parsed(url)
     if parsed.get_backend_name() != "sqlite" or parsed.database in {None, "", ":memory:"}:
         raise InvalidInput(f"{_ACCEPTED}; given {parsed.render_as_string(hide_password=True)!r}")
     return Path(str(parsed.database))
+
+
+def _parsed(url: str) -> URL:
+    try:
+        return make_url(url)
+    except (ArgumentError, ValueError):  # whose message may have a password
+        raise InvalidInput(f"the database's URL cannot be read; {_ACCEPTED}") from None
 
 
 class _Sqlite:

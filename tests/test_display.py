@@ -1,0 +1,56 @@
+"""What the command line says of runs that it watches."""
+
+import io
+
+from rich.console import Console
+
+from api.display import failures, headline, verdict_table
+
+SPEC = {"task": "arm", "method": {"name": "simopt"}, "seed": 0}
+
+
+def a_run(id, state, *stages, error=None):
+    told = {"code": "target_failed", "message": error} if error else None
+    progress = [
+        {"digest": f"{id}{i}", "kind": kind, "state": doing, "fraction": 0.5, "facts": {}}
+        for i, (kind, doing) in enumerate(stages)
+    ]
+    return {"id": id, "state": state, "spec": SPEC, "progress": progress, "error": told}
+
+
+def test_who_is_waited_for_is_said():
+    waiting = [("target_episode", "waiting")] * 3
+    seen = {
+        "runs": [a_run("a", "running", ("infer", "running"), ("evaluate", "waiting"), *waiting)]
+    }
+    assert headline(seen) == (
+        "0/1 runs done; now simopt/0 infer 50%; 1 stages wait for a core; "
+        "3 episodes wait for a robot of arm"
+    )
+
+
+def test_what_failed_is_said_and_why():
+    seen = {"runs": [a_run("a", "succeeded"), a_run("b", "failed", error="the motor is hot")]}
+    assert headline(seen) == "1/2 runs done, others failed"
+    assert failures(seen) == ["b failed: the motor is hot"]
+
+
+def test_names_of_causes_are_not_wrapped_on_narrow_terminals():
+    cause = {
+        "kind": "joint_asymmetric_viscous_friction",
+        "location": "joint:foot_left_joint",
+        "parameters": {"friction": {"value": 1.0, "low": 0.5, "high": 1.5, "unit": "N m s/rad"}},
+        "gain_nats": 30.0,
+    }
+    verdict = {
+        "verdict": "cause",
+        "confidence": 0.99,
+        "causes": [cause],
+        "tied": [[]],
+        "residual": {"rest": "none", "parameters": {}},
+        "gain": None,
+        "remarks": [],
+    }
+    console = Console(file=(output := io.StringIO()), width=80)
+    console.print(verdict_table(verdict))
+    assert f"{cause['kind']}  {cause['location']}" in output.getvalue()
