@@ -267,6 +267,32 @@ class TestStages:
             assert [count(database, t) for t in ("checkpoints", "artifacts")] == [left, left]
 
 
+class TestKeptResults:
+    def test_a_table_is_kept_for_its_version_until_the_run_goes(self, database):
+        run = runs.create_run(database, SPEC)
+        assert runs.kept_results(database, run.id, "one") is None
+        for version, body in (("one", "first"), ("two", "second")):
+            runs.keep_results(database, run.id, version, body)
+            assert runs.kept_results(database, run.id, version) == body
+        assert runs.kept_results(database, run.id, "one") is None
+        runs.append_event(database, run.id, RunSucceeded())
+        runs.delete_run(database, run.id)
+        assert count(database, "results") == 0
+
+    def test_a_benchmarks_tables_go_with_it(self, database):
+        spec = BenchmarkSpec.model_validate(
+            {"tasks": ["arm"], "methods": ["simopt"], "seeds": [0], "preset": "smoke"}
+        )
+        benchmark = runs.create_benchmark(database, spec)
+        (run, *_) = members = runs.runs_of(database, benchmark.id)
+        for member in members:
+            runs.append_event(database, member.id, RunSucceeded())
+        for id in (benchmark.id, run.id):
+            runs.keep_results(database, id, "one", "table")
+        runs.delete_benchmark(database, benchmark.id)
+        assert count(database, "results") == 0
+
+
 class TestRetention:
     def test_what_ended_before_is_found_and_what_lives_or_is_recent_is_not(self, database):
         spec = BenchmarkSpec.model_validate(
