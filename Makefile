@@ -28,12 +28,13 @@ lint: setup
 	$(BIN)/pyright
 
 test: lint
-	$(BIN)/pytest -m "not slow" --durations 15
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -m "not slow and not ray" --durations 10 --numprocesses 2 --dist loadfile
+	$(BIN)/pytest -m "not slow and ray" --durations 10  # Ray has both cores
 
 test-slow: setup
 	$(BIN)/pytest -m slow --timeout 3600
 
-# the service dies at every transaction in turn, then processes are killed, then a node; an hour, by estimate
+# the service dies at every transaction in turn (half an hour), then processes are killed, then a node
 test-faults: setup
 	$(BIN)/pytest -s --timeout 7200 tests/acceptance/test_faults.py tests/acceptance/test_kills.py tests/acceptance/test_cluster.py
 

@@ -72,6 +72,9 @@ class TestDrawing:
         env.close()
         assert np.any(short != long, axis=2).mean() > 0.005
 
+    # the film is written by another program, which JAX of earlier tests warns of
+    @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+    @pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
     def test_a_film_shows_an_episode_as_fast_as_it_was(self, tmp_path):
         env = gymnasium.make("adr/RandomHopper-v0", render_mode="rgb_array")
         still = lambda o: np.zeros((1, 3))  # noqa: E731
