@@ -273,14 +273,17 @@ async def load(
         started = time.perf_counter()
         try:
             answer = await http.request(method, path, **more)
-        except httpx2.HTTPError:
+        except httpx2.HTTPError as error:
             errors[name] += 1
+            print(f"{name}: {error!r}")
             return None
         took[name].append(1000 * (time.perf_counter() - started))
         if answer.status_code == 429 and "Retry-After" in answer.headers:
             await asyncio.sleep(float(answer.headers["Retry-After"]))
             return None
-        errors[name] += answer.is_error
+        if answer.is_error:
+            errors[name] += 1
+            print(f"{name}: {answer.status_code} {answer.text[:200]}")
         return answer
 
     async def read(http: httpx2.AsyncClient, seed: int) -> None:
