@@ -71,7 +71,7 @@ def serve(
         host=settings.host,
         port=settings.port,
         log_config=None,  # ours
-        timeout_keep_alive=30,  # longer than clients keep idle connections, which would break in use
+        timeout_keep_alive=30,  # longer than clients do, whose requests would meet an end
         timeout_graceful_shutdown=5,  # for those who follow a stream
     )
 
