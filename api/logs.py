@@ -1,7 +1,7 @@
 """What the service says of itself while it runs: lines for people, or JSON for machines.
 
-Records of a run's thread have its `run`; of a stage that begins, is lost or fails, `run`, `stage`,
-`kind` and `attempt`.
+Records of a run's thread have its `run`; of a stage that begins, finishes, is lost or fails,
+`run`, `stage`, `kind` and `attempt`.
 """
 
 import logging
