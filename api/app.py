@@ -1,5 +1,6 @@
 """The HTTP application."""
 
+import gc
 import logging
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
@@ -35,6 +36,8 @@ def create_app(settings: Settings) -> FastAPI:
             app.state.refusal = error
             raise
         app.state.service = service
+        gc.collect()
+        gc.freeze()  # to look through all that stays stops everyone for a quarter of a second
         try:
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(_look_after, service)

@@ -54,15 +54,15 @@ def serve(
     dashboard: Annotated[bool | None, typer.Option(help="Start the Ray dashboard.")] = None,
 ) -> None:
     """Start the service; what was unfinished goes on."""
+    given = {"host": host, "port": port, "data_dir": data_dir, "cpus": cpus, "dashboard": dashboard}
+    settings = read_settings(**{name: v for name, v in given.items() if v is not None})
+    _refuse_a_busy_port(settings)
     # only the service needs Ray, MuJoCo and PyTorch, whose imports take seconds
     import uvicorn
 
     from api.app import create_app
     from api.logs import configure
 
-    given = {"host": host, "port": port, "data_dir": data_dir, "cpus": cpus, "dashboard": dashboard}
-    settings = read_settings(**{name: v for name, v in given.items() if v is not None})
-    _refuse_a_busy_port(settings)
     configure(settings.log_format)
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no calls home
     sys.setswitchinterval(0.0005)  # many threads: who answers should not wait 5 ms for each of them
@@ -70,6 +70,7 @@ def serve(
         create_app(settings),
         host=settings.host,
         port=settings.port,
+        http="h11",  # httptools, which is faster, keeps headers of any size in memory
         log_config=None,  # ours
         timeout_keep_alive=30,  # longer than clients do, whose requests would meet an end
         timeout_graceful_shutdown=5,  # for those who follow a stream

@@ -17,6 +17,7 @@ from api.settings import DEFAULT_URL
 
 Json = dict[str, Any]
 _POLL_S = 1.0
+_OF_A_PROXY = (502, 503, 504)  # our own 503 has a Retry-After
 
 
 class Refused(AdrError):
@@ -201,6 +202,11 @@ class AdrClient:
     def _request(self, method: str, path: str, **more: Any) -> httpx2.Response:
         try:
             response = self._http.request(method, path, **more)
+        except httpx2.TimeoutException as error:
+            raise Unreachable(
+                f"the service at {self.url} did not answer in time ({type(error).__name__}); "
+                "it may still do what it was asked for"
+            ) from error
         except httpx2.TransportError as error:
             raise Unreachable(
                 f"no service answers at {self.url} ({error}); start one with `adr serve`, "
@@ -209,6 +215,11 @@ class AdrClient:
         if response.is_error:
             wait = response.headers.get("Retry-After")
             after = float(wait) if wait is not None and wait.isdigit() else None
+            if after is None and response.status_code in _OF_A_PROXY:
+                raise Unreachable(
+                    f"what answers at {self.url} is not the service: "
+                    f"{response.status_code} {response.reason_phrase}"
+                )
             raise Refused(response.status_code, _explain(response), after)
         return response
 

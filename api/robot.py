@@ -132,7 +132,8 @@ class Robot:
         if not self._why_stop(heart):  # to reset is to move
             observation, _ = self._env.reset(seed=_seed(task))
             observations, began = [_row(observation)], time.monotonic()
-        while len(actions) < task["transitions"] and not self._why_stop(heart):
+            wrong = _broken(observations[0], 0.0)
+        while len(actions) < task["transitions"] and not wrong and not self._why_stop(heart):
             moved = (len(actions) + 1) * self._about["control_period_s"]
             if not self._limits.allows(max(moved, time.monotonic() - began)):
                 wrong = f"{self._name} may move for {self._limits.seconds} s, which were over"
@@ -144,7 +145,10 @@ class Robot:
             action = self._limits.apply(wanted)
             limited += not np.array_equal(action, wanted)
             observation, reward, ended, cut, _ = self._env.step(action)
-            observations.append(_row(observation))
+            row = _row(observation)
+            if wrong := _broken(row, float(reward)):
+                break
+            observations.append(row)
             actions.append(action)
             rewards.append(float(reward))
             heart.steps = len(actions)
@@ -175,6 +179,9 @@ class Robot:
             if error.status == 409:
                 self._report(f"{task['id']}: not accepted, {error}")
                 return False
+            if error.status >= 500:  # its defect, not the episode's
+                self._release(task, lease)
+                raise
             self._fail(task, lease, f"the service refused the episode: {error}")
             return False
         earned, steps = float(episode.rewards.sum()), len(episode.actions)
@@ -314,6 +321,13 @@ def _names(task: Json) -> tuple[str, int, int]:
 
 def _row(observation: Any) -> Vector:
     return np.asarray(observation, dtype=np.float64)
+
+
+def _broken(observation: Vector, reward: float) -> str:
+    """What is wrong with what the sensors say."""
+    if np.all(np.isfinite(observation)) and np.isfinite(reward):
+        return ""
+    return f"the robot showed {observation.tolist()} and the reward {reward}"
 
 
 def _trajectory(episode: Episode, about: Mapping[str, Any], name: str) -> bytes:

@@ -10,8 +10,6 @@ from pydantic import ValidationError
 from adr_service.errors import InvalidInput
 from adr_service.specs import RunSpec
 from adr_service.wire import explain
-from workers.cluster import RayOptions
-from workers.tuning import tune
 
 
 def search(
@@ -25,6 +23,9 @@ def search(
         raise InvalidInput(explain(error, "spec")) from error
     except ValueError as error:
         raise InvalidInput(f"learning rates must be numbers: {error}") from error
+    from workers.cluster import RayOptions
+    from workers.tuning import tune
+
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # no calls home
     options = RayOptions(cpus=cpus, dashboard=False)
     return [asdict(trial) for trial in tune(given, numbers, range(seeds), options)]

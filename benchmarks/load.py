@@ -4,10 +4,10 @@
 
 The database gets 100 events per run, in benchmarks of 96 runs and single ones. Every benchmark's
 results are asked for once, which computes them; they are kept. Then, first, every route is asked 50
-times, one after the other, of a service that does nothing else. Second, while a
-benchmark trains on two cores, 50 clients ask once a second each for what a person or `adr watch`
-asks, and 5 submit a run a second each (a 429 with Retry-After is no error; they wait and go on).
-The clients are one process of coroutines, the service with Ray another.
+times, one after the other, of a service that does nothing else. Second, while a benchmark trains on
+two cores, 50 clients ask every .5 to 1.5 s each for what a person or `adr watch` asks, and 5 submit
+a run a second each (a 429 with Retry-After is no error; they wait and go on). The clients are one
+process of coroutines, the service with Ray another.
 
 Writes build/bench/api.json, route -> {p50_ms, p95_ms, p99_ms, errors, requests} under load, and
 api-full.json, the same of the first part; prints whether every accepted run is in the database.
@@ -293,7 +293,7 @@ async def load(
             asked = list(routes(ids, benchmarks, rng).items())
             name, path = asked[rng.integers(len(asked))]
             await ask(http, name, "GET", path)
-            await asyncio.sleep(1.0)
+            await asyncio.sleep(rng.uniform(0.5, 1.5))  # in step, all would wait for each other
 
     async def write(http: httpx2.AsyncClient, number: int) -> None:
         seed = 100_000 * (number + 1)

@@ -266,8 +266,11 @@ def request_cancel(database: Database, run_id: str) -> RunRecord:
         return _record(row)
 
 
-def resubmit(database: Database, run_id: str) -> RunRecord:
-    """Queue a failed or cancelled run again; its finished stages answer at once."""
+def resubmit(database: Database, run_id: str, accept: Accept | None = None) -> RunRecord:
+    """Queue a failed or cancelled run again; its finished stages answer at once.
+
+    Raises what `accept` raises.
+    """
     with database.write("resubmit") as session:
         row = _row(session, run_id)
         if row.state not in {"failed", "cancelled"}:
@@ -277,6 +280,7 @@ def resubmit(database: Database, run_id: str) -> RunRecord:
         row.submission += 1
         row.cancel_requested = False
         append(session, run_id, RunQueued(submission=row.submission))
+        _check(session, accept)
         return _record(row)
 
 

@@ -160,10 +160,15 @@ def complete(
 
 
 def finish(session: Session, digest: str, lease: str) -> None:
-    """Close a task whose result is stored in this transaction; LeaseLost where it has another."""
+    """Close a task whose result is stored in this transaction; LeaseLost where it has another.
+
+    The same again, after a commit whose answer was lost, changes nothing.
+    """
     row = session.scalar(select(TargetTaskRow).where(TargetTaskRow.digest == digest))
     if row is None:
         raise LeaseLost(f"the task of stage {digest} is not there any more")
+    if row.state == "done" and row.lease == lease:
+        return
     _check_lease(row, lease)
     row.state, row.expires_at = "done", None
 
@@ -177,8 +182,11 @@ def release(database: Database, id: str, lease: str) -> TargetTask:
 
 
 def fail(database: Database, id: str, lease: str, message: str) -> TargetTask:
-    """Say that nobody can do this task; its run fails with the message."""
+    """Say that nobody can do this task; its run fails with the message. Again changes nothing."""
     with database.write("fail_task") as session:
+        row = _task(session, id)
+        if row.state == "failed" and row.lease == lease:
+            return _record(session, row)
         row = _held(session, id, lease)
         row.state, row.expires_at, row.error = "failed", None, message
         return _record(session, row)

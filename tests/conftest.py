@@ -1,12 +1,14 @@
 """Fixtures: the published data, a database, and a service of our own."""
 
 import os
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from adr_service.transitions import TransitionDataset
+from api import cli
 from db.session import Database, open_database
 from tests.postgresql import Server, start_server
 from tests.recordings import load_hopper
@@ -59,6 +61,22 @@ def file_database(tmp_path: Path) -> Iterator[Database]:
     opened = open_database(f"sqlite:///{tmp_path / 'adr.sqlite'}")
     yield opened
     opened.close()
+
+
+@pytest.fixture
+def adr_here(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
+    """Runs `adr` with these arguments in this process: exit status, output and errors."""
+    monkeypatch.setattr(cli.console, "width", 200)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["adr", *arguments])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return end.value.code or 0, *capsys.readouterr()
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,8 @@
 
 import time
 
+import numpy as np
+
 from adr_service.simulation.gym_env import RandomizedEnv
 
 
@@ -17,6 +19,18 @@ class SlowArm(RandomizedEnv):
         self.actions.append(action)
         self.step_times.append(time.monotonic())
         return super().step(action)
+
+
+class BlindArm(SlowArm):
+    """Its sensors fail after ten steps."""
+
+    def step(self, action):
+        observation, *rest = super().step(action)
+        return observation * (np.nan if len(self.actions) > 10 else 1.0), *rest
+
+
+def blind_arm():
+    return BlindArm(0.0)
 
 
 def fast_arm():

@@ -1,7 +1,6 @@
 """The command line against a real service."""
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -15,21 +14,15 @@ pytestmark = pytest.mark.ray
 
 
 @pytest.fixture
-def adr(service, tmp_path):
-    """Runs `adr` with these arguments; gives exit status and output."""
+def adr(adr_here, service, tmp_path, monkeypatch):
+    """Runs `adr` with these arguments against the service; gives exit status and output."""
+    monkeypatch.setenv("ADR_URL", service.client.url)
+    monkeypatch.chdir(tmp_path)
 
     def run(*arguments):
-        done = subprocess.run(
-            [sys.executable, "-m", "api", *arguments],
-            capture_output=True,
-            text=True,
-            timeout=120,
-            cwd=tmp_path,
-            env={**os.environ, "ADR_URL": service.client.url, "COLUMNS": "200"},
-            check=False,
-        )
-        assert bool(done.stderr) == (done.returncode == 2), done.stderr
-        return done.returncode, done.stdout or done.stderr
+        code, out, told = adr_here(*arguments)
+        assert bool(told) == (code == 2), told
+        return code, out or told
 
     return run
 

@@ -59,6 +59,7 @@ class Store:
         self.results, self.commits, self.notes = {}, [], []
         self.first = {}  # by digest: whether the stage was the first of its process
         self.refusals = 0  # of the database, to come
+        self.dropped = []
 
     def find(self, stage, run_id):
         self.refuse()
@@ -68,10 +69,11 @@ class Store:
         self.notes.append((stage.digest, so_far, run_ids))
 
     def begin(self, stage, run_id, worker):
-        return None
+        return "lease"
 
     def drop(self, stage):
-        pass
+        self.dropped.append(stage.digest)
+        raise OSError("the file system is read-only")
 
     def commit(self, stage, finished, attempt, run_ids):
         self.refuse()
@@ -175,12 +177,12 @@ def test_a_running_stage_shows_life(started):
 
 def test_a_stage_is_stopped_only_when_nobody_wants_it(started):
     dispatcher, store = started
-    stage = training(30, max_steps=15_000, evaluate_every=15_000)
+    stage = training(30, max_steps=8_000, evaluate_every=8_000)
     dispatcher.submit(stage, "run_gone")
     wanted = dispatcher.submit(stage, "run_stays")
     until(lambda: running(dispatcher, "run_stays"))
     dispatcher.withdraw("run_gone")
-    assert wanted.result(120).values["steps"] >= 15_000
+    assert wanted.result(120).values["steps"] >= 8_000
     assert store.commits[-1][3] == ["run_stays"]
 
 
@@ -196,7 +198,7 @@ def test_a_withdrawn_stage_stops_and_frees_its_core(started):
 
 def test_a_lost_process_means_another_attempt_with_the_same_bytes(started):
     dispatcher, store = started
-    stage = training(50, max_steps=15_000, evaluate_every=15_000)
+    stage = training(50, max_steps=8_000, evaluate_every=8_000)
     future = dispatcher.submit(stage, "run_lost")
     pid = until(lambda: _pid(dispatcher, "run_lost"))
     os.kill(pid, signal.SIGKILL)
@@ -247,10 +249,11 @@ def test_a_stage_that_goes_wrong_says_how_and_is_not_remembered(started):
 
 
 def test_a_result_that_cannot_be_stored_fails_its_stage_and_nobody_elses(started):
-    dispatcher, _ = started
+    dispatcher, store = started
     with pytest.raises(StageFailed, match="no space left") as failed:
         dispatcher.submit(training(70), "run_unlucky").result(60)
     assert failed.value.cause == "not_stored"
+    until(lambda: training(70).digest in store.dropped)
     assert dispatcher.is_alive
     assert dispatcher.submit(training(71), "run_lucky").result(60)
 

@@ -354,7 +354,7 @@ class TestOnHopper:
         return np.sqrt(np.mean(miss**2))
 
     @pytest.mark.parametrize("recording", ["hopper_clean", "hopper_noisy"])
-    @pytest.mark.parametrize("episode", [0, 1])
+    @pytest.mark.parametrize("episode", [0, pytest.param(1, marks=pytest.mark.slow)])
     def test_droid_recovers_the_masses_from_a_hundred_transitions(
         self, request, recording, episode
     ):

@@ -2,6 +2,7 @@
 
 import base64
 import re
+import socket
 import stat
 import subprocess
 import sys
@@ -135,6 +136,13 @@ def test_paths_do_not_lead_to_files(http):
         for place in ("/v1/artifacts/", "/v1/criticisms/x/", "/v1/datasets/"):
             answer = http.get(place + path, headers=bearer(TOKEN))
             assert answer.status_code == 404
+
+
+def test_headers_without_end_are_not_waited_for(guarded):
+    host, port = guarded.client.url.removeprefix("http://").split(":")
+    with socket.create_connection((host, int(port)), timeout=60) as connection:
+        connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nX: " + b"x" * 20_000)
+        assert connection.recv(100).startswith(b"HTTP/1.1 400 ")
 
 
 def test_more_requests_than_the_rate_wait(http):

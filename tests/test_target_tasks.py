@@ -121,6 +121,7 @@ class TestLeases:
         assert (again.id, again.attempt) == (task.id, 2)
         failed = target_tasks.fail(database, again.id, again.lease, "the gripper is broken")
         assert (failed.state, failed.error) == ("failed", "the gripper is broken")
+        assert target_tasks.fail(database, again.id, again.lease, "said again") == failed
         assert claim(database) is None
         publish(database, run_id)  # its run was resumed
         assert claim(database).attempt == 3
@@ -171,8 +172,9 @@ class TestSimulated:
             )
         with database.write("test") as session, pytest.raises(LeaseLost):
             target_tasks.finish(session, stage.digest, first)
-        with database.write("test") as session:
-            target_tasks.finish(session, stage.digest, second)
+        for _ in range(2):  # as when the answer to a commit was lost
+            with database.write("test") as session:
+                target_tasks.finish(session, stage.digest, second)
         (task,) = target_tasks.list_tasks(database, external=False)
         assert (task.state, task.attempt, task.worker) == ("done", 2, "next")
 
@@ -204,6 +206,7 @@ class Machine(RuleBasedStateMachine):
         self.runs = {}  # id: number of visits
         self.current = {}  # task id: the lease that counts
         self.accepted = {}  # task id: (lease, content)
+        self.failed = {}  # task id: lease
 
     def teardown(self):
         self.database.close()
@@ -232,6 +235,8 @@ class Machine(RuleBasedStateMachine):
     def speak(self, task, word):
         """In time, late, again, or with something else than before."""
         is_good = self.current.get(task.id) == task.lease
+        if word == "fail":
+            is_good = is_good or self.failed.get(task.id) == task.lease
         try:
             if word == "heartbeat":
                 target_tasks.heartbeat(self.database, task.id, task.lease, 1, self.now, LEASE_S)
@@ -239,6 +244,7 @@ class Machine(RuleBasedStateMachine):
                 target_tasks.release(self.database, task.id, task.lease)
             elif word == "fail":
                 target_tasks.fail(self.database, task.id, task.lease, "broken")
+                self.failed[task.id] = task.lease
             else:
                 complete(self.database, task, content=word.encode(), now=self.now)
         except LeaseLost:
@@ -290,7 +296,7 @@ class Machine(RuleBasedStateMachine):
         runs.append_event(self.database, run_id, RunStarted(submission=record.submission))
         for number in range(self.runs[run_id]):
             if stored(self.database, visit(run_id, number).digest) is None:
-                publish(self.database, run_id, number)
+                self.failed.pop(publish(self.database, run_id, number), None)
 
     @invariant()
     def one_result_of_each_task_and_it_is_the_accepted_one(self):

@@ -8,14 +8,8 @@ import pytest
 
 from tests.test_training import TINY  # a training of a second
 
-pytestmark = pytest.mark.ray
 
-
-def tune(*arguments):
-    command = [sys.executable, "-m", "api", "tune", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
-
-
+@pytest.mark.ray
 @pytest.mark.slow
 def test_every_rate_and_seed_is_tried_and_the_best_comes_first():
     given = {**TINY, "backend": "sb3"}
@@ -24,7 +18,9 @@ def test_every_rate_and_seed_is_tried_and_the_best_comes_first():
         for name, value in given.items()
         for argument in ("--set", f"training.{name}={json.dumps(value)}")
     ]
-    done = tune("arm", "--rates", "0.001,0.01", "--seeds", "2", "--cpus", "2", "--json", *settings)
+    command = [sys.executable, "-m", "api", "tune", "arm", "--rates", "0.001,0.01", "--seeds", "2"]
+    command += ["--cpus", "2", "--json", *settings]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 0, done.stderr
     trials = json.loads(done.stdout)
     tried = {(trial["learning_rate"], trial["seed"]) for trial in trials}
@@ -43,7 +39,7 @@ def test_every_rate_and_seed_is_tried_and_the_best_comes_first():
         (("amr", "--rates", "0.1"), "task: there is no task 'amr'"),
     ],
 )
-def test_what_cannot_be_tried_is_refused(arguments, message):
-    done = tune(*arguments)
-    assert done.returncode == 2
-    assert message in done.stderr.replace("\n", " ")
+def test_what_cannot_be_tried_is_refused(adr_here, arguments, message):
+    code, _, told = adr_here("tune", *arguments)
+    assert code == 2
+    assert message in told.replace("\n", " ")

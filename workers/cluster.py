@@ -38,6 +38,8 @@ def join(options: RayOptions) -> Any:
         arguments["num_cpus"] = options.cpus
         arguments["include_dashboard"] = options.dashboard
         arguments["object_store_memory"] = 200_000_000
+        # they would be without our environment, so never used
+        arguments["_system_config"] = {"prestart_worker_first_driver": False}
     environment = {"env_vars": worker_environment(options.compile_cache)}
     try:
         return ray.init(

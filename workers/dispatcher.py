@@ -25,8 +25,9 @@ from adr_service.progress import SoFar
 from adr_service.stages import KINDS, Role, Stage, StageResult
 from db.errors import DatabaseUnavailable
 from db.session import RETRY_S
-from workers.actors import Board, Ending, Failed, Finished, SignOfLife, Stopped
+from workers.actors import Ending, Failed, Finished, Stopped
 from workers.attempt import Attempt
+from workers.board import Board, SignOfLife
 from workers.cluster import ClusterUnavailable, RayOptions, join
 from workers.ledger import Ledger
 from workers.slots import Actor, Slots
@@ -262,6 +263,10 @@ class Dispatcher:
         except DatabaseUnavailable as error:
             self._again(lambda: self._arrived(digest), error)
             return
+        except Exception as error:  # the database's trouble must not stop other runs
+            log.exception("the stage could not be looked up", extra=job.ids)
+            self._give_up(job, _not_stored(job.stage, error))
+            return
         if stored is not None:
             self._hand_over(job, stored)
 
@@ -374,6 +379,10 @@ class Dispatcher:
             self._ledger.drop(stage)
         except DatabaseUnavailable as error:
             self._again(lambda: self._drop(stage), error)
+        except Exception:  # the database's trouble must not stop other runs
+            log.exception(
+                "the claim of a stage without a result stays", extra={"stage": stage.digest}
+            )
 
     def _again(
         self, action: Callable[[], None], error: DatabaseUnavailable, run_id: str | None = None

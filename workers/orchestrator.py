@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from structlog.contextvars import bound_contextvars
 
@@ -23,6 +23,7 @@ from adr_service.events import (
     StageFinished,
 )
 from adr_service.runs import run
+from adr_service.specs import RunSpec
 from adr_service.target import episode_result
 from db import datasets as dataset_store
 from db import runs as run_store
@@ -39,6 +40,14 @@ from workers.stages import RayStages
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 _RUNS_AT_ONCE = 64  # threads that mostly wait; the cores are shared out by the dispatcher
+_EXTERNAL_AT_ONCE = 1000  # they wait for robots, for days if need be
+
+
+class _Live(NamedTuple):
+    """A run that has its thread, or will have."""
+
+    cancelled: threading.Event
+    thread: Future[None]
 
 
 class Orchestrator:
@@ -47,10 +56,10 @@ class Orchestrator:
     def __init__(self, database: Database, options: RayOptions):
         self._database = database
         self._dispatcher = Dispatcher(options, DatabaseLedger(database))
-        self._pool = ThreadPoolExecutor(_RUNS_AT_ONCE, thread_name_prefix="run")
-        self._cancelled: dict[str, threading.Event] = {}
-        self._waiting: dict[str, Future[None]] = {}
-        self._submitting = threading.Lock()
+        self._ours = ThreadPoolExecutor(_RUNS_AT_ONCE, thread_name_prefix="run")
+        self._external = ThreadPoolExecutor(_EXTERNAL_AT_ONCE, thread_name_prefix="external")
+        self._live: dict[tuple[str, int], _Live] = {}  # by run and submission
+        self._changing = threading.Lock()
         self._closing = threading.Event()
 
     def start(self) -> None:
@@ -63,7 +72,8 @@ class Orchestrator:
         """Stop without a trace in the runs: they go on when the service starts again."""
         self._closing.set()
         self._dispatcher.close()
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        for pool in (self._ours, self._external):
+            pool.shutdown(wait=True, cancel_futures=True)
 
     def adopt(self) -> None:
         """Submit stored runs that nobody has: those of an earlier service, or of a lost answer."""
@@ -72,24 +82,29 @@ class Orchestrator:
 
     def submit(self, record: RunRecord) -> None:
         """Run a stored run, unless that goes on; it may have begun before."""
-        with self._submitting:
-            if record.id in self._waiting:
-                return
-            flag = self._cancelled[record.id] = threading.Event()
-            self._waiting[record.id] = self._pool.submit(self._run, record, flag)
+        spec = record.spec
+        is_external = isinstance(spec, RunSpec) and spec.target.kind == "external"
+        pool = self._external if is_external else self._ours
+        with self._changing:
+            if _key(record) not in self._live:
+                flag = threading.Event()
+                self._live[_key(record)] = _Live(flag, pool.submit(self._run, record, flag))
 
     def cancel(self, record: RunRecord) -> None:
         """Stop a run at its next stage, or at once where it has no thread yet."""
-        if flag := self._cancelled.get(record.id):
-            flag.set()
-        waiting = self._waiting.get(record.id)
-        if waiting is not None and waiting.cancel():
-            del self._cancelled[record.id], self._waiting[record.id]
-            stopped = RunStopped(submission=record.submission)
-            try:
-                run_store.append_event(self._database, record.id, stopped)
-            except DatabaseUnavailable:  # nobody who asks should have to wait for it
-                threading.Thread(target=self._record, args=(record, stopped), daemon=True).start()
+        with self._changing:
+            live = self._live.get(_key(record))
+            if live is None:
+                return
+            live.cancelled.set()
+            if not live.thread.cancel():
+                return
+            del self._live[_key(record)]
+        stopped = RunStopped(submission=record.submission)
+        try:
+            run_store.append_event(self._database, record.id, stopped)
+        except DatabaseUnavailable:  # nobody who asks should have to wait for it
+            threading.Thread(target=self._record, args=(record, stopped), daemon=True).start()
 
     def complete_task(self, id: str, lease: str, content: bytes) -> TargetTask:
         """Accept a robot's episode, the `.npz` of `episode_result`, and let its run go on."""
@@ -136,12 +151,17 @@ class Orchestrator:
             except Exception:
                 log.exception("the end of the run is not on its record")
                 raise
+            finally:
+                with self._changing:
+                    del self._live[_key(record)]
 
     def _guard(self, record: RunRecord, flag: threading.Event) -> None:
         """Iterate a run's program to an end that is on record, whatever happens."""
         try:
-            self._record(record, RunStarted(submission=record.submission))
             now = self._when_possible(lambda: run_store.get_run(self._database, record.id))
+            if now.is_finished or now.submission != record.submission:
+                return  # it has ended since the record was read
+            self._record(record, RunStarted(submission=record.submission))
             if now.cancel_requested:  # perhaps before there was a flag
                 flag.set()
             stages = RayStages(
@@ -165,8 +185,6 @@ class Orchestrator:
         if self._closing.is_set() and not isinstance(ending, RunSucceeded):
             return  # the service stops, not the run: it goes on when the service starts again
         self._dispatcher.withdraw(record.id)
-        self._cancelled.pop(record.id, None)
-        self._waiting.pop(record.id, None)
         self._record(record, ending)
         level = logging.WARNING if isinstance(ending, RunFailed) else logging.INFO
         log.log(level, "run ended: %s", getattr(ending, "message", ending.type))
@@ -189,6 +207,10 @@ class Orchestrator:
         if id is None:
             return None
         return self._when_possible(lambda: dataset_store.load_dataset(self._database, id)[1])
+
+
+def _key(record: RunRecord) -> tuple[str, int]:
+    return record.id, record.submission
 
 
 def _failure(record: RunRecord, code: str, message: str) -> RunFailed:

@@ -85,10 +85,11 @@ def cancel(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
 @router.post("/{benchmark_id}/resume", status_code=status.HTTP_202_ACCEPTED)
 def resume(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
     """Go on with every failed or cancelled run."""
-    service.check_disk()
     for run in store.runs_of(service.database, benchmark_id):
         with suppress(NotPossible):  # it needs no resuming
-            service.orchestrator.submit(store.resubmit(service.database, run.id))
+            service.orchestrator.submit(
+                store.resubmit(service.database, run.id, service.check_queue)
+            )
     return get_benchmark(benchmark_id, service)
 
 
@@ -173,6 +174,6 @@ def summaries(
 
 
 def view(service: Service, record: BenchmarkRecord) -> BenchmarkView:
-    runs = store.list_runs(service.database, benchmark_id=record.id, limit=-1)
+    runs = store.runs_of(service.database, record.id)
     views = [run_view(run, service.orchestrator.activities(run.id)) for run in runs]
     return benchmark_view(summaries(service, [record])(record), views)

@@ -15,5 +15,5 @@ router = APIRouter(prefix="/v1/claims", tags=["claims"])
 @router.get("")
 def claims(service: ServiceDependency) -> list[dict[str, Any]]:
     """One report per budget: each claim, the numbers that bear on it, and the verdict."""
-    outcomes = service.outcomes(store.list_runs(service.database, limit=-1))
+    outcomes = service.outcomes(store.list_runs(service.database, limit=None))
     return [asdict(report) for report in reports(outcomes)]

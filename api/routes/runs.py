@@ -130,8 +130,7 @@ def cancel(run_id: str, service: ServiceDependency) -> RunView:
 @router.post("/{run_id}/resume", status_code=status.HTTP_202_ACCEPTED)
 def resume(run_id: str, service: ServiceDependency) -> RunView:
     """Go on with a failed or cancelled run from its last finished stage."""
-    service.check_disk()
-    record = store.resubmit(service.database, run_id)
+    record = store.resubmit(service.database, run_id, service.check_queue)
     service.orchestrator.submit(record)
     return run_view_of(service, record)
 

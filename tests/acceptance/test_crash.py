@@ -4,8 +4,12 @@ import time
 
 import pytest
 
+from adr_service.benchmark.comparison import Outcome, table, to_csv
+from adr_service.computation import LocalStages
+from adr_service.specs import BenchmarkSpec
 from api.client import AdrClient
 from tests.service import RunningService, start_service, wait_until_finished
+from tests.test_runs import iterations
 
 pytestmark = pytest.mark.ray
 BENCHMARK = {
@@ -20,12 +24,12 @@ KILL_AFTER = [4, *SLOW]  # finished stages, of twelve
 
 
 @pytest.fixture(scope="module")
-def uninterrupted(tmp_path_factory) -> tuple[str, int]:
-    """The result table, and the number of stages, of a benchmark that nobody disturbs."""
-    with start_service(tmp_path_factory.mktemp("whole"), cpus=2) as running:
-        id = running.client.submit_benchmark(BENCHMARK)["id"]
-        wait_until_finished(running.client, id, 180)
-        return running.client.results_csv(id), len(running.started_stages)
+def uninterrupted() -> tuple[str, int]:
+    """The result table, and the number of stages, of the benchmark in this process."""
+    stages = LocalStages()
+    runs = BenchmarkSpec.model_validate(BENCHMARK).runs()
+    outcomes = [Outcome(spec, event) for spec in runs for event in iterations(spec, stages)]
+    return to_csv(table(outcomes)), len(stages.executed)
 
 
 @pytest.mark.parametrize("after", KILL_AFTER)
