@@ -11,7 +11,17 @@ from dataclasses import replace
 from itertools import product
 from typing import Annotated, Any, Literal, Self, cast
 
-from pydantic import Field, GetJsonSchemaHandler, ValidationError, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    GetJsonSchemaHandler,
+    Tag,
+    ValidationError,
+    ValidationInfo,
+    model_validator,
+)
 from pydantic_core import CoreSchema
 
 from adr_service.causes import Cause, domain_of
@@ -28,6 +38,45 @@ from adr_service.wire import Wire, explain
 
 MAX_RUNS = 5000  # of one benchmark
 Collector = Literal["simopt", "prior", "random"]
+
+
+def _known(kind: str, name: str, accepted: Any) -> str:
+    if name not in accepted:
+        raise ValueError(str(UnknownName(kind, name, accepted)))
+    return name
+
+
+def _known_variant(name: str, info: ValidationInfo) -> str:
+    try:
+        variant_of(info.data["task"], name)
+    except KeyError:  # the task's own error says enough
+        return name
+    except UnknownName as error:
+        raise ValueError(str(error)) from error
+    return name
+
+
+def _known_method(given: Any) -> Any:
+    """Pydantic refuses unknown names too, but does not say which was meant."""
+    if isinstance(given, Wire):
+        return given
+    name = cast(dict[str, Any], given).get("name") if isinstance(given, dict) else given
+    if not isinstance(name, str):
+        raise ValueError(
+            f"give a method's name, or its settings with `name`; accepted: {', '.join(methods())}"
+        )
+    _known("method", name, methods())
+    return given
+
+
+TaskName = Annotated[str, AfterValidator(lambda name: _known("task", name, catalogue()))]
+VariantName = Annotated[str, AfterValidator(_known_variant)]
+PresetName = Annotated[str, AfterValidator(lambda name: _known("preset", name, PRESETS))]
+NameOrSettings = Annotated[
+    Annotated[str, Tag("name")] | Annotated[AnyMethod, Tag("settings")],
+    Discriminator(lambda given: "name" if isinstance(given, str) else "settings"),
+    BeforeValidator(_known_method),
+]
 
 
 class Effect(Wire):
@@ -75,9 +124,9 @@ class RunSpec(Wire):
     """One method on one task variant with one seed."""
 
     kind: Literal["transfer"] = "transfer"
-    task: str
-    variant: str = "vanilla"
-    method: AnyMethod
+    task: TaskName
+    variant: VariantName = Field("vanilla", validate_default=True)
+    method: Annotated[AnyMethod, BeforeValidator(_known_method)]
     target: AnyTarget = SimulatedTarget()
     extension: list[Effect] = Field(
         default=[],
@@ -92,7 +141,7 @@ class RunSpec(Wire):
         None, description="whose trajectories an offline method learns from; default: the preset's"
     )
     seed: int = Field(0, ge=0, lt=2**31)
-    preset: str = "quick"
+    preset: PresetName = "quick"
     iterations: int = Field(ge=1, le=100, description="target rollouts a method may use")
     transitions: int = Field(ge=1, le=100_000, description="per target rollout, at most")
     evaluation_episodes: int = Field(ge=2, le=10_000, description="final, seen by no method")
@@ -109,9 +158,8 @@ class RunSpec(Wire):
             for name, value in cast(dict[str, Any], given).items()
         }
         name = given.get("preset", "quick")
-        preset = PRESETS.get(name) if isinstance(name, str) else None
-        if preset is None:
-            return given  # the field's own validation says what is accepted
+        # a wrong one is refused by its field, and no other field shall look wrong beside it
+        preset = PRESETS[name if isinstance(name, str) and name in PRESETS else "quick"]
         filled = {"preset": "quick", **preset["run"], **given}
         if isinstance(training := given.get("training", {}), dict):
             filled["training"] = {**preset["run"]["training"], **training}
@@ -146,22 +194,9 @@ class RunSpec(Wire):
             schema["required"] = ["task", "method"]
         return reference
 
-    @field_validator("task")
-    @classmethod
-    def _known_task(cls, name: str) -> str:
-        return _known("task", name, catalogue())
-
-    @field_validator("preset")
-    @classmethod
-    def _known_preset(cls, name: str) -> str:
-        return _known("preset", name, PRESETS)
-
     @model_validator(mode="after")
     def _possible_on_the_task(self) -> Self:
-        try:
-            pair, task = variant_of(self.task, self.variant), get_task(self.task)
-        except UnknownName as error:
-            raise ValueError(str(error)) from error
+        pair, task = variant_of(self.task, self.variant), get_task(self.task)
         for name, source, effects in (
             ("extension", pair.source, self.extension),
             ("target.effects", pair.hidden.source, self.hidden_effects),
@@ -235,18 +270,10 @@ class CriticismSpec(Wire):
     """What a stored measurement says that a task's simulator gets wrong."""
 
     kind: Literal["criticism"] = "criticism"
-    task: str
-    variant: str = "vanilla"
+    task: TaskName
+    variant: VariantName = Field("vanilla", validate_default=True)
     dataset: str = Field(description="id of an uploaded measurement")
     seed: int = Field(0, ge=0, lt=2**31, description="of the bootstraps")
-
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
-        try:
-            variant_of(self.task, self.variant)
-        except UnknownName as error:
-            raise ValueError(str(error)) from error
-        return self
 
     @property
     def label(self) -> str:
@@ -259,9 +286,9 @@ AnyRun = Annotated[RunSpec | CriticismSpec, Field(discriminator="kind")]
 class BenchmarkExtension(Wire):
     """What to add to a benchmark."""
 
-    tasks: list[str] = Field([])
+    tasks: list[TaskName] = Field([])
     variants: list[str] = Field([])
-    methods: list[str | AnyMethod] = Field([])
+    methods: list[NameOrSettings] = Field([])
     collectors: list[Collector] = Field([])
     seeds: list[int] = Field([])
 
@@ -269,15 +296,15 @@ class BenchmarkExtension(Wire):
 class BenchmarkSpec(Wire):
     """Tasks x variants x methods x seeds under one budget."""
 
-    tasks: list[str] = Field(min_length=1)
+    tasks: list[TaskName] = Field(min_length=1)
     variants: list[str] = Field(default=["vanilla"], min_length=1)
-    methods: list[str | AnyMethod] = Field(min_length=1)
+    methods: list[NameOrSettings] = Field(min_length=1)
     collectors: list[Collector] = Field(
         default=["simopt"], min_length=1, description="for offline methods; others run once"
     )
     seeds: list[int] = Field(default=[0, 1, 2], min_length=1)
     references: bool = Field(True, description="also run the prior and the oracle policy")
-    preset: str = "quick"
+    preset: PresetName = "quick"
     iterations: int | None = None
     transitions: int | None = None
     evaluation_episodes: int | None = None
@@ -354,16 +381,10 @@ class BenchmarkSpec(Wire):
 def _fill_method(given: Any, defaults: dict[str, dict[str, Any]]) -> Any:
     """A method's settings from its name or its partial settings, and the preset's."""
     if isinstance(given, str):
-        given = {"name": _known("method", given, methods())}
-    if isinstance(given, dict) and isinstance(given.get("name"), str):
-        return {**defaults.get(_known("method", given["name"], methods()), {}), **given}
+        given = {"name": given}
+    if isinstance(given, dict) and isinstance(name := given.get("name"), str):
+        return {**defaults.get(name, {}), **given}
     return given
-
-
-def _known(kind: str, name: str, accepted: Any) -> str:
-    if name not in accepted:
-        raise ValueError(str(UnknownName(kind, name, accepted)))
-    return name
 
 
 def _learns_from_simopt(spec: dict[str, Any]) -> bool:

@@ -77,18 +77,23 @@ def test_what_is_given_wins_over_the_preset_field_by_field():
         ({"training": {"gamma": float("nan")}}, "finite number"),
         ({"training": {"learning_rate": float("inf")}}, "finite number"),
         ({"method": {"name": "simopt", "budget": 3}}, "there is no field 'budget'"),
-        ({"method": 3}, "method"),
-        ({"training": 3}, "training"),
+        ({"method": 3}, "give a method's name, or its settings with `name`; accepted: udr"),
+        ({"method": {"updates": 3}}, "or its settings with `name`"),
+        ({"method": "dropo", "simopt": "simop"}, "should be 'simopt'"),
+        ({"preset": 3}, "valid string"),
+        ({"training": 3}, "valid dictionary"),
         ({"training": {"hidden": [0]}}, "greater than or equal to 1"),
         ({"transitions": 201}, "an episode of arm has 200 steps at most"),
         ({"task": None}, "valid string"),
     ],
     ids=str,
 )
-def test_bad_input_is_refused_with_what_is_accepted(change, message):
+def test_a_mistake_is_one_error_at_its_field_with_what_is_accepted(change, message):
     with pytest.raises(ValidationError) as refused:
         RunSpec.model_validate({**GOOD, **change})
-    assert message in str(refused.value)
+    (error,) = refused.value.errors()
+    assert message in error["msg"]
+    assert list(change)[-1] in (error["loc"] or error["msg"])
 
 
 class TestBenchmark:
@@ -102,6 +107,28 @@ class TestBenchmark:
         assert len(runs) == 2 * 2 * 4
         assert {run.method.name for run in runs} == {"udr", "simopt", "prior", "oracle"}
         assert len(list(self.spec(references=False, seeds=[0]).runs())) == 2
+
+    @pytest.mark.parametrize(
+        ("change", "place", "message"),
+        [
+            ({"preset": "smok"}, ("preset",), "did you mean 'smoke'?"),
+            ({"tasks": ["arm", "leg"]}, ("tasks", 1), "there is no task 'leg'"),
+            ({"methods": ["udr", "simop"]}, ("methods", 1), "did you mean 'simopt'?"),
+            ({"methods": [{"name": "simop"}]}, ("methods", 0), "did you mean 'simopt'?"),
+            (
+                {"methods": [{"name": "simopt", "sample": 1}]},
+                ("methods", 0, "settings", "simopt"),
+                "did you mean 'samples'?",
+            ),
+        ],
+        ids=str,
+    )
+    def test_a_mistake_is_one_error_at_its_place(self, change, place, message):
+        with pytest.raises(ValidationError) as refused:
+            self.spec(**change)
+        (error,) = refused.value.errors()
+        assert error["loc"] == place
+        assert message in error["msg"]
 
     def test_a_methods_other_settings_stay_the_presets(self):
         spec = self.spec(methods=[{"name": "simopt", "updates": 1}], references=False, seeds=[0])
