@@ -17,7 +17,7 @@ from adr_service.errors import AdrError, InvalidInput
 from adr_service.progress import silent
 from api import demo as demo_story
 from api import recordings, upkeep
-from api.client import AdrClient
+from api.client import AdrClient, is_finished
 from api.display import (
     claims_table,
     comparisons_table,
@@ -246,17 +246,16 @@ def results(
         raise InvalidInput(f"{id} is no run, and has no single policy or distribution; adr list")
     with _client(url) as client:
         if figure is not None:
-            figure.write_bytes(client.figure(id, figure.name))
+            _write(figure, client.figure(id, figure.name))
         elif figures is not None:
             figures.mkdir(parents=True, exist_ok=True)
             for name in client.figures(id):
                 for file in (f"{name}.{kind}" for kind in ("svg", "png", "csv")):
-                    (figures / file).write_bytes(client.figure(id, file))
-                    console.print(f"{figures / file}", highlight=False)
+                    _write(figures / file, client.figure(id, file))
         elif distribution is not None:
-            distribution.write_text(json.dumps(client.distribution(id), indent=1))
+            _write(distribution, json.dumps(client.distribution(id), indent=1).encode())
         elif policy is not None:
-            policy.write_bytes(client.policy(id))
+            _write(policy, client.policy(id))
         elif cost:
             found = client.cost(id)
             console.print_json(data=found) if as_json else console.print(cost_table(found))
@@ -291,16 +290,17 @@ def claims(
 def cancel(id: Id, url: Url = DEFAULT_URL) -> None:
     """Ask a run, or all live runs of a benchmark, to stop."""
     with _client(url) as client:
-        client.cancel(id)
-    console.print(f"{id} is asked to stop; finished stages are kept")
+        has_ended = is_finished(client.cancel(id))
+    told = "has ended; nothing is to be stopped" if has_ended else "is asked to stop"
+    console.print(f"{id} {told}; finished stages are kept")
 
 
 @app.command()
 def resume(id: Id, url: Url = DEFAULT_URL) -> None:
     """Go on with a failed or cancelled run or benchmark."""
     with _client(url) as client:
-        client.resume(id)
-    console.print(f"{id} goes on")
+        is_complete = is_finished(client.resume(id))
+    console.print(f"{id} {'is complete; nothing is to be resumed' if is_complete else 'goes on'}")
 
 
 @app.command()
@@ -501,6 +501,11 @@ def _show_results(client: AdrClient, seen: dict[str, Any]) -> None:
     verdict = client.criticism(seen["id"])["verdict"]
     error = (seen["error"] or {}).get("message", "no verdict yet")
     console.print(f"{seen['state']}: {error}" if verdict is None else verdict_table(verdict))
+
+
+def _write(file: Path, content: bytes) -> None:
+    file.write_bytes(content)
+    console.print(str(file), highlight=False)
 
 
 def _read_json(file: Path) -> dict[str, Any]:

@@ -31,12 +31,12 @@ def live(console: Console, client: AdrClient, id: str) -> Json:
 
 def results_table(results: Json) -> RenderableType:
     """The result table with its intervals."""
-    table = Table("task", "variant", "method", "iteration", box=None, padding=(0, 2, 0, 0))
-    for heading in ("target return", "95 % interval", "seeds", "episodes"):
-        table.add_column(heading, justify="right")
-    table.add_column("target transitions", justify="right")
-    table.add_column("distance from truth", justify="right")
-    table.add_column("posterior std", justify="right")
+    table = Table("task", "variant", "method", "iteration", box=None, padding=(0, 1, 0, 0))
+    for heading in (
+        *("return /\nthreshold", "95 %\ninterval", "seeds", "episodes"),
+        *("target\ntransitions", "distance\nfrom truth", "posterior\nstd"),
+    ):
+        table.add_column(heading, justify="right", no_wrap=True)
     for row in results["rows"]:
         error, std = row["estimation_error"], row["posterior_std"]
         whose = "" if row["collector"] == "simopt" else f" on {row['collector']}"
@@ -146,7 +146,7 @@ def cost_table(cost: Json) -> RenderableType:
         table.add_row(kind["kind"], str(kind["stages"]), *cells)
     found = cost["utilisation"]
     if found is None:
-        told = "utilisation: not finished, or never work for all cores at once"
+        told = "utilisation: told once all has finished, where there was work for all cores at once"
         return Group(table, Text(told, style="dim"))
     shares = Table("core seconds", "", box=None, padding=(0, 2, 0, 0))
     for name in ("computing", "waiting", "orchestration", "starting", "preparing"):
@@ -160,27 +160,30 @@ def cost_table(cost: Json) -> RenderableType:
 
 def verdict_table(verdict: Json) -> RenderableType:
     """What a criticism named, with strengths and their intervals."""
-    headline = f"{verdict['verdict']}, {verdict['confidence']:.1%} sure"
+    sure = verdict["confidence"]
+    told = "more than 99.9 %" if sure > 0.999 else f"{100 * sure:.1f} %"
+    lines = [f"{verdict['verdict']}, {told} sure"]
     moved, gain = verdict["residual"]["parameters"], verdict["gain"]
     if at_bound := ", ".join(name for name, each in moved.items() if each["at_bound"]):
-        headline += (
-            f"; not to be relied on: {at_bound} at the edge of what may be (are the columns' order "
+        lines.append(
+            f"not to be relied on: {at_bound} at the edge of what may be (are the columns' order "
             "and units the model's? are the bounds wide enough?)"
         )
     if verdict["residual"]["rest"] == "unknown" and verdict["causes"]:
-        headline += "; something else is missing that is none of the effects we know"
+        lines.append("something else is missing that is none of the effects we know")
     if gain is not None:
-        headline += (
-            f"; {gain['sse_removed']:.1%} [{gain['low']:.1%}, {gain['high']:.1%}] of what a filter "
-            "does not foresee one step ahead, squared, removed on sealed episodes"
+        low, removed, high = (100 * gain[name] for name in ("low", "sse_removed", "high"))
+        lines.append(
+            f"on episodes set aside, {removed:.1f} % [{low:.1f}, {high:.1f}] of the squared error "
+            "one step ahead is gone (of a filter that knows the sensors' noise)"
         )
         step = verdict["residual"]["timestep"]
         if step["judged_with"] < step["of_the_model"]:
-            headline += (
-                f", at steps of {1000 * step['judged_with']:.3g} ms (extended.xml keeps "
-                f"{1000 * step['of_the_model']:.3g})"
+            lines.append(
+                f"judged at steps of {1000 * step['judged_with']:.3g} ms; extended.xml keeps the "
+                f"model's {1000 * step['of_the_model']:.3g} ms"
             )
-    headline = "\n".join([headline, *verdict["remarks"]])
+    headline = "\n".join([*lines, *verdict["remarks"]])
     table = Table(box=None, padding=(0, 2, 0, 0))
     for heading in ("cause", "location"):  # names to copy
         table.add_column(heading, no_wrap=True)

@@ -16,7 +16,7 @@ from pydantic import BaseModel
 import adr_service
 from adr_service.benchmark.comparison import Outcome
 from adr_service.benchmark.utilisation import utilisation
-from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.criticism.simulator import Nominal, check_measurement
 from adr_service.errors import AdrError, InvalidInput
 from adr_service.specs import AnyRun, CriticismSpec, RunSpec
@@ -99,6 +99,13 @@ class Service:
         if spec.dataset is None:
             return
         content = dataset_store.load_dataset(self.database, spec.dataset)[1]
+        if is_measurement(content) != isinstance(spec, CriticismSpec):
+            given = "not a" if isinstance(spec, CriticismSpec) else "a"
+            raise InvalidInput(
+                f"{spec.dataset} is {given} measurement of states and commands; `adr criticise` "
+                "reads those (docs/criticism.md), methods learn from recordings of transitions "
+                "(docs/recordings.md)"
+            )
         if isinstance(spec, CriticismSpec):
             source = source_of(spec.task, spec.variant)
             nominal = Nominal.of_task(get_task(spec.task), source)

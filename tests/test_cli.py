@@ -39,11 +39,11 @@ def test_a_run_from_submission_to_its_files(adr, tmp_path):
     assert json.loads(status)["spec"]["method"]["samples"] == 10
     assert json.loads(status)["spec"]["seed"] == 3
     assert adr("watch", id)[0] == 0
-    assert "95 % interval" in adr("results", id)[1]
+    assert "return /" in adr("results", id)[1]
     assert adr("results", id, "--csv")[1].startswith("task,variant,method")
     assert "no two methods to compare" in adr("results", id, "--compare")[1]
     assert adr("results", id, "--figure", "returns.svg")[0] == 0
-    assert adr("results", id, "--policy", "policy.safetensors")[0] == 0
+    assert adr("results", id, "--policy", "policy.safetensors") == (0, "policy.safetensors\n")
     assert (tmp_path / "returns.svg").read_bytes().startswith(b"<?xml")
     assert (tmp_path / "policy.safetensors").stat().st_size > 0
     assert id in adr("list")[1]
@@ -95,6 +95,8 @@ def test_a_benchmark_is_extended_drawn_and_held_against_the_claims(adr, tmp_path
     drawn = {file.name for file in (tmp_path / "figures").iterdir()}
     assert {"returns.svg", "parameters.png", "spread.svg", "cost.csv"} <= drawn
     assert "nothing has been measured" in adr("claims", id)[1]  # smoke does not count
+    assert "has ended; nothing is to be stopped" in adr("cancel", id)[1]
+    assert "is complete; nothing is to be resumed" in adr("resume", id)[1]
 
 
 def test_a_port_in_use_is_told_before_anything_starts(service, tmp_path):

@@ -19,6 +19,7 @@ from adr_service.specs import CriticismSpec
 from api.cli import app
 from api.client import Refused
 from tests.hidden import arm, recorded
+from tests.recordings import recording
 from tests.service import RunningService, wait_until_finished
 
 pytestmark = pytest.mark.ray
@@ -100,6 +101,16 @@ def test_it_is_a_run_among_runs(service, criticised):
 def test_what_cannot_be_criticised_is_refused(service, uploaded, spec, message):
     with pytest.raises(Refused, match=message):
         service.client.submit_criticism({"dataset": uploaded["id"], **spec})
+
+
+def test_a_measurement_is_no_recording_and_a_recording_no_measurement(service, uploaded):
+    learn = {"task": "arm", "method": "dropo", "preset": "smoke"}
+    target = {"kind": "recorded", "dataset": uploaded["id"]}
+    with pytest.raises(Refused, match=f"{uploaded['id']} is a measurement of states and commands"):
+        service.client.submit_run({**learn, "target": target})
+    recorded = service.client.upload(recording("arm", 40).to_npz())["id"]
+    with pytest.raises(Refused, match=f"{recorded} is not a measurement of states and commands"):
+        service.client.submit_criticism({"task": "arm", "dataset": recorded})
 
 
 def test_a_measurement_without_rows_is_refused(service, content):

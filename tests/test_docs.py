@@ -62,6 +62,18 @@ def test_the_table_of_a_tasks_parameters_is_right(name):
     assert section.count("\n| ") - 1 == len(hidden.values)
 
 
+def test_the_sample_of_the_docs_has_the_cause_that_they_tell(tmp_path, monkeypatch, adr_here):
+    page = (ROOT / "docs/criticism.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(code, {})  # noqa: S102 - our own page
+    (command,) = re.findall(r"^adr (.* robot.xml --data measured.npz.*?) +#", page, re.MULTILINE)
+    status, shown, _ = adr_here(*command.split())
+    (told,) = re.findall(r"```\n(cause .*?)```", page, re.DOTALL)
+    assert status == 0
+    assert shown.split()[: len(told.split())] == told.split()
+
+
 def test_the_loader_of_the_docs_acts_as_the_policy_does(tmp_path):
     page = (ROOT / "docs/recordings.md").read_text()
     (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
