@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from filelock import FileLock, Timeout
-from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
+from sqlalchemy import URL, Connection, Engine, ExceptionContext, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, OperationalError
 
 from adr_service.errors import AdrError, InvalidInput
@@ -166,7 +166,8 @@ class _Postgresql:
 
     _LOCK = 0xAD5  # among the advisory locks of the database
     _LOCK_WAIT_MS = 1_000  # a server needs a moment to see that a connection was closed
-    _FULL, _NOT_AVAILABLE = "53100", "55P03"  # SQLSTATE disk_full, lock_not_available
+    # SQLSTATE disk_full, lock_not_available, read_only_sql_transaction
+    _FULL, _NOT_AVAILABLE, _READ_ONLY = "53100", "55P03", "25006"
 
     def __init__(self, url: str):
         parsed = make_url(url)
@@ -191,6 +192,7 @@ class _Postgresql:
             execution_options={"postgresql_readonly": True},
         )
         event.listen(self.writer, "connect", self._take)
+        event.listen(self.writer, "handle_error", self._leave, retval=True)
 
     def _take(self, connection: Any, record: Any) -> None:
         wait = f"set local lock_timeout = {self._LOCK_WAIT_MS}"
@@ -206,6 +208,14 @@ class _Postgresql:
                 f"{self.name} is in use by another service, or by a connection of this one that "
                 "was cut off; stop the other, or wait a minute"
             ) from None
+
+    def _leave(self, context: ExceptionContext) -> AdrError | None:
+        """A server that takes no writes any more: the next connection may find one that does."""
+        error = context.original_exception
+        if getattr(error, "sqlstate", None) != self._READ_ONLY:
+            return None
+        context.is_disconnect = True
+        return DatabaseUnavailable(f"the database cannot be used just now: {error}")
 
     def lock(self) -> None:
         self.writer.connect().close()  # the connection itself stays, in the pool

@@ -38,13 +38,30 @@ class Server:
             "where datname = current_database() and pid <> pg_backend_pid()",
         )
 
+    @contextmanager
+    def read_only(self) -> Generator[None]:
+        """It takes no writes, as after a failover: transactions that begin can only read."""
+        self._set_read_only("on")
+        try:
+            yield
+        finally:
+            self._set_read_only("off")
+
+    def _set_read_only(self, value: str) -> None:
+        postgres = self._url("postgres")
+        self._execute(postgres, f"alter system set default_transaction_read_only = {value}")
+        self._execute(postgres, "select pg_reload_conf()")
+        while self._execute(postgres, "show default_transaction_read_only") != value:
+            pass  # the server reads its settings when it comes to it
+
     def _url(self, name: str) -> str:
         return f"postgresql+psycopg://{_USER}@/{name}?host={self.folder}"
 
-    def _execute(self, url: str, statement: str) -> None:
+    def _execute(self, url: str, statement: str) -> object:
         engine = create_engine(url, isolation_level="AUTOCOMMIT", poolclass=NullPool)
         with engine.connect() as connection:
-            connection.exec_driver_sql(statement)
+            done = connection.exec_driver_sql(statement)
+            return done.scalar() if done.returns_rows else None
 
 
 @contextmanager

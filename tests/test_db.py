@@ -428,6 +428,18 @@ class TestPostgresql:
                 stages.add_artifact(session, b"another")
             assert count(database, "artifacts") == 0
 
+    def test_a_server_that_takes_no_writes_any_more_is_waited_for(self, url, postgresql):
+        with closing(open_database(url)) as database:
+            run = runs.create_run(database, SPEC)
+            with postgresql.read_only():
+                # on the connection that there was, and on a new one, which may find another server
+                for told in ("cannot execute INSERT", "session is read-only"):
+                    with pytest.raises(DatabaseUnavailable, match=told):
+                        runs.create_run(database, SPEC)
+                assert runs.get_run(database, run.id) == run
+            runs.create_run(database, SPEC)
+            assert count(database, "runs") == 2
+
     def test_what_it_cannot_store_is_the_givers_fault(self, url):
         with closing(open_database(url)) as database:
             with pytest.raises(InvalidInput, match="cannot store this"):
