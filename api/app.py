@@ -2,6 +2,8 @@
 
 import gc
 import logging
+import signal
+import threading
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
@@ -36,6 +38,7 @@ def create_app(settings: Settings) -> FastAPI:
             app.state.refusal = error
             raise
         app.state.service = service
+        _take_back_signals()
         gc.collect()
         gc.freeze()  # to look through all that stays stops everyone for a quarter of a second
         try:
@@ -68,6 +71,14 @@ def create_app(settings: Settings) -> FastAPI:
     app.add_middleware(Guard, settings=settings)
     app.add_middleware(_Starting, state=app.state)  # outermost
     return app
+
+
+def _take_back_signals() -> None:
+    """Ray put handlers of its own before Python's, which tell of a stop as if it were a crash."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            if (handler := signal.getsignal(number)) is not None:
+                signal.signal(number, handler)
 
 
 async def _look_after(service: Service) -> None:

@@ -57,6 +57,10 @@ def serve(
     given = {"host": host, "port": port, "data_dir": data_dir, "cpus": cpus, "dashboard": dashboard}
     settings = read_settings(**{name: v for name, v in given.items() if v is not None})
     _refuse_a_busy_port(settings)
+    if settings.ray_address == "local":
+        # Ray, when it is imported, learns here whose end is ours too. Where nothing is said and our
+        # parent is process 1, it ends us as an orphan with the raylet that we would restart
+        os.environ["RAY_RAYLET_PID"] = str(os.getpid())
     # only the service needs Ray, MuJoCo and PyTorch, whose imports take seconds
     import uvicorn
 

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import socket
+import subprocess
 import sys
 from pathlib import Path
 
@@ -55,6 +57,35 @@ def test_a_process_that_is_killed_costs_its_stage_alone(tmp_path, uninterrupted,
     sys.stderr.write(f"{report}, attempts {again}\n")
     assert (lost, twice) == (0, 0)
     assert victim == "board" or again == [1, 2]
+
+
+def test_a_service_whose_parent_is_process_1_outlives_its_raylet(tmp_path):
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{(port := probe.getsockname()[1])}"
+    log, serve = tmp_path / "service.log", [sys.executable, "-m", "api", "serve", "--no-dashboard"]
+    given = ["--cpus", "1", "--port", str(port), "--data-dir", str(tmp_path)]
+    leave = f'"$@" >{log} 2>&1 & echo $!'  # as a daemon; systemd's services are such too
+    begun = subprocess.run(
+        ["sh", "-c", leave, "sh", *serve, *given], capture_output=True, check=True
+    )
+    pid = int(begun.stdout)
+    status = Path(f"/proc/{pid}/status")
+    try:
+        if "PPid:\t1\n" not in status.read_text():
+            pytest.skip("orphans have another parent than process 1 here")
+        with AdrClient(url) as client:
+            until(lambda: "startup complete" in log.read_text())
+            found = Path(f"/proc/{pid}/task").glob("*/children")
+            children = [child for path in found for child in path.read_text().split()]
+            (raylet,) = [c for c in children if Path(f"/proc/{c}/comm").read_text() == "raylet\n"]
+            os.kill(int(raylet), signal.SIGKILL)
+            until(lambda: "Ray has died" in log.read_text())
+            run = client.submit_run({"task": "arm", "method": "prior", "preset": "smoke"})["id"]
+            assert wait_until_finished(client, run, 240)["state"] == "succeeded"
+    finally:
+        os.kill(pid, signal.SIGTERM)
+        until(lambda: not status.exists())
 
 
 def pid_of(running: RunningService, benchmark: str, victim: str) -> int | None:
