@@ -26,7 +26,7 @@ from pydantic_core import CoreSchema
 
 from adr_service.causes import Cause, domain_of
 from adr_service.errors import AdrError, InvalidInput, UnknownName
-from adr_service.methods.base import OfflineSettings
+from adr_service.methods.base import MethodSettings, OfflineSettings
 from adr_service.methods.catalogue import AnyMethod, methods
 from adr_service.methods.references import OracleSettings
 from adr_service.methods.simopt import SimOptSettings
@@ -47,12 +47,12 @@ def _known(kind: str, name: str, accepted: Any) -> str:
 
 
 def _known_variant(name: str, info: ValidationInfo) -> str:
-    try:
-        variant_of(info.data["task"], name)
-    except KeyError:  # the task's own error says enough
-        return name
-    except UnknownName as error:
-        raise ValueError(str(error)) from error
+    """A variant of the task, or of all; where those are wrong, their own errors say enough."""
+    for task in info.data.get("tasks", [info.data["task"]] if "task" in info.data else []):
+        try:
+            variant_of(task, name)
+        except UnknownName as error:
+            raise ValueError(str(error)) from error
     return name
 
 
@@ -72,10 +72,13 @@ def _known_method(given: Any) -> Any:
 TaskName = Annotated[str, AfterValidator(lambda name: _known("task", name, catalogue()))]
 VariantName = Annotated[str, AfterValidator(_known_variant)]
 PresetName = Annotated[str, AfterValidator(lambda name: _known("preset", name, PRESETS))]
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
 NameOrSettings = Annotated[
     Annotated[str, Tag("name")] | Annotated[AnyMethod, Tag("settings")],
     Discriminator(lambda given: "name" if isinstance(given, str) else "settings"),
     BeforeValidator(_known_method),
+    # no name is settings too, which fuzzers cannot see behind "oneOf"
+    Field(json_schema_extra=lambda schema: schema.update(anyOf=schema.pop("oneOf"))),
 ]
 
 
@@ -132,7 +135,7 @@ class RunSpec(Wire):
         default=[],
         description="effects that the source is extended by, as `adr criticise` writes them",
     )
-    collector: Collector | Literal["recording"] = Field(
+    collector: Literal[Collector, "recording"] = Field(
         "simopt",
         description="whose actions offline methods see: SimOpt's policies' (the protocol), the "
         "prior's policy's, random ones (the data-collection study), or those of a recorded target",
@@ -140,7 +143,7 @@ class RunSpec(Wire):
     simopt: SimOptSettings | None = Field(
         None, description="whose trajectories an offline method learns from; default: the preset's"
     )
-    seed: int = Field(0, ge=0, lt=2**31)
+    seed: Seed = 0
     preset: PresetName = "quick"
     iterations: int = Field(ge=1, le=100, description="target rollouts a method may use")
     transitions: int = Field(ge=1, le=100_000, description="per target rollout, at most")
@@ -152,11 +155,7 @@ class RunSpec(Wire):
     def _fill_from_preset(cls, given: Any) -> Any:
         if not isinstance(given, dict):
             return given
-        # values of ours are as good as their JSON
-        given = {
-            name: value.model_dump(exclude_unset=True) if isinstance(value, Wire) else value
-            for name, value in cast(dict[str, Any], given).items()
-        }
+        given = {name: _as_given(value) for name, value in cast(dict[str, Any], given).items()}
         name = given.get("preset", "quick")
         # a wrong one is refused by its field, and no other field shall look wrong beside it
         preset = PRESETS[name if isinstance(name, str) and name in PRESETS else "quick"]
@@ -171,11 +170,13 @@ class RunSpec(Wire):
             filled["evaluation_episodes"] = EXTERNAL_EPISODES
         if kind == "recorded":
             filled.setdefault("collector", "recording")
-        elif _learns_from_simopt(filled):
-            simopt = given.get("simopt")
-            filled["simopt"] = _fill_method(
-                "simopt" if simopt is None else simopt, preset["methods"]
-            )
+        simopt = given.get("simopt")
+        if simopt is None and _learns_from_simopt(filled):
+            simopt = {}
+        if isinstance(simopt, str):
+            simopt = {"name": simopt}
+        if isinstance(simopt, dict):
+            filled["simopt"] = {**preset["methods"].get("simopt", {}), **simopt}
         return filled
 
     @classmethod
@@ -273,7 +274,7 @@ class CriticismSpec(Wire):
     task: TaskName
     variant: VariantName = Field("vanilla", validate_default=True)
     dataset: str = Field(description="id of an uploaded measurement")
-    seed: int = Field(0, ge=0, lt=2**31, description="of the bootstraps")
+    seed: Seed = Field(0, description="of the bootstraps")
 
     @property
     def label(self) -> str:
@@ -290,19 +291,19 @@ class BenchmarkExtension(Wire):
     variants: list[str] = Field([])
     methods: list[NameOrSettings] = Field([])
     collectors: list[Collector] = Field([])
-    seeds: list[int] = Field([])
+    seeds: list[Seed] = Field([])
 
 
 class BenchmarkSpec(Wire):
     """Tasks x variants x methods x seeds under one budget."""
 
     tasks: list[TaskName] = Field(min_length=1)
-    variants: list[str] = Field(default=["vanilla"], min_length=1)
+    variants: list[VariantName] = Field(default=["vanilla"], min_length=1)
     methods: list[NameOrSettings] = Field(min_length=1)
     collectors: list[Collector] = Field(
         default=["simopt"], min_length=1, description="for offline methods; others run once"
     )
-    seeds: list[int] = Field(default=[0, 1, 2], min_length=1)
+    seeds: list[Seed] = Field(default=[0, 1, 2], min_length=1)
     references: bool = Field(True, description="also run the prior and the oracle policy")
     preset: PresetName = "quick"
     iterations: int | None = None
@@ -357,14 +358,13 @@ class BenchmarkSpec(Wire):
         budget = ("iterations", "transitions", "evaluation_episodes", "training")
         given = {name: getattr(self, name) for name in budget if getattr(self, name) is not None}
         own = next((m for m in self.methods if isinstance(m, SimOptSettings)), None)
-        simopt = {} if own is None else {"simopt": own.model_dump(exclude_unset=True)}
+        simopt = {} if own is None else {"simopt": _as_given(own)}
         chosen = [(m, c) for m in self._all_methods for c in self._collectors_of(m)]
         for seed, task, variant, (method, collector) in product(
             self.seeds, self.tasks, self.variants, chosen
         ):
             # what was not given of a method's settings is the preset's, not the class's default
-            settings = method if isinstance(method, str) else method.model_dump(exclude_unset=True)
-            who = {"method": settings, "collector": collector}
+            who = {"method": _as_given(method), "collector": collector}
             yield RunSpec.model_validate(
                 {
                     "task": task,
@@ -378,9 +378,17 @@ class BenchmarkSpec(Wire):
             )
 
 
+def _as_given(value: Any) -> Any:
+    """What was given of a value of ours, and a method's name, as JSON; others as they are."""
+    if not isinstance(value, Wire):
+        return value
+    named = {"name": value.name} if isinstance(value, MethodSettings) else {}
+    return named | value.model_dump(exclude_unset=True)
+
+
 def _fill_method(given: Any, defaults: dict[str, dict[str, Any]]) -> Any:
     """A method's settings from its name or its partial settings, and the preset's."""
-    if isinstance(given, str):
+    if isinstance(given, str) and given in methods():
         given = {"name": given}
     if isinstance(given, dict) and isinstance(name := given.get("name"), str):
         return {**defaults.get(name, {}), **given}

@@ -59,7 +59,8 @@ def serve(
     _refuse_a_busy_port(settings)
     if settings.ray_address == "local":
         # Ray, when it is imported, learns here whose end is ours too. Where nothing is said and our
-        # parent is process 1, it ends us as an orphan with the raylet that we would restart
+        # parent is process 1, it ends us as an orphan with the raylet, which we start again here
+        # alone: with another cluster's, the service may end, for its supervisor to restart it
         os.environ["RAY_RAYLET_PID"] = str(os.getpid())
     # only the service needs Ray, MuJoCo and PyTorch, whose imports take seconds
     import uvicorn
@@ -294,8 +295,9 @@ def claims(
 def cancel(id: Id, url: Url = DEFAULT_URL) -> None:
     """Ask a run, or all live runs of a benchmark, to stop."""
     with _client(url) as client:
-        has_ended = is_finished(client.cancel(id))
-    told = "has ended; nothing is to be stopped" if has_ended else "is asked to stop"
+        had_ended = is_finished(client.get(id))
+        client.cancel(id)
+    told = "had ended before" if had_ended else "is asked to stop"
     console.print(f"{id} {told}; finished stages are kept")
 
 
@@ -303,8 +305,10 @@ def cancel(id: Id, url: Url = DEFAULT_URL) -> None:
 def resume(id: Id, url: Url = DEFAULT_URL) -> None:
     """Go on with a failed or cancelled run or benchmark."""
     with _client(url) as client:
-        is_complete = is_finished(client.resume(id))
-    console.print(f"{id} {'is complete; nothing is to be resumed' if is_complete else 'goes on'}")
+        states = client.get(id).get("states")  # of a benchmark; a run is refused by the service
+        client.resume(id)
+    has_some = states is None or states.keys() & {"failed", "cancelled"}
+    console.print(f"{id} {'goes on' if has_some else 'has no run that failed or was cancelled'}")
 
 
 @app.command()
@@ -509,7 +513,7 @@ def _show_results(client: AdrClient, seen: dict[str, Any]) -> None:
 
 def _write(file: Path, content: bytes) -> None:
     file.write_bytes(content)
-    console.print(str(file), highlight=False)
+    typer.echo(file)
 
 
 def _read_json(file: Path) -> dict[str, Any]:

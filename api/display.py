@@ -10,6 +10,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from adr_service.criticism.words import sure
 from api.client import AdrClient, Json, is_finished
 
 _REPORT_EVERY = 20  # looks, where the output is not a terminal
@@ -31,12 +32,15 @@ def live(console: Console, client: AdrClient, id: str) -> Json:
 
 def results_table(results: Json) -> RenderableType:
     """The result table with its intervals."""
-    table = Table("task", "variant", "method", "iteration", box=None, padding=(0, 1, 0, 0))
+    table = Table(box=None, padding=(0, 1, 0, 0))
+    for heading in ("task", "variant", "method"):
+        table.add_column(heading, overflow="fold")
     for heading in (
-        *("return /\nthreshold", "95 %\ninterval", "seeds", "episodes"),
+        *("iteration", "return /\nthreshold", "95 %\ninterval", "seeds", "episodes"),
         *("target\ntransitions", "distance\nfrom truth", "posterior\nstd"),
     ):
-        table.add_column(heading, justify="right", no_wrap=True)
+        whole = heading.endswith("interval")
+        table.add_column(heading, justify="right", overflow="fold", no_wrap=whole)
     for row in results["rows"]:
         error, std = row["estimation_error"], row["posterior_std"]
         whose = "" if row["collector"] == "simopt" else f" on {row['collector']}"
@@ -160,9 +164,7 @@ def cost_table(cost: Json) -> RenderableType:
 
 def verdict_table(verdict: Json) -> RenderableType:
     """What a criticism named, with strengths and their intervals."""
-    sure = verdict["confidence"]
-    told = "more than 99.9 %" if sure > 0.999 else f"{100 * sure:.1f} %"
-    lines = [f"{verdict['verdict']}, {told} sure"]
+    lines = [f"{verdict['verdict']}, {sure(verdict['confidence'])}"]
     moved, gain = verdict["residual"]["parameters"], verdict["gain"]
     if at_bound := ", ".join(name for name, each in moved.items() if each["at_bound"]):
         lines.append(
@@ -188,7 +190,7 @@ def verdict_table(verdict: Json) -> RenderableType:
     for heading in ("cause", "location"):  # names to copy
         table.add_column(heading, no_wrap=True)
     table.add_column("strength")
-    for heading in ("value", "95 % interval", "evidence [nats]"):
+    for heading in ("value", "95 % interval", "evidence, nats"):
         table.add_column(heading, justify="right")
     for cause, tied in zip(verdict["causes"], verdict["tied"], strict=True):
         for prefix, named in [("", cause), *(("or ", other) for other in tied)]:

@@ -192,7 +192,7 @@ class _Postgresql:
             execution_options={"postgresql_readonly": True},
         )
         event.listen(self.writer, "connect", self._take)
-        event.listen(self.writer, "handle_error", self._leave, retval=True)
+        event.listen(self.writer, "handle_error", self._leave)
 
     def _take(self, connection: Any, record: Any) -> None:
         wait = f"set local lock_timeout = {self._LOCK_WAIT_MS}"
@@ -209,13 +209,10 @@ class _Postgresql:
                 "was cut off; stop the other, or wait a minute"
             ) from None
 
-    def _leave(self, context: ExceptionContext) -> AdrError | None:
+    def _leave(self, context: ExceptionContext) -> None:
         """A server that takes no writes any more: the next connection may find one that does."""
-        error = context.original_exception
-        if getattr(error, "sqlstate", None) != self._READ_ONLY:
-            return None
-        context.is_disconnect = True
-        return DatabaseUnavailable(f"the database cannot be used just now: {error}")
+        if getattr(context.original_exception, "sqlstate", None) == self._READ_ONLY:
+            context.is_disconnect = True
 
     def lock(self) -> None:
         self.writer.connect().close()  # the connection itself stays, in the pool
@@ -230,7 +227,7 @@ class _Postgresql:
     def explain(self, error: DBAPIError) -> AdrError | None:
         if isinstance(error, DataError):  # too long, too large, a NUL: SQLite would store it
             return InvalidInput(f"the database cannot store this: {error.orig}")
-        if not isinstance(error, OperationalError):
+        if not (isinstance(error, OperationalError) or error.connection_invalidated):
             return None
         if getattr(error.orig, "sqlstate", None) == self._FULL:
             return DiskFull("the disk that has the database is full; free some space")

@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 from sqlalchemy import NullPool, create_engine
 
+from tests.service import until
+
 _USER = "adr"
 
 
@@ -51,8 +53,7 @@ class Server:
         postgres = self._url("postgres")
         self._execute(postgres, f"alter system set default_transaction_read_only = {value}")
         self._execute(postgres, "select pg_reload_conf()")
-        while self._execute(postgres, "show default_transaction_read_only") != value:
-            pass  # the server reads its settings when it comes to it
+        until(lambda: self._execute(postgres, "show default_transaction_read_only") == value)
 
     def _url(self, name: str) -> str:
         return f"postgresql+psycopg://{_USER}@/{name}?host={self.folder}"

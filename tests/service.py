@@ -77,9 +77,7 @@ def start_service(
 
     Ray's dashboard costs as much as a small test.
     """
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     log = data_dir / f"service-{port}.log"
     command = [sys.executable, "-m", "api", "serve", "--port", str(port)]
     command += ["--data-dir", str(data_dir)]
@@ -97,6 +95,12 @@ def start_service(
         if process.poll() is None:
             process.terminate()
             process.wait(timeout=60)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def wait_until_finished(client: AdrClient, id: str, timeout_s: float) -> dict[str, object]:

@@ -419,10 +419,8 @@ class TestService:
         assert http.get("/runs/run_0").status_code == 404
 
     def test_a_stage_in_the_works_is_linked_to_its_process_in_rays_dashboard(self, service, http):
-        training = {
-            "max_steps": 1_000_000,
-            "stop_at_threshold": False,
-        }  # there until it is cancelled
+        # there until it is cancelled
+        training = {"max_steps": 1_000_000, "stop_at_threshold": False}
         long = {**SMOKE, "method": "prior", "seed": 80, "training": training}
         run = service.client.submit_run(long)["id"]
         link = re.compile(r'href="(http://\S+)/#/actors/\w{32}">adr:run_\w+:trainer:\d+<')

@@ -95,8 +95,8 @@ def test_a_benchmark_is_extended_drawn_and_held_against_the_claims(adr, tmp_path
     drawn = {file.name for file in (tmp_path / "figures").iterdir()}
     assert {"returns.svg", "parameters.png", "spread.svg", "cost.csv"} <= drawn
     assert "nothing has been measured" in adr("claims", id)[1]  # smoke does not count
-    assert "has ended; nothing is to be stopped" in adr("cancel", id)[1]
-    assert "is complete; nothing is to be resumed" in adr("resume", id)[1]
+    assert "had ended before" in adr("cancel", id)[1]
+    assert "has no run that failed or was cancelled" in adr("resume", id)[1]
 
 
 def test_a_port_in_use_is_told_before_anything_starts(service, tmp_path):

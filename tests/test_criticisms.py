@@ -108,9 +108,9 @@ def test_a_measurement_is_no_recording_and_a_recording_no_measurement(service, u
     target = {"kind": "recorded", "dataset": uploaded["id"]}
     with pytest.raises(Refused, match=f"{uploaded['id']} is a measurement of states and commands"):
         service.client.submit_run({**learn, "target": target})
-    recorded = service.client.upload(recording("arm", 40).to_npz())["id"]
-    with pytest.raises(Refused, match=f"{recorded} is not a measurement of states and commands"):
-        service.client.submit_criticism({"task": "arm", "dataset": recorded})
+    other = service.client.upload(recording("arm", 40).to_npz())["id"]
+    with pytest.raises(Refused, match=f"{other} is not a measurement of states and commands"):
+        service.client.submit_criticism({"task": "arm", "dataset": other})
 
 
 def test_a_measurement_without_rows_is_refused(service, content):

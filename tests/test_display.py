@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from api.display import failures, headline, verdict_table
+from api.display import failures, headline, results_table, verdict_table
 
 SPEC = {"task": "arm", "method": {"name": "simopt"}, "seed": 0}
 
@@ -54,3 +54,14 @@ def test_names_of_causes_are_not_wrapped_on_narrow_terminals():
     console = Console(file=(output := io.StringIO()), width=80)
     console.print(verdict_table(verdict))
     assert f"{cause['kind']}  {cause['location']}" in output.getvalue()
+
+
+def test_a_results_row_keeps_its_names_and_interval_on_80_columns():
+    row = {"task": "half_cheetah", "variant": "unmodeled", "method": "simopt", "iteration": 5}
+    row |= {"collector": "simopt", "normalised_return": 0.99, "low": 0.12, "high": 1.03}
+    row |= {"seeds": 3, "episodes": 150, "target_transitions": 1000}
+    row |= {"estimation_error": 0.12, "posterior_std": 0.012}
+    shown = io.StringIO()
+    Console(file=shown, width=80).print(results_table({"rows": [row], "note": ""}))
+    assert "[0.12, 1.03]" in shown.getvalue()
+    assert "…" not in shown.getvalue()

@@ -1,5 +1,6 @@
 """The docs say what the code does."""
 
+import json
 import re
 from pathlib import Path
 
@@ -69,9 +70,14 @@ def test_the_sample_of_the_docs_has_the_cause_that_they_tell(tmp_path, monkeypat
     exec(code, {})  # noqa: S102 - our own page
     (command,) = re.findall(r"^adr (.* robot.xml --data measured.npz.*?) +#", page, re.MULTILINE)
     status, shown, _ = adr_here(*command.split())
-    (told,) = re.findall(r"```\n(cause .*?)```", page, re.DOTALL)
     assert status == 0
-    assert shown.split()[: len(told.split())] == told.split()
+    (told,) = re.findall(r"```\n(cause .*?)```", page, re.DOTALL)
+    headings, cause, verdict = told.splitlines()
+    assert shown.split()[: len(headings.split())] == headings.split()
+    assert verdict in shown
+    (found,) = json.loads((tmp_path / "found/verdict.json").read_text())["causes"]
+    assert [found["kind"], found["location"]] == cause.split()[:2]
+    assert found["parameters"]["stiffness"]["value"] == pytest.approx(1.5, rel=0.01)
 
 
 def test_the_loader_of_the_docs_acts_as_the_policy_does(tmp_path):

@@ -80,6 +80,8 @@ def test_what_is_given_wins_over_the_preset_field_by_field():
         ({"method": 3}, "give a method's name, or its settings with `name`; accepted: udr"),
         ({"method": {"updates": 3}}, "or its settings with `name`"),
         ({"method": "dropo", "simopt": "simop"}, "should be 'simopt'"),
+        ({"method": "drop", "simopt": "simopt"}, "did you mean 'dropo'?"),
+        ({"collector": "x"}, "should be 'simopt', 'prior', 'random' or 'recording'"),
         ({"preset": 3}, "valid string"),
         ({"training": 3}, "valid dictionary"),
         ({"training": {"hidden": [0]}}, "greater than or equal to 1"),
@@ -93,7 +95,16 @@ def test_a_mistake_is_one_error_at_its_field_with_what_is_accepted(change, messa
         RunSpec.model_validate({**GOOD, **change})
     (error,) = refused.value.errors()
     assert message in error["msg"]
-    assert list(change)[-1] in (error["loc"] or error["msg"])
+    place = error["loc"] or [error["msg"].removeprefix("Value error, ").partition(":")[0]]
+    assert place[0] in change or "'sed'" in error["msg"]
+
+
+def test_a_methods_settings_may_be_a_value_of_ours():
+    for named in (SimOptSettings(samples=40), SimOptSettings(name="simopt", samples=40)):
+        spec = RunSpec.model_validate({**GOOD, "method": named})
+        assert spec.method == SimOptSettings(updates=2, samples=40)  # the rest is the preset's
+    grid = {"tasks": ["arm"], "methods": [SimOptSettings(samples=40)], "preset": "smoke"}
+    assert BenchmarkSpec.model_validate({**grid, "references": False, "seeds": [0]}).size == 1
 
 
 class TestBenchmark:
@@ -115,6 +126,8 @@ class TestBenchmark:
             ({"tasks": ["arm", "leg"]}, ("tasks", 1), "there is no task 'leg'"),
             ({"methods": ["udr", "simop"]}, ("methods", 1), "did you mean 'simopt'?"),
             ({"methods": [{"name": "simop"}]}, ("methods", 0), "did you mean 'simopt'?"),
+            ({"variants": ["windy"]}, ("variants", 0), "accepted: vanilla, noisy, unmodeled"),
+            ({"seeds": [0, -1]}, ("seeds", 1), "greater than or equal to 0"),
             (
                 {"methods": [{"name": "simopt", "sample": 1}]},
                 ("methods", 0, "settings", "simopt"),

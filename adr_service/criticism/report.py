@@ -8,6 +8,7 @@ from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.figures import draw_all
 from adr_service.criticism.pipeline import Criticism
 from adr_service.criticism.verdict import Gain, NamedCause, Residual, Verdict
+from adr_service.criticism.words import sure
 
 FILES = ("verdict.json", "report.html", "extended.xml", "effects.json")
 _PAGE = """<!doctype html>
@@ -61,17 +62,17 @@ _EVIDENCE = (
 
 
 def _finding(verdict: Verdict) -> str:
-    sure = f"{100 * verdict.confidence:.0f} % sure"
+    how_sure = sure(verdict.confidence)
     match verdict.finding:
         case "none":
             return (
-                f"Nothing is missing that these data could show ({sure}). The table at the end "
+                f"Nothing is missing that these data could show ({how_sure}). The table at the end "
                 "says how large an effect would have been seen."
             )
         case "unknown":
             return (
-                f"Something is missing that is none of the effects we know ({sure}): a flexible "
-                f"force predicts {verdict.residual.unexplained_nats:.0f} nats better."
+                f"Something is missing that is none of the effects we know ({how_sure}): a "
+                f"flexible force predicts {verdict.residual.unexplained_nats:.0f} nats better."
             )
         case "cause" | "tie":
             names = "; ".join(_words(cause) for cause in verdict.causes)
@@ -82,7 +83,7 @@ def _finding(verdict: Verdict) -> str:
                     " Something else is missing that is none of the effects we know: a flexible "
                     f"force predicts another {verdict.residual.unexplained_nats:.0f} nats better."
                 )
-            return f"The simulator lacks {names} ({sure}).{tie}{rest}"
+            return f"The simulator lacks {names} ({how_sure}).{tie}{rest}"
 
 
 def _bounds(verdict: Verdict) -> str:

@@ -2,16 +2,16 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from api.client import AdrClient
 from tests.acceptance.test_faults import committed, finished
-from tests.service import RunningService, start_service, until, wait_until_finished
+from tests.service import RunningService, free_port, start_service, until, wait_until_finished
 
 pytestmark = [pytest.mark.ray, pytest.mark.slow]
 BENCHMARK = {
@@ -60,9 +60,7 @@ def test_a_process_that_is_killed_costs_its_stage_alone(tmp_path, uninterrupted,
 
 
 def test_a_service_whose_parent_is_process_1_outlives_its_raylet(tmp_path):
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        url = f"http://127.0.0.1:{(port := probe.getsockname()[1])}"
+    port = free_port()
     log, serve = tmp_path / "service.log", [sys.executable, "-m", "api", "serve", "--no-dashboard"]
     given = ["--cpus", "1", "--port", str(port), "--data-dir", str(tmp_path)]
     leave = f'"$@" >{log} 2>&1 & echo $!'  # as a daemon; systemd's services are such too
@@ -74,7 +72,7 @@ def test_a_service_whose_parent_is_process_1_outlives_its_raylet(tmp_path):
     try:
         if "PPid:\t1\n" not in status.read_text():
             pytest.skip("orphans have another parent than process 1 here")
-        with AdrClient(url) as client:
+        with AdrClient(f"http://127.0.0.1:{port}") as client:
             until(lambda: "startup complete" in log.read_text())
             found = Path(f"/proc/{pid}/task").glob("*/children")
             children = [child for path in found for child in path.read_text().split()]
@@ -84,8 +82,9 @@ def test_a_service_whose_parent_is_process_1_outlives_its_raylet(tmp_path):
             run = client.submit_run({"task": "arm", "method": "prior", "preset": "smoke"})["id"]
             assert wait_until_finished(client, run, 240)["state"] == "succeeded"
     finally:
-        os.kill(pid, signal.SIGTERM)
-        until(lambda: not status.exists())
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGTERM)
+        until(lambda: not status.exists() or "State:\tZ" in status.read_text())
 
 
 def pid_of(running: RunningService, benchmark: str, victim: str) -> int | None:
