@@ -26,7 +26,7 @@ from pydantic_core import CoreSchema
 
 from adr_service.causes import Cause, domain_of
 from adr_service.errors import AdrError, InvalidInput, UnknownName
-from adr_service.methods.base import MethodSettings, OfflineSettings
+from adr_service.methods.base import OfflineSettings
 from adr_service.methods.catalogue import AnyMethod, methods
 from adr_service.methods.references import OracleSettings
 from adr_service.methods.simopt import SimOptSettings
@@ -379,11 +379,11 @@ class BenchmarkSpec(Wire):
 
 
 def _as_given(value: Any) -> Any:
-    """What was given of a value of ours, and a method's name, as JSON; others as they are."""
+    """What was given of a value of ours, and what it is, as JSON; others as they are."""
     if not isinstance(value, Wire):
         return value
-    named = {"name": value.name} if isinstance(value, MethodSettings) else {}
-    return named | value.model_dump(exclude_unset=True)
+    tags = [tag for tag in ("name", "kind") if tag in type(value).model_fields]
+    return {tag: getattr(value, tag) for tag in tags} | value.model_dump(exclude_unset=True)
 
 
 def _fill_method(given: Any, defaults: dict[str, dict[str, Any]]) -> Any:

@@ -19,7 +19,7 @@ from adr_service.events import (
 )
 from adr_service.methods.simopt import SimOptSettings
 from adr_service.presets import PRESETS
-from adr_service.specs import BenchmarkSpec, RunSpec
+from adr_service.specs import BenchmarkSpec, ExternalTarget, RunSpec
 from adr_service.stages import Stage
 
 GOOD = {"task": "arm", "method": "simopt", "preset": "smoke"}
@@ -99,7 +99,8 @@ def test_a_mistake_is_one_error_at_its_field_with_what_is_accepted(change, messa
     assert place[0] in change or "'sed'" in error["msg"]
 
 
-def test_a_methods_settings_may_be_a_value_of_ours():
+def test_values_of_ours_are_as_good_as_their_json():
+    assert RunSpec.model_validate({**GOOD, "target": ExternalTarget()}).target == ExternalTarget()
     for named in (SimOptSettings(samples=40), SimOptSettings(name="simopt", samples=40)):
         spec = RunSpec.model_validate({**GOOD, "method": named})
         assert spec.method == SimOptSettings(updates=2, samples=40)  # the rest is the preset's
