@@ -25,6 +25,7 @@ _STATUS = {
     "queue_full": 429,
     "database_unavailable": 503,
     "database_in_use": 503,
+    "database_gone": 503,
     "disk_full": 507,
 }
 _RETRY_AFTER_S = 5

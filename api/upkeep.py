@@ -1,5 +1,6 @@
 """`adr db`: looking after the service's database."""
 
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ from adr_service.errors import AdrError, InvalidInput
 from api.settings import read_settings
 from db import maintenance
 from db.backends import file_of
-from db.session import open_database
+from db.session import Database, open_database
 
 app = typer.Typer(help="Look after the service's database.", no_args_is_help=True)
 console = Console()
@@ -29,7 +30,11 @@ def check(data_dir: DataDir = None) -> None:
     """Read everything, and say what is wrong; also beside a running service."""
     path = _path(data_dir)
     if wrong := maintenance.check(path):
-        raise Damaged("\n".join([f"{path} is damaged; restore a backup", *wrong]))
+        advice = "restore a backup: adr db restore COPY"
+        raise Damaged("\n".join([f"{path} is damaged; {advice}", *wrong]))
+    if open_ends := maintenance.unfinished(path):
+        advice = "`adr db upgrade`, or the next start of the service, mends it"
+        raise Damaged("\n".join([f"{path} was not upgraded to its end; {advice}", *open_ends]))
     found = ", ".join(f"{count} {table}" for table, count in maintenance.counts(path).items())
     console.print(escape(f"{path} is sound: {found}; revision {maintenance.revision_of(path)}"))
 
@@ -41,6 +46,20 @@ def backup(
     """Copy the database as it is at one moment; also beside a running service."""
     maintenance.backup(_path(data_dir), copy)
     console.print(escape(f"{copy}: {copy.stat().st_size / 1e6:.1f} MB"))
+
+
+@app.command()
+def restore(
+    copy: Annotated[Path, typer.Argument(help="A backup, or a copy from before an upgrade.")],
+    data_dir: DataDir = None,
+) -> None:
+    """Put a backup in the place of the database, while no service runs; the old file stays."""
+    path = _path(data_dir)
+    with closing(Database(_url(data_dir))):
+        aside = maintenance.restore(path, copy)
+    console.print(
+        escape(f"{path} is {copy} now" + (f"; what was there is {aside}" if aside else ""))
+    )
 
 
 @app.command()

@@ -4,19 +4,39 @@ backend = backend_of("sqlite:////data/adr.sqlite")     # or postgresql+psycopg:/
 backend.lock()                                         # DatabaseInUse where another service has it
 """
 
+import fcntl
 import logging
+import os
 import sqlite3
+import stat
+from collections.abc import Generator
+from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
-from filelock import FileLock, Timeout
-from sqlalchemy import URL, Connection, Engine, ExceptionContext, create_engine, event, make_url
+from sqlalchemy import (
+    URL,
+    Connection,
+    Engine,
+    ExceptionContext,
+    create_engine,
+    event,
+    make_url,
+    text,
+)
 from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, OperationalError
 
 from adr_service.errors import AdrError, InvalidInput
-from db.errors import DatabaseInUse, DatabaseUnavailable, DiskFull
+from db.errors import (
+    DatabaseDamaged,
+    DatabaseGone,
+    DatabaseInUse,
+    DatabaseUnavailable,
+    DiskFull,
+)
 from db.maintenance import backup
+from db.schema import clear_leftovers
 
 log = logging.getLogger(__name__)
 BUSY_TIMEOUT_MS = 5_000  # for other processes, such as a backup, and for other writers of ours
@@ -25,6 +45,9 @@ _ACCEPTED = (
     "postgresql+psycopg://USER@HOST/NAME"
 )
 _ONE_CONNECTION: dict[str, Any] = {"pool_size": 1, "max_overflow": 0}
+_INCREMENTAL = 2  # SQLite's auto_vacuum that gives pages back when it is asked to
+_PAGES_AT_ONCE = 2_000  # of 4 kB, given back in one transaction
+_LONGEST_LOG = 64_000_000  # bytes of the write-ahead log that are kept for reuse
 
 _SERVER = {  # settings of a session in PostgreSQL
     "lock_timeout": BUSY_TIMEOUT_MS,
@@ -55,8 +78,28 @@ class Backend(Protocol):
 
     def unlock(self) -> None: ...
 
-    def keep(self, revision: str) -> None:
-        """Keep what there is before its tables are upgraded."""
+    def check_in_place(self) -> None:
+        """Raise DatabaseGone where what is written would be lost with the next restart."""
+        ...
+
+    def keep(self, revision: str) -> AbstractContextManager[None]:
+        """Keep a copy of what there is while its tables are upgraded, and after."""
+        ...
+
+    def migrating(self) -> AbstractContextManager[Connection]:
+        """A transaction of the writer that may change tables: all of it is stored, or nothing."""
+        ...
+
+    def repair(self, connection: Connection, revision: str | None) -> None:
+        """Clear away what upgrades of earlier versions left behind; inside `migrating`."""
+        ...
+
+    def make_shrinkable(self) -> None:
+        """Let the database give disk space back, where it was made without that."""
+        ...
+
+    def reclaim(self, connection: Connection) -> bool:
+        """Give a portion of free space back to the disk; False where there is none."""
         ...
 
     def explain(self, error: DBAPIError) -> AdrError | None:
@@ -102,29 +145,112 @@ class _Sqlite:
     def __init__(self, url: str):
         self._path = file_of(url)
         self.name = str(self._path)
-        self._lock = FileLock(f"{self._path}.lock")
+        self._file = -1  # descriptor that holds the lock
+        self._log: int | None = None  # inode of the write-ahead log, once it was seen
         self.writer = self._engine(url, read_only=False)
         self.reader = self._engine(url, read_only=True)
 
     def lock(self) -> None:
+        """The lock is on the database file itself, and cannot be deleted beside it.
+
+        The descriptor stays open until `unlock`: closing one drops SQLite's own locks.
+        """
         if not self._path.parent.is_dir():
             raise InvalidInput(f"there is no folder {self._path.parent} for the database")
         try:
-            self._lock.acquire(timeout=0)
-        except Timeout:
+            # SQLite gives its other files the mode of this one
+            self._file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o600)
+        except OSError as error:
+            raise InvalidInput(
+                f"the database {self.name} cannot be written: {error.strerror}"
+            ) from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self.unlock()
             raise DatabaseInUse(
                 f"{self.name} is in use by another service; stop it, or give this one another "
                 "--data-dir"
             ) from None
+        mode = stat.S_IMODE(os.fstat(self._file).st_mode)
+        if mode & 0o077 and stat.S_IMODE(self._path.parent.stat().st_mode) & 0o011:
+            log.warning("%s is open to others (mode %o): chmod 600 it", self.name, mode)
+        for part in self._path.parent.glob(f"{self._path.name}.*.bak.part"):
+            part.unlink()  # of a copy that was cut short
 
     def unlock(self) -> None:
-        self._lock.release()
+        if self._file >= 0:
+            os.close(self._file)
+        self._file = -1
 
-    def keep(self, revision: str) -> None:
+    def check_in_place(self) -> None:
+        """The file and its write-ahead log must be those that were opened."""
+        log_file = self._path.with_name(f"{self._path.name}-wal")
+        try:
+            opened, there = os.fstat(self._file), os.stat(self._path)
+            if not os.path.samestat(opened, there):
+                raise FileNotFoundError(self._path)
+            if self._log is None:
+                self._log = os.stat(log_file).st_ino if log_file.exists() else None
+            elif os.stat(log_file).st_ino != self._log:
+                raise FileNotFoundError(log_file)
+        except FileNotFoundError as error:
+            raise DatabaseGone(
+                f"{error.filename or error} was deleted or replaced while the service had it open, "
+                "so nothing can be stored any more: stop the service and restore a backup "
+                "(`adr db restore`)"
+            ) from error
+
+    @contextmanager
+    def keep(self, revision: str) -> Generator[None]:
         now = f"{datetime.now(UTC):%Y%m%dT%H%M%S%f}"
         copy = self._path.with_name(f"{self._path.name}.{revision}.{now}.bak")
         backup(self._path, copy)
         log.info("%s was copied to %s", self.name, copy)
+        try:
+            yield
+        except BaseException:
+            copy.unlink()  # the file is as it was
+            raise
+
+    @contextmanager
+    def migrating(self) -> Generator[Connection]:
+        with self.writer.connect() as connection:
+            driver = connection.connection.cursor()
+            # to change some tables is to delete and make them again, which would take along the
+            # rows that refer to them
+            driver.execute("PRAGMA foreign_keys=OFF")
+            try:
+                with connection.begin():
+                    yield connection
+            finally:
+                driver.execute("PRAGMA foreign_keys=ON")
+
+    def repair(self, connection: Connection, revision: str | None) -> None:
+        clear_leftovers(connection, revision)
+
+    def make_shrinkable(self) -> None:
+        with self.writer.connect() as connection:
+            driver = connection.connection.cursor()
+            if driver.execute("PRAGMA auto_vacuum").fetchone() == (_INCREMENTAL,):
+                return
+            log.info("%s is rewritten once, so that deleting gives disk space back", self.name)
+            try:
+                driver.execute(f"PRAGMA auto_vacuum={_INCREMENTAL}")
+                driver.execute("VACUUM")
+            except sqlite3.OperationalError as error:
+                log.warning(
+                    "%s cannot be rewritten now (%s): deleting will not give disk space back; the "
+                    "next start tries again",
+                    self.name,
+                    error,
+                )
+
+    def reclaim(self, connection: Connection) -> bool:
+        for _ in range(_PAGES_AT_ONCE):
+            # of several pages, the driver would take the first alone
+            connection.exec_driver_sql("PRAGMA incremental_vacuum(1)")
+        return bool(connection.scalar(text("PRAGMA freelist_count")))
 
     def explain(self, error: DBAPIError) -> AdrError | None:
         code = getattr(error.orig, "sqlite_errorcode", 0) & 0xFF  # extended codes say more
@@ -134,6 +260,11 @@ class _Sqlite:
             return DatabaseUnavailable(f"the database cannot be used just now: {error.orig}")
         if code == sqlite3.SQLITE_NOTADB:
             return InvalidInput(f"{self.name} cannot be read as a database: {error.orig}")
+        if code == sqlite3.SQLITE_CORRUPT or "decode" in str(error.orig):
+            return DatabaseDamaged(
+                f"{self.name} is damaged ({error.orig}): `adr db check` says where, and "
+                "`adr db restore` puts a backup in its place"
+            )
         return None
 
     @staticmethod
@@ -143,8 +274,9 @@ class _Sqlite:
         @event.listens_for(engine, "connect")
         def prepare(connection: Any, record: Any) -> None:
             connection.isolation_level = None  # the driver must not begin transactions itself
-            pragmas = ["journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"]
-            pragmas.append(f"busy_timeout={BUSY_TIMEOUT_MS}")
+            pragmas = [f"auto_vacuum={_INCREMENTAL}"]  # counts before the first table alone
+            pragmas += ["journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"]
+            pragmas += [f"busy_timeout={BUSY_TIMEOUT_MS}", f"journal_size_limit={_LONGEST_LOG}"]
             if read_only:
                 pragmas.append("query_only=ON")
             for pragma in pragmas:
@@ -220,9 +352,29 @@ class _Postgresql:
     def unlock(self) -> None:
         """It went with the writer's connection."""
 
-    def keep(self, revision: str) -> None:
-        """Upgrades are one transaction there; copies are the server's business (pg_dump)."""
+    def check_in_place(self) -> None:
+        """A server does not lose its files unnoticed."""
+
+    @contextmanager
+    def keep(self, revision: str) -> Generator[None]:
+        """Copies are the server's business (pg_dump)."""
         log.info("%s is upgraded without a copy: its server's backups are the way back", self.name)
+        yield
+
+    @contextmanager
+    def migrating(self) -> Generator[Connection]:
+        with self.writer.begin() as connection:
+            yield connection
+
+    def repair(self, connection: Connection, revision: str | None) -> None:
+        """Its upgrades have been one transaction always."""
+
+    def make_shrinkable(self) -> None:
+        """The server's autovacuum does that."""
+
+    def reclaim(self, connection: Connection) -> bool:
+        """The server's autovacuum does that."""
+        return False
 
     def explain(self, error: DBAPIError) -> AdrError | None:
         if isinstance(error, DataError):  # too long, too large, a NUL: SQLite would store it

@@ -30,6 +30,18 @@ class DatabaseUnavailable(AdrError):
     code = "database_unavailable"
 
 
+class DatabaseGone(DatabaseUnavailable):
+    """The database's files are not there any more."""
+
+    code = "database_gone"
+
+
+class DatabaseDamaged(AdrError):
+    """The database's file has something wrong; a backup helps."""
+
+    code = "database_damaged"
+
+
 class DatabaseInUse(DatabaseUnavailable):
     """Another service holds the database."""
 

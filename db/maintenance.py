@@ -1,16 +1,24 @@
-"""Looking after a database file, also while a service has it open: nothing here writes to it.
+"""Looking after a database file. All but `restore` works beside a service, and writes nothing.
 
-check(path)                     # what is wrong with it; nothing: []
+check(path)                     # what is damaged, a line each; nothing: []
+unfinished(path)                # what an older revision has too much or too little of
 backup(path, copy)
+restore(path, copy)             # with the database's lock held
 """
 
+import os
+import shutil
 import sqlite3
 from collections.abc import Generator
 from contextlib import closing, contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
+
+from sqlalchemy import StaticPool, create_engine
 
 from adr_service.errors import InvalidInput
 from adr_service.wire import sha256
+from db.schema import differences, head
 
 
 def revision_of(path: Path) -> str | None:
@@ -25,9 +33,10 @@ def revision_of(path: Path) -> str | None:
 
 
 def check(path: Path) -> list[str]:
-    """What is wrong with the file, its references and its artifacts, a line each."""
+    """What is wrong with the file, its references, artifacts and tables, a line each."""
     found: list[str] = []
     with _reader(path) as connection:
+        connection.text_factory = lambda text: text.decode(errors="replace")
         try:
             told = [str(line) for (line,) in connection.execute("pragma integrity_check")]
             found += [] if told == ["ok"] else told
@@ -38,7 +47,16 @@ def check(path: Path) -> list[str]:
                     found.append(f"artifact {key} has other bytes than its name says")
         except sqlite3.DatabaseError as error:
             found.append(f"it cannot be read to its end: {error}")
-    return found
+            return found
+    return found or (unfinished(path) if revision_of(path) == head() else [])
+
+
+def unfinished(path: Path) -> list[str]:
+    """How the tables differ from those of the file's revision, a line each."""
+    with _reader(path) as connection:
+        engine = create_engine("sqlite://", creator=lambda: connection, poolclass=StaticPool)
+        with engine.connect() as reading:
+            return differences(reading, revision_of(path))
 
 
 def counts(path: Path) -> dict[str, int]:
@@ -68,6 +86,32 @@ def backup(path: Path, copy: Path) -> None:
         except (sqlite3.Error, OSError) as error:
             part.unlink(missing_ok=True)
             raise InvalidInput(f"{path} could not be copied to {copy}: {error}") from error
+
+
+def restore(path: Path, copy: Path) -> Path | None:
+    """Put a backup in the place of the database, which must be locked; where the old file went.
+
+    What was there is kept beside it; None: there was nothing.
+    """
+    if wrong := check(copy):
+        raise InvalidInput("\n".join([f"{copy} is damaged itself, and was not restored", *wrong]))
+    aside = path.with_name(f"{path.name}.{datetime.now(UTC):%Y%m%dT%H%M%S%f}.replaced")
+    part = path.with_name(f"{path.name}.part")
+    try:
+        shutil.copyfile(copy, part)
+        part.chmod(0o600)
+        with part.open("rb") as written:
+            os.fsync(written.fileno())
+        for suffix in ("-wal", "-shm", ""):
+            file = path.with_name(path.name + suffix)
+            if file.exists() and file.stat().st_size:
+                file.replace(aside.with_name(aside.name + suffix))
+            file.unlink(missing_ok=True)
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise InvalidInput(f"{copy} could not be copied to {path}: {error}") from error
+    return aside if aside.exists() else None
 
 
 @contextmanager

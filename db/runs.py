@@ -1,12 +1,13 @@
 """Runs, benchmarks and their events; one function per transaction."""
 
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
@@ -21,8 +22,9 @@ from adr_service.events import (
     next_state,
 )
 from adr_service.specs import AnyRun, BenchmarkExtension, BenchmarkSpec, RunSpec
+from adr_service.wire import explain
 from db.datasets import get_dataset
-from db.errors import NotFound, NotPossible
+from db.errors import DatabaseDamaged, NotFound, NotPossible
 from db.models import BenchmarkRow, EventRow, ResultsRow, RunRow
 from db.requests import RequestKey, once
 from db.session import CHUNK, Database
@@ -68,12 +70,25 @@ class EventRecord:
 
 @lru_cache(maxsize=4096)  # parsing costs more than reading, and they never change
 def _run_spec(text: str) -> AnyRun:
-    return _ANY_RUN.validate_json(text)
+    with _readable("run"):
+        return _ANY_RUN.validate_json(text)
 
 
 @lru_cache(maxsize=256)
 def _benchmark_spec(text: str) -> BenchmarkSpec:
-    return BenchmarkSpec.model_validate_json(text)
+    with _readable("benchmark"):
+        return BenchmarkSpec.model_validate_json(text)
+
+
+@contextmanager
+def _readable(kind: str) -> Generator[None]:
+    try:
+        yield
+    except ValidationError as error:
+        raise DatabaseDamaged(
+            f"a stored {kind} cannot be read ({explain(error, kind)}): the database is damaged "
+            "(`adr db check` says where), or a package is missing whose task or method it names"
+        ) from error
 
 
 Accept = Callable[[int], None]  # raises where so many live runs are too many

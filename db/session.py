@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Generator
 from contextlib import contextmanager
-from pathlib import Path
 from threading import RLock
 
 from alembic import command
@@ -15,8 +14,9 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from sqlalchemy.orm import Session
 
 from db.backends import BUSY_TIMEOUT_MS, backend_of
-from db.errors import DatabaseNewer, DatabaseUnavailable
+from db.errors import DatabaseDamaged, DatabaseNewer, DatabaseUnavailable
 from db.failpoints import failpoint
+from db.schema import alembic_config
 
 log = logging.getLogger(__name__)
 RETRY_S = 1.0  # after which what was DatabaseUnavailable is worth another try
@@ -46,6 +46,7 @@ class Database:
         """
         session = Session(self._backend.writer)
         with self._turn(), self._translated(), session, session.begin():
+            self._backend.check_in_place()
             yield session
             failpoint(f"{name}:before")
         failpoint(f"{name}:after")
@@ -72,8 +73,18 @@ class Database:
             if (told := self._backend.explain(error)) is None:
                 raise
             raise told from error
+        except UnicodeDecodeError as error:  # text that is none, which no constraint lets in
+            raise DatabaseDamaged(
+                f"the database is damaged ({error}): `adr db check` says where, and `adr db "
+                "restore` puts a backup in its place"
+            ) from error
         except PoolTimeout as error:
             raise DatabaseUnavailable("too much is read from the database just now") from error
+
+    def reclaim(self) -> bool:
+        """Give some of what deletions left free back to the disk; False where nothing is left."""
+        with self.write("reclaim") as session:
+            return self._backend.reclaim(session.connection())
 
     def revision(self) -> str | None:
         """Which tables there are; None: none yet."""
@@ -81,24 +92,36 @@ class Database:
             return MigrationContext.configure(session.connection()).get_current_revision()
 
     def upgrade(self) -> None:
-        """Bring the tables to what this version knows; DatabaseNewer where they are ahead."""
+        """Bring the tables to what this version knows, in one transaction.
+
+        Raises DatabaseNewer where they are ahead.
+        """
         config = alembic_config(self.url)
         scripts = ScriptDirectory.from_config(config)
         now, head = self.revision(), scripts.get_current_head()
-        if now == head:
-            return
-        name = self._backend.name
-        if now is not None:
-            if now not in {script.revision for script in scripts.walk_revisions()}:
+        if now != head:
+            name = self._backend.name
+            if now is None:
+                self._migrate(config, now)
+            elif now in {script.revision for script in scripts.walk_revisions()}:
+                log.info("upgrading %s from revision %s to %s", name, now, head)
+                with self._backend.keep(now):
+                    self._migrate(config, now)
+            else:
                 raise DatabaseNewer(
                     f"{name} has tables of revision {now}, which this version does not know (its "
                     f"own is {head}); start the version of the service that wrote it, or restore "
                     "a backup"
                 )
-            log.info("upgrading %s from revision %s to %s", name, now, head)
-            self._backend.keep(now)
-        with self._translated():
+        self._backend.make_shrinkable()
+
+    def _migrate(self, config: Config, now: str | None) -> None:
+        with self._translated(), self._backend.migrating() as connection:
+            self._backend.repair(connection, now)
+            config.attributes["connection"] = connection
             command.upgrade(config, "head")
+            failpoint("upgrade:before")
+        failpoint("upgrade:after")
 
     def close(self) -> None:
         self._backend.reader.dispose()
@@ -119,10 +142,3 @@ def open_database(url: str) -> Database:
         database.close()
         raise
     return database
-
-
-def alembic_config(url: str) -> Config:
-    config = Config()
-    config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
-    config.set_main_option("sqlalchemy.url", url.replace("%", "%%"))
-    return config

@@ -1,20 +1,25 @@
 """The database: transactions, constraints, migrations, and one writer."""
 
+import os
+import shutil
 import sqlite3
+import stat
 import threading
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
 from alembic import command
-from sqlalchemy import inspect, text
+from sqlalchemy import Engine, inspect, text
+from sqlalchemy import event as engine_event
 from sqlalchemy.exc import DBAPIError, IntegrityError, OperationalError
 from typer.testing import CliRunner
 
 from adr_service.benchmark.utilisation import Timing
-from adr_service.errors import InvalidInput
+from adr_service.errors import AdrError, InvalidInput
 from adr_service.events import (
     RunFailed,
     RunQueued,
@@ -29,11 +34,13 @@ from adr_service.presets import PRESETS
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec, RunSpec
 from adr_service.stages import Stage, StageResult
 from adr_service.transitions import TransitionDataset
-from adr_service.wire import canonical_json
+from adr_service.wire import canonical_json, sha256
 from api import upkeep
 from api.cli import app
-from db import datasets, maintenance, runs, stages
+from db import datasets, maintenance, runs, schema, stages
 from db.errors import (
+    DatabaseDamaged,
+    DatabaseGone,
     DatabaseInUse,
     DatabaseNewer,
     DatabaseUnavailable,
@@ -42,11 +49,13 @@ from db.errors import (
     NotPossible,
 )
 from db.models import ResultsRow, RunRow
-from db.session import Database, alembic_config, open_database
+from db.schema import alembic_config, head
+from db.session import Database, open_database
 
 SPEC = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})
 STAGE = Stage("evaluate", {"x": 1})
 TIMING = Timing(100.0, 101.0, 101.5, 102.0, cpu=0.4, preparing=0.1, is_first=True, cores=2)
+AN_ARTIFACT = "insert into artifacts values (?, 1, x'00')", (sha256(bytes(1)),)
 EXECUTION = stages.Execution(1, "run_a", 0.5, TIMING, {"python": "3.11"})
 
 
@@ -360,6 +369,49 @@ class TestSession:
             assert runs.get_run(database, run.id).state == "queued"
             assert count(database, "artifacts") == 0
 
+    @pytest.mark.parametrize("file", ["adr.sqlite", "adr.sqlite-wal"])
+    @pytest.mark.parametrize("how", ["deleted", "replaced"])
+    def test_files_that_go_away_under_a_service_stop_its_writes(
+        self, file_database, tmp_path, file, how
+    ):
+        runs.create_run(file_database, SPEC)
+        (tmp_path / file).rename(tmp_path / "elsewhere")
+        if how == "replaced":
+            shutil.copy(tmp_path / "elsewhere", tmp_path / file)
+        with pytest.raises(DatabaseGone, match=rf"{file} was deleted or replaced"):
+            runs.create_run(file_database, SPEC)
+
+    def test_no_file_beside_the_database_holds_its_lock(self, file_database, tmp_path):
+        for file in tmp_path.glob("adr.sqlite?lock*"):
+            file.unlink()
+        with pytest.raises(DatabaseInUse):
+            Database(file_database.url)
+
+    def test_a_new_database_is_readable_by_its_owner_alone(self, tmp_path):
+        tmp_path.chmod(0o755)
+        with closing(open_database(f"sqlite:///{tmp_path / 'x.sqlite'}")) as database:
+            runs.create_run(database, SPEC)
+            modes = {f.name: stat.S_IMODE(f.stat().st_mode) for f in tmp_path.glob("x.sqlite*")}
+        assert modes == dict.fromkeys(("x.sqlite", "x.sqlite-wal", "x.sqlite-shm"), 0o600)
+
+    def test_deleting_gives_disk_space_back(self, tmp_path):
+        """Also in a file that was made by a version which did not."""
+        path = tmp_path / "adr.sqlite"
+        with closing(sqlite3.connect(path)) as old:
+            old.execute("create table somebody_elses (x)")
+        with closing(open_database(f"sqlite:///{path}")) as database:
+            with database.write("test") as session:
+                key = stages.add_artifact(session, os.urandom(40_000_000))
+            with database.write("test") as session:
+                session.execute(text("delete from artifacts where sha256 = :key"), {"key": key})
+            portions = 1
+            while database.reclaim():
+                portions += 1
+            with database.write("test") as session:
+                session.execute(text("select 1"))
+            assert portions > 3  # others may write in between
+        assert path.stat().st_size < 1_000_000
+
     def test_no_update_is_lost_between_threads(self, database):
         run = runs.create_run(database, SPEC)
 
@@ -507,7 +559,97 @@ class TestMigrations:
             open_database(url).close()
             (copy,) = tmp_path.glob("old.sqlite.0002.*.bak")
         assert maintenance.revision_of(copy) == "0002"
-        assert maintenance.revision_of(tmp_path / "old.sqlite") == "0004"
+        assert maintenance.revision_of(tmp_path / "old.sqlite") == "0005"
+
+    def test_a_failed_upgrade_leaves_the_file_and_no_copy(self, tmp_path):
+        url = f"sqlite:///{tmp_path / 'old.sqlite'}"
+        command.upgrade(alembic_config(url), "0003")
+        with closing(sqlite3.connect(tmp_path / "old.sqlite")) as other, other:
+            other.execute("create table target_tasks (mine integer)")
+            other.execute("insert into target_tasks values (1)")
+        for _ in range(3):
+            with pytest.raises(DatabaseDamaged, match="left rows in target_tasks"):
+                open_database(url)
+        assert not list(tmp_path.glob("*.bak*"))
+        assert maintenance.revision_of(tmp_path / "old.sqlite") == "0003"
+
+    @pytest.mark.parametrize("revision", [None, "0001", "0003"])
+    def test_a_kill_at_any_statement_of_an_upgrade_leaves_a_database_that_opens(
+        self, tmp_path, revision
+    ):
+        """Copies of the files before every statement are what kill -9 would leave there."""
+        path, copies = tmp_path / "adr.sqlite", []
+        if revision is not None:
+            command.upgrade(alembic_config(f"sqlite:///{path}"), revision)
+            with closing(sqlite3.connect(path)) as other, other:
+                other.execute(*AN_ARTIFACT)
+
+        def keep_a_copy(*_):
+            folder = tmp_path / f"copy{len(copies)}"
+            folder.mkdir()
+            for file in tmp_path.glob("adr.sqlite*"):
+                shutil.copy(file, folder)
+            copies.append(folder)
+
+        engine_event.listen(Engine, "before_cursor_execute", keep_a_copy)
+        try:
+            open_database(f"sqlite:///{path}").close()
+        finally:
+            engine_event.remove(Engine, "before_cursor_execute", keep_a_copy)
+        assert len(copies) > 5
+        for folder in copies:
+            with closing(open_database(f"sqlite:///{folder / 'adr.sqlite'}")) as opened:
+                assert count(opened, "artifacts") == (0 if revision is None else 1)
+                assert opened.revision() == head()
+
+    @pytest.mark.parametrize("revision", [None, "0003"])
+    def test_what_upgrades_of_earlier_versions_left_half_done_is_cleared_away(
+        self, tmp_path, revision
+    ):
+        """They stored each statement by itself; here, without the last line of the story."""
+        path = tmp_path / "adr.sqlite"
+        url = f"sqlite:///{path}"
+        command.upgrade(alembic_config(url), "0004")
+        with closing(sqlite3.connect(path)) as other, other:
+            other.execute("delete from alembic_version")
+            if revision is not None:
+                other.execute("insert into alembic_version values (?)", (revision,))
+                other.execute(*AN_ARTIFACT)
+        assert "the table target_tasks is of a later revision" in "".join(
+            maintenance.unfinished(path)
+        )
+        with closing(open_database(url)) as opened:
+            assert opened.revision() == head()
+            assert count(opened, "artifacts") == (0 if revision is None else 1)
+        assert maintenance.check(path) == []
+
+    @pytest.mark.parametrize("lacking", [["results"], ["results", "requests"]])
+    def test_databases_of_earlier_forms_of_0004_are_made_whole(self, tmp_path, lacking):
+        path = tmp_path / "adr.sqlite"
+        url = f"sqlite:///{path}"
+        command.upgrade(alembic_config(url), "0004")
+        with closing(sqlite3.connect(path)) as other, other:
+            for table in lacking:
+                other.execute(f"drop table {table}")
+            other.execute("drop index ix_runs_task_method")
+        told = CliRunner().invoke(app, ["db", "check", "--data-dir", str(tmp_path)])
+        assert "the table results is missing" in str(told.exception)
+        with closing(open_database(url)) as opened:
+            runs.keep_results(opened, "run_a", "1", "{}")
+        command.check(alembic_config(url))
+        assert maintenance.check(path) == maintenance.unfinished(path) == []
+
+    def test_a_released_migration_is_never_edited(self):
+        """A database that it has made already would not get what was added."""
+        known = {
+            "0001": "5323830174ba0457ca84de6ad0961ee5",
+            "0002": "b2d69612c7aa6fe1098907353dcaeb5d",
+            "0003": "13ebde8e0765f1d805528df8af13bd4a",
+            "0004": "f9455c8c1f54f6ec906ef9a9b2d4f08a",
+            "0005": "0adbfbede86b6497ea2993d4a7101791",
+        }
+        files = Path(schema.__file__).parent.glob("migrations/versions/*.py")
+        assert {file.name[:4]: sha256(file.read_bytes())[:32] for file in files} == known
 
     def test_a_database_of_a_later_version_is_left_as_it_is(self, database):
         with database.write("test") as session:
@@ -571,6 +713,46 @@ class TestUpkeep:
         with pytest.raises(InvalidInput, match=r"could not be copied to .*nowhere"):
             maintenance.backup(tmp_path / "adr.sqlite", tmp_path / "nowhere" / "copy.sqlite")
 
+    def test_a_backup_is_put_in_the_place_of_what_is_damaged(self, tmp_path):
+        path, copy = tmp_path / "adr.sqlite", tmp_path / "copy.sqlite"
+        with closing(open_database(f"sqlite:///{path}")) as database:
+            run = runs.create_run(database, SPEC)
+            maintenance.backup(path, copy)
+            in_use = self.adr(tmp_path, "restore", str(copy))
+            assert isinstance(in_use.exception, DatabaseInUse)
+        path.write_bytes(b"what?")
+        assert "is copy.sqlite now" in self.adr(tmp_path, "restore", str(copy)).output.replace(
+            "\n", ""
+        ).replace(str(tmp_path) + "/", "")
+        with closing(open_database(f"sqlite:///{path}")) as database:
+            assert runs.get_run(database, run.id) == run
+        (aside,) = tmp_path.glob("adr.sqlite.*.replaced")
+        assert aside.read_bytes() == b"what?"
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        copy.write_bytes(b"what?")
+        assert "cannot be read" in str(self.adr(tmp_path, "restore", str(copy)).exception)
+
+    @pytest.mark.parametrize("page", range(1, 40, 3))
+    def test_a_hole_in_the_file_is_called_damage_by_check_and_by_the_service(self, tmp_path, page):
+        path = tmp_path / "adr.sqlite"
+        with closing(open_database(f"sqlite:///{path}")) as database:
+            for _ in range(40):
+                runs.create_run(database, SPEC)
+        with path.open("r+b") as file:
+            file.seek(4096 * page)
+            file.write(bytes(4096))
+        failed = self.adr(tmp_path, "check")
+        assert isinstance(failed.exception, upkeep.Damaged), failed.output
+        assert "restore a backup" in str(failed.exception)
+        try:
+            with closing(open_database(f"sqlite:///{path}")) as database:
+                runs.unfinished_runs(database)
+                for run in runs.list_runs(database):
+                    runs.events_of(database, run.id)
+                runs.create_run(database, SPEC)
+        except AdrError as error:
+            assert "damaged" in str(error)  # noqa: PT017 - some pages are of no use to these
+
     def test_what_is_no_database_is_said(self, tmp_path):
         with pytest.raises(InvalidInput, match="there is no database"):
             maintenance.check(tmp_path / "adr.sqlite")
@@ -582,7 +764,7 @@ class TestUpkeep:
         command.upgrade(alembic_config(f"sqlite:///{tmp_path / 'adr.sqlite'}"), "0001")
         assert "is sound" in self.adr(tmp_path, "check").output.replace("\n", "")
         told = self.adr(tmp_path, "upgrade").output.replace("\n", "")
-        assert told.endswith("revision 0001 -> 0004")
+        assert told.endswith("revision 0001 -> 0005")
 
 
 class TestDatasets:

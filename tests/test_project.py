@@ -1,17 +1,24 @@
 """The files around the code: what they promise is checked by reading them."""
 
+import ast
+import importlib.metadata
 import json
 import os
 import re
+import shutil
 import subprocess
+import sys
 import tomllib
+import zipfile
 from pathlib import Path
 
 import pytest
 import yaml
 
 ROOT = Path(__file__).parent.parent
-
+PACKAGES = ("adr_service", "workers", "db", "api")
+# of FastAPI, pydantic and sbx-rl, and pinned by them
+PARTS = {"starlette", "anyio", "pydantic-core", "jax", "flax", "optax"}
 
 NODES = ("head", "worker", "api")
 
@@ -103,6 +110,50 @@ def test_every_dependency_is_pinned():
         if "==" in line
     }
     assert names <= pinned, names - pinned
+
+
+def test_every_library_that_is_imported_is_declared():
+    """Only what we declare is sure to be there beside `pip install .`."""
+    provided = importlib.metadata.packages_distributions()
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    lines = [*project["dependencies"], *sum(project["optional-dependencies"].values(), [])]
+    declared = {normal(re.match(r"[\w-]+", line).group()) for line in lines}
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*.py"):
+            for name in imported(path) - set(PACKAGES) - set(sys.stdlib_module_names):
+                ours = {normal(each) for each in provided.get(name, [name])}
+                assert ours & (declared | PARTS), f"{name} in {path}"
+
+
+def test_an_installed_service_has_its_pages_migrations_and_models(tmp_path):
+    """A wheel, built from a copy that has only what is committed or about to be."""
+    tracked = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(tracked, cwd=ROOT, capture_output=True, text=True, check=True)
+    files = [name for name in listed.stdout.splitlines() if (ROOT / name).is_file()]
+    for name in files:
+        (tmp_path / "source" / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / "source" / name)
+    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir"]
+    subprocess.run([*build, str(tmp_path), str(tmp_path / "source")], check=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    held = set(zipfile.ZipFile(wheel).namelist())
+    needed = {name for name in files if name.split("/")[0] in PACKAGES}
+    assert needed - held == set()
+
+
+def imported(path: Path) -> set[str]:
+    """Top-level modules that a file imports, wherever in it."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module.partition(".")[0])
+    return found
+
+
+def normal(name: str) -> str:
+    return name.lower().replace("_", "-")
 
 
 def test_continuous_integration_runs_the_readmes_test_command():

@@ -1,15 +1,38 @@
-"""Alembic's entry: migrates the database that the configuration names."""
+"""Alembic's entry: migrates the database that the configuration names, all of it or nothing."""
+
+from typing import Any
 
 from alembic import context
-from sqlalchemy import create_engine
+from alembic.runtime.migration import MigrationInfo
+from sqlalchemy import Connection
 
+from db.backends import backend_of
+from db.failpoints import failpoint
 from db.models import Base
 
-url = context.config.get_main_option("sqlalchemy.url")
-assert url is not None, "run migrations through db.session"
-engine = create_engine(url)
-with engine.connect() as connection:
-    context.configure(connection=connection, target_metadata=Base.metadata, render_as_batch=True)
-    with context.begin_transaction():
-        context.run_migrations()
-engine.dispose()
+
+def migrate(connection: Connection) -> None:
+    """Run the migrations that were asked for in the transaction of the connection."""
+    context.configure(
+        connection=connection,
+        target_metadata=Base.metadata,
+        render_as_batch=True,
+        on_version_apply=announce,  # pyright: ignore[reportArgumentType] - it is called by names
+    )
+    context.run_migrations()
+
+
+def announce(*, step: MigrationInfo, **_: Any) -> None:
+    failpoint(f"migration_{step.up_revision_id}")
+
+
+given: Connection | None = context.config.attributes.get("connection")
+if given is not None:
+    migrate(given)
+else:
+    url = context.config.get_main_option("sqlalchemy.url")
+    assert url is not None, "run migrations through db.session"
+    backend = backend_of(url)
+    with backend.migrating() as connection:
+        migrate(connection)
+    backend.writer.dispose()

@@ -1,0 +1,106 @@
+"""The tables of each revision: made by migrations, compared with what a file has.
+
+    config = alembic_config(url)
+    differences(connection, "0005")        # [] where an SQLite file has the tables of a revision
+    clear_leftovers(connection, "0003")    # what an upgrade to a later one left behind
+
+Up to revision 0004, SQLite stored every statement of a migration by itself, so a process that died
+in between left tables that no start could get past. Since then an upgrade is one transaction.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from alembic import command
+from alembic.config import Config
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, Inspector, create_engine, inspect, text
+
+from db.errors import DatabaseDamaged
+
+
+def alembic_config(url: str) -> Config:
+    config = Config()
+    config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
+    config.set_main_option("sqlalchemy.url", url.replace("%", "%%"))
+    return config
+
+
+def head() -> str | None:
+    """The revision of this version of the service."""
+    return ScriptDirectory.from_config(alembic_config("sqlite://")).get_current_head()
+
+
+@dataclass(frozen=True)
+class Schema:
+    """Names alone: versions of the libraries write the same tables in other words."""
+
+    tables: frozenset[str]
+    columns: frozenset[tuple[str, str]]  # (table, column)
+    indexes: frozenset[tuple[str, str]]  # (table, index)
+
+
+def differences(connection: Connection, revision: str | None) -> list[str]:
+    """What the tables lack of a revision, and what later revisions have, a line each.
+
+    Tables that no revision has are somebody else's, and pass.
+    """
+    there, expected = _schema(inspect(connection)), _schema_of(revision)
+    known = _schema_of("head")
+    # a table that is not there lacks its columns and indexes as well, which goes without saying
+    lacking = [f"the table {name} is missing" for name in sorted(expected.tables - there.tables)]
+    for kind in ("columns", "indexes"):
+        missing = getattr(expected, kind) - getattr(there, kind)
+        lacking += [
+            f"the table {table} lacks {name}, of its {kind}"
+            for table, name in sorted(missing)
+            if table in there.tables
+        ]
+    later = there.tables & (known.tables - expected.tables)
+    return lacking + [
+        f"the table {name} is of a later revision: an upgrade was cut short"
+        for name in sorted(later)
+    ]
+
+
+def clear_leftovers(connection: Connection, revision: str | None) -> None:
+    """Drop what an upgrade that was cut short left behind in SQLite, in the open transaction.
+
+    Nothing with rows is dropped: DatabaseDamaged says what is there.
+    """
+    there, expected = _schema(inspect(connection)), _schema_of(revision)
+    known = _schema_of("head")
+    leftover = there.tables & (known.tables - expected.tables)
+    for table in sorted(leftover):
+        if connection.scalar(text(f"select 1 from {table} limit 1")):  # noqa: S608 - our own names
+            raise DatabaseDamaged(
+                f"an upgrade from revision {revision} was cut short and left rows in {table}; "
+                "restore the copy that was made before it (*.bak, beside the database)"
+            )
+        connection.execute(text(f"drop table {table}"))
+    for table, index in sorted(there.indexes & (known.indexes - expected.indexes)):
+        if table not in leftover:
+            connection.execute(text(f"drop index {index}"))
+    for table, column in sorted(there.columns & (known.columns - expected.columns)):
+        if table not in leftover:
+            connection.execute(text(f"alter table {table} drop column {column}"))
+
+
+@cache
+def _schema_of(revision: str | None) -> Schema:
+    """The schema that the migrations up to a revision make, in memory."""
+    engine = create_engine("sqlite://")
+    with engine.connect() as connection:
+        if revision is not None:
+            config = alembic_config("sqlite://")
+            config.attributes["connection"] = connection
+            command.upgrade(config, revision)
+        return _schema(inspect(connection))
+
+
+def _schema(inspector: Inspector) -> Schema:
+    tables = frozenset(inspector.get_table_names()) - {"alembic_version"}
+    columns = {(table, str(c["name"])) for table in tables for c in inspector.get_columns(table)}
+    indexes = {(table, str(i["name"])) for table in tables for i in inspector.get_indexes(table)}
+    return Schema(tables, frozenset(columns), frozenset(indexes))
