@@ -1,14 +1,15 @@
 """Runs, benchmarks and their events; one function per transaction."""
 
 import secrets
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
+from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
-from sqlalchemy import delete, func, select
+from sqlalchemy import delete, func, insert, select, update
 from sqlalchemy.orm import Session
 
 from adr_service.events import (
@@ -21,7 +22,7 @@ from adr_service.events import (
     event_from_json,
     next_state,
 )
-from adr_service.specs import AnyRun, BenchmarkExtension, BenchmarkSpec, RunSpec
+from adr_service.specs import MAX_RUNS, AnyRun, BenchmarkExtension, BenchmarkSpec, RunSpec
 from adr_service.wire import explain
 from db.datasets import get_dataset
 from db.errors import DatabaseDamaged, NotFound, NotPossible
@@ -31,6 +32,9 @@ from db.session import CHUNK, Database
 from db.stages import delete_unreferenced
 from db.target_tasks import withdraw_tasks
 
+T = TypeVar("T")
+_AT_ONCE = 100  # runs that one transaction changes
+_RESUMABLE = ("failed", "cancelled")
 _ANY_RUN: TypeAdapter[AnyRun] = TypeAdapter(AnyRun)
 
 
@@ -68,7 +72,7 @@ class EventRecord:
     event: RunEvent
 
 
-@lru_cache(maxsize=4096)  # parsing costs more than reading, and they never change
+@lru_cache(maxsize=2 * MAX_RUNS)  # parsing costs more than reading, and they never change
 def _run_spec(text: str) -> AnyRun:
     with _readable("run"):
         return _ANY_RUN.validate_json(text)
@@ -106,10 +110,10 @@ def create_run(
     made a run before, and what `accept` raises.
     """
     with database.write("create_run") as session:
-        row = _insert_run(session, spec, None)
-        once(session, key, row.id)
+        (id,) = _insert_runs(session, [_new_run(spec, None)])
+        once(session, key, id)
         _check(session, accept)
-        return _record(row)
+        return _record(_row(session, id))
 
 
 def create_benchmark(
@@ -119,15 +123,15 @@ def create_benchmark(
     accept: Accept | None = None,
 ) -> BenchmarkRecord:
     """Store a benchmark and all its runs, or nothing. Raises as `create_run` does."""
+    # as it was given: its runs are stored complete, and mean the same when presets change
+    given = spec.model_dump_json(exclude_unset=True)
+    row = BenchmarkRow(id=_new_id("bench"), created_at=_now(), spec=given)
+    members = [_new_run(run, row.id) for run in spec.runs()]  # before the lock: it takes a while
     with database.write("create_benchmark") as session:
-        # as it was given: its runs are stored complete, and mean the same when presets change
-        given = spec.model_dump_json(exclude_unset=True)
-        row = BenchmarkRow(id=_new_id("bench"), created_at=_now(), spec=given)
         session.add(row)
         session.flush()
         once(session, key, row.id)
-        for run in spec.runs():
-            _insert_run(session, run, row.id)
+        _insert_runs(session, members)
         _check(session, accept)
         return _benchmark(row)
 
@@ -213,6 +217,15 @@ def append_event(database: Database, run_id: str, event: RunEvent) -> bool:
         return append(session, run_id, event)
 
 
+def append_events(database: Database, events: Sequence[tuple[str, RunEvent]]) -> None:
+    """`append_event` for a batch of runs, in one transaction."""
+    if events:
+        with database.write("append_events") as session:
+            for run_id, event in events:
+                if exists(session, run_id):  # it may have been deleted meanwhile
+                    append(session, run_id, event)
+
+
 def append(session: Session, run_id: str, event: RunEvent) -> bool:
     """`append_event` inside a transaction."""
     mine = EventRow.run_id == run_id
@@ -281,6 +294,15 @@ def request_cancel(database: Database, run_id: str) -> RunRecord:
         return _record(row)
 
 
+def request_cancel_all(database: Database, benchmark_id: str) -> list[RunRecord]:
+    """Ask all live runs of a benchmark to stop; these runs."""
+    get_benchmark(database, benchmark_id)
+    mine = (RunRow.benchmark_id == benchmark_id, RunRow.state.not_in(FINISHED))
+    with database.write("request_cancel_all") as session:
+        session.execute(update(RunRow).where(*mine).values(cancel_requested=True))
+        return [_record(row) for row in session.scalars(select(RunRow).where(*mine))]
+
+
 def resubmit(database: Database, run_id: str, accept: Accept | None = None) -> RunRecord:
     """Queue a failed or cancelled run again; its finished stages answer at once.
 
@@ -288,15 +310,43 @@ def resubmit(database: Database, run_id: str, accept: Accept | None = None) -> R
     """
     with database.write("resubmit") as session:
         row = _row(session, run_id)
-        if row.state not in {"failed", "cancelled"}:
+        if row.state not in _RESUMABLE:
             raise NotPossible(
                 f"run {run_id} is {row.state}; only a failed or cancelled run can be resumed"
             )
-        row.submission += 1
-        row.cancel_requested = False
-        append(session, run_id, RunQueued(submission=row.submission))
+        _queue_again(session, row)
         _check(session, accept)
         return _record(row)
+
+
+def resubmit_all(
+    database: Database, benchmark_id: str, accept: Accept | None = None
+) -> Iterator[RunRecord]:
+    """`resubmit` for all runs of a benchmark that failed or were cancelled; yields these runs.
+
+    A batch is a transaction; what `accept` raises ends it, and earlier batches stay queued.
+    """
+    stopped = [run.id for run in runs_of(database, benchmark_id) if run.state in _RESUMABLE]
+    for batch in batches(stopped):
+        with database.write("resubmit_all") as session:
+            rows = [_row(session, run_id) for run_id in batch]
+            mine = [row for row in rows if row.state in _RESUMABLE]  # another may have been faster
+            for row in mine:
+                _queue_again(session, row)
+            _check(session, accept)
+            queued = [_record(row) for row in mine]
+        yield from queued
+
+
+def _queue_again(session: Session, row: RunRow) -> None:
+    row.submission += 1
+    row.cancel_requested = False
+    append(session, row.id, RunQueued(submission=row.submission))
+
+
+def batches(items: Sequence[T]) -> Iterator[Sequence[T]]:
+    """Parts short enough that others can write between their transactions."""
+    return (items[first : first + _AT_ONCE] for first in range(0, len(items), _AT_ONCE))
 
 
 def delete_run(database: Database, run_id: str) -> None:
@@ -386,28 +436,39 @@ def extend_benchmark(
     accept: Accept | None = None,
 ) -> list[RunRecord]:
     """Add runs to a benchmark, and return them; what it has already stays as it is."""
+    now = get_benchmark(database, benchmark_id)
+    spec = now.spec.extended(extension)
+    new = _missing(spec, runs_of(database, benchmark_id), benchmark_id)  # before the lock
     with database.write("extend_benchmark") as session:
         row = session.scalar(select(BenchmarkRow).where(BenchmarkRow.id == benchmark_id))
         if row is None:
             raise NotFound("benchmark", benchmark_id)
-        spec = _benchmark_spec(row.spec).extended(extension)
-        mine = session.scalars(select(RunRow.spec).where(RunRow.benchmark_id == benchmark_id))
-        present = {_cell(run): run for run in map(_run_spec, mine) if isinstance(run, RunSpec)}
-        added: list[RunRecord] = []
-        for run in spec.runs():
-            before = present.get(_cell(run))
-            if before is None:
-                added.append(_record(_insert_run(session, run, benchmark_id)))
-            elif before != run:
-                differ = [name for name, value in run if value != getattr(before, name)]
-                raise NotPossible(
-                    f"the runs of {benchmark_id} would differ from those it has in "
-                    f"{', '.join(differ)}, and would not compare with them: either the preset "
-                    f"{run.preset!r} has changed since, or the SimOpt that others learn from"
-                )
+        if _benchmark_spec(row.spec) != now.spec:
+            raise NotPossible(f"{benchmark_id} was extended by another request just now; try again")
         row.spec = spec.model_dump_json(exclude_unset=True)
+        added = set(_insert_runs(session, new))
         _check(session, accept)
-        return added
+    return [run for run in runs_of(database, benchmark_id) if run.id in added]
+
+
+def _missing(
+    spec: BenchmarkSpec, present: Sequence[RunRecord], benchmark_id: str
+) -> list[dict[str, Any]]:
+    """The runs that a wider benchmark has and `present` lacks; NotPossible where others differ."""
+    known = {_cell(run.spec): run.spec for run in present if isinstance(run.spec, RunSpec)}
+    new: list[dict[str, Any]] = []
+    for run in spec.runs():
+        before = known.get(_cell(run))
+        if before is None:
+            new.append(_new_run(run, benchmark_id))
+        elif before != run:
+            differ = [name for name, value in run if value != getattr(before, name)]
+            raise NotPossible(
+                f"the runs of {benchmark_id} would differ from those it has in "
+                f"{', '.join(differ)}, and would not compare with them: either the preset "
+                f"{run.preset!r} has changed since, or the SimOpt that others learn from"
+            )
+    return new
 
 
 def _cell(spec: RunSpec) -> tuple[str, str, str, int]:
@@ -415,28 +476,38 @@ def _cell(spec: RunSpec) -> tuple[str, str, str, int]:
     return (spec.task, spec.variant, spec.column, spec.seed)
 
 
-def _insert_run(session: Session, spec: AnyRun, benchmark_id: str | None) -> RunRow:
-    if spec.dataset is not None:
-        get_dataset(session, spec.dataset)
-    row = RunRow(
-        id=_new_id("run"),
-        benchmark_id=benchmark_id,
-        dataset_id=spec.dataset,
-        created_at=_now(),
-        updated_at=_now(),
-        task=spec.task,
-        variant=spec.variant,
-        method=spec.label,
-        seed=spec.seed,
-        spec=spec.model_dump_json(),
-        state="queued",
-        submission=1,
-        cancel_requested=False,
-    )
-    session.add(row)
-    session.flush()
-    append(session, row.id, RunQueued(submission=1))
-    return row
+def _new_run(spec: AnyRun, benchmark_id: str | None) -> dict[str, Any]:
+    """The columns of a run that was not stored yet."""
+    return {
+        "id": _new_id("run"),
+        "benchmark_id": benchmark_id,
+        "dataset_id": spec.dataset,
+        "created_at": _now(),
+        "updated_at": _now(),
+        "task": spec.task,
+        "variant": spec.variant,
+        "method": spec.label,
+        "seed": spec.seed,
+        "spec": spec.model_dump_json(),
+        "state": "queued",
+        "submission": 1,
+        "cancel_requested": False,
+    }
+
+
+def _insert_runs(session: Session, rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Store runs with their first event, all by two statements; their ids."""
+    for dataset in {row["dataset_id"] for row in rows} - {None}:
+        get_dataset(session, dataset)
+    queued = RunQueued(submission=1)
+    event = {"seq": 1, "key": queued.key, "type": queued.type, "body": queued.model_dump_json()}
+    ids = [str(row["id"]) for row in rows]
+    if rows:
+        session.execute(insert(RunRow), rows)
+        session.execute(
+            insert(EventRow), [{**event, "run_id": id, "created_at": _now()} for id in ids]
+        )
+    return ids
 
 
 def _row(session: Session, run_id: str) -> RunRow:

@@ -1,17 +1,18 @@
 """Which runs get a thread, and when; their programs are ours, and need no Ray."""
 
 import sqlite3
-from contextlib import closing
+import threading
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
 
 from adr_service.errors import InvalidInput
-from adr_service.specs import RunSpec
+from adr_service.specs import BenchmarkSpec, RunSpec
 from db import runs
 from tests.service import until
-from workers.cluster import RayOptions
-from workers.orchestrator import Orchestrator
+from workers.cluster import ClusterUnavailable, RayOptions
+from workers.orchestrator import RUNS_AT_ONCE, Orchestrator
 
 SPEC = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})
 
@@ -48,3 +49,60 @@ def test_a_run_whose_end_cannot_be_stored_yet_is_not_begun_again(
         other.execute("rollback")
         until(lambda: runs.get_run(file_database, record.id).state == "failed")
     assert begun == [1, 1]
+
+
+def test_a_service_that_stops_begins_no_run_that_waited_for_a_thread(
+    file_database, monkeypatch, caplog
+):
+    """Seven thousand queued runs became "running", and wrote a traceback each, at a SIGTERM."""
+    begun, stopping = threading.Semaphore(0), threading.Event()
+
+    def program(*_):
+        begun.release()
+        stopping.wait(60)
+        raise ClusterUnavailable("the dispatcher has stopped; restart the service")
+        yield
+
+    monkeypatch.setattr("workers.orchestrator.run", program)
+    orchestrator = Orchestrator(file_database, RayOptions())
+    monkeypatch.setattr(orchestrator._dispatcher, "close", stopping.set)
+    for _ in range(3 * RUNS_AT_ONCE):
+        orchestrator.submit(runs.create_run(file_database, SPEC))
+    for _ in range(RUNS_AT_ONCE):
+        assert begun.acquire(timeout=60)
+    orchestrator.close()
+    states = [run.state for run in runs.list_runs(file_database, limit=None)]
+    assert states.count("running") == RUNS_AT_ONCE
+    assert states.count("queued") == 2 * RUNS_AT_ONCE
+    assert "Traceback" not in caplog.text
+
+
+def test_cancelling_many_runs_stops_them_in_batches(file_database, monkeypatch):
+    waiting = threading.Event()
+    monkeypatch.setattr("workers.orchestrator.run", lambda *_: iter([waiting.wait(60)][:0]))
+    orchestrator = Orchestrator(file_database, RayOptions())
+    given = {"tasks": ["arm"], "methods": ["prior"], "references": False, "preset": "smoke"}
+    spec = BenchmarkSpec.model_validate({**given, "seeds": list(range(400))})
+    benchmark = runs.create_benchmark(file_database, spec).id
+    for run in runs.runs_of(file_database, benchmark):
+        orchestrator.submit(run)
+    with counted(file_database) as transactions:
+        orchestrator.cancel(*runs.request_cancel_all(file_database, benchmark))
+        until(lambda: cancelled(file_database, benchmark) == 400 - RUNS_AT_ONCE)
+    assert transactions.count("append_events") == 4
+    assert transactions.count("request_cancel_all") == 1
+    waiting.set()
+    orchestrator.close()
+
+
+@contextmanager
+def counted(database):
+    """The names of the transactions that are begun meanwhile."""
+    names, write = [], database.write
+    database.write = lambda name: names.append(name) or write(name)
+    yield names
+    database.write = write
+
+
+def cancelled(database, benchmark):
+    return runs.states_of(database, [benchmark])[benchmark].get("cancelled", 0)

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -116,7 +117,7 @@ def test_every_library_that_is_imported_is_declared():
     """Only what we declare is sure to be there beside `pip install .`."""
     provided = importlib.metadata.packages_distributions()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    lines = [*project["dependencies"], *sum(project["optional-dependencies"].values(), [])]
+    lines = [*project["dependencies"], *chain(*project["optional-dependencies"].values())]
     declared = {normal(re.match(r"[\w-]+", line).group()) for line in lines}
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):

@@ -142,7 +142,8 @@ class Dispatcher:
     def close(self) -> None:
         """Stop everything; what was running will run again when asked for again."""
         self._stop.set()
-        self._thread.join()
+        if self._thread.ident is not None:  # it was started
+            self._thread.join()
 
     @property
     def is_alive(self) -> bool:

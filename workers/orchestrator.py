@@ -6,8 +6,9 @@ service that starts simply runs whatever is unfinished, whether it was stopped o
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import NamedTuple, TypeVar
 
@@ -39,7 +40,7 @@ from workers.stages import RayStages
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
-_RUNS_AT_ONCE = 64  # threads that mostly wait; the cores are shared out by the dispatcher
+RUNS_AT_ONCE = 64  # threads that mostly wait; the cores are shared out by the dispatcher
 _EXTERNAL_AT_ONCE = 1000  # they wait for robots, for days if need be
 
 
@@ -56,8 +57,9 @@ class Orchestrator:
     def __init__(self, database: Database, options: RayOptions):
         self._database = database
         self._dispatcher = Dispatcher(options, DatabaseLedger(database))
-        self._ours = ThreadPoolExecutor(_RUNS_AT_ONCE, thread_name_prefix="run")
+        self._ours = ThreadPoolExecutor(RUNS_AT_ONCE, thread_name_prefix="run")
         self._external = ThreadPoolExecutor(_EXTERNAL_AT_ONCE, thread_name_prefix="external")
+        self._recorder = ThreadPoolExecutor(1, thread_name_prefix="record")
         self._live: dict[tuple[str, int], _Live] = {}  # by run and submission
         self._changing = threading.Lock()
         self._closing = threading.Event()
@@ -71,9 +73,12 @@ class Orchestrator:
     def close(self) -> None:
         """Stop without a trace in the runs: they go on when the service starts again."""
         self._closing.set()
+        pools = (self._ours, self._external, self._recorder)
+        for pool in pools:  # nothing that waits for a thread begins any more
+            pool.shutdown(wait=False, cancel_futures=True)
         self._dispatcher.close()
-        for pool in (self._ours, self._external):
-            pool.shutdown(wait=True, cancel_futures=True)
+        for pool in pools:
+            pool.shutdown()
 
     def adopt(self) -> None:
         """Submit stored runs that nobody has: those of an earlier service, or of a lost answer."""
@@ -90,21 +95,25 @@ class Orchestrator:
                 flag = threading.Event()
                 self._live[_key(record)] = _Live(flag, pool.submit(self._run, record, flag))
 
-    def cancel(self, record: RunRecord) -> None:
-        """Stop a run at its next stage, or at once where it has no thread yet."""
+    def cancel(self, *records: RunRecord) -> None:
+        """Stop runs at their next stage, or at once where they have no thread yet."""
+        unstarted: list[tuple[str, RunEvent]] = []
         with self._changing:
-            live = self._live.get(_key(record))
-            if live is None:
-                return
-            live.cancelled.set()
-            if not live.thread.cancel():
-                return
-            del self._live[_key(record)]
-        stopped = RunStopped(submission=record.submission)
+            for record in records:
+                live = self._live.get(_key(record))
+                if live is None:
+                    continue
+                live.cancelled.set()
+                if live.thread.cancel():
+                    del self._live[_key(record)]
+                    unstarted.append((record.id, RunStopped(submission=record.submission)))
+        batches = run_store.batches(unstarted)
         try:
-            run_store.append_event(self._database, record.id, stopped)
-        except DatabaseUnavailable:  # nobody who asks should have to wait for it
-            threading.Thread(target=self._record, args=(record, stopped), daemon=True).start()
+            run_store.append_events(self._database, next(batches, ()))
+        except DatabaseUnavailable:
+            batches = run_store.batches(unstarted)
+        for batch in batches:  # nobody who asks should have to wait for them
+            self._recorder.submit(self._record_all, batch)
 
     def complete_task(self, id: str, lease: str, content: bytes) -> TargetTask:
         """Accept a robot's episode, the `.npz` of `episode_result`, and let its run go on."""
@@ -157,6 +166,8 @@ class Orchestrator:
 
     def _guard(self, record: RunRecord, flag: threading.Event) -> None:
         """Iterate a run's program to an end that is on record, whatever happens."""
+        if self._closing.is_set():
+            return  # it has not begun, and will when the service starts again
         try:
             now = self._when_possible(lambda: run_store.get_run(self._database, record.id))
             if now.is_finished or now.submission != record.submission:
@@ -175,7 +186,8 @@ class Orchestrator:
         except StageFailed as error:
             ending = _failure(record, error.cause, str(error))
         except ClusterUnavailable:
-            log.exception("run %s waits for the service to be restarted", record.id)
+            if not self._closing.is_set():
+                log.exception("run %s waits for the service to be restarted", record.id)
             return
         except AdrError as error:
             ending = _failure(record, error.code, str(error))
@@ -191,6 +203,10 @@ class Orchestrator:
 
     def _record(self, record: RunRecord, event: RunEvent) -> None:
         self._when_possible(lambda: run_store.append_event(self._database, record.id, event))
+
+    def _record_all(self, events: Sequence[tuple[str, RunEvent]]) -> None:
+        with suppress(RunCancelled):  # the service stops; when it starts again they stop first
+            self._when_possible(lambda: run_store.append_events(self._database, events))
 
     def _when_possible(self, action: Callable[[], T]) -> T:
         """What needs the database, once that can be used; RunCancelled where the service stops."""

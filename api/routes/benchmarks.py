@@ -1,7 +1,6 @@
 """/v1/benchmarks: grids of runs, their results and figures."""
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
@@ -26,7 +25,6 @@ from api.views import (
     run_view,
 )
 from db import runs as store
-from db.errors import NotPossible
 from db.requests import Replayed
 from db.runs import BenchmarkRecord
 
@@ -76,20 +74,15 @@ def get_benchmark(benchmark_id: str, service: ServiceDependency) -> BenchmarkVie
 @router.post("/{benchmark_id}/cancel", status_code=status.HTTP_202_ACCEPTED)
 def cancel(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
     """Ask every live run to stop."""
-    for run in store.runs_of(service.database, benchmark_id):
-        with suppress(NotPossible):  # it has ended, before or meanwhile
-            service.orchestrator.cancel(store.request_cancel(service.database, run.id))
+    service.orchestrator.cancel(*store.request_cancel_all(service.database, benchmark_id))
     return get_benchmark(benchmark_id, service)
 
 
 @router.post("/{benchmark_id}/resume", status_code=status.HTTP_202_ACCEPTED)
 def resume(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
     """Go on with every failed or cancelled run."""
-    for run in store.runs_of(service.database, benchmark_id):
-        with suppress(NotPossible):  # it needs no resuming
-            service.orchestrator.submit(
-                store.resubmit(service.database, run.id, service.check_queue)
-            )
+    for run in store.resubmit_all(service.database, benchmark_id, service.check_queue):
+        service.orchestrator.submit(run)
     return get_benchmark(benchmark_id, service)
 
 
