@@ -12,6 +12,8 @@ AdrError
 import difflib
 from collections.abc import Iterable
 
+_LONGEST = 100  # characters of a wrong name that a message repeats
+
 
 class AdrError(Exception):
     """Base of all errors raised on purpose; `code` is what machines read."""
@@ -32,6 +34,7 @@ class UnknownName(InvalidInput, LookupError):
 
     def __init__(self, kind: str, given: str, accepted: Iterable[str]):
         names = list(accepted)
+        given = given if len(given) <= _LONGEST else f"{given[:_LONGEST]}…"
         close = difflib.get_close_matches(given, names, n=1)
         hint = f" did you mean {close[0]!r}?" if close else ""
         super().__init__(f"there is no {kind} {given!r};{hint} accepted: {', '.join(names)}")

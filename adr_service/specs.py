@@ -6,10 +6,11 @@ A run's spec is complete: validation fills what was not given from the preset, s
 one means the same when presets change. What is given wins over the preset, field by field.
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
-from typing import Annotated, Any, Literal, Self, cast
+from typing import Annotated, Any, Literal, Self, TypeVar, cast
 
 from pydantic import (
     AfterValidator,
@@ -69,12 +70,14 @@ def _known_method(given: Any) -> Any:
     return given
 
 
-TaskName = Annotated[str, AfterValidator(lambda name: _known("task", name, catalogue()))]
-VariantName = Annotated[str, AfterValidator(_known_variant)]
-PresetName = Annotated[str, AfterValidator(lambda name: _known("preset", name, PRESETS))]
+# pydantic refuses half characters (lone surrogates) where a text has a length
+Name = Annotated[str, Field(max_length=100)]
+TaskName = Annotated[Name, AfterValidator(lambda name: _known("task", name, catalogue()))]
+VariantName = Annotated[Name, AfterValidator(_known_variant)]
+PresetName = Annotated[Name, AfterValidator(lambda name: _known("preset", name, PRESETS))]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
 NameOrSettings = Annotated[
-    Annotated[str, Tag("name")] | Annotated[AnyMethod, Tag("settings")],
+    Annotated[Name, Tag("name")] | Annotated[AnyMethod, Tag("settings")],
     Discriminator(lambda given: "name" if isinstance(given, str) else "settings"),
     BeforeValidator(_known_method),
     # no name is settings too, which fuzzers cannot see behind "oneOf"
@@ -85,9 +88,11 @@ NameOrSettings = Annotated[
 class Effect(Wire):
     """An effect that a simulator's file lacks, as criticism names it."""
 
-    kind: str
-    location: str = Field(description="as joint:elbow, or global")
-    values: list[float] = Field(min_length=1, description="strengths in the mechanism's order")
+    kind: Name
+    location: Name = Field(description="as joint:elbow, or global")
+    values: list[float] = Field(
+        min_length=1, max_length=100, description="strengths in the mechanism's order"
+    )
 
     @property
     def cause(self) -> Cause:
@@ -99,7 +104,7 @@ class SimulatedTarget(Wire):
 
     kind: Literal["simulated"] = "simulated"
     effects: list[Effect] = Field(
-        default=[], description="that it has, and the source's file lacks"
+        default=[], max_length=100, description="that it has, and the source's file lacks"
     )
 
 
@@ -107,8 +112,10 @@ class RecordedTarget(Wire):
     """No target at all, but a stored recording, from which an offline method learns once."""
 
     kind: Literal["recorded"] = "recorded"
-    dataset: str = Field(description="id of an uploaded recording")
-    episodes: int | None = Field(None, ge=1, description="the first so many; default: all")
+    dataset: Name = Field(description="id of an uploaded recording")
+    episodes: int | None = Field(
+        None, ge=1, lt=2**31, description="the first so many; default: all"
+    )
 
 
 class ExternalTarget(Wire):
@@ -133,6 +140,7 @@ class RunSpec(Wire):
     target: AnyTarget = SimulatedTarget()
     extension: list[Effect] = Field(
         default=[],
+        max_length=100,
         description="effects that the source is extended by, as `adr criticise` writes them",
     )
     collector: Literal[Collector, "recording"] = Field(
@@ -191,7 +199,7 @@ class RunSpec(Wire):
             training = handler.resolve_ref_schema(fields["training"])
             fields["training"] = {k: v for k, v in training.items() if k != "required"}
             for name in ("method", "simopt"):
-                fields[name] = {"anyOf": [{"type": "string"}, fields[name]]}
+                fields[name] = {"anyOf": [{"type": "string", "maxLength": 100}, fields[name]]}
             schema["required"] = ["task", "method"]
         return reference
 
@@ -273,7 +281,7 @@ class CriticismSpec(Wire):
     kind: Literal["criticism"] = "criticism"
     task: TaskName
     variant: VariantName = Field("vanilla", validate_default=True)
-    dataset: str = Field(description="id of an uploaded measurement")
+    dataset: Name = Field(description="id of an uploaded measurement")
     seed: Seed = Field(0, description="of the bootstraps")
 
     @property
@@ -284,44 +292,46 @@ class CriticismSpec(Wire):
 AnyRun = Annotated[RunSpec | CriticismSpec, Field(discriminator="kind")]
 
 
+T = TypeVar("T")
+Budget = Annotated[int, Field(lt=2**31)]  # each run has closer limits
+Members = Annotated[list[T], Field(max_length=MAX_RUNS)]
+
+
 class BenchmarkExtension(Wire):
     """What to add to a benchmark."""
 
-    tasks: list[TaskName] = Field([])
-    variants: list[str] = Field([])
-    methods: list[NameOrSettings] = Field([])
-    collectors: list[Collector] = Field([])
-    seeds: list[Seed] = Field([])
+    tasks: Members[TaskName] = Field([])
+    variants: Members[Name] = Field([])
+    methods: Members[NameOrSettings] = Field([])
+    collectors: Members[Collector] = Field([])
+    seeds: Members[Seed] = Field([])
 
 
 class BenchmarkSpec(Wire):
     """Tasks x variants x methods x seeds under one budget."""
 
-    tasks: list[TaskName] = Field(min_length=1)
-    variants: list[VariantName] = Field(default=["vanilla"], min_length=1)
-    methods: list[NameOrSettings] = Field(min_length=1)
-    collectors: list[Collector] = Field(
+    tasks: Members[TaskName] = Field(min_length=1)
+    variants: Members[VariantName] = Field(default=["vanilla"], min_length=1)
+    methods: Members[NameOrSettings] = Field(min_length=1)
+    collectors: Members[Collector] = Field(
         default=["simopt"], min_length=1, description="for offline methods; others run once"
     )
-    seeds: list[Seed] = Field(default=[0, 1, 2], min_length=1)
+    seeds: Members[Seed] = Field(default=[0, 1, 2], min_length=1)
     references: bool = Field(True, description="also run the prior and the oracle policy")
     preset: PresetName = "quick"
-    iterations: int | None = None
-    transitions: int | None = None
-    evaluation_episodes: int | None = None
-    training: dict[str, Any] | None = None
+    iterations: Budget | None = None
+    transitions: Budget | None = None
+    evaluation_episodes: Budget | None = None
+    training: dict[Name, Any] | None = Field(None, max_length=100)
 
     @model_validator(mode="after")
     def _all_runs_are_valid(self) -> Self:
-        for name in ("tasks", "variants", "methods", "collectors", "seeds"):
-            values = getattr(self, name)
-            if any(values.count(value) > 1 for value in values):
-                raise ValueError(f"{name} must not repeat a member; given {values}")
-        names = [m if isinstance(m, str) else m.name for m in self.methods]
-        if len(set(names)) < len(names):
-            raise ValueError(f"methods must not repeat a name; given {', '.join(names)}")
         if self.size > MAX_RUNS:
             raise ValueError(f"a benchmark may have {MAX_RUNS} runs at most; this has {self.size}")
+        for name in ("tasks", "variants", "methods", "collectors", "seeds"):
+            values = [getattr(m, "name", m) for m in getattr(self, name)]
+            if repeated := [value for value, count in Counter(values).items() if count > 1]:
+                raise ValueError(f"{name} must not repeat a member; {repeated[0]!r} comes twice")
         list(self.runs())
         return self
 

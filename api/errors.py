@@ -30,6 +30,7 @@ _STATUS = {
 }
 _RETRY_AFTER_S = 5
 _LONGEST = 200  # characters of what was given that a problem repeats
+_MOST_ERRORS = 50  # of fields, in one problem
 
 
 class Problem(BaseModel):
@@ -54,7 +55,7 @@ def problem(status: int, code: str, detail: str, **more: Any) -> JSONResponse:
         "type": f"/problems/{code}",
         "title": code.replace("_", " "),
         "status": status,
-        "detail": detail,
+        "detail": _whole(detail),
         **more,
     }
     return JSONResponse(body, status, media_type="application/problem+json")
@@ -72,13 +73,15 @@ async def _validation_error(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)
     errors = [
         {
-            "pointer": "/" + "/".join(str(part) for part in found["loc"]),
-            "detail": found["msg"].removeprefix("Value error, "),
+            "pointer": _shorten("/" + "/".join(str(part) for part in found["loc"])),
+            "detail": _whole(found["msg"].removeprefix("Value error, ")),
             "given": "nothing" if found["type"] == "missing" else _shorten(repr(found["input"])),
         }
-        for found in error.errors()
+        for found in error.errors()[:_MOST_ERRORS]
     ]
-    return problem(422, "invalid_input", "the request is not valid", errors=errors)
+    more = len(error.errors()) - len(errors)
+    detail = "the request is not valid" + (f"; {more} more errors are left out" if more else "")
+    return problem(422, "invalid_input", detail, errors=errors)
 
 
 async def _http_error(request: Request, error: Exception) -> JSONResponse:
@@ -104,5 +107,11 @@ async def _defect(request: Request, error: Exception) -> JSONResponse:
     return problem(500, "internal", "the service has a defect; its log says more")
 
 
+def _whole(text: str) -> str:
+    """Text without half characters (lone surrogates), which no answer can have."""
+    return text.encode(errors="backslashreplace").decode()
+
+
 def _shorten(text: str) -> str:
+    text = _whole(text)
     return text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"

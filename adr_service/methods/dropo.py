@@ -45,18 +45,21 @@ _NEGLIGIBLE = 0.01  # emulation error, as a variance, in epsilons
 _EMULATORS = 8  # fitted by one search, from runs on `arm` and `hopper`: 3 to 8
 
 
+_Several = Annotated[list[PositiveFloat], Field(min_length=2, max_length=100)]
+
+
 class DropoSettings(OfflineSettings):
     name: Literal["dropo"] = "dropo"
     budget: int = Field(5000, ge=1, le=1_000_000, description="likelihood evaluations")
     samples_per_parameter: int = Field(
         10, ge=2, le=1000, description="draws per evaluation and parameter"
     )
-    epsilon: PositiveFloat | Annotated[list[PositiveFloat], Field(min_length=2)] = Field(
+    epsilon: PositiveFloat | _Several = Field(
         [1e-6, 1e-5, 1e-4, 1e-3, 1e-2],
         description="variance added to every observed column; of several, that whose estimated "
         "mean predicts best (Sec. IV-A)",
     )
-    steps: int = Field(1, ge=1, description="control steps per replayed window (lambda)")
+    steps: int = Field(1, ge=1, le=10_000, description="control steps per replayed window (lambda)")
     exact: bool = Field(False, description="simulate every draw of every candidate")
 
     def create(self) -> "Dropo":

@@ -30,7 +30,7 @@ _STEP = 1e-4  # of the finite differences, in [0, 4] coordinates
 class SysidSettings(OfflineSettings):
     name: Literal["sysid"] = "sysid"
     starts: int = Field(4, ge=1, le=1000, description="searches, the first from the middle")
-    steps: int = Field(1, ge=1, description="control steps per replayed window")
+    steps: int = Field(1, ge=1, le=10_000, description="control steps per replayed window")
     iterations: int = Field(50, ge=1, le=10_000, description="evaluations per search, at most")
 
     def create(self) -> "Sysid":

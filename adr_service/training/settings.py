@@ -14,21 +14,27 @@ class TrainingSettings(Wire):
     backend: Literal["sbx", "sb3"] | None = Field(
         None, description="null: sbx where it is installed, else sb3"
     )
-    max_steps: int = Field(5_000_000, ge=100, description="environment steps, all environments")
+    max_steps: int = Field(
+        5_000_000, ge=100, le=10**10, description="environment steps, all environments"
+    )
     environments: int = Field(12, ge=1, le=1024)
-    gradient_steps: int = Field(1, ge=1, description="updates per step of all environments")
+    gradient_steps: int = Field(
+        1, ge=1, le=10_000, description="updates per step of all environments"
+    )
     hidden: list[Annotated[int, Field(ge=1, le=4096)]] = Field(
         [128, 128], min_length=1, max_length=8, description="units per hidden layer"
     )
     activation: Literal["relu", "tanh"] = "tanh"
     learning_rate: float | None = Field(None, gt=0, description="null: the task's own")
     batch_size: int = Field(256, ge=1, le=65_536)
-    buffer_size: int = Field(1_000_000, ge=1000)
-    learning_starts: int = Field(100, ge=0, description="steps of uniformly random actions")
+    buffer_size: int = Field(1_000_000, ge=1000, le=10**8)
+    learning_starts: int = Field(
+        100, ge=0, le=10**9, description="steps of uniformly random actions"
+    )
     gamma: float = Field(0.99, gt=0, lt=1)
     tau: float = Field(0.005, gt=0, le=1)
-    evaluate_every: int = Field(40_000, ge=100, description="environment steps")
-    evaluation_episodes: int = Field(50, ge=1)
+    evaluate_every: int = Field(40_000, ge=100, le=10**9, description="environment steps")
+    evaluation_episodes: int = Field(50, ge=1, le=10_000)
     stop_at_threshold: bool = True
 
     @model_validator(mode="after")

@@ -4,12 +4,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Body, Query, Response, status
+from fastapi import APIRouter, Query, Response, status
 
 from adr_service.benchmark.claims import reports
 from adr_service.benchmark.comparison import table, to_csv
 from adr_service.benchmark.figures import Format, draw, drawable
-from adr_service.specs import BenchmarkExtension, BenchmarkSpec
+from adr_service.specs import BenchmarkSpec
+from api.bodies import BenchmarkBody, ExtensionBody
 from api.routes.runs import CSV, MEDIA, PageSize, plan_here
 from api.service import IdempotencyKey, Service, ServiceDependency, request_key
 from api.views import (
@@ -29,7 +30,6 @@ from db.requests import Replayed
 from db.runs import BenchmarkRecord
 
 router = APIRouter(prefix="/v1/benchmarks", tags=["benchmarks"])
-EXAMPLE = {"tasks": ["arm"], "methods": ["simopt", "dropo"], "seeds": [0], "preset": "smoke"}
 
 
 @router.post(
@@ -38,7 +38,7 @@ EXAMPLE = {"tasks": ["arm"], "methods": ["simopt", "dropo"], "seeds": [0], "pres
     responses={200: {"model": PlannedBenchmark, "description": "with `validate_only`"}},
 )
 def submit(
-    spec: Annotated[BenchmarkSpec, Body(examples=[EXAMPLE])],
+    spec: BenchmarkBody,
     service: ServiceDependency,
     response: Response,
     validate_only: bool = False,
@@ -89,7 +89,7 @@ def resume(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
 @router.post("/{benchmark_id}/extend", status_code=status.HTTP_202_ACCEPTED)
 def extend(
     benchmark_id: str,
-    extension: Annotated[BenchmarkExtension, Body(examples=[{"seeds": [1]}])],
+    extension: ExtensionBody,
     service: ServiceDependency,
 ) -> BenchmarkView:
     """Add seeds, methods, tasks, variants or collectors; nothing is computed twice."""

@@ -3,14 +3,13 @@
 A criticism is a run: it is watched, cancelled, resumed and deleted as `/v1/runs/{id}`.
 """
 
-from typing import Annotated
-
-from fastapi import APIRouter, Body, Response, status
+from fastapi import APIRouter, Response, status
 
 from adr_service.criticism.report import FILES
 from adr_service.errors import UnknownName
 from adr_service.events import CriticismFinished
 from adr_service.specs import CriticismSpec
+from api.bodies import CriticismBody
 from api.routes.runs import artifact_response, run_view_of, start
 from api.service import IdempotencyKey, Service, ServiceDependency
 from api.views import CriticismView, criticism_view
@@ -24,7 +23,7 @@ _MEDIA = {"html": "text/html", "json": "application/json", "xml": "application/x
 
 @router.post("", status_code=status.HTTP_202_ACCEPTED)
 def submit(
-    spec: Annotated[CriticismSpec, Body()],
+    spec: CriticismBody,
     service: ServiceDependency,
     response: Response,
     idempotency_key: IdempotencyKey = None,

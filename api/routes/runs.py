@@ -6,7 +6,7 @@ from functools import partial
 from typing import Annotated, Any, Literal
 
 import anyio
-from fastapi import APIRouter, Body, Depends, Header, Query, Response, status
+from fastapi import APIRouter, Depends, Header, Query, Response, status
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from adr_service.benchmark.comparison import table, to_csv
@@ -15,6 +15,7 @@ from adr_service.benchmark.protocol import Plan, plan
 from adr_service.events import RunState
 from adr_service.specs import AnyRun, RunSpec
 from adr_service.wire import sha256
+from api.bodies import RunBody
 from api.service import IdempotencyKey, Service, ServiceDependency, request_key
 from api.views import (
     CostView,
@@ -40,7 +41,6 @@ from db.runs import RunRecord
 router = APIRouter(prefix="/v1/runs", tags=["runs"])
 LOOK_EVERY_S = 0.25  # for those who wait
 _STREAMED = 500  # events at once
-EXAMPLE = {"task": "arm", "method": "dropo", "seed": 0, "preset": "smoke"}
 CSV: dict[int | str, Any] = {200: {"content": {"text/csv": {"schema": {"type": "string"}}}}}
 PageSize = Annotated[int, Query(ge=1, le=1000)]
 MEDIA = {"svg": "image/svg+xml", "png": "image/png", "csv": "text/csv"}
@@ -65,7 +65,7 @@ def _last_seen(
     responses={200: {"model": PlannedRun, "description": "with `validate_only`"}},
 )
 def submit(
-    spec: Annotated[RunSpec, Body(examples=[EXAMPLE])],
+    spec: RunBody,
     service: ServiceDependency,
     response: Response,
     validate_only: bool = False,

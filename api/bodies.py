@@ -1,0 +1,55 @@
+"""Specs in bodies, validated beside the event loop: a benchmark's takes as long as all its runs'.
+
+FastAPI validates bodies on the event loop, where everybody else would wait. Here it hands them on
+as they came, with the same description in the API's reference, to functions on threads.
+"""
+
+from typing import Annotated, Any, TypeVar
+
+from fastapi import Body, Depends
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, ValidationError, WrapValidator
+
+from adr_service.specs import BenchmarkExtension, BenchmarkSpec, CriticismSpec, RunSpec
+
+S = TypeVar("S", bound=BaseModel)
+_UNREAD = WrapValidator(lambda given, _: given)
+_RUN = {"task": "arm", "method": "dropo", "seed": 0, "preset": "smoke"}
+_BENCHMARK = {"tasks": ["arm"], "methods": ["simopt", "dropo"], "seeds": [0], "preset": "smoke"}
+_CRITICISM = {"task": "arm", "dataset": "data_0123456789abcdef"}
+
+
+def _run(given: Annotated[RunSpec, _UNREAD, Body(examples=[_RUN])]) -> RunSpec:
+    return _validated(RunSpec, given)
+
+
+def _benchmark(
+    given: Annotated[BenchmarkSpec, _UNREAD, Body(examples=[_BENCHMARK])],
+) -> BenchmarkSpec:
+    return _validated(BenchmarkSpec, given)
+
+
+def _extension(
+    given: Annotated[BenchmarkExtension, _UNREAD, Body(examples=[{"seeds": [1]}])],
+) -> BenchmarkExtension:
+    return _validated(BenchmarkExtension, given)
+
+
+def _criticism(
+    given: Annotated[CriticismSpec, _UNREAD, Body(examples=[_CRITICISM])],
+) -> CriticismSpec:
+    return _validated(CriticismSpec, given)
+
+
+RunBody = Annotated[RunSpec, Depends(_run)]
+BenchmarkBody = Annotated[BenchmarkSpec, Depends(_benchmark)]
+ExtensionBody = Annotated[BenchmarkExtension, Depends(_extension)]
+CriticismBody = Annotated[CriticismSpec, Depends(_criticism)]
+
+
+def _validated(kind: type[S], given: Any) -> S:
+    try:
+        return kind.model_validate(given)
+    except ValidationError as error:
+        found = error.errors()
+        raise RequestValidationError([{**e, "loc": ("body", *e["loc"])} for e in found]) from error
