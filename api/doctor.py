@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import resource
 import shutil
 import sys
 import tempfile
@@ -9,15 +10,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 
 from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import compiled
 from adr_service.simulation.contract import check as check_task
 from adr_service.simulation.rendering import Camera
 from adr_service.tasks.catalogue import catalogue
+from api.connections import connections_allowed
 from api.settings import read_settings
 
 _LEAST_DISK_GB = 2.0
+_LEAST_FILES = 1024
 
 
 def check(console: Console) -> int:
@@ -29,6 +33,7 @@ def check(console: Console) -> int:
         _fast_backend,
         _drawing,
         _disk,
+        _descriptors,
         _settings,
         _datasets,
     ]
@@ -43,7 +48,7 @@ def check(console: Console) -> int:
             if optional
             else "[red]no[/red]  "
         )
-        console.print(f"{mark} {text}", highlight=False)
+        console.print(f"{mark} {escape(text)}", highlight=False)
         needed = needed and (good or optional)
     return 0 if needed else 1
 
@@ -86,6 +91,16 @@ def _disk() -> tuple[bool, str]:
     return (
         free >= _LEAST_DISK_GB,
         f"{free:.0f} GB free where Ray works; {_LEAST_DISK_GB:.0f} needed",
+    )
+
+
+def _descriptors() -> tuple[bool, str]:
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    files = "any number of" if most == resource.RLIM_INFINITY else f"{most:,}"
+    return (
+        most == resource.RLIM_INFINITY or most >= _LEAST_FILES,
+        f"{files} files and connections may be open (ulimit -Hn); {_LEAST_FILES:,} needed: "
+        f"{connections_allowed():,} connections at once, the rest for Ray and the database",
     )
 
 

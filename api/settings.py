@@ -45,6 +45,9 @@ class Settings(BaseSettings):
         le=36_500,
         description="after which what has finished is deleted; default: never",
     )
+    max_connections: int | None = Field(
+        None, ge=1, le=50_000, description="at once; default: as the limit on open files allows"
+    )
     max_live_runs: int = Field(10_000, ge=1, description="that wait or run at once")
     ray_address: str = Field(
         "local",

@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,14 +72,16 @@ def start_service(
     cpus: int | None,
     environment: Mapping[str, str] | None = None,
     dashboard: bool = False,
+    wrapper: Sequence[str] = (),
 ) -> Generator[RunningService]:
     """A service on a free port; terminated by pid when the block ends.
 
-    Ray's dashboard costs as much as a small test.
+    Ray's dashboard costs as much as a small test. `wrapper` is a command that runs another in its
+    own place.
     """
     port = free_port()
     log = data_dir / f"service-{port}.log"
-    command = [sys.executable, "-m", "api", "serve", "--port", str(port)]
+    command = [*wrapper, sys.executable, "-m", "api", "serve", "--port", str(port)]
     command += ["--data-dir", str(data_dir)]
     command += [] if cpus is None else ["--cpus", str(cpus)]  # None: of a cluster that is there
     command += ["--dashboard" if dashboard else "--no-dashboard"]

@@ -1,0 +1,132 @@
+"""Connections are bounded, and a client that says nothing does not keep one for ever."""
+
+import asyncio
+import resource
+import socket
+import threading
+import time
+from contextlib import ExitStack, contextmanager
+
+import httpx2
+import pytest
+import uvicorn
+from fastapi import FastAPI, Request
+
+from api import connections
+from api.connections import bounded, connections_allowed
+from tests.service import free_port, start_service, until, wait_until_finished
+
+RUN = {"task": "arm", "method": "prior", "preset": "smoke"}
+
+
+@contextmanager
+def served(most):
+    """The port of a small application behind our connections."""
+    app, port = FastAPI(), free_port()
+
+    @app.get("/quick")
+    async def quick():
+        return "here"
+
+    @app.get("/slow")
+    async def slow():
+        await asyncio.sleep(2)
+        return "here"
+
+    @app.post("/body")
+    async def body(request: Request):
+        return len(await request.body())
+
+    config = uvicorn.Config(app, port=port, http=bounded(most), log_level="warning", lifespan="off")
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    until(lambda: server.started)
+    yield port
+    server.should_exit = True
+    thread.join()
+
+
+def connected(port, sent=b""):
+    client = socket.create_connection(("127.0.0.1", port), timeout=30)
+    client.sendall(sent)
+    return client
+
+
+def get(path):
+    return f"GET {path} HTTP/1.1\r\nHost: x\r\n\r\n".encode()
+
+
+def test_the_longest_idle_connection_makes_room_for_a_new_one():
+    with served(3) as port, ExitStack() as stack:
+        silent = [stack.enter_context(connected(port)) for _ in range(3)]
+        for _ in range(2):
+            client = stack.enter_context(connected(port, get("/quick")))
+            assert client.recv(1000).startswith(b"HTTP/1.1 200")
+        assert silent[0].recv(1000).startswith(b"HTTP/1.1 503")
+        assert silent[1].recv(1000).startswith(b"HTTP/1.1 503")
+
+
+def test_where_all_are_at_work_a_new_one_is_refused_and_none_is_cut():
+    with served(2) as port, ExitStack() as stack:
+        busy = [stack.enter_context(connected(port, get("/slow"))) for _ in range(2)]
+        time.sleep(0.5)  # for the requests to be read; nothing shows it
+        refused = stack.enter_context(connected(port)).recv(1000)
+        assert refused.startswith(b"HTTP/1.1 503")
+        assert b"Retry-After" in refused
+        for client in busy:
+            assert client.recv(1000).startswith(b"HTTP/1.1 200")
+
+
+@pytest.mark.parametrize("sent", [b"", b"GET /quick HT", get("/quick") + b"GET /"])
+def test_headers_that_do_not_come_are_not_waited_for(monkeypatch, sent):
+    monkeypatch.setitem(connections._SECONDS, "head", 0.5)
+    with served(5) as port, connected(port, sent) as client:
+        answered = b""
+        while part := client.recv(1000):
+            answered += part
+        assert b"HTTP/1.1 408" in answered
+        assert answered.count(b"HTTP/1.1 200") == sent.count(b"\r\n\r\n")
+
+
+def test_a_body_that_does_not_come_is_not_waited_for(monkeypatch):
+    monkeypatch.setitem(connections._SECONDS, "body", 0.5)
+    head = b"POST /body HTTP/1.1\r\nHost: x\r\nContent-Length: 100\r\n\r\n"
+    with served(5) as port, connected(port, head + b"some") as late:
+        assert not late.recv(1000)
+        with connected(port, head + b"x" * 100) as client:
+            assert b"100" in client.recv(1000)
+
+
+def test_an_idle_client_that_asks_again_in_time_keeps_its_connection(monkeypatch):
+    monkeypatch.setitem(connections._SECONDS, "head", 1.0)
+    with served(5) as port, httpx2.Client(base_url=f"http://127.0.0.1:{port}") as client:
+        for _ in range(4):
+            assert client.get("/quick").text == '"here"'
+            time.sleep(0.6)  # longer than the clock in all
+
+
+@pytest.mark.parametrize(("files", "allowed"), [(1024, 512), (600, 88), (100, 64), (10**6, 1000)])
+def test_ray_and_the_database_keep_their_descriptors(monkeypatch, files, allowed):
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
+    assert connections_allowed() == allowed
+    assert connections_allowed(7) == 7
+
+
+@pytest.mark.ray
+def test_a_thousand_idle_connections_cut_nobody_off(tmp_path):
+    """At 1,024 descriptors they took all, and a run failed."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard != resource.RLIM_INFINITY and hard < 2500:
+        pytest.skip(f"this machine allows {hard} open files, and the test needs 2,500")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2500), hard))
+    limited = ["prlimit", "--nofile=1024:1024"]
+    with start_service(tmp_path, cpus=1, wrapper=limited) as running, ExitStack() as stack:
+        id = running.client.submit_run(RUN)["id"]
+        port = int(running.client.url.rpartition(":")[2])
+        for _ in range(1100):
+            stack.enter_context(connected(port))
+        with httpx2.Client(base_url=running.client.url, timeout=20) as other:
+            assert other.get("/healthz").status_code == 200
+        assert wait_until_finished(running.client, id, 120)["state"] == "succeeded"
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
