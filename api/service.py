@@ -1,7 +1,6 @@
 """What the routes work with: one database and one orchestrator."""
 
 import logging
-import secrets
 import shutil
 import stat
 from collections.abc import Callable, Sequence
@@ -147,7 +146,7 @@ class Service:
 
     def claim(self, worker: str, tasks: Sequence[str]) -> TargetTask | None:
         """A target task for a robot, if there is one; the lock is taken only then."""
-        now = datetime.now(UTC)
+        now = self.orchestrator.clock.now()
         if not task_store.is_one_free(self.database, tasks, now):
             return None
         return task_store.claim(self.database, worker, tasks, now, self.settings.lease_s)
@@ -179,6 +178,7 @@ def open_service(settings: Settings) -> Service:
     database = open_database(settings.database)
     try:
         orchestrator = Orchestrator(database, _ray_options(settings))
+        task_store.renew_leases(database, orchestrator.clock.now(), settings.lease_s)
         orchestrator.start()
     except BaseException:
         database.close()
@@ -204,19 +204,8 @@ def _ray_options(settings: Settings) -> RayOptions:
         cpus=settings.cpus,
         dashboard=settings.dashboard,
         compile_cache=settings.data_dir.absolute() / "compile_cache",
-        token_file=_ray_token(settings.data_dir) if settings.ray_address == "local" else None,
+        folder=settings.data_dir.absolute(),
     )
-
-
-def _ray_token(data_dir: Path) -> Path:
-    """The secret of our own Ray cluster, readable by nobody else (Ray's own is, by all)."""
-    path = data_dir.absolute() / "ray_token"
-    if not path.exists():
-        part = path.with_suffix(".part")
-        part.touch(mode=0o600)
-        part.write_text(secrets.token_hex(32))
-        part.replace(path)  # whole, or not at all: Ray does not start with an empty one
-    return path
 
 
 def _service(request: Request) -> Service:

@@ -6,6 +6,7 @@ import signal
 import threading
 from pathlib import Path
 
+import psutil
 import pytest
 
 from adr_service.computation import compute
@@ -94,11 +95,9 @@ def started(tmp_path_factory):
     """A dispatcher on two cores, and its store."""
     store = Store()
     folder = tmp_path_factory.mktemp("ray")
-    token = folder / "token"
-    token.write_text("t" * 40)
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     options = RayOptions(
-        cpus=2, dashboard=False, compile_cache=folder / "jax", token_file=token, keep_idle_s=8
+        cpus=2, dashboard=False, compile_cache=folder / "jax", folder=folder, keep_idle_s=8
     )
     dispatcher = Dispatcher(options, store)
     dispatcher.start()
@@ -218,6 +217,53 @@ def test_a_process_that_hangs_is_lost_as_well(started, monkeypatch):
     assert future.result(180).blobs
     assert [c[1] for c in store.commits if c[0] == stage.digest] == [2]
     until(lambda: not Path(f"/proc/{pid}").exists())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_cancelled", [False, True])
+def test_a_process_that_hangs_before_its_first_sign_of_life_is_lost_as_well(
+    started, monkeypatch, is_cancelled
+):
+    dispatcher, store = started
+    until(lambda: not workers(dispatcher))  # who are warm would be taken
+    monkeypatch.setattr("workers.dispatcher._SILENT_S", 20.0)
+    stage = training(520 + is_cancelled, max_steps=1_000, evaluate_every=1_000)
+    future = dispatcher.submit(stage, "run_stopped")
+    pid = until(lambda: next(iter(workers(dispatcher)), None))
+    os.kill(pid, signal.SIGSTOP)
+    if is_cancelled:
+        dispatcher.withdraw("run_stopped")
+        until(lambda: not dispatcher.activities("run_stopped") and not dispatcher._jobs)
+    else:
+        assert future.result(180).blobs
+        assert [c[1] for c in store.commits if c[0] == stage.digest] == [2]
+    until(lambda: not Path(f"/proc/{pid}").exists())
+
+
+def workers(dispatcher):
+    """Pids of processes that were started for actors of stages, however far they have come."""
+    children = psutil.Process().children(recursive=True)
+    board = ("ray::Board", "ray::RuntimeEnvAgent", "ray::DashboardAgent")
+    found = [c for c in children if c.ppid() in raylets(children)]
+    return [c.pid for c in found if not c.name().startswith(board)]
+
+
+def raylets(children):
+    return {child.pid for child in children if child.name() == "raylet"}
+
+
+@pytest.mark.slow
+def test_a_board_that_hangs_is_replaced(started):
+    dispatcher, _ = started
+    titles = {c.pid: " ".join(c.cmdline()) for c in psutil.Process().children(recursive=True)}
+    (pid,) = [pid for pid, title in titles.items() if title.startswith("ray::Board")]
+    os.kill(pid, signal.SIGSTOP)
+    stage = training(53, max_steps=20_000, evaluate_every=20_000)
+    assert dispatcher.submit(stage, "run_board").result(180).blobs
+    until(lambda: not Path(f"/proc/{pid}").exists())
+    dispatcher.submit(long_training(54), "run_after")
+    until(lambda: _pid(dispatcher, "run_after"))  # which a board has told
+    dispatcher.withdraw("run_after")
 
 
 @pytest.mark.slow

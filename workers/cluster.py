@@ -1,13 +1,23 @@
-"""Starting or joining a Ray cluster, whose processes have one thread each."""
+"""Starting or joining a Ray cluster, whose processes have one thread each.
+
+cluster = Cluster(options)
+cluster.start()             # or join; ClusterUnavailable with the reason
+cluster.is_alive            # False once Ray's own processes have died, of a local one
+cluster.restart()
+"""
 
 import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import psutil
 import ray
 
 from adr_service.errors import AdrError
+from workers.sessions import Sessions
+
+_OURS = {"gcs_server", "raylet"}  # without either, a local cluster is dead
 
 
 class ClusterUnavailable(AdrError):
@@ -24,29 +34,74 @@ class RayOptions:
     cpus: int | None = None  # of a local cluster; None: all
     dashboard: bool = True
     compile_cache: Path = Path.home() / ".cache" / "adr_service" / "jax"
-    token_file: Path | None = None  # of a local cluster; None: Ray's own
+    folder: Path | None = None  # of a local cluster's token and sessions; None: one for a while
     keep_idle_s: float = 600.0  # how long a process stays warm for the next stage
 
 
-def join(options: RayOptions) -> Any:
-    """`ray.init` for our processes; what it returns. Raises ClusterUnavailable with the reason."""
-    if options.token_file is not None:
-        # the mode stays unset: Ray turns it on for a local cluster, and notices
-        os.environ["RAY_AUTH_TOKEN_PATH"] = str(options.token_file)
-    arguments: dict[str, Any] = {"log_to_driver": False, "configure_logging": False}
-    if options.address == "local":
-        arguments["num_cpus"] = options.cpus
-        arguments["include_dashboard"] = options.dashboard
-        arguments["object_store_memory"] = 200_000_000
-        # they would be without our environment, so never used
-        arguments["_system_config"] = {"prestart_worker_first_driver": False}
-    environment = {"env_vars": worker_environment(options.compile_cache)}
-    try:
-        return ray.init(
-            address=options.address, namespace="adr", runtime_env=environment, **arguments
+class Cluster:
+    """Ray, as this process has started or joined it. On one thread."""
+
+    def __init__(self, options: RayOptions):
+        self.is_local = options.address == "local"
+        self._options = options
+        self._sessions = Sessions(options.folder) if self.is_local else None
+        self._processes: list[psutil.Process] = []
+        self.dashboard_url: str | None = None
+
+    def start(self) -> None:
+        """`ray.init` for our processes. Raises ClusterUnavailable with the reason."""
+        options = self._options
+        arguments: dict[str, Any] = {"log_to_driver": False, "configure_logging": False}
+        if self._sessions is not None:
+            # the mode stays unset: Ray turns it on for a local cluster, and notices
+            os.environ["RAY_AUTH_TOKEN_PATH"] = str(self._sessions.token)
+            arguments["num_cpus"] = options.cpus
+            arguments["include_dashboard"] = options.dashboard
+            arguments["object_store_memory"] = 200_000_000
+            arguments["_temp_dir"] = str(self._sessions.path)
+            # they would be without our environment, so never used
+            arguments["_system_config"] = {"prestart_worker_first_driver": False}
+        environment = {"env_vars": worker_environment(options.compile_cache)}
+        try:
+            context = ray.init(
+                address=options.address, namespace="adr", runtime_env=environment, **arguments
+            )
+        except Exception as error:  # whatever Ray raises
+            raise ClusterUnavailable(f"Ray did not start: {error}") from error
+        self.dashboard_url = f"http://{url}" if (url := context.dashboard_url) else None
+        if self.is_local:
+            children = psutil.Process().children()
+            self._processes = [child for child in children if child.name() in _OURS]
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether Ray's own processes live; of a cluster that was joined, nobody can tell.
+
+        To ask a dead GCS (Ray's control process) anything blocks, and ends this process after a
+        minute, so this asks the system.
+        """
+        return all(
+            process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+            for process in self._processes
         )
-    except Exception as error:  # whatever Ray raises
-        raise ClusterUnavailable(f"Ray did not start: {error}") from error
+
+    def restart(self) -> None:
+        """Start a local cluster again after its death."""
+        self.stop()
+        assert self._sessions is not None
+        self._sessions.clear()
+        self.start()
+
+    def stop(self) -> None:
+        """`ray.shutdown`."""
+        self._processes = []
+        ray.shutdown()
+
+    def close(self) -> None:
+        """`stop`, and let another service have the folder."""
+        self.stop()
+        if self._sessions is not None:
+            self._sessions.close()
 
 
 def worker_environment(compile_cache: Path) -> dict[str, str]:

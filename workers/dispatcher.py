@@ -28,7 +28,7 @@ from db.session import RETRY_S
 from workers.actors import Ending, Failed, Finished, Stopped
 from workers.attempt import Attempt
 from workers.board import Board, SignOfLife
-from workers.cluster import ClusterUnavailable, RayOptions, join
+from workers.cluster import Cluster, ClusterUnavailable, RayOptions
 from workers.ledger import Ledger
 from workers.slots import Actor, Slots
 
@@ -37,6 +37,9 @@ MAX_ATTEMPTS = 3
 _TICK_S = 0.05
 _READ_BOARD_S = 0.5
 _SILENT_S = 60.0  # without a sign of life, which comes every second: the process hangs
+_UNWANTED_SILENT_S = 10.0  # the same, where nobody wants the result any more
+_NODES_S = 0.5  # between two looks at the nodes of a cluster that was joined
+_OWN_NODE_S = 5.0  # the same of our own cluster, whose processes are watched besides
 _DEATH_TOLD_S = 20.0  # Ray needs 10 to 15 to notice that a node has died
 # light stages first: they are short, and trainings wait for them
 _PRIORITY: dict[Role, int] = {"target": 0, "inference": 1, "trainer": 2}
@@ -70,6 +73,7 @@ class _Job:
     actor: Actor | None = None
     sign: SignOfLife | None = None
     heard: float = 0.0  # when it came (monotonic)
+    is_killed: bool = False  # the process of this attempt, because it was silent
     finished: Finished | None = None  # a result that is not stored yet
     since: float = field(default_factory=time.monotonic)
 
@@ -131,8 +135,8 @@ class Dispatcher:
         self._stop = threading.Event()
         self._ready: Future[None] = Future()
         self._thread = threading.Thread(target=self._main, name="ray", daemon=True)
-        self.dashboard_url: str | None = None
         self.cores = 0  # of the whole cluster, as last seen
+        self._ticked = time.monotonic()
 
     def start(self) -> None:
         """Start or join Ray; raises ClusterUnavailable with the reason."""
@@ -148,6 +152,15 @@ class Dispatcher:
     @property
     def is_alive(self) -> bool:
         return self._thread.is_alive() and self._ready.done() and not self._stop.is_set()
+
+    @property
+    def silent_s(self) -> float:
+        """For how long Ray has not answered; starting it again takes some seconds as well."""
+        return time.monotonic() - self._ticked
+
+    @property
+    def dashboard_url(self) -> str | None:
+        return self._cluster.dashboard_url if self._ready.done() else None
 
     def submit(self, stage: Stage, run_id: str) -> Future[StageResult]:
         """The result to come of a stage, for a run."""
@@ -181,7 +194,9 @@ class Dispatcher:
 
     def _main(self) -> None:
         try:
-            self._start_ray()
+            self._cluster = Cluster(self._options)
+            self._cluster.start()
+            self._meet_nodes()
         except Exception as error:  # noqa: BLE001 - whatever it is, the service must hear it
             self._ready.set_exception(error)
             return
@@ -195,22 +210,23 @@ class Dispatcher:
         self._stop.set()
         for job in self._jobs.values():
             _fail(job, ending)
-        ray.shutdown()
+        self._cluster.close()
 
-    def _start_ray(self) -> None:
-        context = join(self._options)
-        if url := context.dashboard_url:
-            self.dashboard_url = f"http://{url}"
+    def _meet_nodes(self) -> None:
+        """Count the cores of a cluster that was just started or joined, and begin a board there."""
         self._slots = Slots(self._options.keep_idle_s)
         self.cores = len(self._slots)
         here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=True)
         board = ray.remote(Board).options(num_cpus=0, max_restarts=-1, scheduling_strategy=here)
         self._board: Any = board.remote()
         self._board_ref: Any = None
-        self._board_read = 0.0
+        self._board_asked = self._nodes_seen = time.monotonic()
 
     def _loop(self) -> None:
         while not self._stop.is_set():
+            self._ticked = time.monotonic()
+            if not self._cluster.is_alive:  # to ask it anything would block
+                self._restart_ray()
             self._read_inbox()
             self._schedule()
             running = {job.ref: job for job in self._jobs.values() if job.ref is not None}
@@ -219,6 +235,8 @@ class Dispatcher:
                 for ref in done:
                     self._finish(running[ref])
             self._read_board()
+            self._end_the_silent()
+            self._look_at_nodes()
 
     def _read_inbox(self) -> None:
         """Carry out what other threads asked for; sleep a tick when nothing runs either."""
@@ -298,7 +316,7 @@ class Dispatcher:
             if actor is None or not self._has_begun(job, actor):
                 continue
             job.attempt += 1
-            job.since, job.placed = time.monotonic(), time.time()
+            job.since, job.placed, job.is_killed = time.monotonic(), time.time(), False
             job.actor, job.ref = actor, actor.handle.compute.remote(job.stage, self._board)
             log.info("stage begun", extra={**job.ids, "actor": actor.name})
 
@@ -410,46 +428,61 @@ class Dispatcher:
 
     def _read_board(self) -> None:
         """Ask the board for news now and then, never waiting for it."""
-        if self._board_ref is not None:
-            done, _ = ray.wait([self._board_ref], timeout=0)
-            if not done:
-                return
-            reference, self._board_ref = self._board_ref, None
-            try:
-                signs, found = cast(tuple[list[SignOfLife], dict[str, SoFar]], ray.get(reference))
-            except RayError as error:  # its process was lost; Ray starts another
-                log.warning("the board was lost: %s", error)
-                return
-            for sign in signs:
-                if (job := self._jobs.get(sign.digest)) is not None:
-                    job.sign, job.heard = sign, time.monotonic()
-            self._end_the_silent()
-            for digest, so_far in found.items():
-                if (job := self._jobs.get(digest)) is not None and job.waiters:
-                    self._note_so_far(job, so_far)
-        if time.monotonic() - self._board_read > _READ_BOARD_S:
-            self._board_read = time.monotonic()
-            self._board_ref = self._board.news.remote()
-            self._slots.refresh()
-            self.cores = len(self._slots)
-            if self._slots.nodes == 0 and self._options.address == "local":
-                self._restart_ray()
+        since = time.monotonic() - self._board_asked
+        if self._board_ref is None:
+            if since > _READ_BOARD_S:
+                self._board_asked = time.monotonic()
+                self._board_ref = self._board.news.remote()
+            return
+        done, _ = ray.wait([self._board_ref], timeout=0)
+        if not done:
+            if since > _UNWANTED_SILENT_S:  # before those that report there seem silent
+                log.warning("the board: no answer for %.0f s", since)
+                self._board_ref = None
+                ray.kill(self._board, no_restart=False)
+            return
+        reference, self._board_ref = self._board_ref, None
+        try:
+            signs, found = cast(tuple[list[SignOfLife], dict[str, SoFar]], ray.get(reference))
+        except RayError as error:  # its process was lost; Ray starts another
+            log.warning("the board was lost: %s", error)
+            return
+        for sign in signs:
+            if (job := self._jobs.get(sign.digest)) is not None:
+                job.sign, job.heard = sign, time.monotonic()
+        for digest, so_far in found.items():
+            if (job := self._jobs.get(digest)) is not None and job.waiters:
+                self._note_so_far(job, so_far)
+
+    def _look_at_nodes(self) -> None:
+        """Follow nodes that come and go; our own, which does not, hangs where it is not seen."""
+        every = _OWN_NODE_S if self._cluster.is_local else _NODES_S
+        if time.monotonic() - self._nodes_seen < every:
+            return
+        self._nodes_seen = time.monotonic()
+        self._slots.refresh()
+        self.cores = len(self._slots)
+        if self._slots.nodes == 0 and self._cluster.is_local:
+            self._restart_ray()
 
     def _restart_ray(self) -> None:
         """Our own cluster has died: start another, and what was running again."""
         log.warning("Ray has died; starting it again")
-        ray.shutdown()
-        self._start_ray()
+        self._cluster.restart()
+        self._meet_nodes()
         for job in [job for job in self._jobs.values() if job.ref is not None]:
             job.ref, job.actor, job.sign = None, None, None
             self._count_loss(job, "Ray has died")
 
     def _end_the_silent(self) -> None:
-        """Kill processes that hang after they had begun, which then are lost like any other."""
+        """Kill processes that hang, also before their first sign; they are lost like any other."""
         for job in self._jobs.values():
-            silent = time.monotonic() - job.heard
-            if job.actor is not None and job.sign is not None and silent > _SILENT_S:
+            if job.actor is None or job.is_killed:
+                continue
+            silent = time.monotonic() - max(job.heard, job.since)
+            if silent > (_SILENT_S if job.waiters else _UNWANTED_SILENT_S):
                 log.warning("%s: no sign of life for %.0f s", job.actor.name, silent, extra=job.ids)
+                job.is_killed = True
                 ray.kill(job.actor.handle)
 
     def _note_so_far(self, job: _Job, so_far: SoFar) -> None:

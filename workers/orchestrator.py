@@ -9,7 +9,6 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from datetime import UTC, datetime
 from typing import NamedTuple, TypeVar
 
 from structlog.contextvars import bound_contextvars
@@ -29,6 +28,7 @@ from adr_service.target import episode_result
 from db import datasets as dataset_store
 from db import runs as run_store
 from db import target_tasks as task_store
+from db.clock import SteadyClock
 from db.errors import DatabaseUnavailable
 from db.runs import RunRecord
 from db.session import RETRY_S, Database
@@ -62,6 +62,7 @@ class Orchestrator:
         self._recorder = ThreadPoolExecutor(1, thread_name_prefix="record")
         self._live: dict[tuple[str, int], _Live] = {}  # by run and submission
         self._changing = threading.Lock()
+        self.clock = SteadyClock()  # for leases
         self._closing = threading.Event()
 
     def start(self) -> None:
@@ -117,7 +118,7 @@ class Orchestrator:
 
     def complete_task(self, id: str, lease: str, content: bytes) -> TargetTask:
         """Accept a robot's episode, the `.npz` of `episode_result`, and let its run go on."""
-        task = task_store.get_task(self._database, id)
+        task = task_store.claimed_by(self._database, id, lease)  # before anything is unpacked
         result = episode_result(task.inputs, content)
         told = [StageFinished(kind="target_episode", digest=task.digest)]
         done = task_store.complete(
@@ -125,7 +126,7 @@ class Orchestrator:
             id,
             lease,
             result,
-            datetime.now(UTC),
+            self.clock.now(),
             lambda session: append_to_all(session, [task.run_id], told),
         )
         self._dispatcher.arrived(done.digest)
@@ -140,6 +141,11 @@ class Orchestrator:
     @property
     def is_alive(self) -> bool:
         return self._dispatcher.is_alive
+
+    @property
+    def silent_s(self) -> float:
+        """For how long Ray has not answered."""
+        return self._dispatcher.silent_s
 
     @property
     def cores(self) -> int:

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import ray
 from ray import tune as ray_tune
 from ray.tune.schedulers import ASHAScheduler
 
@@ -28,7 +27,7 @@ from adr_service.progress import SoFar
 from adr_service.runs import oracle_training
 from adr_service.specs import RunSpec
 from adr_service.tasks.catalogue import get_task
-from workers.cluster import RayOptions, join
+from workers.cluster import Cluster, RayOptions
 
 _HALVING = 3
 
@@ -63,7 +62,8 @@ def tune(
         ),
         reduction_factor=_HALVING,
     )
-    join(options)
+    cluster = Cluster(options)
+    cluster.start()
     try:
         with tempfile.TemporaryDirectory() as folder:
             tuner = ray_tune.Tuner(
@@ -78,7 +78,7 @@ def tune(
                 results = tuner.fit()
             found = [_trial(spec, result) for result in results]
     finally:
-        ray.shutdown()
+        cluster.close()
     return sorted(found, key=_rank)
 
 

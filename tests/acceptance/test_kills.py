@@ -1,4 +1,4 @@
-"""kill -9 of working processes, and of Ray's own but its GCS: nothing is lost, or done twice."""
+"""kill -9 of working processes, and of Ray's own: nothing is lost, or done twice."""
 
 import os
 import signal
@@ -7,6 +7,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+import psutil
 import pytest
 
 from api.client import AdrClient
@@ -21,6 +22,12 @@ BENCHMARK = {
     "preset": "smoke",
     "evaluation_episodes": 10_000,  # so that visits to the target take a moment
     "training": {"max_steps": 6000, "evaluate_every": 3000},
+}
+LONG = {
+    "task": "arm",
+    "method": "prior",
+    "preset": "smoke",
+    "training": {"max_steps": 10_000_000, "stop_at_threshold": False},
 }
 WORK = {"trainer": {"train_policy"}, "inference": {"infer"}, "target": {"evaluate"}}
 
@@ -38,7 +45,7 @@ def undisturbed(folder: Path) -> tuple[str, set[str]]:
         return running.client.results_csv(id), committed(folder)
 
 
-@pytest.mark.parametrize("victim", ["trainer", "inference", "target", "board", "raylet"])
+@pytest.mark.parametrize("victim", ["trainer", "inference", "target", "board", "raylet", "gcs"])
 def test_a_process_that_is_killed_costs_its_stage_alone(tmp_path, uninterrupted, victim):
     table, stages = uninterrupted
     with start_service(tmp_path, cpus=2) as running:
@@ -87,13 +94,29 @@ def test_a_service_whose_parent_is_process_1_outlives_its_raylet(tmp_path):
         until(lambda: not status.exists() or "State:\tZ" in status.read_text())
 
 
+def test_what_a_killed_service_leaves_running_is_ended_by_the_next(tmp_path):
+    """Ray's agents outlive their raylet, and so does a worker that is stopped."""
+    with start_service(tmp_path, cpus=1) as running:
+        run = running.client.submit_run(LONG)["id"]
+        pid = until(lambda: next((p["pid"] for p in running.client.get(run)["progress"]), None))
+        os.kill(pid, signal.SIGSTOP)
+        ours = set(running.children) | {pid}
+        running.kill()
+    with start_service(tmp_path, cpus=1) as running:
+        left = {pid for pid in ours if psutil.pid_exists(pid)}
+        assert not {psutil.Process(pid).name() for pid in left}
+        assert len(list((tmp_path / "ray").glob("session_2*"))) == 1
+        running.client.cancel(run)
+        wait_until_finished(running.client, run, 120)
+
+
 def pid_of(running: RunningService, benchmark: str, victim: str) -> int | None:
     """A process to kill: one that is at work on a stage of a kind, or one of Ray's own."""
     if victim in WORK:
         return working(running.client, benchmark, WORK[victim])
     if not working(running.client, benchmark, WORK["trainer"]):
         return None
-    title = {"board": "ray::Board", "raylet": "raylet/raylet"}[victim]
+    title = {"board": "ray::Board", "raylet": "raylet/raylet", "gcs": "gcs/gcs_server"}[victim]
     found = [pid for pid, name in running.children.items() if title in name]
     return found[0] if found else None
 
