@@ -19,6 +19,8 @@ from adr_service.errors import InvalidInput
 
 _MOST_NUMBERS = 2**25  # of all arrays together: 256 MB as float64
 _MOST_TEXTS = 10_000
+_MOST_PACKED = 200  # times as long as the file
+_ALWAYS_UNPACKED = 8_000_000  # bytes, however small the file
 _WIDEST = 8  # bytes of a number
 _KINDS = "biufU"  # booleans, integers, floats, texts; never objects
 _BROKEN = (  # what a damaged or contrived file makes its readers raise
@@ -36,8 +38,10 @@ _BROKEN = (  # what a damaged or contrived file makes its readers raise
 )
 
 
-def read_arrays(content: bytes, accepted: Sequence[str]) -> dict[str, np.ndarray]:
-    """The arrays of an `.npz` with these names at most.
+def read_arrays(
+    content: bytes, accepted: Sequence[str], longest: int | None = None
+) -> dict[str, np.ndarray]:
+    """The arrays of an `.npz` with these names at most, none with more than `longest` rows.
 
     Never runs code from it, nor unpacks more than its headers say.
     """
@@ -47,7 +51,13 @@ def read_arrays(content: bytes, accepted: Sequence[str]) -> dict[str, np.ndarray
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()
             _check_names([member.filename for member in members], accepted)
-            numbers = sum(_check_header(archive, member) for member in members)
+            unpacked = sum(member.file_size for member in members)
+            if unpacked > max(_ALWAYS_UNPACKED, _MOST_PACKED * len(content)):
+                raise InvalidInput(
+                    f"the .npz of {len(content)} bytes would unpack to {unpacked}; accepted are "
+                    f"{_MOST_PACKED} times as many, as recordings of real machines never are"
+                )
+            numbers = sum(_check_header(archive, member, longest) for member in members)
             if numbers > _MOST_NUMBERS:
                 raise InvalidInput(
                     f"the .npz holds {numbers} numbers; accepted are {_MOST_NUMBERS}"
@@ -82,13 +92,17 @@ def _check_names(names: Sequence[str], accepted: Sequence[str]) -> None:
         raise InvalidInput(f"the .npz has a member twice: {', '.join(sorted(names))}")
 
 
-def _check_header(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
+def _check_header(archive: zipfile.ZipFile, member: zipfile.ZipInfo, longest: int | None) -> int:
     """How many numbers the array has."""
     with archive.open(member) as file:
         version = npy.read_magic(file)
         read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
         shape, _, dtype = read_header(file)
         count = math.prod(shape)
+        if longest is not None and shape and shape[0] > longest:
+            raise InvalidInput(
+                f"{member.filename} has {shape[0]} rows; accepted are {longest} at most"
+            )
         wide = dtype.kind != "U" and dtype.itemsize > _WIDEST
         if dtype.hasobject or dtype.kind not in _KINDS or dtype.itemsize == 0 or wide:
             raise InvalidInput(f"{member.filename} holds {dtype}; accepted are numbers and texts")

@@ -153,6 +153,9 @@ class RobotTarget(Target):
         return Stage("target_episode", inputs, {} if policy is None else {"policy": policy})
 
 
+_MOST_COLUMNS = 1_000  # of observations
+
+
 def open_target(spec: RunSpec, stages: Stages) -> Target:
     """The target that a spec names, simulated or outside."""
     return (RobotTarget if isinstance(spec.target, ExternalTarget) else Target)(spec, stages)
@@ -164,12 +167,14 @@ def episode_result(inputs: Mapping[str, Any], content: bytes) -> StageResult:
     `content` is the `.npz` of a TransitionDataset with `rewards` (N,). Raises InvalidInput where
     it is not of the task, is not one episode, or is longer than was asked for.
     """
-    fields = read_arrays(content, (*TransitionDataset.ARRAYS, "rewards"))
+    # a name for each column takes rows too
+    longest = max(inputs["transitions"], _MOST_COLUMNS)
+    fields = read_arrays(content, (*TransitionDataset.ARRAYS, "rewards"), longest)
     rewards = fields.pop("rewards", None)
     data = TransitionDataset.from_arrays(fields)
     check_recorded(get_task(inputs["task"]), data)
-    if len(data.split()) != 1:
-        raise InvalidInput(f"a task is one episode; the data have {len(data.split())}")
+    if data.episode_count != 1:
+        raise InvalidInput(f"a task is one episode; the data have {data.episode_count}")
     if len(data) > inputs["transitions"]:
         raise InvalidInput(
             f"the task asks for {inputs['transitions']} transitions at most; given {len(data)}"
@@ -195,7 +200,7 @@ class Recording:
             raise InvalidInput(f"the run learns from the recording {asked.dataset}; given {given}")
         data = TransitionDataset.from_npz(content)
         check_recorded(get_task(spec.task), data)
-        episodes = len(data.split())
+        episodes = data.episode_count
         if asked.episodes is not None:
             if asked.episodes > episodes:
                 raise InvalidInput(
@@ -203,7 +208,7 @@ class Recording:
                 )
             data = data.first_episodes(asked.episodes)
         self.data = data.to_npz()
-        self.rollouts, self.transitions = len(data.split()), len(data)
+        self.rollouts, self.transitions = data.episode_count, len(data)
 
     def evaluate(
         self, policies: Sequence[bytes]

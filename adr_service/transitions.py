@@ -18,6 +18,7 @@ from adr_service.errors import InvalidInput
 from adr_service.npz import read_arrays, write_arrays
 from adr_service.wire import sha256
 
+MOST_EPISODES = 100_000
 _NEEDED = ("observations", "actions", "next_observations", "dt")
 _OPTIONAL = ("episodes", "terminals", "columns", "origin")
 
@@ -60,6 +61,11 @@ class TransitionDataset:
             raise InvalidInput("a recording has at least one transition; this has none")
         if np.any(np.diff(episodes) < 0):
             raise InvalidInput("episode ids must not decrease from row to row")
+        if self.episode_count > MOST_EPISODES:
+            raise InvalidInput(
+                f"a recording has {MOST_EPISODES:,} episodes at most; this has "
+                f"{self.episode_count:,}"
+            )
         if len(self.columns) != self.observations.shape[1]:
             raise InvalidInput(
                 f"{len(self.columns)} column names for {self.observations.shape[1]} columns"
@@ -74,6 +80,10 @@ class TransitionDataset:
         s, a = self.observations.shape[1], self.actions.shape[1]
         count = len(np.unique(self.episodes))
         return f"TransitionDataset({len(self)} transitions, {count} episodes, s={s}, a={a})"
+
+    @property
+    def episode_count(self) -> int:
+        return 1 + int(np.count_nonzero(np.diff(self.episodes)))
 
     def windows(self, length: int) -> Indices:
         """First rows of consecutive, non-overlapping windows that stay inside an episode."""

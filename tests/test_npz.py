@@ -30,6 +30,21 @@ def member(**arrays):
         return archive.read(archive.namelist()[0])
 
 
+def test_a_small_file_that_unpacks_to_much_is_refused_before_it_is_unpacked():
+    """33 kB took half a gigabyte of memory."""
+    packed = zipped("a.npy", member(a=np.zeros(4_000_000)))
+    assert len(packed) < 40_000
+    with pytest.raises(InvalidInput, match="would unpack to 32000128; accepted are 200 times"):
+        read_arrays(packed, "a")
+    assert read_arrays(zipped("a.npy", member(a=np.zeros(900_000))), "a")["a"].shape == (900_000,)
+
+
+def test_rows_beyond_what_was_asked_for_are_refused_by_the_header():
+    assert read_arrays(npz(a=np.zeros(10)), "a", 10)["a"].shape == (10,)
+    with pytest.raises(InvalidInput, match=r"a.npy has 11 rows; accepted are 10"):
+        read_arrays(npz(a=np.zeros(11)), "a", 10)
+
+
 def test_plain_arrays_come_back():
     given = {"a": np.arange(6.0).reshape(2, 3), "b": np.array(["x", "yz"]), "c": np.float64(0.5)}
     found = read_arrays(npz(**given), "abc")
@@ -54,10 +69,13 @@ def test_a_pickle_is_never_loaded(tmp_path):
     assert not (tmp_path / "written").exists()
 
 
-def test_a_bomb_is_not_unpacked():
+def test_a_bomb_is_not_unpacked(monkeypatch):
     header = member(a=np.zeros(1, np.uint8)).replace(b"(1,), }", b"(99999999,), }")[:-8]
     bomb = zipped("a.npy", header + b"\0" * (99_999_999 + 128 - len(header)))
     assert len(bomb) < 200_000
+    with pytest.raises(InvalidInput, match="would unpack to 100000127"):
+        read_arrays(bomb, "a")
+    monkeypatch.setattr("adr_service.npz._MOST_PACKED", 10_000)
     with pytest.raises(InvalidInput, match="holds 99999999 numbers; accepted are 33554432"):
         read_arrays(bomb, "a")
 

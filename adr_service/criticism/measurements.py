@@ -18,6 +18,7 @@ import numpy as np
 from adr_service.arrays import Indices, Mask, Matrix, Vector, frozen
 from adr_service.errors import InvalidInput
 from adr_service.npz import names_in, read_arrays
+from adr_service.transitions import MOST_EPISODES
 
 _NEEDED = ("time", "qpos", "qvel", "ctrl", "episode")
 _OPTIONAL = ("qpos_std", "qvel_std")
@@ -68,6 +69,10 @@ class Measurement:
             raise InvalidInput(
                 f"time must increase within an episode; it goes from {self.time[row]:g} to "
                 f"{self.time[row + 1]:g} s at row {row + 1}"
+            )
+        if (count := 1 + np.count_nonzero(np.diff(episode))) > MOST_EPISODES:
+            raise InvalidInput(
+                f"a measurement has {MOST_EPISODES:,} episodes at most; this has {count:,}"
             )
         if single := [first for first, last in self.spans() if last - first == 1]:
             raise InvalidInput(
