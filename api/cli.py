@@ -66,6 +66,7 @@ def serve(
     import uvicorn
 
     from api.app import create_app
+    from api.connections import bounded, connections_allowed
     from api.logs import configure
 
     configure(settings.log_format)
@@ -75,7 +76,8 @@ def serve(
         create_app(settings),
         host=settings.host,
         port=settings.port,
-        http="h11",  # httptools, which is faster, keeps headers of any size in memory
+        # on h11: httptools, which is faster, keeps headers of any size in memory
+        http=bounded(connections_allowed(settings.max_connections)),
         log_config=None,  # ours
         timeout_keep_alive=30,  # longer than clients do, whose requests would meet an end
         timeout_graceful_shutdown=5,  # for those who follow a stream
@@ -428,6 +430,9 @@ def robot(
     max_seconds: Annotated[
         float | None, typer.Option(help="An episode never takes longer.", min=0.1)
     ] = None,
+    max_reset_seconds: Annotated[
+        float, typer.Option(help="Longer resets mean that the environment hangs.", min=0.1)
+    ] = 120.0,
     max_action: Annotated[
         list[float] | None,
         typer.Option(help="No action beyond ± this; once for all, or once for each."),
@@ -438,7 +443,7 @@ def robot(
     """Run the episodes that runs with an external target ask for; see docs/robots.md."""
     from api import robot as client_of_a_robot  # imports Gymnasium
 
-    limits = client_of_a_robot.Limits(max_seconds, tuple(max_action or ()))
+    limits = client_of_a_robot.Limits(max_seconds, max_reset_seconds, tuple(max_action or ()))
     connect = partial(AdrClient, url, os.environ.get("ADR_TOKEN", ""))
     worker = client_of_a_robot.Robot(connect, task, env, name, limits, console.print)
     worker.work(episodes)

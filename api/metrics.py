@@ -6,7 +6,6 @@ Counted when it is asked for, from the database and the dispatcher; nothing is k
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from datetime import UTC, datetime
 
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
@@ -30,7 +29,7 @@ class _Now(Collector):
         self._service = service
 
     def collect(self) -> Iterable[Metric]:
-        now, began = datetime.now(UTC), time.perf_counter()
+        now, began = self._service.orchestrator.clock.now(), time.perf_counter()
         counted = store.count(self._service.database)
         read_s = time.perf_counter() - began
         activities = self._service.orchestrator.activities()

@@ -6,12 +6,14 @@ stops within one control step once its lease is lost or its run was asked to sto
 """
 
 import importlib
+import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import closing, suppress
+from collections.abc import Callable, Generator, Mapping
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -30,6 +32,9 @@ _LONGEST_HEARTBEAT_S = 1.0  # between two
 _RETRY_S = 2.0
 _REQUEST_S = 60.0  # at most, but for heartbeats
 _WAIT_S = 5.0  # for a task, by one request
+_STEP_S = 60.0  # that a step may take, of milliseconds, before the environment hangs
+_STOP_S = 10.0  # the same, once the episode should stop
+_SLACK_S = 1.0  # beyond the owner's limit: the last step began within it
 
 
 @dataclass(frozen=True)
@@ -37,10 +42,16 @@ class Limits:
     """What the owner of the robot allows, whatever a task asks for."""
 
     seconds: float | None = None  # of an episode, by the clock and by its steps
+    reset_seconds: float = 120.0  # of bringing the robot to a start
     actions: tuple[float, ...] = ()  # largest magnitudes: one for all, or one for each; (): none
 
     def allows(self, seconds: float) -> bool:
         return self.seconds is None or seconds <= self.seconds
+
+    def left(self, seconds: float) -> float:
+        """For how long a step may take that begins `seconds` after the episode."""
+        whole = _STEP_S if self.seconds is None else self.seconds - seconds + _SLACK_S
+        return min(_STEP_S, whole)
 
     def apply(self, action: Vector) -> Vector:
         """The nearest action that is allowed."""
@@ -64,7 +75,8 @@ class Episode:
 class Robot:
     """Claims tasks and runs them, one after the other.
 
-    `connect` makes a client whose requests end after so many seconds.
+    `connect` makes a client whose requests end after so many seconds. Where the environment hangs,
+    nothing can stop it in this process, so `abandon` ends that; it is called on another thread.
     """
 
     def __init__(
@@ -75,7 +87,9 @@ class Robot:
         name: str,
         limits: Limits,
         report: Callable[[str], None],
+        abandon: Callable[[], None] = lambda: os._exit(1),
     ):
+        self._abandon = abandon
         self._connect, self._name, self._limits, self._report = connect, name, limits, report
         self._stopped = threading.Event()
         with connect(_REQUEST_S) as client:
@@ -113,7 +127,8 @@ class Robot:
                 f"{self._limits.seconds:g}: allow --max-seconds {longest:g}, or submit runs of "
                 "fewer transitions"
             )
-        with _Heart(self._connect(claimed["lease_s"] / 3), claimed) as heart:
+        hangs = partial(self._give_up, task, lease)
+        with _Heart(self._connect(claimed["lease_s"] / 3), claimed, hangs) as heart:
             try:
                 episode = self._run(task, heart)
             except BaseException:  # whatever broke, the robot's owner must see to it
@@ -130,12 +145,14 @@ class Robot:
         observations, actions, rewards = [], [], []
         limited, wrong, began = 0, "", time.monotonic()
         if not self._why_stop(heart):  # to reset is to move
-            observation, _ = self._env.reset(seed=_seed(task))
+            with heart.watching("reset", self._limits.reset_seconds):
+                observation, _ = self._env.reset(seed=_seed(task))
             observations, began = [_row(observation)], time.monotonic()
             wrong = _broken(observations[0], 0.0)
         while len(actions) < task["transitions"] and not wrong and not self._why_stop(heart):
             moved = (len(actions) + 1) * self._about["control_period_s"]
-            if not self._limits.allows(max(moved, time.monotonic() - began)):
+            passed = time.monotonic() - began
+            if not self._limits.allows(max(moved, passed)):
                 wrong = f"{self._name} may move for {self._limits.seconds} s, which were over"
                 break
             wanted = act(observations[-1][None])[0]
@@ -144,7 +161,8 @@ class Robot:
                 break
             action = self._limits.apply(wanted)
             limited += not np.array_equal(action, wanted)
-            observation, reward, ended, cut, _ = self._env.step(action)
+            with heart.watching("step", self._limits.left(passed)):
+                observation, reward, ended, cut, _ = self._env.step(action)
             row = _row(observation)
             if wrong := _broken(row, float(reward)):
                 break
@@ -156,6 +174,13 @@ class Robot:
                 break
         arrays = (np.array(observations), np.array(actions), np.array(rewards))
         return Episode(*arrays, limited, wrong)
+
+    def _give_up(self, task: Json, lease: str, why: str) -> None:
+        """The environment hangs: let others have the task, and end."""
+        self._report(f"{task['id']}: {why}; see to the robot, and start this client again")
+        with self._connect(_STOP_S) as client, suppress(Refused, Unreachable):
+            client.release_task(task["id"], lease)  # else it is free when the lease ends
+        self._abandon()
 
     def _why_stop(self, heart: "_Heart") -> str:
         return heart.why_stop() or ("by its owner" if self._stopped.is_set() else "")
@@ -227,22 +252,39 @@ class _Stopped(Exception):
 
 
 class _Heart:
-    """Beats while an episode goes on, and knows when it should stop."""
+    """Beats while an episode goes on and the environment answers, and knows when it should stop.
 
-    def __init__(self, client: AdrClient, claimed: Json):
+    `hangs` is called, once and with the reason, where the environment does not return in time.
+    """
+
+    def __init__(self, client: AdrClient, claimed: Json, hangs: Callable[[str], None]):
+        self._hangs = hangs
+        self._watched: tuple[str, float, float] | None = None  # what, since when, for how long
         self._client, self._task_id, self._lease = client, claimed["task"]["id"], claimed["lease"]
         self._lease_s: float = claimed["lease_s"]
         self._good_until = time.monotonic() + self._lease_s
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._beat, daemon=True)
         self.steps = 0
-        self._why = ""
+        self._why, self._stopped_at = "", 0.0
+
+    @contextmanager
+    def watching(self, what: str, seconds: float) -> Generator[None]:
+        """Look after a call of the environment, which may take so long."""
+        self._watched = (what, time.monotonic(), seconds)
+        try:
+            yield
+        finally:
+            self._watched = None
 
     def why_stop(self) -> str:
         """Why the episode should stop, where it should; never waits."""
         if not self._why and time.monotonic() > self._good_until:
-            self._why = "the service did not answer for as long as the lease lasts"
+            self._stop("the service did not answer for as long as the lease lasts")
         return self._why
+
+    def _stop(self, why: str) -> None:
+        self._why, self._stopped_at = why, time.monotonic()
 
     def __enter__(self) -> "_Heart":
         self._thread.start()
@@ -255,25 +297,43 @@ class _Heart:
     def _beat(self) -> None:
         with self._client:
             while not self._ended.wait(min(_LONGEST_HEARTBEAT_S, self._lease_s / 3)):
-                asked = time.monotonic()
-                try:
-                    self._ask()
-                    self._good_until = asked + self._lease_s
-                except Refused as error:
-                    if error.status == 409:
-                        self._why = str(error)
-                        return
-                except Unreachable:
-                    pass  # until the lease ends, others cannot have the task
-                except Exception as error:  # noqa: BLE001 - a robot must not move on without a heart
-                    self._why = f"the service's answer is none: {error}"
+                if late := self._late():
+                    self._stop(late)
+                    self._hangs(late)
                     return
+                if not self._why:
+                    self._renew()
+
+    def _late(self) -> str:
+        """Why the environment is taken to hang, where it is."""
+        if (watched := self._watched) is None:
+            return ""
+        what, since, seconds = watched
+        now = time.monotonic()
+        if now - since > seconds:
+            return f"the environment's {what} did not return within {seconds:.1f} s"
+        if self._why and what == "step" and now - max(since, self._stopped_at) > _STOP_S:
+            return f"{self._why}, and the environment's {what} does not return"
+        return ""
+
+    def _renew(self) -> None:
+        asked = time.monotonic()
+        try:
+            self._ask()
+            self._good_until = asked + self._lease_s
+        except Refused as error:
+            if error.status == 409:
+                self._stop(str(error))
+        except Unreachable:
+            pass  # until the lease ends, others cannot have the task
+        except Exception as error:  # noqa: BLE001 - a robot must not move on without a heart
+            self._stop(f"the service's answer is none: {error}")
 
     def _ask(self) -> None:
         """Say that the episode goes on, and hear whether it should."""
         answer = self._client.heartbeat(self._task_id, self._lease, self.steps)
         if answer["cancel_requested"]:
-            self._why = "its run was asked to stop"
+            self._stop("its run was asked to stop")
 
 
 def _environment(path: str) -> Env:

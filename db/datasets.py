@@ -68,7 +68,7 @@ def _described(content: bytes) -> dict[str, Any]:
     data = TransitionDataset.from_npz(content)
     return {
         "transitions": len(data),
-        "episodes": len(data.split()),
+        "episodes": data.episode_count,
         "actions": data.actions.shape[1],
         "dt": data.dt,
         "columns": json.dumps(data.columns),

@@ -202,6 +202,26 @@ def withdraw_tasks(session: Session, run_id: str) -> None:
     )
 
 
+def claimed_by(database: Database, id: str, lease: str) -> TargetTask:
+    """The task of a lease that is good, or that has completed it; LeaseLost for any other."""
+    with database.read() as session:
+        row = _task(session, id)
+        if row.state != "done" or row.lease != lease:
+            _check_lease(row, lease)
+        return _record(session, row)
+
+
+def renew_leases(database: Database, now: datetime, lease_s: float) -> None:
+    """Let all robots' leases be good for `lease_s` from now: a service starts.
+
+    Nobody could prolong them while there was none, and the clock may have been set meanwhile.
+    """
+    claimed = (TargetTaskRow.external, TargetTaskRow.state == "claimed")
+    with database.write("renew_leases") as session:
+        until = now + timedelta(seconds=lease_s)
+        session.execute(update(TargetTaskRow).where(*claimed).values(expires_at=until))
+
+
 def get_task(database: Database, id: str) -> TargetTask:
     with database.read() as session:
         return _record(session, _task(session, id))

@@ -29,6 +29,32 @@ class BlindArm(SlowArm):
         return observation * (np.nan if len(self.actions) > 10 else 1.0), *rest
 
 
+class StuckArm(SlowArm):
+    """Its driver hangs, in the sixth step or at once."""
+
+    def __init__(self, hangs_in):
+        super().__init__()
+        self.hangs_in = hangs_in
+
+    def reset(self, **given):
+        if self.hangs_in == "reset":
+            time.sleep(3600)
+        return super().reset(**given)
+
+    def step(self, action):
+        if len(self.actions) > 5:
+            time.sleep(3600)
+        return super().step(action)
+
+
+def stuck_arm():
+    return StuckArm("step")
+
+
+def stuck_reset():
+    return StuckArm("reset")
+
+
 def blind_arm():
     return BlindArm(0.0)
 

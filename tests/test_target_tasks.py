@@ -1,11 +1,13 @@
 """Visits to targets as leased tasks: whatever happens, one result is accepted of each."""
 
+import asyncio
 import tempfile
 import threading
 import time
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,13 +22,19 @@ from hypothesis.stateful import (
     rule,
 )
 
+from adr_service.errors import InvalidInput
 from adr_service.events import FINISHED, RunStarted, RunStopped, RunSucceeded, state_after
 from adr_service.specs import RunSpec
 from adr_service.stages import Stage, StageResult
+from api.routes.target_tasks import Claim
+from api.routes.target_tasks import claim as claim_route
 from db import runs, stages, target_tasks
+from db.clock import SteadyClock
 from db.errors import NotFound, NotPossible
 from db.session import open_database
 from db.target_tasks import LeaseLost
+from workers.cluster import RayOptions
+from workers.orchestrator import Orchestrator
 
 SPEC = RunSpec.model_validate(
     {"task": "arm", "method": "simopt", "preset": "smoke", "target": {"kind": "external"}}
@@ -66,6 +74,13 @@ def run_id(database):
     return runs.create_run(database, SPEC).id
 
 
+def coroutine(answer):
+    async def ask():
+        return answer
+
+    return ask
+
+
 class TestLeases:
     def test_a_task_is_one_claimants_at_a_time(self, database, run_id):
         id = publish(database, run_id)
@@ -97,6 +112,51 @@ class TestLeases:
         beaten = target_tasks.heartbeat(database, task.id, task.lease, 7, later, LEASE_S)
         assert (beaten.steps, beaten.expires_at) == (7, later + timedelta(seconds=LEASE_S))
         assert claim(database, "b", START + timedelta(seconds=100)) is None
+
+    @pytest.mark.parametrize("hours", [-1, 24 * 400])
+    def test_leases_do_not_follow_a_wall_clock_that_is_set(self, database, run_id, hours):
+        wall, steady = [START], [1000.0]
+        clock = SteadyClock(lambda: wall[0], lambda: steady[0])
+        publish(database, run_id)
+        claim(database, "a", clock.now())
+        wall[0] += timedelta(hours=hours)
+        steady[0] += LEASE_S - 1
+        assert claim(database, "b", clock.now()) is None, "a live robot lost its task"
+        steady[0] += 1
+        assert claim(database, "b", clock.now()), "a dead robot keeps its task"
+
+    @pytest.mark.parametrize("hours", [-1, 24 * 400])
+    def test_a_service_that_starts_gives_robots_one_lease_more(self, database, run_id, hours):
+        """Whatever the wall clock was set to while there was no service."""
+        publish(database, run_id)
+        task = claim(database, "a")
+        now = START + timedelta(hours=hours)
+        target_tasks.renew_leases(database, now, LEASE_S)
+        assert claim(database, "b", now + timedelta(seconds=LEASE_S - 1)) is None
+        assert claim(database, "b", now + timedelta(seconds=LEASE_S)).id == task.id
+
+    def test_a_claim_whose_client_has_gone_is_given_back(self, database, run_id):
+        id = publish(database, run_id)
+        service = SimpleNamespace(
+            database=database, claim=lambda worker, tasks: claim(database, worker, tasks=tasks)
+        )
+        gone = SimpleNamespace(is_disconnected=coroutine(True))
+        asked = Claim(worker="a", tasks=["arm"], wait_s=20.0)
+        answer = asyncio.run(claim_route(asked, service, gone))
+        assert answer.status_code == 204
+        assert target_tasks.get_task(database, id).state == "pending"
+        there = SimpleNamespace(is_disconnected=coroutine(False))
+        assert asyncio.run(claim_route(asked, service, there)).task.id == id
+
+    def test_an_upload_is_not_read_before_its_lease(self, database, run_id):
+        """33 kB of somebody without a lease cost half a gigabyte."""
+        publish(database, run_id)
+        task = claim(database, "a")
+        orchestrator = Orchestrator(database, RayOptions())
+        with pytest.raises(LeaseLost):
+            orchestrator.complete_task(task.id, "another lease", b"not an npz")
+        with pytest.raises(InvalidInput, match="not a readable"):
+            orchestrator.complete_task(task.id, task.lease, b"not an npz")
 
     def test_an_expired_lease_that_nobody_took_is_good(self, database, run_id):
         publish(database, run_id)

@@ -5,11 +5,11 @@ the lease of its claim; once that is lost, everything is refused with 409 and th
 """
 
 import time
-from datetime import UTC, datetime
+from functools import partial
 from typing import Annotated, Literal
 
 import anyio
-from fastapi import APIRouter, Body, Depends, Header, Query, Response, status
+from fastapi import APIRouter, Body, Depends, Header, Query, Request, Response, status
 from pydantic import Field
 
 from adr_service.wire import Wire
@@ -50,14 +50,19 @@ class Failure(Wire):
 async def claim(
     body: Annotated[Claim, Body(examples=[{"worker": "robot-7", "tasks": ["arm"]}])],
     service: ServiceDependency,
+    request: Request,
 ) -> ClaimView | Response:
     """The oldest task that nobody has; waits for one for a while."""
     until = time.monotonic() + body.wait_s
     while True:
         found = await anyio.to_thread.run_sync(service.claim, body.worker, body.tasks)
-        if found is not None:
+        has_gone = await request.is_disconnected()
+        if found is not None and not has_gone:
             return claim_view(found)
-        if time.monotonic() >= until:
+        if found is not None and found.lease is not None:  # for somebody who is there
+            release = partial(store.release, service.database, found.id, found.lease)
+            await anyio.to_thread.run_sync(release)
+        if has_gone or time.monotonic() >= until:
             return Response(status_code=status.HTTP_204_NO_CONTENT)
         await anyio.sleep(LOOK_EVERY_S)
 
@@ -100,7 +105,7 @@ def heartbeat(
     task_id: str, body: Annotated[Heartbeat, Body()], service: ServiceDependency
 ) -> HeartbeatView:
     """The episode goes on; the answer says until when, and whether to stop."""
-    now, lease_s = datetime.now(UTC), service.settings.lease_s
+    now, lease_s = service.orchestrator.clock.now(), service.settings.lease_s
     task = store.heartbeat(service.database, task_id, body.lease, body.steps, now, lease_s)
     assert task.expires_at is not None
     return HeartbeatView(lease_expires_at=task.expires_at, cancel_requested=task.is_unwanted)

@@ -130,6 +130,32 @@ def test_a_robot_stops_within_a_control_step_of_hearing_that_its_run_is_cancelle
     assert {t["state"] for t in tasks_of(client, run_id)} == {"withdrawn"}
 
 
+@pytest.mark.parametrize(
+    ("factory", "options", "is_cancelled", "message"),
+    [
+        ("stuck_arm", ["--max-seconds", "6"], False, "step did not return within"),
+        ("stuck_reset", ["--max-reset-seconds", "2"], False, "reset did not return within 2.0 s"),
+        ("stuck_arm", [], True, "and the environment's step does not return"),
+    ],
+)
+def test_a_robot_whose_environment_hangs_gives_its_task_back_and_ends(
+    service, tmp_path, factory, options, is_cancelled, message
+):
+    """It kept its lease for ever, and went on after its run was cancelled."""
+    client = service.client
+    run_id = client.submit_run({**RUN, "seed": 40 + len(options) + is_cancelled})["id"]
+    with robot_process(client.url, factory, tmp_path / "log", *options) as robot:
+        until(lambda: tasks_of(client, run_id, state="claimed"))
+        if is_cancelled:
+            until(lambda: [t for t in tasks_of(client, run_id) if t["steps"] > 5])
+            client.cancel(run_id)
+        assert robot.wait(timeout=60) == 1
+    assert message in (tmp_path / "log").read_text().replace("\n", " ")
+    left = "withdrawn" if is_cancelled else "pending"
+    assert left in {task["state"] for task in tasks_of(client, run_id)}
+    client.cancel(run_id)
+
+
 def test_the_owners_limits_hold_whatever_a_task_asks_for(service):
     client = service.client
     run_id = client.submit_run({**RUN, "seed": 2})["id"]
