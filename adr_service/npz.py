@@ -16,6 +16,7 @@ from numpy.lib import format as npy
 from numpy.typing import ArrayLike
 
 from adr_service.errors import InvalidInput
+from adr_service.wire import is_a_line
 
 _MOST_NUMBERS = 2**25  # of all arrays together: 256 MB as float64
 _MOST_TEXTS = 10_000
@@ -118,5 +119,8 @@ def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
     with archive.open(member) as file:
         array = npy.read_array(file, allow_pickle=False)
     if array.dtype.kind == "U":
-        "".join(array.ravel().tolist()).encode()  # no half characters
+        whole = "".join(array.ravel().tolist())
+        whole.encode()  # no half characters
+        if not is_a_line(whole):
+            raise InvalidInput(f"{member.filename} has control characters in its texts")
     return array

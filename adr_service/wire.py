@@ -2,11 +2,30 @@
 
 import hashlib
 import json
-from typing import Any, cast
+import re
+from typing import Annotated, Any, cast
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from adr_service.errors import UnknownName
+
+# what moves a terminal's cursor, ends lines, or turns the direction of writing
+_CONTROL = r"\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069"
+_NOT_IN_A_LINE = re.compile(rf"[{_CONTROL}\t\n]")
+_NOT_IN_TEXT = re.compile(rf"[{_CONTROL}]")
+# others' words, which stand in logs and on terminals
+Line = Annotated[str, Field(pattern=rf"^[^{_CONTROL}\t\n]*$")]
+Paragraphs = Annotated[str, Field(pattern=rf"^[^{_CONTROL}]*$")]
+
+
+def is_a_line(text: str) -> bool:
+    """Whether a text can stand in a line, without control characters."""
+    return not _NOT_IN_A_LINE.search(text)
+
+
+def printable(text: str) -> str:
+    """The text with escapes in the place of control characters, but for line ends and tabs."""
+    return _NOT_IN_TEXT.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
 class Wire(BaseModel):

@@ -22,9 +22,11 @@ from api.guard import Guard
 from api.routes import benchmarks, catalogue, claims, criticisms, datasets, runs, target_tasks
 from api.service import Service, open_service
 from api.settings import Settings
+from db.errors import DatabaseUnavailable
 
 log = logging.getLogger(__name__)
 _LOOK_AFTER_S = 3600.0
+_GIVE_BACK_S = 10.0
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -44,6 +46,7 @@ def create_app(settings: Settings) -> FastAPI:
         try:
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(_look_after, service)
+                tasks.start_soon(_give_back_disk, service)
                 yield
                 tasks.cancel_scope.cancel()
         finally:
@@ -91,6 +94,19 @@ async def _look_after(service: Service) -> None:
         except Exception:  # there is another hour
             log.exception("not everything was looked after")
         await anyio.sleep(_LOOK_AFTER_S)
+
+
+async def _give_back_disk(service: Service) -> None:
+    """Give the disk back what deleting leaves free, in portions, between which others write."""
+    while True:
+        try:
+            while await anyio.to_thread.run_sync(service.database.reclaim):
+                pass
+        except DatabaseUnavailable as error:
+            log.info("free space is given back to the disk later: %s", error)
+        except Exception:  # others have more to do with the database
+            log.exception("free space could not be given back to the disk")
+        await anyio.sleep(_GIVE_BACK_S)
 
 
 class _Starting:

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from adr_service.criticism.words import sure
+from adr_service.wire import printable
 from api.client import AdrClient, Json, is_finished
 
 _REPORT_EVERY = 20  # looks, where the output is not a terminal
@@ -87,7 +88,11 @@ def _duration(hours: float) -> str:
 
 def failures(seen: Json) -> list[str]:
     """Why runs failed, a line each."""
-    return [f"{run['id']} failed: {run['error']['message']}" for run in _runs(seen) if run["error"]]
+    return [
+        f"{run['id']} failed: {printable(run['error']['message'])}".replace("\n", "\n    ")
+        for run in _runs(seen)
+        if run["error"]
+    ]
 
 
 def estimates_table(results: Json) -> RenderableType:

@@ -1,4 +1,4 @@
-"""Who may come in, how often, and with how much; and what every answer says to browsers.
+"""Who may come in, from where, how often, and with how much; and what answers say to browsers.
 
 Plain ASGI, so that streams pass through unbuffered.
 """
@@ -23,6 +23,8 @@ from api.settings import Settings
 _OPEN_PATHS = {"/healthz"}  # for health checks, which hold no secret
 _ROBOT_PATHS = re.compile(r"/v1/target_tasks(/.*)?|/v1/tasks|/readyz|/version")
 _LARGEST_BODY = 1_000_000  # bytes; routes that take files have their own
+_LONGEST = 200  # characters of an origin that a problem repeats
+_READING = {"GET", "HEAD", "OPTIONS"}
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 _EVERY_ADDRESS = {"0.0.0.0", "::"}  # noqa: S104 - known, not used
 _HEADERS = {
@@ -62,6 +64,7 @@ class Guard:
         return (
             self._unknown_host(headers.get("host", ""))
             or self._too_many(scope["client"][0] if scope.get("client") else "")
+            or _from_elsewhere(headers, scope["method"])
             or self._not_allowed(headers, scope["method"], scope["path"])
         )
 
@@ -128,6 +131,17 @@ class _Answer:
 def _add(headers: MutableHeaders) -> None:
     for name, value in _HEADERS.items():
         headers.setdefault(name, value)
+
+
+def _from_elsewhere(headers: Headers, method: str) -> Response | None:
+    """Refuse what a page of another site makes a browser send, with a body or without one."""
+    origin = headers.get("origin")
+    if method in _READING or origin is None:
+        return None
+    if origin.partition("://")[2] == headers.get("host"):
+        return None
+    detail = f"pages of {origin[:_LONGEST]!r} may not change anything here"
+    return problem(403, "foreign_origin", detail)
 
 
 def _hosts(settings: Settings) -> set[str] | None:

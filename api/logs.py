@@ -10,6 +10,8 @@ from typing import Literal
 
 import structlog
 
+from adr_service.wire import printable
+
 LogFormat = Literal["text", "json"]
 
 
@@ -29,18 +31,29 @@ def configure(log_format: LogFormat) -> None:
     if log_format == "json":
         form += [structlog.processors.format_exc_info, structlog.processors.JSONRenderer()]
     else:
-        form.append(
+        form += [
+            _as_one_record,
             structlog.dev.ConsoleRenderer(
                 colors=sys.stderr.isatty(),
                 pad_event_to=0,
                 exception_formatter=structlog.dev.plain_traceback,  # others print secrets' values
-            )
-        )
+            ),
+        ]
     handler = logging.StreamHandler()
     handler.setFormatter(
         structlog.stdlib.ProcessorFormatter(foreign_pre_chain=known, processors=form)
     )
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+
+
+def _as_one_record(
+    logger: structlog.typing.WrappedLogger, name: str, event: structlog.typing.EventDict
+) -> structlog.typing.EventDict:
+    """Others' words cannot begin a line of their own, nor steer the terminal that shows them."""
+    for key, value in event.items():
+        if isinstance(value, str):
+            event[key] = printable(value).replace("\n", "\n    ")
+    return event
 
 
 def _without_others(

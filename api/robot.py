@@ -25,6 +25,7 @@ from adr_service.npz import write_arrays
 from adr_service.randomness import stream
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
+from adr_service.wire import printable
 from api.client import AdrClient, Json, Refused, Unreachable
 
 Env = gymnasium.Env[Any, Any]
@@ -32,6 +33,7 @@ _LONGEST_HEARTBEAT_S = 1.0  # between two
 _RETRY_S = 2.0
 _REQUEST_S = 60.0  # at most, but for heartbeats
 _WAIT_S = 5.0  # for a task, by one request
+_LONGEST_MESSAGE = 2000  # characters
 _STEP_S = 60.0  # that a step may take, of milliseconds, before the environment hangs
 _STOP_S = 10.0  # the same, once the episode should stop
 _SLACK_S = 1.0  # beyond the owner's limit: the last step began within it
@@ -218,7 +220,8 @@ class Robot:
     def _fail(self, task: Json, lease: str, message: str) -> None:
         self._report(f"{task['id']}: {message}")
         try:
-            self._patiently(lambda: self._client.fail_task(task["id"], lease, message))
+            told = printable(message)[:_LONGEST_MESSAGE]
+            self._patiently(lambda: self._client.fail_task(task["id"], lease, told))
         except Refused as error:
             if error.status != 409:  # the task is not ours any more
                 raise

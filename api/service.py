@@ -3,6 +3,7 @@
 import logging
 import shutil
 import stat
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -190,12 +191,14 @@ def _prepare(data_dir: Path) -> None:
     """A folder for results, and secrets, that nobody else on the machine can look into."""
     try:
         data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+        mode = stat.S_IMODE(data_dir.stat().st_mode)
+        if mode & 0o077:
+            data_dir.chmod(0o700)
+            log.warning("%s was open to others (mode %o); now it is yours alone", data_dir, mode)
+        with tempfile.TemporaryFile(dir=data_dir):
+            pass  # it can be written
     except OSError as error:
         raise InvalidInput(f"there can be no data in {data_dir}: {error}") from error
-    mode = stat.S_IMODE(data_dir.stat().st_mode)
-    if mode & 0o077:
-        data_dir.chmod(0o700)
-        log.warning("%s was open to others (mode %o); now it is yours alone", data_dir, mode)
 
 
 def _ray_options(settings: Settings) -> RayOptions:

@@ -99,7 +99,7 @@ class Backend(Protocol):
         ...
 
     def reclaim(self, connection: Connection) -> bool:
-        """Give a portion of free space back to the disk; False where there is none."""
+        """Give a portion of free space back to the disk; False where it was all."""
         ...
 
     def explain(self, error: DBAPIError) -> AdrError | None:
@@ -247,10 +247,11 @@ class _Sqlite:
                 )
 
     def reclaim(self, connection: Connection) -> bool:
-        for _ in range(_PAGES_AT_ONCE):
+        free = int(connection.scalar(text("PRAGMA freelist_count")) or 0)
+        for _ in range(min(free, _PAGES_AT_ONCE)):
             # of several pages, the driver would take the first alone
             connection.exec_driver_sql("PRAGMA incremental_vacuum(1)")
-        return bool(connection.scalar(text("PRAGMA freelist_count")))
+        return free > _PAGES_AT_ONCE
 
     def explain(self, error: DBAPIError) -> AdrError | None:
         code = getattr(error.orig, "sqlite_errorcode", 0) & 0xFF  # extended codes say more

@@ -82,7 +82,7 @@ class Database:
             raise DatabaseUnavailable("too much is read from the database just now") from error
 
     def reclaim(self) -> bool:
-        """Give some of what deletions left free back to the disk; False where nothing is left."""
+        """Give a portion of what deletions left free back to the disk; False where it was all."""
         with self.write("reclaim") as session:
             return self._backend.reclaim(session.connection())
 

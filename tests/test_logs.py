@@ -8,6 +8,8 @@ import pytest
 
 from api.logs import configure
 
+FORGED = "gone\n2026-01-01T00:00:00Z [info] all runs succeeded\x1b[2J\u2028\x9b31m"
+
 
 @pytest.fixture(params=["text", "json"])
 def told(request, monkeypatch):
@@ -24,6 +26,7 @@ def told(request, monkeypatch):
             raise ValueError(len(secret))
         except ValueError:
             logging.getLogger("workers").exception("it broke", extra={"run": "run_1"})
+        logging.getLogger("workers").warning("stage failed: %s", FORGED, extra={"robot": FORGED})
     finally:
         root.handlers[:], root.level = handlers, level
     return request.param, output.getvalue()
@@ -34,8 +37,18 @@ def test_a_record_has_its_level_its_ids_and_its_trace_and_no_values(told):
     assert "a-token-of-somebody" not in text
     assert "ValueError: 19" in text
     if form == "json":
-        record = json.loads(text)
+        record = json.loads(text.splitlines()[0])
         assert (record["event"], record["run"], record["level"]) == ("it broke", "run_1", "error")
     else:
         assert "it broke" in text
         assert "run=run_1" in text
+
+
+def test_others_words_begin_no_line_and_steer_no_terminal(told):
+    form, text = told
+    assert not set("\x1b\x9b\u2028") & set(text)
+    assert not [line for line in text.splitlines() if line.startswith("2026-01-01")]
+    if form == "json":
+        assert json.loads(text.splitlines()[1])["robot"] == FORGED
+    else:
+        assert r"succeeded\x1b[2J" in text

@@ -11,10 +11,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 import httpx2
+import psutil
 import pytest
 
 from api.page import router as page_router
-from tests.service import start_service
+from tests.service import free_port, start_service
 
 pytestmark = pytest.mark.ray
 ROOT = Path(__file__).parents[1]
@@ -91,6 +92,28 @@ def test_a_browser_reads_by_password_and_cannot_be_made_to_write(http):
     assert http.post("/v1/runs", json=RUN, headers=basic).status_code == 401
     for wrong in ("Basic !!!", "Basic", "Bearer", f"Bearer {TOKEN}x", f"Digest {TOKEN}"):
         assert http.get("/", headers={"Authorization": wrong}).status_code == 401
+
+
+@pytest.mark.parametrize("path", ["/v1/runs/run_0/cancel", "/v1/benchmarks/bench_0/resume"])
+@pytest.mark.parametrize("origin", ["https://attacker.example", "null", "http://127.0.0.1:1"])
+def test_a_page_elsewhere_cannot_change_anything_even_without_a_body(http, path, origin):
+    """Where no token is needed, such a request needs nothing but somebody's browser."""
+    refused = http.post(path, headers={**bearer(TOKEN), "Origin": origin})
+    assert refused.status_code == 403
+    assert refused.json()["type"] == "/problems/foreign_origin"
+    ours = str(http.base_url).rstrip("/")
+    assert http.post(path, headers={**bearer(TOKEN), "Origin": ours}).status_code == 404
+    assert http.get("/v1/runs", headers={**bearer(TOKEN), "Origin": origin}).status_code == 200
+
+
+@pytest.mark.parametrize("text", ["a\x1b[2Jb", "a\nb", "a\u202eb", "\x9b31m"])
+def test_a_robots_words_cannot_steer_a_terminal(http, text):
+    claim = {"worker": text, "tasks": ["arm"]}
+    answer = http.post("/v1/target_tasks/claim", json=claim, headers=bearer(ROBOT))
+    assert answer.status_code == 422
+    failure = {"lease": "x", "message": text}
+    answer = http.post("/v1/target_tasks/task_0/fail", json=failure, headers=bearer(ROBOT))
+    assert answer.status_code == (404 if text == "a\nb" else 422)
 
 
 def test_a_name_that_is_not_the_services_is_refused(http):
@@ -189,6 +212,71 @@ def test_ray_asks_for_a_token_and_is_new_enough(service):
     assert httpx2.get(jobs).status_code == 401
     known = {"Authorization": f"Bearer {(service.data_dir / 'ray_token').read_text()}"}
     assert httpx2.get(jobs, headers=known).status_code == 200
+
+
+def processes_of(running):
+    return [psutil.Process(pid) for pid in (running.process.pid, *running.children)]
+
+
+def test_nobody_else_reaches_the_sockets_and_tokens_of_ray(service):
+    """Another user had put his own in the place of the raylet's."""
+    paths = {
+        Path(connection.laddr)
+        for process in processes_of(service)
+        for connection in process.net_connections("unix")
+        if str(connection.laddr).startswith("/")
+    }
+    files = [path for path in service.data_dir.rglob("*") if path.is_file()]
+    token = (service.data_dir / "ray_token").read_bytes()
+    paths |= {path for path in files if token in path.read_bytes()}
+    assert len(paths) > 3
+    for path in paths:
+        above = [stat.S_IMODE(parent.stat().st_mode) for parent in path.parents]
+        assert 0o700 in above, path
+
+
+def test_every_port_that_listens_on_all_interfaces_is_named_in_the_docs(service):
+    documented = (ROOT / "docs/security.md").read_text()
+    names = {
+        "gcs_server": "GCS",
+        "raylet": "raylet",
+        "DashboardAgent": "dashboard agent",
+        "RuntimeEnvAgent": "runtime environment agent",
+        "dashboard.py": "dashboard's metrics",
+        "monitor.py": "autoscaler's monitor",
+        "ray::": "workers",
+        "api serve": "service's own",
+    }
+    for process in processes_of(service):
+        title = " ".join(process.cmdline())
+        for connection in process.net_connections("tcp"):
+            if connection.status == "LISTEN" and not connection.laddr.ip.startswith("127."):
+                name = next(name for key, name in names.items() if key in title)
+                assert name in documented, (title, connection.laddr)
+
+
+@pytest.mark.parametrize("how", ["a file in its place", "read-only"])
+def test_a_data_folder_that_cannot_be_written_is_said_without_a_trace(tmp_path, how):
+    folder = tmp_path / "data"
+    if how == "read-only":
+        folder.mkdir()
+        mounted = ["mount", "--bind", "-o", "ro", str(folder), str(folder)]
+        if subprocess.run(["unshare", "--mount", "true"], check=False).returncode:
+            pytest.skip("mounts cannot be made here")
+        script = f"{' '.join(mounted)} && mount -o remount,ro,bind {folder} && exec "
+    else:
+        folder.write_text("")
+        script = "exec "
+    serve = f"{sys.executable} -m api serve --no-dashboard --port {free_port()} --data-dir {folder}"
+    command = ["sh", "-c", script + serve]
+    if how == "read-only":
+        command = ["unshare", "--mount", *command]
+    ended = subprocess.run(
+        command, capture_output=True, text=True, check=False, timeout=60, cwd=ROOT
+    )
+    assert ended.returncode != 0
+    assert "there can be no data in" in ended.stderr
+    assert "Traceback" not in ended.stderr
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import anyio
 from fastapi import APIRouter, Body, Depends, Header, Query, Request, Response, status
 from pydantic import Field
 
-from adr_service.wire import Wire
+from adr_service.wire import Line, Paragraphs, Wire
 from api.routes.datasets import LARGEST, NPZ, octets
 from api.routes.runs import LOOK_EVERY_S, PageSize, bytes_response
 from api.service import ServiceDependency
@@ -20,7 +20,7 @@ from api.views import ClaimView, HeartbeatView, Page, TaskView, claim_view, page
 from db import target_tasks as store
 
 router = APIRouter(prefix="/v1/target_tasks", tags=["target tasks"])
-_Name = Annotated[str, Field(min_length=1, max_length=80)]
+_Name = Annotated[Line, Field(min_length=1, max_length=80)]
 _Lease = Annotated[str, Field(min_length=1, max_length=64)]
 
 
@@ -43,7 +43,7 @@ class Release(Wire):
 
 class Failure(Wire):
     lease: _Lease
-    message: str = Field(min_length=1, max_length=2000, description="why nobody can do this")
+    message: Paragraphs = Field(min_length=1, max_length=2000, description="why nobody can do this")
 
 
 @router.post("/claim", response_model=ClaimView, responses={204: {"description": "no task"}})

@@ -34,7 +34,10 @@ def test_after_any_death_the_same_bytes_and_no_stage_lost_or_committed_twice(tmp
     with start_service(folder, cpus=1, environment={"ADR_FAILPOINT": "list"}) as running:
         table = everything(running.client)
         passed = re.findall(r"failpoint (\S+)", running.log.read_text())
-    names = [name for name in dict.fromkeys(passed) if not name.startswith("readyz:")]
+    # these are passed at any time, and change nothing that anybody asks for
+    besides = ("readyz:", "reclaim:")
+    names = [name for name in dict.fromkeys(passed) if not name.startswith(besides)]
+    assert "migration_0001" in names
     stages = committed(folder)
     assert len(names) > 20
     deaths = lost = twice = 0
@@ -100,9 +103,16 @@ def everything(client: AdrClient) -> str:
     return table
 
 
+def has_tables(database: sqlite3.Connection) -> bool:
+    """Whether the service came as far as that before it died."""
+    return bool(database.execute("select 1 from sqlite_master where name = 'stages'").fetchone())
+
+
 def finished(folder: Path) -> set[str]:
     """Digests of the stages of whose end some run has been told."""
     with closing(sqlite3.connect(folder / "adr.sqlite")) as database:
+        if not has_tables(database):
+            return set()
         bodies = database.execute("select body from events where type = 'stage_finished'")
         return {json.loads(body)["digest"] for (body,) in bodies}
 
@@ -111,4 +121,6 @@ def committed(folder: Path) -> set[str]:
     """Digests of the stages on disk."""
     with closing(sqlite3.connect(folder / "adr.sqlite")) as database:
         assert database.execute("pragma integrity_check").fetchone() == ("ok",)
+        if not has_tables(database):
+            return set()
         return {digest for (digest,) in database.execute("select digest from stages")}
