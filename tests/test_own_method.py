@@ -53,6 +53,13 @@ def test_the_pages_method_runs_in_a_benchmark(installed):
     assert done.stdout.strip() == "fine"
 
 
+def test_the_page_can_be_followed_word_for_word(installed, tmp_path):
+    (tmp_path / "try_it.py").write_text(block("python", "simulate_rollout"))
+    done = python((tmp_path / "try_it.py").read_text(), installed)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() in PAGE
+
+
 def test_it_can_be_imported_before_anything_of_ours(installed):
     done = python("import random_search; import adr_service.specs", installed)
     assert done.returncode == 0, done.stderr
