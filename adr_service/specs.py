@@ -71,7 +71,7 @@ def _known_method(given: Any) -> Any:
 
 
 # pydantic refuses half characters (lone surrogates) where a text has a length
-Name = Annotated[str, Field(max_length=100)]
+Name = Annotated[str, Field(max_length=1000)]
 TaskName = Annotated[Name, AfterValidator(lambda name: _known("task", name, catalogue()))]
 VariantName = Annotated[Name, AfterValidator(_known_variant)]
 PresetName = Annotated[Name, AfterValidator(lambda name: _known("preset", name, PRESETS))]
@@ -199,7 +199,7 @@ class RunSpec(Wire):
             training = handler.resolve_ref_schema(fields["training"])
             fields["training"] = {k: v for k, v in training.items() if k != "required"}
             for name in ("method", "simopt"):
-                fields[name] = {"anyOf": [{"type": "string", "maxLength": 100}, fields[name]]}
+                fields[name] = {"anyOf": [{"type": "string", "maxLength": 1000}, fields[name]]}
             schema["required"] = ["task", "method"]
         return reference
 

@@ -9,7 +9,9 @@ where none is idle the new one is refused with 503. Uvicorn itself waits for a r
 
 import asyncio
 import resource
+from collections.abc import Iterator
 from functools import partial
+from itertools import count
 from typing import Any, cast
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -42,15 +44,16 @@ def _descriptors() -> int:
 
 def bounded(most: int) -> type[asyncio.Protocol]:
     """Uvicorn's HTTP/1.1 for at most so many connections at once."""
-    return cast("type[asyncio.Protocol]", partial(_Bounded, most))
+    return cast("type[asyncio.Protocol]", partial(_Bounded, most, count()))
 
 
 class _Bounded(H11Protocol):
     """Overrides what uvicorn calls, and adds one clock: for what the client owes."""
 
-    def __init__(self, most: int, *given: Any, **named: Any):
+    def __init__(self, most: int, turns: Iterator[int], *given: Any, **named: Any):
         super().__init__(*given, **named)
-        self._most, self._since = most, self.loop.time()
+        self._most, self._turns = most, turns
+        self._turn = next(turns)  # when it became idle, among all
         self._owed = ""
         self._clock: asyncio.TimerHandle | None = None
         self._stalled: asyncio.TimerHandle | None = None
@@ -66,8 +69,11 @@ class _Bounded(H11Protocol):
             others = [c for c in self.connections if isinstance(c, _Bounded) and c is not self]
             idle = [c for c in others if c.is_idle and not c.transport.is_closing()]
             # first who has never asked for anything
-            victim = min(idle, key=lambda c: (c.cycle is not None, c._since), default=self)  # pyright: ignore[reportUnnecessaryComparison]
-            victim.refuse(b"503 Service Unavailable")
+            victim = min(idle, key=lambda c: (c.cycle is not None, c._turn), default=self)  # pyright: ignore[reportUnnecessaryComparison]
+            if victim.cycle is None:  # pyright: ignore[reportUnnecessaryComparison]
+                victim.refuse(b"503 Service Unavailable")
+            else:  # it had its answers, and would take this for the next one
+                victim.transport.close()
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
@@ -75,7 +81,7 @@ class _Bounded(H11Protocol):
 
     def on_response_complete(self) -> None:
         super().on_response_complete()
-        self._since = self.loop.time()
+        self._turn = next(self._turns)
         self._watch()
 
     def connection_lost(self, exc: Exception | None) -> None:

@@ -238,7 +238,7 @@ class _Sqlite:
             try:
                 driver.execute(f"PRAGMA auto_vacuum={_INCREMENTAL}")
                 driver.execute("VACUUM")
-            except sqlite3.OperationalError as error:
+            except sqlite3.DatabaseError as error:
                 log.warning(
                     "%s cannot be rewritten now (%s): deleting will not give disk space back; the "
                     "next start tries again",

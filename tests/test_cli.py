@@ -1,5 +1,6 @@
 """The command line against a real service."""
 
+import importlib.util
 import json
 import re
 import subprocess
@@ -7,7 +8,9 @@ import sys
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from api import doctor
 from tests.recordings import recording
 
 pytestmark = pytest.mark.ray
@@ -142,3 +145,13 @@ def test_the_doctor_finds_this_machine_fit(adr):
     code, shown = adr("doctor")
     assert code == 0
     assert "MuJoCo simulates the tasks: arm, hopper" in shown
+
+
+def test_the_doctor_tells_names_in_brackets_and_the_limit_on_connections(monkeypatch, capsys):
+    """Rich takes `[fast]` for a style, and swallowed it."""
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(doctor, "_simulator", lambda: (True, "not asked here"))
+    assert doctor.check(Console(width=200)) == 0
+    shown = capsys.readouterr().out
+    assert "pip install 'adr-service[fast]'" in shown
+    assert "connections at once, the rest for Ray and the database" in shown

@@ -80,10 +80,13 @@ class Cluster:
         To ask a dead GCS (Ray's control process) anything blocks, and ends this process after a
         minute, so this asks the system.
         """
-        return all(
-            process.is_running() and process.status() != psutil.STATUS_ZOMBIE
-            for process in self._processes
-        )
+        try:
+            return all(
+                process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+                for process in self._processes
+            )
+        except psutil.NoSuchProcess:
+            return False
 
     def restart(self) -> None:
         """Start a local cluster again after its death."""

@@ -8,7 +8,6 @@ import logging
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 from typing import NamedTuple, TypeVar
 
 from structlog.contextvars import bound_contextvars
@@ -211,8 +210,12 @@ class Orchestrator:
         self._when_possible(lambda: run_store.append_event(self._database, record.id, event))
 
     def _record_all(self, events: Sequence[tuple[str, RunEvent]]) -> None:
-        with suppress(RunCancelled):  # the service stops; when it starts again they stop first
+        try:
             self._when_possible(lambda: run_store.append_events(self._database, events))
+        except RunCancelled:
+            pass  # the service stops; when it starts again, these runs stop first
+        except Exception:  # those of other batches are recorded all the same
+            log.exception("the end of cancelled runs is not on their record")
 
     def _when_possible(self, action: Callable[[], T]) -> T:
         """What needs the database, once that can be used; RunCancelled where the service stops."""
