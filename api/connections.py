@@ -8,27 +8,38 @@ where none is idle the new one is refused with 503. Uvicorn itself waits for a r
 """
 
 import asyncio
+import logging
 import resource
 from collections.abc import Iterator
 from functools import partial
 from itertools import count
 from typing import Any, cast
 
+import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+log = logging.getLogger(__name__)
 _KEPT = 512  # descriptors for Ray, the database, logs and files
 _MOST = 1_000  # connections, however many descriptors there are
 _RAISED_TO = 65_536  # descriptors, where the system lets us have as many
 _SECONDS = {"head": 20.0, "body": 600.0}  # for the headers of a request, and for all of its body
-_STALLED_S = 60.0  # for a client that does not read its answer
+_STALLED_S = 60.0  # in which a client reads some of its answer
 _REFUSAL = (
     b"HTTP/1.1 %s\r\nContent-Length: 0\r\nRetry-After: 5\r\nConnection: close\r\n\r\n"  # no app yet
 )
 
 
 def connections_allowed(given: int | None = None) -> int:
-    """How many connections to accept: what was given, or what the descriptors allow."""
-    return min(_MOST, max(_descriptors() - _KEPT, _KEPT // 8)) if given is None else given
+    """How many connections to accept: what was given, but no more than the descriptors allow."""
+    possible = max(_descriptors() - _KEPT, _KEPT // 8)
+    if given is not None and given > possible:
+        log.warning(
+            "ADR_MAX_CONNECTIONS is %d; the limit on open files (ulimit -Hn) allows %d, beside "
+            "those of Ray and the database",
+            given,
+            possible,
+        )
+    return min(possible, _MOST if given is None else given)
 
 
 def _descriptors() -> int:
@@ -56,7 +67,8 @@ class _Bounded(H11Protocol):
         self._turn = next(turns)  # when it became idle, among all
         self._owed = ""
         self._clock: asyncio.TimerHandle | None = None
-        self._stalled: asyncio.TimerHandle | None = None
+        self._reading: asyncio.TimerHandle | None = None
+        self._unread = 0  # bytes of answers, when the client was looked at
 
     @property
     def is_idle(self) -> bool:
@@ -73,7 +85,7 @@ class _Bounded(H11Protocol):
             if victim.cycle is None:  # pyright: ignore[reportUnnecessaryComparison]
                 victim.refuse(b"503 Service Unavailable")
             else:  # it had its answers, and would take this for the next one
-                victim.transport.close()
+                victim.close()
 
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
@@ -83,31 +95,48 @@ class _Bounded(H11Protocol):
         super().on_response_complete()
         self._turn = next(self._turns)
         self._watch()
+        self._watch_reader()  # also where the connection is closing
 
     def connection_lost(self, exc: Exception | None) -> None:
-        for clock in (self._clock, self._stalled):
+        for clock in (self._clock, self._reading):
             if clock is not None:
                 clock.cancel()
         super().connection_lost(exc)
 
     def pause_writing(self) -> None:
         super().pause_writing()
-        self._stalled = self.loop.call_later(_STALLED_S, self.transport.abort)
-
-    def resume_writing(self) -> None:
-        super().resume_writing()
-        if self._stalled is not None:
-            self._stalled.cancel()
+        self._watch_reader()
 
     def refuse(self, status: bytes) -> None:
         """Close an idle connection, with the reason for a client that waits for an answer."""
         self.transport.write(_REFUSAL % status)
+        self.close()
+
+    def close(self) -> None:
+        """Close the connection once the client has read its answers, if it does read them."""
         self.transport.close()
+        self._watch_reader()
+
+    def _watch_reader(self) -> None:
+        """Look every `_STALLED_S` whether the client reads, while it has something to read."""
+        if self._reading is None:
+            self._unread = self.transport.get_write_buffer_size()
+            self._reading = self.loop.call_later(_STALLED_S, self._look_at_reader)
+
+    def _look_at_reader(self) -> None:
+        self._reading, before = None, self._unread
+        now = self.transport.get_write_buffer_size()
+        if now and now >= before:
+            self.transport.abort()
+        elif now or self.transport.is_closing():
+            self._watch_reader()
 
     def _watch(self) -> None:
-        """Start, keep or stop the clock for what the client owes."""
-        if not self.is_idle:
-            owed = "body" if self.cycle.more_body else ""
+        """Time the headers or the body that the client has not sent yet."""
+        if self.conn.their_state is h11.SEND_BODY:  # perhaps answered already
+            owed = "body"
+        elif not self.is_idle:
+            owed = ""
         else:  # between requests, uvicorn's own clock runs until the first byte
             owed = "head" if self.cycle is None or self.conn.trailing_data[0] else ""  # pyright: ignore[reportUnnecessaryComparison]
         if owed == self._owed:
@@ -118,7 +147,7 @@ class _Bounded(H11Protocol):
         self._clock = self.loop.call_later(_SECONDS[owed], self._late) if owed else None
 
     def _late(self) -> None:
-        if self.is_idle:
+        if self._owed == "head":
             self.refuse(b"408 Request Timeout")
         else:
             self.transport.abort()

@@ -96,11 +96,15 @@ def _disk() -> tuple[bool, str]:
 
 def _descriptors() -> tuple[bool, str]:
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    try:
+        given = read_settings().max_connections
+    except InvalidInput:
+        given = None  # the check of settings says what is wrong
     files = "any number of" if most == resource.RLIM_INFINITY else f"{most:,}"
     return (
         most == resource.RLIM_INFINITY or most >= _LEAST_FILES,
         f"{files} files and connections may be open (ulimit -Hn); {_LEAST_FILES:,} needed: "
-        f"{connections_allowed():,} connections at once, the rest for Ray and the database",
+        f"{connections_allowed(given):,} connections at once, the rest for Ray and the database",
     )
 
 

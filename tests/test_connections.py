@@ -5,17 +5,18 @@ import resource
 import socket
 import threading
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 
 import httpx2
 import pytest
 import uvicorn
-from fastapi import FastAPI, Request
+from fastapi import FastAPI, Request, Response
 
 from api import connections
 from api.connections import bounded, connections_allowed
 from tests.service import free_port, start_service, until, wait_until_finished
 
+LARGE = 40_000_000  # bytes; more than the system's buffers take
 RUN = {"task": "arm", "method": "prior", "preset": "smoke"}
 
 
@@ -33,18 +34,24 @@ def served(most):
         await asyncio.sleep(2)
         return "here"
 
+    @app.get("/large")
+    async def large():
+        return Response(bytes(LARGE))
+
     @app.post("/body")
     async def body(request: Request):
         return len(await request.body())
 
     config = uvicorn.Config(app, port=port, http=bounded(most), log_level="warning", lifespan="off")
     server = uvicorn.Server(config)
-    thread = threading.Thread(target=server.run)
+    thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
-    until(lambda: server.started)
-    yield port
-    server.should_exit = True
-    thread.join()
+    try:
+        until(lambda: server.started)
+        yield port
+    finally:
+        server.should_exit = True
+        thread.join(30)
 
 
 def connected(port, sent=b""):
@@ -98,6 +105,27 @@ def test_a_body_that_does_not_come_is_not_waited_for(monkeypatch):
             assert b"100" in client.recv(1000)
 
 
+def test_who_reads_an_answer_slowly_gets_it_all_and_who_does_not_read_is_cut(monkeypatch):
+    monkeypatch.setattr(connections, "_STALLED_S", 0.5)
+    with served(5) as port, ExitStack() as stack:
+        slow, silent = (stack.enter_context(connected(port, get("/large"))) for _ in range(2))
+        got = 0
+        while got < LARGE and (part := slow.recv(1_000_000)):
+            got += len(part)
+            time.sleep(0.05)  # 2 s and more in all, with progress all the time
+        assert got >= LARGE
+        assert read_to_the_end(silent) < LARGE
+
+
+def read_to_the_end(client):
+    """The number of bytes that come before the connection ends, in whatever way."""
+    got = 0
+    with suppress(ConnectionResetError):
+        while part := client.recv(10_000_000):
+            got += len(part)
+    return got
+
+
 def test_an_idle_client_that_asks_again_in_time_keeps_its_connection(monkeypatch):
     monkeypatch.setitem(connections._SECONDS, "head", 1.0)
     with served(5) as port, httpx2.Client(base_url=f"http://127.0.0.1:{port}") as client:
@@ -111,6 +139,17 @@ def test_ray_and_the_database_keep_their_descriptors(monkeypatch, files, allowed
     monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
     assert connections_allowed() == allowed
     assert connections_allowed(7) == 7
+    assert connections_allowed(10**9) == max(files, 576) - 512
+
+
+@contextmanager
+def files_allowed(number):
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (number, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 @pytest.mark.ray
@@ -119,9 +158,12 @@ def test_a_thousand_idle_connections_cut_nobody_off(tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard != resource.RLIM_INFINITY and hard < 2500:
         pytest.skip(f"this machine allows {hard} open files, and the test needs 2,500")
-    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2500), hard))
     limited = ["prlimit", "--nofile=1024:1024"]
-    with start_service(tmp_path, cpus=1, wrapper=limited) as running, ExitStack() as stack:
+    with (
+        files_allowed(max(soft, 2500)),
+        start_service(tmp_path, cpus=1, wrapper=limited) as running,
+        ExitStack() as stack,
+    ):
         id = running.client.submit_run(RUN)["id"]
         port = int(running.client.url.rpartition(":")[2])
         for _ in range(1100):
@@ -129,4 +171,3 @@ def test_a_thousand_idle_connections_cut_nobody_off(tmp_path):
         with httpx2.Client(base_url=running.client.url, timeout=20) as other:
             assert other.get("/healthz").status_code == 200
         assert wait_until_finished(running.client, id, 120)["state"] == "succeeded"
-    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
