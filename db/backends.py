@@ -7,6 +7,7 @@ backend.lock()                                         # DatabaseInUse where ano
 import fcntl
 import logging
 import os
+import shutil
 import sqlite3
 import stat
 from collections.abc import Generator
@@ -79,7 +80,7 @@ class Backend(Protocol):
     def unlock(self) -> None: ...
 
     def check_in_place(self) -> None:
-        """Raise DatabaseGone where what is written would be lost with the next restart."""
+        """Raise DatabaseGone if the database's files were deleted or replaced."""
         ...
 
     def keep(self, revision: str) -> AbstractContextManager[None]:
@@ -175,8 +176,6 @@ class _Sqlite:
         mode = stat.S_IMODE(os.fstat(self._file).st_mode)
         if mode & 0o077 and stat.S_IMODE(self._path.parent.stat().st_mode) & 0o011:
             log.warning("%s is open to others (mode %o): chmod 600 it", self.name, mode)
-        for part in self._path.parent.glob(f"{self._path.name}.*.bak.part"):
-            part.unlink()  # of a copy that was cut short
 
     def unlock(self) -> None:
         if self._file >= 0:
@@ -203,15 +202,18 @@ class _Sqlite:
 
     @contextmanager
     def keep(self, revision: str) -> Generator[None]:
-        now = f"{datetime.now(UTC):%Y%m%dT%H%M%S%f}"
-        copy = self._path.with_name(f"{self._path.name}.{revision}.{now}.bak")
+        # of upgrades that are killed again and again, one copy stays
+        copy = self._path.with_name(f"{self._path.name}.{revision}.upgrading.bak")
+        copy.unlink(missing_ok=True)
         backup(self._path, copy)
-        log.info("%s was copied to %s", self.name, copy)
         try:
             yield
         except BaseException:
             copy.unlink()  # the file is as it was
             raise
+        now = f"{datetime.now(UTC):%Y%m%dT%H%M%S%f}"
+        kept = copy.rename(self._path.with_name(f"{self._path.name}.{revision}.{now}.bak"))
+        log.info("%s was copied to %s", self.name, kept)
 
     @contextmanager
     def migrating(self) -> Generator[Connection]:
@@ -234,6 +236,16 @@ class _Sqlite:
             driver = connection.connection.cursor()
             if driver.execute("PRAGMA auto_vacuum").fetchone() == (_INCREMENTAL,):
                 return
+            needed, free = 2 * self._path.stat().st_size, shutil.disk_usage(self._path.parent).free
+            if needed > free:
+                log.warning(
+                    "deleting will not give disk space back: to rewrite %s for that takes %.0f MB, "
+                    "and %.0f are free; the next start tries again",
+                    self.name,
+                    needed / 1e6,
+                    free / 1e6,
+                )
+                return
             log.info("%s is rewritten once, so that deleting gives disk space back", self.name)
             try:
                 driver.execute(f"PRAGMA auto_vacuum={_INCREMENTAL}")
@@ -251,7 +263,8 @@ class _Sqlite:
         for _ in range(min(free, _PAGES_AT_ONCE)):
             # of several pages, the driver would take the first alone
             connection.exec_driver_sql("PRAGMA incremental_vacuum(1)")
-        return free > _PAGES_AT_ONCE
+        left = int(connection.scalar(text("PRAGMA freelist_count")) or 0)
+        return 0 < left < free  # a file that could not be rewritten gives nothing back
 
     def explain(self, error: DBAPIError) -> AdrError | None:
         code = getattr(error.orig, "sqlite_errorcode", 0) & 0xFF  # extended codes say more

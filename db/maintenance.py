@@ -1,7 +1,7 @@
 """Looking after a database file. All but `restore` works beside a service, and writes nothing.
 
 check(path)                     # what is damaged, a line each; nothing: []
-unfinished(path)                # what an older revision has too much or too little of
+unfinished(path)                # tables that an unfinished upgrade left over or did not make
 backup(path, copy)
 restore(path, copy)             # with the database's lock held
 """
@@ -102,11 +102,12 @@ def restore(path: Path, copy: Path) -> Path | None:
         part.chmod(0o600)
         with part.open("rb") as written:
             os.fsync(written.fileno())
-        for suffix in ("-wal", "-shm", ""):
+        if path.exists() and path.stat().st_size:
+            aside.hardlink_to(path)  # so that at no moment there is no database
+        for suffix in ("-wal", "-shm"):
             file = path.with_name(path.name + suffix)
-            if file.exists() and file.stat().st_size:
+            if file.exists():
                 file.replace(aside.with_name(aside.name + suffix))
-            file.unlink(missing_ok=True)
         part.replace(path)
     except OSError as error:
         part.unlink(missing_ok=True)

@@ -19,6 +19,9 @@ from sqlalchemy import Connection, Inspector, create_engine, inspect, text
 
 from db.errors import DatabaseDamaged
 
+_REBUILT = "_alembic_tmp_"  # SQLite's tables are changed by making them anew
+_RESTORE = "restore the copy that was made before it (*.bak, beside the database)"
+
 
 def alembic_config(url: str) -> Config:
     config = Config()
@@ -30,6 +33,12 @@ def alembic_config(url: str) -> Config:
 def head() -> str | None:
     """The revision of this version of the service."""
     return ScriptDirectory.from_config(alembic_config("sqlite://")).get_current_head()
+
+
+def revisions() -> set[str]:
+    """All revisions that this version of the service knows."""
+    scripts = ScriptDirectory.from_config(alembic_config("sqlite://"))
+    return {script.revision for script in scripts.walk_revisions()}
 
 
 @dataclass(frozen=True)
@@ -46,6 +55,8 @@ def differences(connection: Connection, revision: str | None) -> list[str]:
 
     Tables that no revision has are somebody else's, and pass.
     """
+    if revision is not None and revision not in revisions():
+        return [f"revision {revision} is of a later version of the service"]
     there, expected = _schema(inspect(connection)), _schema_of(revision)
     known = _schema_of("head")
     # a table that is not there lacks its columns and indexes as well, which goes without saying
@@ -71,12 +82,19 @@ def clear_leftovers(connection: Connection, revision: str | None) -> None:
     """
     there, expected = _schema(inspect(connection)), _schema_of(revision)
     known = _schema_of("head")
+    for table in sorted(table for table in there.tables if table.startswith(_REBUILT)):
+        if table.removeprefix(_REBUILT) not in there.tables:
+            raise DatabaseDamaged(
+                f"an upgrade from revision {revision} was cut short while it rebuilt the table "
+                f"{table.removeprefix(_REBUILT)}; {_RESTORE}"
+            )
+        connection.execute(text(f"drop table {table}"))  # a copy that was not finished
     leftover = there.tables & (known.tables - expected.tables)
     for table in sorted(leftover):
         if connection.scalar(text(f"select 1 from {table} limit 1")):  # noqa: S608 - our own names
             raise DatabaseDamaged(
                 f"an upgrade from revision {revision} was cut short and left rows in {table}; "
-                "restore the copy that was made before it (*.bak, beside the database)"
+                f"{_RESTORE}"
             )
         connection.execute(text(f"drop table {table}"))
     for table, index in sorted(there.indexes & (known.indexes - expected.indexes)):

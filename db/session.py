@@ -4,11 +4,11 @@ import logging
 from collections.abc import Generator
 from contextlib import contextmanager
 from threading import RLock
+from typing import Any
 
 from alembic import command
 from alembic.config import Config
-from alembic.migration import MigrationContext
-from alembic.script import ScriptDirectory
+from alembic.runtime.migration import MigrationContext, MigrationInfo
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from sqlalchemy.orm import Session
@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 from db.backends import BUSY_TIMEOUT_MS, backend_of
 from db.errors import DatabaseDamaged, DatabaseNewer, DatabaseUnavailable
 from db.failpoints import failpoint
-from db.schema import alembic_config
+from db.schema import alembic_config, head, revisions
 
 log = logging.getLogger(__name__)
 RETRY_S = 1.0  # after which what was DatabaseUnavailable is worth another try
@@ -97,20 +97,19 @@ class Database:
         Raises DatabaseNewer where they are ahead.
         """
         config = alembic_config(self.url)
-        scripts = ScriptDirectory.from_config(config)
-        now, head = self.revision(), scripts.get_current_head()
-        if now != head:
+        now, newest = self.revision(), head()
+        if now != newest:
             name = self._backend.name
             if now is None:
                 self._migrate(config, now)
-            elif now in {script.revision for script in scripts.walk_revisions()}:
-                log.info("upgrading %s from revision %s to %s", name, now, head)
+            elif now in revisions():
+                log.info("upgrading %s from revision %s to %s", name, now, newest)
                 with self._backend.keep(now):
                     self._migrate(config, now)
             else:
                 raise DatabaseNewer(
                     f"{name} has tables of revision {now}, which this version does not know (its "
-                    f"own is {head}); start the version of the service that wrote it, or restore "
+                    f"own is {newest}); start the version of the service that wrote it, or restore "
                     "a backup"
                 )
         self._backend.make_shrinkable()
@@ -119,6 +118,7 @@ class Database:
         with self._translated(), self._backend.migrating() as connection:
             self._backend.repair(connection, now)
             config.attributes["connection"] = connection
+            config.attributes["on_version_apply"] = _pass_migration
             command.upgrade(config, "head")
             failpoint("upgrade:before")
         failpoint("upgrade:after")
@@ -127,6 +127,10 @@ class Database:
         self._backend.reader.dispose()
         self._backend.writer.dispose()
         self._backend.unlock()
+
+
+def _pass_migration(*, step: MigrationInfo, **_: Any) -> None:
+    failpoint(f"migration_{step.up_revision_id}")
 
 
 def open_database(url: str) -> Database:

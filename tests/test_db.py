@@ -4,11 +4,14 @@ import os
 import shutil
 import sqlite3
 import stat
+import subprocess
+import sys
 import threading
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -458,6 +461,22 @@ class TestSession:
             assert portions > 3  # others may write in between
         assert path.stat().st_size < 1_000_000
 
+    def test_a_file_that_could_not_be_rewritten_keeps_its_space_and_ends_the_round(
+        self, tmp_path, monkeypatch
+    ):
+        nothing = SimpleNamespace(free=0)
+        monkeypatch.setattr("db.backends.shutil.disk_usage", lambda _: nothing)
+        path = tmp_path / "adr.sqlite"
+        with closing(sqlite3.connect(path)) as old:
+            old.execute("create table somebody_elses (x)")
+        with closing(open_database(f"sqlite:///{path}")) as database:
+            with database.write("test") as session:
+                key = stages.add_artifact(session, os.urandom(20_000_000))
+            with database.write("test") as session:
+                session.execute(text("delete from artifacts where sha256 = :key"), {"key": key})
+            assert not database.reclaim()
+        assert path.stat().st_size > 20_000_000
+
     def test_no_update_is_lost_between_threads(self, database):
         run = runs.create_run(database, SPEC)
 
@@ -685,6 +704,40 @@ class TestMigrations:
         command.check(alembic_config(url))
         assert maintenance.check(path) == maintenance.unfinished(path) == []
 
+    @pytest.mark.parametrize("before_the_old_one_went", [True, False])
+    def test_a_table_that_was_being_rebuilt_is_no_riddle(self, tmp_path, before_the_old_one_went):
+        """0002 rebuilds `runs`; versions before this one could be killed half-way."""
+        path = tmp_path / "adr.sqlite"
+        command.upgrade(alembic_config(f"sqlite:///{path}"), "0001")
+        with closing(sqlite3.connect(path)) as other, other:
+            other.execute("create table _alembic_tmp_runs as select * from runs")
+            if not before_the_old_one_went:
+                other.execute("drop table runs")
+        if before_the_old_one_went:
+            open_database(f"sqlite:///{path}").close()
+        else:
+            with pytest.raises(DatabaseDamaged, match=r"rebuilt the table runs; restore the copy"):
+                open_database(f"sqlite:///{path}")
+
+    def test_a_killed_upgrade_leaves_one_copy_however_often_it_is_killed(self, tmp_path):
+        url = f"sqlite:///{tmp_path / 'old.sqlite'}"
+        command.upgrade(alembic_config(url), "0003")
+        script = f"from db.session import open_database; open_database({url!r})"
+        for name in ("migration_0004", "migration_0005", "upgrade:before"):
+            killed = subprocess.run(
+                [sys.executable, "-c", script],
+                env={**os.environ, "ADR_FAILPOINT": name},
+                check=False,
+                cwd=Path(schema.__file__).parents[1],
+            )
+            assert killed.returncode == 137, name
+            (copy,) = tmp_path.glob("*.bak")
+            assert maintenance.revision_of(copy) == "0003"
+            assert maintenance.revision_of(tmp_path / "old.sqlite") == "0003"
+        open_database(url).close()
+        (copy,) = tmp_path.glob("*.bak")
+        assert "upgrading" not in copy.name
+
     def test_a_released_migration_is_never_edited(self):
         """A database that it has made already would not get what was added."""
         known = {
@@ -705,6 +758,9 @@ class TestMigrations:
             open_database(database.url)
         with closing(Database(database.url)) as later:
             assert later.revision() == "0999"
+        if database.url.startswith("sqlite"):
+            (line,) = maintenance.unfinished(Path(database.url.removeprefix("sqlite:///")))
+            assert line == "revision 0999 is of a later version of the service"
 
     def test_they_go_down_to_nothing_and_up_again(self, database):
         config = alembic_config(database.url)

@@ -1,13 +1,9 @@
 """Alembic's entry: migrates the database that the configuration names, all of it or nothing."""
 
-from typing import Any
-
 from alembic import context
-from alembic.runtime.migration import MigrationInfo
 from sqlalchemy import Connection
 
 from db.backends import backend_of
-from db.failpoints import failpoint
 from db.models import Base
 
 
@@ -17,13 +13,9 @@ def migrate(connection: Connection) -> None:
         connection=connection,
         target_metadata=Base.metadata,
         render_as_batch=True,
-        on_version_apply=announce,  # pyright: ignore[reportArgumentType] - it is called by names
+        on_version_apply=context.config.attributes.get("on_version_apply"),
     )
     context.run_migrations()
-
-
-def announce(*, step: MigrationInfo, **_: Any) -> None:
-    failpoint(f"migration_{step.up_revision_id}")
 
 
 given: Connection | None = context.config.attributes.get("connection")
