@@ -4,6 +4,7 @@ import os
 import re
 import signal
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -226,7 +227,7 @@ def test_a_process_that_hangs_before_its_first_sign_of_life_is_lost_as_well(
 ):
     dispatcher, store = started
     until(lambda: not workers(dispatcher))  # who are warm would be taken
-    monkeypatch.setattr("workers.dispatcher._SILENT_S", 20.0)
+    monkeypatch.setattr("workers.dispatcher._FIRST_SIGN_S", 20.0)
     stage = training(520 + is_cancelled, max_steps=1_000, evaluate_every=1_000)
     future = dispatcher.submit(stage, "run_stopped")
     pid = until(lambda: next(iter(workers(dispatcher)), None))
@@ -242,21 +243,20 @@ def test_a_process_that_hangs_before_its_first_sign_of_life_is_lost_as_well(
 
 def workers(dispatcher):
     """Pids of processes that were started for actors of stages, however far they have come."""
-    children = psutil.Process().children(recursive=True)
-    board = ("ray::Board", "ray::RuntimeEnvAgent", "ray::DashboardAgent")
-    found = [c for c in children if c.ppid() in raylets(children)]
-    return [c.pid for c in found if not c.name().startswith(board)]
-
-
-def raylets(children):
-    return {child.pid for child in children if child.name() == "raylet"}
+    others = ("ray::Board", "ray::RuntimeEnvAgent", "ray::DashboardAgent")
+    found = []
+    for process in psutil.Process().children(recursive=True):
+        with suppress(psutil.NoSuchProcess):
+            if process.parent().name() == "raylet" and not process.name().startswith(others):
+                found.append(process.pid)
+    return found
 
 
 @pytest.mark.slow
 def test_a_board_that_hangs_is_replaced(started):
     dispatcher, _ = started
-    titles = {c.pid: " ".join(c.cmdline()) for c in psutil.Process().children(recursive=True)}
-    (pid,) = [pid for pid, title in titles.items() if title.startswith("ray::Board")]
+    children = psutil.Process().children(recursive=True)
+    (pid,) = [child.pid for child in children if child.name().startswith("ray::Board")]
     os.kill(pid, signal.SIGSTOP)
     stage = training(53, max_steps=20_000, evaluate_every=20_000)
     assert dispatcher.submit(stage, "run_board").result(180).blobs

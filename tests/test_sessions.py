@@ -19,7 +19,7 @@ LEFTOVER = "import sys, time; file = open(sys.argv[1], 'w'); print(flush=True); 
 @contextmanager
 def process_of_ray(log_file):
     """A process that looks like one of Ray's: by its name, and by the log that it has open."""
-    script = log_file.parent / "site-packages/ray/agent.py"
+    script = log_file.parent / "ray's code/agent.py"
     script.parent.mkdir(parents=True)
     script.write_text(LEFTOVER)
     command = [sys.executable, str(script), str(log_file)]
@@ -68,7 +68,8 @@ def test_a_long_path_has_a_short_one_that_is_ours_alone(tmp_path):
 
 
 @pytest.mark.parametrize("is_stopped", [False, True])
-def test_what_earlier_sessions_left_running_is_ended(tmp_path, is_stopped):
+def test_what_earlier_sessions_left_running_is_ended(tmp_path, is_stopped, monkeypatch):
+    monkeypatch.setattr("workers.sessions._RAYS_CODE", "ray's code/")
     logs = tmp_path / "ray/session_1/logs"
     logs.mkdir(parents=True)
     with process_of_ray(logs / "x.log") as left, process_of_ray(tmp_path / "other.log") as other:

@@ -74,9 +74,12 @@ def run_id(database):
     return runs.create_run(database, SPEC).id
 
 
-def coroutine(answer):
+def coroutine(*answers):
+    """Answers so, one after the other, and then as the last time."""
+    left = list(answers)
+
     async def ask():
-        return answer
+        return left.pop(0) if len(left) > 1 else left[0]
 
     return ask
 
@@ -140,7 +143,7 @@ class TestLeases:
         service = SimpleNamespace(
             database=database, claim=lambda worker, tasks: claim(database, worker, tasks=tasks)
         )
-        gone = SimpleNamespace(is_disconnected=coroutine(True))
+        gone = SimpleNamespace(is_disconnected=coroutine(False, True))  # it goes meanwhile
         asked = Claim(worker="a", tasks=["arm"], wait_s=20.0)
         answer = asyncio.run(claim_route(asked, service, gone))
         assert answer.status_code == 204

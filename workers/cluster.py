@@ -7,6 +7,7 @@ cluster.restart()
 """
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,8 @@ class RayOptions:
     cpus: int | None = None  # of a local cluster; None: all
     dashboard: bool = True
     compile_cache: Path = Path.home() / ".cache" / "adr_service" / "jax"
-    folder: Path | None = None  # of a local cluster's token and sessions; None: one for a while
+    # of a local cluster's token and sessions; None: a temporary one, deleted at exit
+    folder: Path | None = None
     keep_idle_s: float = 600.0  # how long a process stays warm for the next stage
 
 
@@ -70,8 +72,7 @@ class Cluster:
             raise ClusterUnavailable(f"Ray did not start: {error}") from error
         self.dashboard_url = f"http://{url}" if (url := context.dashboard_url) else None
         if self.is_local:
-            children = psutil.Process().children()
-            self._processes = [child for child in children if child.name() in _OURS]
+            self._processes = _processes_of_ray()
 
     @property
     def is_alive(self) -> bool:
@@ -105,6 +106,17 @@ class Cluster:
         self.stop()
         if self._sessions is not None:
             self._sessions.close()
+
+
+def _processes_of_ray() -> list[psutil.Process]:
+    """The GCS and the raylet that this process has started; ClusterUnavailable without both."""
+    found: dict[str, psutil.Process] = {}
+    for child in psutil.Process().children():
+        with suppress(psutil.NoSuchProcess):
+            found[child.name()] = child
+    if missing := _OURS - found.keys():
+        raise ClusterUnavailable(f"Ray did not start: there is no {', '.join(sorted(missing))}")
+    return [found[name] for name in sorted(_OURS)]
 
 
 def worker_environment(compile_cache: Path) -> dict[str, str]:

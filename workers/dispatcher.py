@@ -37,6 +37,8 @@ MAX_ATTEMPTS = 3
 _TICK_S = 0.05
 _READ_BOARD_S = 0.5
 _SILENT_S = 60.0  # without a sign of life, which comes every second: the process hangs
+_FIRST_SIGN_S = 180.0  # the same before the first one, while it starts and imports its libraries
+_STARTS = 3  # of a cluster of ours that has died
 _UNWANTED_SILENT_S = 10.0  # the same, where nobody wants the result any more
 _NODES_S = 0.5  # between two looks at the nodes of a cluster that was joined
 _OWN_NODE_S = 5.0  # the same of our own cluster, whose processes are watched besides
@@ -155,7 +157,7 @@ class Dispatcher:
 
     @property
     def silent_s(self) -> float:
-        """For how long Ray has not answered; starting it again takes some seconds as well."""
+        """For how long this thread has waited for Ray, or for the database to write."""
         return time.monotonic() - self._ticked
 
     @property
@@ -198,6 +200,8 @@ class Dispatcher:
             self._cluster.start()
             self._meet_nodes()
         except Exception as error:  # noqa: BLE001 - whatever it is, the service must hear it
+            if (cluster := getattr(self, "_cluster", None)) is not None:
+                cluster.close()
             self._ready.set_exception(error)
             return
         self._ready.set_result(None)
@@ -220,7 +224,7 @@ class Dispatcher:
         board = ray.remote(Board).options(num_cpus=0, max_restarts=-1, scheduling_strategy=here)
         self._board: Any = board.remote()
         self._board_ref: Any = None
-        self._board_asked = self._nodes_seen = time.monotonic()
+        self._board_asked = self._heard_at = self._nodes_seen = time.monotonic()
 
     def _loop(self) -> None:
         while not self._stop.is_set():
@@ -307,6 +311,8 @@ class Dispatcher:
                 self._board.set_unwanted.remote(digest, True)
 
     def _schedule(self) -> None:
+        if not self._cluster.is_alive:
+            return
         jobs = self._jobs.values()
         waiting = [j for j in jobs if j.ref is None and j.finished is None and j.waiters]
         now = time.monotonic()  # robots' roles have no priority
@@ -415,6 +421,7 @@ class Dispatcher:
         """A process died under a job: another attempt, or the end."""
         log.warning("stage lost: %s", error, extra=job.ids)
         self._slots.lose(actor)
+        self._nodes_seen = 0.0  # its node may be gone as well
         job.lost_on, job.lost_at = actor.slot.node, time.monotonic()
         self._count_loss(job, str(error))
 
@@ -447,6 +454,7 @@ class Dispatcher:
         except RayError as error:  # its process was lost; Ray starts another
             log.warning("the board was lost: %s", error)
             return
+        self._heard_at = self._board_asked
         for sign in signs:
             if (job := self._jobs.get(sign.digest)) is not None:
                 job.sign, job.heard = sign, time.monotonic()
@@ -456,6 +464,8 @@ class Dispatcher:
 
     def _look_at_nodes(self) -> None:
         """Follow nodes that come and go; our own, which does not, hangs where it is not seen."""
+        if not self._cluster.is_alive:
+            return
         every = _OWN_NODE_S if self._cluster.is_local else _NODES_S
         if time.monotonic() - self._nodes_seen < every:
             return
@@ -467,9 +477,16 @@ class Dispatcher:
 
     def _restart_ray(self) -> None:
         """Our own cluster has died: start another, and what was running again."""
-        log.warning("Ray has died; starting it again")
-        self._cluster.restart()
-        self._meet_nodes()
+        for start in range(1, _STARTS + 1):
+            log.warning("Ray has died; starting it again")
+            try:
+                self._cluster.restart()
+                self._meet_nodes()
+                break
+            except (ClusterUnavailable, RayError) as error:
+                log.warning("Ray did not start again: %s", error)
+                if start == _STARTS:
+                    raise
         for job in [job for job in self._jobs.values() if job.ref is not None]:
             job.ref, job.actor, job.sign = None, None, None
             self._count_loss(job, "Ray has died")
@@ -479,8 +496,10 @@ class Dispatcher:
         for job in self._jobs.values():
             if job.actor is None or job.is_killed:
                 continue
-            silent = time.monotonic() - max(job.heard, job.since)
-            if silent > (_SILENT_S if job.waiters else _UNWANTED_SILENT_S):
+            # as the board knew it: this thread may have waited for the database since
+            silent = self._heard_at - max(job.heard, job.since)
+            patience = _FIRST_SIGN_S if job.sign is None else _SILENT_S
+            if silent > (patience if job.waiters else _UNWANTED_SILENT_S):
                 log.warning("%s: no sign of life for %.0f s", job.actor.name, silent, extra=job.ids)
                 job.is_killed = True
                 ray.kill(job.actor.handle)

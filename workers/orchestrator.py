@@ -143,7 +143,7 @@ class Orchestrator:
 
     @property
     def silent_s(self) -> float:
-        """For how long Ray has not answered."""
+        """For how long the dispatcher has waited for Ray, or for the database to write."""
         return self._dispatcher.silent_s
 
     @property

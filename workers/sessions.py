@@ -18,13 +18,14 @@ from contextlib import suppress
 from pathlib import Path
 
 import psutil
+import ray
 
 from adr_service.errors import AdrError
 
 log = logging.getLogger(__name__)
 _LONGEST_SOCKET = 107  # bytes of a socket's path, which Linux allows
 _IN_A_SESSION = len("/session_2026-11-23_03-29-21_873217_1234567/sockets/dash_MetricsHead")
-_RAYS_CODE = "/site-packages/ray/"
+_RAYS_CODE = f"{Path(ray.__file__).parent}/"
 _END_S = 5.0  # for killed processes to be gone
 
 

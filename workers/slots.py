@@ -100,7 +100,6 @@ class Slots:
         """Its process has died."""
         del actor.slot.actors[actor.role]
         actor.slot.busy = None
-        self.refresh()  # its node may be gone as well
 
     def _start(self, slot: Slot, role: Role, run_id: str) -> Actor:
         name = f"adr:{run_id}:{role}:{next(self._numbers)}"

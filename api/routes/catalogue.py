@@ -16,7 +16,7 @@ from api.routes.runs import artifact_response
 from api.service import ServiceDependency
 
 router = APIRouter(tags=["catalogue"])
-_SILENT_S = 10.0  # after which Ray's silence is worth a word
+_SILENT_S = 10.0  # after which the dispatcher's silence is worth a word
 
 
 @router.get("/v1/tasks")
@@ -78,7 +78,7 @@ def readyz(service: ServiceDependency) -> dict[str, Any] | Response:
     if not service.orchestrator.is_alive:
         return problem(503, "cluster_unavailable", "Ray has stopped; restart the service")
     if (silent := service.orchestrator.silent_s) > _SILENT_S:
-        detail = f"Ray has not answered for {silent:.0f} s"
+        detail = f"the dispatcher has waited for Ray or the database for {silent:.0f} s"
         return problem(503, "cluster_unavailable", detail)
     return {
         "status": "ready",

@@ -54,17 +54,17 @@ async def claim(
 ) -> ClaimView | Response:
     """The oldest task that nobody has; waits for one for a while."""
     until = time.monotonic() + body.wait_s
-    while True:
+    while not await request.is_disconnected():
         found = await anyio.to_thread.run_sync(service.claim, body.worker, body.tasks)
-        has_gone = await request.is_disconnected()
-        if found is not None and not has_gone:
+        if found is not None and not await request.is_disconnected():
             return claim_view(found)
         if found is not None and found.lease is not None:  # for somebody who is there
             release = partial(store.release, service.database, found.id, found.lease)
             await anyio.to_thread.run_sync(release)
-        if has_gone or time.monotonic() >= until:
-            return Response(status_code=status.HTTP_204_NO_CONTENT)
+        if time.monotonic() >= until:
+            break
         await anyio.sleep(LOOK_EVERY_S)
+    return Response(status_code=status.HTTP_204_NO_CONTENT)
 
 
 @router.get("")
