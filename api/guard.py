@@ -134,7 +134,7 @@ def _add(headers: MutableHeaders) -> None:
 
 
 def _from_elsewhere(headers: Headers, method: str) -> Response | None:
-    """Refuse what a page of another site makes a browser send, with a body or without one."""
+    """Refuse requests that change something and whose Origin is another site (CSRF)."""
     origin = headers.get("origin")
     if method in _READING or origin is None:
         return None

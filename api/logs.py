@@ -4,9 +4,10 @@ Records of a run's thread have its `run`; of a stage that begins, finishes, is l
 `run`, `stage`, `kind` and `attempt`.
 """
 
+import io
 import logging
 import sys
-from typing import Literal
+from typing import Literal, TextIO
 
 import structlog
 
@@ -36,7 +37,7 @@ def configure(log_format: LogFormat) -> None:
             structlog.dev.ConsoleRenderer(
                 colors=sys.stderr.isatty(),
                 pad_event_to=0,
-                exception_formatter=structlog.dev.plain_traceback,  # others print secrets' values
+                exception_formatter=_trace,
             ),
         ]
     handler = logging.StreamHandler()
@@ -46,13 +47,24 @@ def configure(log_format: LogFormat) -> None:
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
 
 
+def _trace(output: TextIO, error: structlog.typing.ExcInfo) -> None:
+    """A plain traceback (others print secrets' values), whose message begins no line either."""
+    plain = io.StringIO()
+    structlog.dev.plain_traceback(plain, error)
+    output.write(_indented(plain.getvalue()))
+
+
+def _indented(text: str) -> str:
+    return printable(text).replace("\n", "\n    ")
+
+
 def _as_one_record(
     logger: structlog.typing.WrappedLogger, name: str, event: structlog.typing.EventDict
 ) -> structlog.typing.EventDict:
     """Others' words cannot begin a line of their own, nor steer the terminal that shows them."""
     for key, value in event.items():
         if isinstance(value, str):
-            event[key] = printable(value).replace("\n", "\n    ")
+            event[key] = _indented(value)
     return event
 
 

@@ -179,10 +179,12 @@ class Robot:
 
     def _give_up(self, task: Json, lease: str, why: str) -> None:
         """The environment hangs: let others have the task, and end."""
-        self._report(f"{task['id']}: {why}; see to the robot, and start this client again")
-        with self._connect(_STOP_S) as client, suppress(Refused, Unreachable):
-            client.release_task(task["id"], lease)  # else it is free when the lease ends
-        self._abandon()
+        try:
+            self._report(f"{task['id']}: {why}; see to the robot, and start this client again")
+            with self._connect(_STOP_S) as client, suppress(Refused, Unreachable):
+                client.release_task(task["id"], lease)  # else it is free when the lease ends
+        finally:
+            self._abandon()
 
     def _why_stop(self, heart: "_Heart") -> str:
         return heart.why_stop() or ("by its owner" if self._stopped.is_set() else "")
@@ -257,7 +259,7 @@ class _Stopped(Exception):
 class _Heart:
     """Beats while an episode goes on and the environment answers, and knows when it should stop.
 
-    `hangs` is called, once and with the reason, where the environment does not return in time.
+    Calls `hangs(reason)`, once, if a `step` or a `reset` takes longer than it may.
     """
 
     def __init__(self, client: AdrClient, claimed: Json, hangs: Callable[[str], None]):

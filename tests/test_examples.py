@@ -15,6 +15,7 @@ SYBIL = Sybil(parsers=[PythonCodeBlockParser()], patterns=["*.md"])
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_examples_run_as_written(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where samples write their files
     if page.name == "add-a-method.md":  # whose second example imports the first, a file
         (tmp_path / "random_search.py").write_text(block("python", "class RandomSearch:"))
         monkeypatch.syspath_prepend(tmp_path)

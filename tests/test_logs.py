@@ -27,6 +27,10 @@ def told(request, monkeypatch):
         except ValueError:
             logging.getLogger("workers").exception("it broke", extra={"run": "run_1"})
         logging.getLogger("workers").warning("stage failed: %s", FORGED, extra={"robot": FORGED})
+        try:
+            raise ValueError(FORGED)
+        except ValueError:
+            logging.getLogger("workers").exception("it broke again")
     finally:
         root.handlers[:], root.level = handlers, level
     return request.param, output.getvalue()

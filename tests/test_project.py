@@ -18,8 +18,8 @@ import yaml
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("adr_service", "workers", "db", "api")
-# of FastAPI, pydantic and sbx-rl, and pinned by them
-PARTS = {"starlette", "anyio", "pydantic-core", "jax", "flax", "optax"}
+# of FastAPI, pydantic, uvicorn and sbx-rl, and pinned by them
+PARTS = {"starlette", "anyio", "pydantic-core", "h11", "jax", "flax", "optax"}
 
 NODES = ("head", "worker", "api")
 
@@ -134,7 +134,8 @@ def test_an_installed_service_has_its_pages_migrations_and_models(tmp_path):
     for name in files:
         (tmp_path / "source" / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / "source" / name)
-    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir"]
+    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-index"]
+    build += ["--no-build-isolation", "--wheel-dir"]
     subprocess.run([*build, str(tmp_path), str(tmp_path / "source")], check=True)
     (wheel,) = tmp_path.glob("*.whl")
     held = set(zipfile.ZipFile(wheel).namelist())

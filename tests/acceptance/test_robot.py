@@ -1,5 +1,9 @@
 """A robot in the loop: another process that the service knows by its leases alone."""
 
+import json
+import os
+import re
+import socket
 import sqlite3
 import subprocess
 import sys
@@ -7,6 +11,7 @@ import threading
 import time
 from contextlib import closing, contextmanager
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -102,6 +107,42 @@ def test_a_robot_that_dies_in_an_episode_costs_that_episode_alone(service, tmp_p
     assert [row["episodes"] for row in rows] == [2, 2, 2]
     assert rows[0]["estimation_error"] is None  # nobody knows a robot's truth
     assert "return" in (tmp_path / "b").read_text()
+
+
+def test_a_client_that_has_gone_while_it_waited_gets_no_task(service):
+    client = service.client
+    host, port = client.url.removeprefix("http://").split(":")
+    body = json.dumps({"worker": "gone", "tasks": ["arm"], "wait_s": 20}).encode()
+    head = f"POST /v1/target_tasks/claim HTTP/1.1\r\nHost: {host}\r\n"
+    head += f"Content-Type: application/json\r\nContent-Length: {len(body)}\r\n\r\n"
+    with socket.create_connection((host, int(port))) as waiting:
+        waiting.sendall(head.encode() + body)
+        time.sleep(1)  # it waits there; nothing shows it
+    run_id = client.submit_run({**RUN, "seed": 77})["id"]
+    until(lambda: tasks_of(client, run_id))
+    time.sleep(1)  # for whoever still waits
+    assert {(t["state"], t["attempt"]) for t in tasks_of(client, run_id)} == {("pending", 0)}
+    client.cancel(run_id)
+
+
+@pytest.mark.slow
+def test_the_docs_commands_run_an_external_target_to_its_end(service, tmp_path):
+    page = (Path(__file__).parents[2] / "docs/robots.md").read_text()
+    (module,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    commands = re.findall(r"```bash\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "my_robot.py").write_text(module)
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-e", "-c", commands[0]],
+        cwd=tmp_path,
+        env={**os.environ, "ADR_URL": service.client.url, "PATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=200,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "simopt         1" in done.stdout
 
 
 def test_a_simulated_target_goes_through_the_same_tasks(service):
