@@ -19,7 +19,7 @@ Paragraphs = Annotated[str, Field(pattern=rf"^[^{_CONTROL}]*$")]
 
 
 def is_a_line(text: str) -> bool:
-    """Whether a text can stand in a line, without control characters."""
+    """True if the text has no line ends or other control characters."""
     return not _NOT_IN_A_LINE.search(text)
 
 

@@ -30,7 +30,7 @@ _REFUSAL = (
 
 
 def connections_allowed(given: int | None = None) -> int:
-    """How many connections to accept: what was given, but no more than the descriptors allow."""
+    """Number of connections to accept: the given one, or as many as the descriptors allow."""
     possible = max(_descriptors() - _KEPT, _KEPT // 8)
     if given is not None and given > possible:
         log.warning(
@@ -54,12 +54,12 @@ def _descriptors() -> int:
 
 
 def bounded(most: int) -> type[asyncio.Protocol]:
-    """Uvicorn's HTTP/1.1 for at most so many connections at once."""
+    """Return uvicorn's HTTP/1.1 protocol with a limit on the connections at once."""
     return cast("type[asyncio.Protocol]", partial(_Bounded, most, count()))
 
 
 class _Bounded(H11Protocol):
-    """Overrides what uvicorn calls, and adds one clock: for what the client owes."""
+    """Adds two clocks to uvicorn's protocol: for what the client sends, and for what it reads."""
 
     def __init__(self, most: int, turns: Iterator[int], *given: Any, **named: Any):
         super().__init__(*given, **named)

@@ -1,4 +1,4 @@
-"""Who may come in, from where, how often, and with how much; and what answers say to browsers.
+"""Limits on hosts, origins, tokens, rates and bodies, and the headers that protect browsers.
 
 Plain ASGI, so that streams pass through unbuffered.
 """

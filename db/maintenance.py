@@ -33,7 +33,7 @@ def revision_of(path: Path) -> str | None:
 
 
 def check(path: Path) -> list[str]:
-    """What is wrong with the file, its references, artifacts and tables, a line each."""
+    """List the damage to the file, its references, artifacts and tables, a line each."""
     found: list[str] = []
     with _reader(path) as connection:
         connection.text_factory = lambda text: text.decode(errors="replace")
@@ -52,7 +52,7 @@ def check(path: Path) -> list[str]:
 
 
 def unfinished(path: Path) -> list[str]:
-    """How the tables differ from those of the file's revision, a line each."""
+    """List the differences between the tables and those of the file's revision, a line each."""
     with _reader(path) as connection:
         engine = create_engine("sqlite://", creator=lambda: connection, poolclass=StaticPool)
         with engine.connect() as reading:

@@ -51,7 +51,7 @@ class Schema:
 
 
 def differences(connection: Connection, revision: str | None) -> list[str]:
-    """What the tables lack of a revision, and what later revisions have, a line each.
+    """List what the tables lack of a revision, and tables of later revisions, a line each.
 
     Tables that no revision has are somebody else's, and pass.
     """

@@ -78,7 +78,7 @@ def count(database, table):
 
 @contextmanager
 def statements():
-    """What is sent to any database meanwhile."""
+    """Collect the statements that are sent to any database meanwhile."""
     sent = []
     note = lambda *given: sent.append(given[2])  # noqa: E731
     engine_event.listen(Engine, "before_cursor_execute", note)
@@ -671,7 +671,7 @@ class TestMigrations:
     def test_what_upgrades_of_earlier_versions_left_half_done_is_cleared_away(
         self, tmp_path, revision
     ):
-        """They stored each statement by itself; here, without the last line of the story."""
+        """The tables of 0004, with the revision still at the one before."""
         path = tmp_path / "adr.sqlite"
         url = f"sqlite:///{path}"
         command.upgrade(alembic_config(url), "0004")

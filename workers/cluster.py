@@ -76,10 +76,10 @@ class Cluster:
 
     @property
     def is_alive(self) -> bool:
-        """Whether Ray's own processes live; of a cluster that was joined, nobody can tell.
+        """True while the GCS and the raylet of a local cluster live; always, of a joined one.
 
-        To ask a dead GCS (Ray's control process) anything blocks, and ends this process after a
-        minute, so this asks the system.
+        This looks at the processes: a question to a dead GCS (Ray's control process) blocks, and
+        after a minute Ray ends this process.
         """
         try:
             return all(

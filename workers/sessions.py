@@ -1,4 +1,4 @@
-"""Where a local Ray cluster keeps its sockets, logs and token: a folder that nobody else can enter.
+"""The folder of a local Ray cluster's sockets, logs and token, which nobody else can enter.
 
     sessions = Sessions(data_dir)       # SessionsInUse where another service has it
     ray.init(_temp_dir=str(sessions.path), …)

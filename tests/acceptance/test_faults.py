@@ -104,7 +104,7 @@ def everything(client: AdrClient) -> str:
 
 
 def has_tables(database: sqlite3.Connection) -> bool:
-    """Whether the service came as far as that before it died."""
+    """True if the service had made its tables before it died."""
     return bool(database.execute("select 1 from sqlite_master where name = 'stages'").fetchone())
 
 
