@@ -68,7 +68,8 @@ class _Bounded(H11Protocol):
         self._owed = ""
         self._clock: asyncio.TimerHandle | None = None
         self._reading: asyncio.TimerHandle | None = None
-        self._unread = 0  # bytes of answers, when the client was looked at
+        self._reads = 0  # times that the client was seen to have read
+        self._seen = (0, 0)  # these, and the bytes that it had not read, at the last look
 
     @property
     def is_idle(self) -> bool:
@@ -94,6 +95,7 @@ class _Bounded(H11Protocol):
     def on_response_complete(self) -> None:
         super().on_response_complete()
         self._turn = next(self._turns)
+        self._reads += 1
         self._watch()
         self._watch_reader()  # also where the connection is closing
 
@@ -107,6 +109,10 @@ class _Bounded(H11Protocol):
         super().pause_writing()
         self._watch_reader()
 
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        self._reads += 1
+
     def refuse(self, status: bytes) -> None:
         """Close an idle connection, with the reason for a client that waits for an answer."""
         self.transport.write(_REFUSAL % status)
@@ -119,16 +125,17 @@ class _Bounded(H11Protocol):
 
     def _watch_reader(self) -> None:
         """Look every `_STALLED_S` whether the client reads, while it has something to read."""
-        if self._reading is None:
-            self._unread = self.transport.get_write_buffer_size()
+        unread = self.transport.get_write_buffer_size()
+        if self._reading is None and (unread or self.transport.is_closing()):
+            self._seen = (self._reads, unread)
             self._reading = self.loop.call_later(_STALLED_S, self._look_at_reader)
 
     def _look_at_reader(self) -> None:
-        self._reading, before = None, self._unread
-        now = self.transport.get_write_buffer_size()
-        if now and now >= before:
+        self._reading, (reads, before) = None, self._seen
+        unread = self.transport.get_write_buffer_size()
+        if unread and unread >= before and self._reads == reads:
             self.transport.abort()
-        elif now or self.transport.is_closing():
+        else:
             self._watch_reader()
 
     def _watch(self) -> None:

@@ -117,6 +117,19 @@ def test_who_reads_an_answer_slowly_gets_it_all_and_who_does_not_read_is_cut(mon
         assert read_to_the_end(silent) < LARGE
 
 
+def test_a_client_that_reads_one_answer_after_the_other_keeps_its_connection(monkeypatch):
+    monkeypatch.setattr(connections, "_STALLED_S", 0.3)
+    with served(5) as port, httpx2.Client(base_url=f"http://127.0.0.1:{port}") as client:
+        for _ in range(6):
+            assert client.get("/quick").text == '"here"'
+            with client.stream("GET", "/large") as answer:
+                got = 0
+                for part in answer.iter_raw(4_000_000):
+                    got += len(part)
+                    time.sleep(0.02)
+            assert got == LARGE
+
+
 def read_to_the_end(client):
     """The number of bytes that come before the connection ends, in whatever way."""
     got = 0
