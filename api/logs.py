@@ -45,6 +45,7 @@ def configure(log_format: LogFormat) -> None:
         structlog.stdlib.ProcessorFormatter(foreign_pre_chain=known, processors=form)
     )
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+    logging.getLogger("alembic").setLevel(logging.WARNING)  # it tells of models in memory as well
 
 
 def _trace(output: TextIO, error: structlog.typing.ExcInfo) -> None:

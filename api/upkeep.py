@@ -12,6 +12,7 @@ from adr_service.errors import AdrError, InvalidInput
 from api.settings import read_settings
 from db import maintenance
 from db.backends import file_of
+from db.errors import DatabaseInUse
 from db.session import Database, open_database
 
 app = typer.Typer(help="Look after the service's database.", no_args_is_help=True)
@@ -54,7 +55,15 @@ def restore(
     data_dir: DataDir = None,
 ) -> None:
     """Put a backup in the place of the database, while no service runs; the old file stays."""
+    from workers.sessions import is_in_use  # imports Ray
+
     path = _path(data_dir)
+    folder = read_settings(**({} if data_dir is None else {"data_dir": data_dir})).data_dir
+    if is_in_use(folder):
+        raise DatabaseInUse(
+            f"a service runs in {folder}, perhaps on a database that was deleted meanwhile; stop "
+            "it first"
+        )
     with closing(Database(_url(data_dir))):
         aside = maintenance.restore(path, copy)
     console.print(

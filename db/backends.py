@@ -113,6 +113,21 @@ def backend_of(url: str) -> Backend:
     return (_Postgresql if _parsed(url).drivername == "postgresql+psycopg" else _Sqlite)(url)
 
 
+def check_log(url: str) -> None:
+    """Refuse an SQLite file that is not there although its write-ahead log is."""
+    if _parsed(url).get_backend_name() != "sqlite":
+        return
+    path = file_of(url)
+    log_file = path.with_name(f"{path.name}-wal")
+    if not path.exists() and log_file.exists():
+        raise InvalidInput(
+            f"{path} is not there, but its log is ({log_file.name}): a new database would begin "
+            "empty, and what the log has would be lost. Stop the service that may still have them "
+            "open, then put the database back, restore a backup (`adr db restore COPY`), or remove "
+            "the log"
+        )
+
+
 def file_of(url: str) -> Path:
     """The SQLite file that a URL names."""
     parsed = _parsed(url)
@@ -146,6 +161,7 @@ class _Sqlite:
     def __init__(self, url: str):
         self._path = file_of(url)
         self.name = str(self._path)
+        self._log_file = self._path.with_name(f"{self._path.name}-wal")
         self._file = -1  # descriptor that holds the lock
         self._log: int | None = None  # inode of the write-ahead log, once it was seen
         self.writer = self._engine(url, read_only=False)
@@ -184,7 +200,7 @@ class _Sqlite:
 
     def check_in_place(self) -> None:
         """The file and its write-ahead log must be those that were opened."""
-        log_file = self._path.with_name(f"{self._path.name}-wal")
+        log_file = self._log_file
         try:
             opened, there = os.fstat(self._file), os.stat(self._path)
             if not os.path.samestat(opened, there):

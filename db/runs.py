@@ -90,8 +90,8 @@ def _readable(kind: str) -> Generator[None]:
         yield
     except ValidationError as error:
         raise DatabaseDamaged(
-            f"a stored {kind} cannot be read ({explain(error, kind)}): the database is damaged "
-            "(`adr db check` says where), or a package is missing whose task or method it names"
+            f"a stored {kind} cannot be read ({explain(error, kind)}): a package is missing whose "
+            "task or method it names, or the database is damaged (`adr db check` says where)"
         ) from error
 
 

@@ -13,7 +13,7 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from sqlalchemy.orm import Session
 
-from db.backends import BUSY_TIMEOUT_MS, backend_of
+from db.backends import BUSY_TIMEOUT_MS, backend_of, check_log
 from db.errors import DatabaseDamaged, DatabaseNewer, DatabaseUnavailable
 from db.failpoints import failpoint
 from db.schema import alembic_config, head, revisions
@@ -139,6 +139,7 @@ def open_database(url: str) -> Database:
     Before an upgrade an SQLite file is copied to another beside it. Raises DatabaseNewer where a
     later version of the service has written it.
     """
+    check_log(url)
     database = Database(url)
     try:
         database.upgrade()

@@ -54,6 +54,7 @@ from db.errors import (
 from db.models import ResultsRow, RunRow
 from db.schema import alembic_config, head
 from db.session import Database, open_database
+from workers.sessions import Sessions
 
 SPEC = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})
 STAGE = Stage("evaluate", {"x": 1})
@@ -429,6 +430,24 @@ class TestSession:
             shutil.copy(tmp_path / "elsewhere", tmp_path / file)
         with pytest.raises(DatabaseGone, match=rf"{file} was deleted or replaced"):
             runs.create_run(file_database, SPEC)
+
+    def test_a_log_without_its_database_is_not_thrown_away(self, tmp_path):
+        """The database may have been moved, and its last commits are in the log."""
+        path = tmp_path / "adr.sqlite"
+        database = open_database(f"sqlite:///{path}")
+        run = runs.create_run(database, SPEC)
+        killed = tmp_path / "killed"
+        killed.mkdir()
+        for file in tmp_path.glob("adr.sqlite*"):
+            shutil.copy(file, killed)
+        database.close()
+        url = f"sqlite:///{killed / 'adr.sqlite'}"
+        (killed / "adr.sqlite").rename(killed / "moved")
+        with pytest.raises(InvalidInput, match=r"not there, but its log is \(adr.sqlite-wal\)"):
+            open_database(url)
+        (killed / "moved").rename(killed / "adr.sqlite")
+        with closing(open_database(url)) as database:
+            assert runs.get_run(database, run.id) == run
 
     def test_no_file_beside_the_database_holds_its_lock(self, file_database, tmp_path):
         for file in tmp_path.glob("adr.sqlite?lock*"):
@@ -822,6 +841,9 @@ class TestUpkeep:
             maintenance.backup(path, copy)
             in_use = self.adr(tmp_path, "restore", str(copy))
             assert isinstance(in_use.exception, DatabaseInUse)
+        with closing(Sessions(tmp_path)):  # of a service whose database was deleted
+            in_use = self.adr(tmp_path, "restore", str(copy))
+            assert "a service runs in" in str(in_use.exception)
         path.write_bytes(b"what?")
         assert "is copy.sqlite now" in self.adr(tmp_path, "restore", str(copy)).output.replace(
             "\n", ""

@@ -507,6 +507,8 @@ class Dispatcher:
     def _note_so_far(self, job: _Job, so_far: SoFar) -> None:
         try:
             self._ledger.note(job.stage, so_far, job.run_ids)
+        except DatabaseUnavailable as error:
+            log.warning("what the stage has so far is not stored: %s", error, extra=job.ids)
         except Exception:  # the result will be stored, or fail, by itself
             log.exception("what the stage has so far could not be stored", extra=job.ids)
 

@@ -88,6 +88,21 @@ class Sessions:
         return short / "ray"
 
 
+def is_in_use(folder: Path) -> bool:
+    """True if a service that runs keeps its Ray in this folder."""
+    home = folder / "ray"
+    if not home.is_dir():
+        return False
+    lock = os.open(home, os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(lock)
+    return False
+
+
 def _remove_short_path(short: Path) -> None:
     with suppress(OSError):  # it is gone, or not ours
         (short / "ray").unlink()
