@@ -35,7 +35,7 @@ def guarded(tmp_path_factory):
     environment = {
         "ADR_TOKEN": TOKEN,
         "ADR_ROBOT_TOKEN": ROBOT,
-        "ADR_RATE": "100/second",
+        "ADR_RATE": "150/second",  # more than the tests send by themselves
         "ADR_MAX_LIVE_RUNS": "3",
     }
     with start_service(folder, cpus=1, environment=environment) as running:
