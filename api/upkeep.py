@@ -34,8 +34,8 @@ def check(data_dir: DataDir = None) -> None:
         advice = "restore a backup: adr db restore COPY"
         raise Damaged("\n".join([f"{path} is damaged; {advice}", *wrong]))
     if open_ends := maintenance.unfinished(path):
-        advice = "`adr db upgrade`, or the next start of the service, mends it"
-        raise Damaged("\n".join([f"{path} was not upgraded to its end; {advice}", *open_ends]))
+        advice = "an upgrade that was cut short goes on with `adr db upgrade`"
+        raise Damaged("\n".join([f"{path} has other tables than expected; {advice}", *open_ends]))
     found = ", ".join(f"{count} {table}" for table, count in maintenance.counts(path).items())
     console.print(escape(f"{path} is sound: {found}; revision {maintenance.revision_of(path)}"))
 

@@ -100,7 +100,7 @@ def test_a_browser_reads_by_password_and_cannot_be_made_to_write(http):
 @pytest.mark.parametrize("path", ["/v1/runs/run_0/cancel", "/v1/benchmarks/bench_0/resume"])
 @pytest.mark.parametrize("origin", ["https://attacker.example", "null", "http://127.0.0.1:1"])
 def test_a_page_elsewhere_cannot_change_anything_even_without_a_body(http, path, origin):
-    """Without a token, such a request needs nothing but somebody's browser."""
+    """A browser sends such a request for any page, and no token may be needed."""
     refused = http.post(path, headers={**bearer(TOKEN), "Origin": origin})
     assert refused.status_code == 403
     assert refused.json()["type"] == "/problems/foreign_origin"
