@@ -10,7 +10,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
-from adr_service.wire import canonical_json
+from adr_service.json_values import canonical_json
 
 _SEPARATOR = "@"
 

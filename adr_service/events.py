@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter
 
-from adr_service.wire import Wire
+from adr_service.json_values import Wire
 
 RunState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
 FINISHED: frozenset[RunState] = frozenset({"succeeded", "failed", "cancelled"})

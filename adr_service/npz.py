@@ -16,7 +16,7 @@ from numpy.lib import format as npy
 from numpy.typing import ArrayLike
 
 from adr_service.errors import InvalidInput
-from adr_service.wire import is_a_line
+from adr_service.json_values import is_a_line
 
 _MOST_NUMBERS = 2**25  # of all arrays together: 256 MB as float64
 _MOST_TEXTS = 10_000

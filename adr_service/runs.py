@@ -22,6 +22,7 @@ import numpy as np
 from adr_service.distributions import Distribution, Gaussian, Uniform, distribution_from_json
 from adr_service.errors import InvalidInput
 from adr_service.events import CriticismFinished, IterationFinished, RunEvent
+from adr_service.json_values import sha256
 from adr_service.methods.base import OfflineSettings, OnlineSettings, Problem
 from adr_service.methods.bayrn import BayRnSettings
 from adr_service.methods.catalogue import identity_of as identity_of_method
@@ -35,7 +36,6 @@ from adr_service.stages import Stage, StageResult, Stages
 from adr_service.target import Recording, Target, Visit, open_target, truth_as_distribution
 from adr_service.tasks.catalogue import get_task, identity_of, source_of
 from adr_service.transitions import TransitionDataset
-from adr_service.wire import sha256
 
 Program = Generator[RunEvent, None, None]
 

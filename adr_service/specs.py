@@ -27,6 +27,7 @@ from pydantic_core import CoreSchema
 
 from adr_service.causes import Cause, domain_of
 from adr_service.errors import AdrError, InvalidInput, UnknownName
+from adr_service.json_values import Wire, explain
 from adr_service.methods.base import OfflineSettings
 from adr_service.methods.catalogue import AnyMethod, methods
 from adr_service.methods.references import OracleSettings
@@ -35,7 +36,6 @@ from adr_service.presets import PRESETS
 from adr_service.simulation.batch import check_effects
 from adr_service.tasks.catalogue import catalogue, get_task, variant_of
 from adr_service.training.settings import TrainingSettings
-from adr_service.wire import Wire, explain
 
 MAX_RUNS = 5000  # of one benchmark
 Collector = Literal["simopt", "prior", "random"]

@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Any, Literal, Protocol
 
 from adr_service.events import RunEvent, StageFinished, TrainingEvaluated
-from adr_service.wire import canonical_json, sha256
+from adr_service.json_values import canonical_json, sha256
 
 Role = Literal["trainer", "inference", "target", "robot"]
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from adr_service.arrays import Indices, Matrix, frozen
 from adr_service.errors import InvalidInput
+from adr_service.json_values import sha256
 from adr_service.npz import read_arrays, write_arrays
-from adr_service.wire import sha256
 
 MOST_EPISODES = 100_000
 _NEEDED = ("observations", "actions", "next_observations", "dt")

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from adr_service.criticism.words import sure
-from adr_service.wire import printable
+from adr_service.json_values import printable
 from api.client import AdrClient, Json, is_finished
 
 _REPORT_EVERY = 20  # looks, where the output is not a terminal

@@ -3,7 +3,7 @@
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from adr_service.wire import sha256
+from adr_service.json_values import sha256
 
 
 class Etags:

@@ -11,7 +11,7 @@ from typing import Literal, TextIO
 
 import structlog
 
-from adr_service.wire import printable
+from adr_service.json_values import printable
 
 LogFormat = Literal["text", "json"]
 

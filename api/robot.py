@@ -21,11 +21,11 @@ import numpy as np
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.errors import InvalidInput, UnknownName
+from adr_service.json_values import printable
 from adr_service.npz import write_arrays
 from adr_service.randomness import stream
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
-from adr_service.wire import printable
 from api.client import AdrClient, Json, Refused, Unreachable
 
 Env = gymnasium.Env[Any, Any]

@@ -19,10 +19,10 @@ from adr_service.benchmark.utilisation import utilisation
 from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.criticism.simulator import Nominal, check_measurement
 from adr_service.errors import AdrError, InvalidInput
+from adr_service.json_values import canonical_json, sha256
 from adr_service.specs import AnyRun, CriticismSpec, RunSpec
 from adr_service.target import Recording
 from adr_service.tasks.catalogue import get_task, source_of
-from adr_service.wire import canonical_json, sha256
 from api.settings import Settings
 from api.views import CostView, cost_view, results_view
 from db import datasets as dataset_store

@@ -8,8 +8,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from adr_service.errors import InvalidInput
+from adr_service.json_values import explain
 from adr_service.specs import RunSpec
-from adr_service.wire import explain
 
 
 def search(

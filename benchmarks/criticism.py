@@ -29,8 +29,8 @@ from adr_service.criticism.pipeline import Criticism, criticise, split
 from adr_service.criticism.simulator import Nominal
 from adr_service.criticism.verdict import Gain
 from adr_service.errors import AdrError
+from adr_service.json_values import sha256
 from adr_service.tasks.catalogue import get_task, source_of
-from adr_service.wire import sha256
 
 FOLDER = Path("build/bench")
 RATIOS = (0.03, 0.1, 0.3, 1.0)

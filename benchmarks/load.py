@@ -44,10 +44,10 @@ from adr_service.events import (
     StageFinished,
     TrainingEvaluated,
 )
+from adr_service.json_values import sha256
 from adr_service.specs import BenchmarkSpec, RunSpec
 from adr_service.target import truth_as_distribution
 from adr_service.tasks.catalogue import source_of
-from adr_service.wire import sha256
 from api.client import AdrClient, Unreachable
 from db.session import open_database
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from sqlalchemy import StaticPool, create_engine
 
 from adr_service.errors import InvalidInput
-from adr_service.wire import sha256
+from adr_service.json_values import sha256
 from db.schema import differences, head
 
 

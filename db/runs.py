@@ -22,8 +22,8 @@ from adr_service.events import (
     event_from_json,
     next_state,
 )
+from adr_service.json_values import explain
 from adr_service.specs import MAX_RUNS, AnyRun, BenchmarkExtension, BenchmarkSpec, RunSpec
-from adr_service.wire import explain
 from db.datasets import get_dataset
 from db.errors import DatabaseDamaged, NotFound, NotPossible
 from db.models import BenchmarkRow, EventRow, ResultsRow, RunRow

@@ -10,8 +10,8 @@ from sqlalchemy import delete, exists, select
 from sqlalchemy.orm import Session
 
 from adr_service.benchmark.utilisation import Timing
+from adr_service.json_values import canonical_json, sha256
 from adr_service.stages import StageResult
-from adr_service.wire import canonical_json, sha256
 from db.models import (
     ArtifactRow,
     CheckpointRow,

@@ -21,8 +21,8 @@ from sqlalchemy.orm import Session
 
 from adr_service.errors import AdrError
 from adr_service.events import FINISHED
+from adr_service.json_values import canonical_json, sha256
 from adr_service.stages import KINDS, Stage, StageResult
-from adr_service.wire import canonical_json, sha256
 from db.errors import NotFound
 from db.models import ArtifactRow, RunRow, StageArtifactRow, TargetTaskRow
 from db.session import Database

@@ -33,11 +33,11 @@ from adr_service.events import (
     TrainingEvaluated,
     state_after,
 )
+from adr_service.json_values import canonical_json, sha256
 from adr_service.presets import PRESETS
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec, RunSpec
 from adr_service.stages import Stage, StageResult
 from adr_service.transitions import TransitionDataset
-from adr_service.wire import canonical_json, sha256
 from api import upkeep
 from api.cli import app
 from db import datasets, maintenance, runs, schema, stages

@@ -19,9 +19,9 @@ from ray.exceptions import RayError
 
 from adr_service.computation import compute
 from adr_service.errors import AdrError
-from adr_service.preparation import preparation_seconds
 from adr_service.progress import SoFar, StageCancelled
 from adr_service.stages import Stage, StageResult
+from adr_service.startup_time import preparation_seconds
 from workers.board import SignOfLife
 
 SIGN_OF_LIFE_S = 1.0

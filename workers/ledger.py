@@ -9,9 +9,9 @@ from sqlalchemy.orm import Session
 
 from adr_service.benchmark.utilisation import Timing
 from adr_service.events import RunEvent
+from adr_service.json_values import canonical_json
 from adr_service.progress import SoFar
 from adr_service.stages import KINDS, Stage, StageResult, events_of, learning_curve
-from adr_service.wire import canonical_json
 from db import runs as run_store
 from db import stages as stage_store
 from db import target_tasks as task_store

@@ -19,10 +19,10 @@ from typing import Literal
 
 from adr_service.benchmark.comparison import Outcome, returns_of, table
 from adr_service.benchmark.statistics import Interval, difference, interval, mean
+from adr_service.json_values import canonical_json
 from adr_service.methods.references import PriorSettings
 from adr_service.randomness import stream
 from adr_service.specs import RunSpec, SimulatedTarget
-from adr_service.wire import canonical_json
 
 Verdict = Literal["supported", "contradicted", "undecided", "not measured"]
 _SOLVED = 0.95  # normalised target return

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adr_service.json_values import canonical_json
 from adr_service.methods.base import OfflineSettings, OnlineSettings
 from adr_service.methods.bayrn import BayRnSettings
 from adr_service.methods.references import OracleSettings, PriorSettings
@@ -18,7 +19,6 @@ from adr_service.specs import RecordedTarget, RunSpec
 from adr_service.tasks.base import Task
 from adr_service.tasks.catalogue import get_task, source_of, variants_of
 from adr_service.training.settings import TrainingSettings
-from adr_service.wire import canonical_json
 
 # Seconds of one gradient step on one server core: what does not shrink with the networks, and what
 # grows with them, for 2x128 and batches of 256. From trainings of `hopper`, docs/training.md.

@@ -15,11 +15,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from adr_service.distributions import Distribution
+from adr_service.json_values import Wire
 from adr_service.progress import Progress
 from adr_service.tasks.base import Source, Task
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
-from adr_service.wire import Wire
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.distributions import Uniform
 from adr_service.methods.base import MethodSettings
 from adr_service.parameters import ParameterSpace
-from adr_service.preparation import preparing
+from adr_service.startup_time import preparing
 
 
 class BayRnSettings(MethodSettings):

@@ -23,12 +23,12 @@ from stable_baselines3.common.logger import Logger
 
 from adr_service.distributions import Distribution
 from adr_service.errors import InvalidInput
-from adr_service.preparation import add_preparation, preparing
 from adr_service.progress import Progress, SoFar, silent
 from adr_service.randomness import integer_seed
 from adr_service.simulation.batch import Simulations
 from adr_service.simulation.rollout import run_episodes
 from adr_service.simulation.vec_env import RandomizedVecEnv
+from adr_service.startup_time import add_preparation, preparing
 from adr_service.tasks.base import Source, Task
 from adr_service.training.policy import Layer, Policy
 from adr_service.training.settings import TrainingSettings

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from adr_service.wire import Wire
+from adr_service.json_values import Wire
 
 
 class TrainingSettings(Wire):

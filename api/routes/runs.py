@@ -13,8 +13,8 @@ from adr_service.benchmark.comparison import table, to_csv
 from adr_service.benchmark.figures import Format, draw, drawable
 from adr_service.benchmark.protocol import Plan, plan
 from adr_service.events import RunState
+from adr_service.json_values import sha256
 from adr_service.specs import AnyRun, RunSpec
-from adr_service.wire import sha256
 from api.bodies import RunBody
 from api.service import IdempotencyKey, Service, ServiceDependency, request_key
 from api.views import (

@@ -12,7 +12,7 @@ import anyio
 from fastapi import APIRouter, Body, Depends, Header, Query, Request, Response, status
 from pydantic import Field
 
-from adr_service.wire import Line, Paragraphs, Wire
+from adr_service.json_values import Line, Paragraphs, Wire
 from api.routes.datasets import LARGEST, NPZ, octets
 from api.routes.runs import LOOK_EVERY_S, PageSize, bytes_response
 from api.service import ServiceDependency

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
+from adr_service.json_values import sha256
 from adr_service.presets import PRESETS
 from adr_service.runs import run
 from adr_service.specs import CriticismSpec, RunSpec
 from adr_service.transitions import dataset_id
-from adr_service.wire import sha256
 from tests.contracts.canned import CannedStages
 from tests.recordings import recording
 
