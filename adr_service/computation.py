@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.simulator import Nominal
+from adr_service.criticism.nominal import Nominal
 from adr_service.distributions import Uniform, distribution_from_json
 from adr_service.errors import InvalidInput
 from adr_service.events import RunEvent

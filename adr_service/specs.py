@@ -25,7 +25,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema
 
-from adr_service.causes import Cause, domain_of
+from adr_service.effects.base import Effect, domain_of
 from adr_service.errors import AdrError, InvalidInput, UnknownName
 from adr_service.json_values import Wire, explain
 from adr_service.methods.base import OfflineSettings
@@ -83,20 +83,6 @@ NameOrSettings = Annotated[
     # no name is settings too, which fuzzers cannot see behind "oneOf"
     Field(json_schema_extra=lambda schema: schema.update(anyOf=schema.pop("oneOf"))),
 ]
-
-
-class Effect(Wire):
-    """An effect that a simulator's file lacks, as criticism names it."""
-
-    kind: Name
-    location: Name = Field(description="as joint:elbow, or global")
-    values: list[float] = Field(
-        min_length=1, max_length=100, description="strengths in the mechanism's order"
-    )
-
-    @property
-    def cause(self) -> Cause:
-        return Cause(self.kind, self.location, tuple(self.values))
 
 
 class SimulatedTarget(Wire):
@@ -211,7 +197,7 @@ class RunSpec(Wire):
             ("target.effects", pair.hidden.source, self.hidden_effects),
         ):
             try:
-                check_effects(task, replace(source, causes=tuple(e.cause for e in effects)))
+                check_effects(task, replace(source, effects=tuple(effects)))
             except AdrError as error:
                 raise ValueError(f"{name}: {error}") from error
         horizon = task.horizon
@@ -247,12 +233,12 @@ class RunSpec(Wire):
     @property
     def source_domain(self) -> str:
         """What methods may simulate."""
-        return domain_of(self.variant, [effect.cause for effect in self.extension])
+        return domain_of(self.variant, self.extension)
 
     @property
     def target_domain(self) -> str:
         """What they are judged on."""
-        return domain_of(self.variant, [effect.cause for effect in self.hidden_effects])
+        return domain_of(self.variant, self.hidden_effects)
 
     @property
     def hidden_effects(self) -> list[Effect]:

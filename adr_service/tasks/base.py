@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector, frozen
-from adr_service.causes import Cause
+from adr_service.effects.base import Effect
 from adr_service.parameters import ParameterSpace
 
 _UNMODELED_FACTOR = 0.8  # random-envs: what the unmodeled source gets wrong is 0.8 of the truth
@@ -33,7 +33,7 @@ class Source:
 
     space: ParameterSpace
     fixed: Mapping[str, float] = field(default_factory=dict[str, float])
-    causes: tuple[Cause, ...] = ()  # effects beyond what the task's file has
+    effects: tuple[Effect, ...] = ()  # beyond what the task's file has
 
 
 @dataclass(frozen=True)

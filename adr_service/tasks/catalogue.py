@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
-from adr_service.causes import parse_domain
+from adr_service.effects.base import parse_domain
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.plugins import installed, load, origin, package_of
 from adr_service.tasks import arm, half_cheetah, hopper, humanoid, walker2d
@@ -63,8 +63,8 @@ def variant_of(task: str, variant: str) -> Variant:
 
 def source_of(task: str, domain: str) -> Source:
     """What methods may simulate of a task's variant, with the effects that the domain adds."""
-    variant, causes = parse_domain(domain)
-    return replace(variant_of(task, variant).source, causes=causes)
+    variant, effects = parse_domain(domain)
+    return replace(variant_of(task, variant).source, effects=effects)
 
 
 def hidden_of(task: str, domain: str) -> Hidden:
@@ -72,9 +72,9 @@ def hidden_of(task: str, domain: str) -> Hidden:
 
     For simulated targets and environments alone.
     """
-    variant, causes = parse_domain(domain)
+    variant, effects = parse_domain(domain)
     hidden = variant_of(task, variant).hidden
-    return replace(hidden, source=replace(hidden.source, causes=causes))
+    return replace(hidden, source=replace(hidden.source, effects=effects))
 
 
 def identity_of(task: str) -> Mapping[str, str]:
