@@ -13,7 +13,6 @@ of what it changes in one control step and of what noise adds to a difference of
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import mujoco
 import numpy as np
@@ -28,6 +27,7 @@ from adr_service.effects.models import element_of
 from adr_service.effects.signals import obeyed, recorded
 from adr_service.errors import InvalidInput
 from adr_service.tasks.base import State, Task
+from benchmarks.outside import OUTSIDE, Force, Outside
 
 EPISODES, STEPS = 30, 75
 _FINER = 4
@@ -35,17 +35,6 @@ _POSITION_NOISE, _VELOCITY_NOISE = 1e-3, 1e-2  # [rad or m], [rad/s or m/s]
 _ADJUSTMENTS = 6  # of an effect's size, which is not always in proportion to its strength
 _TOLD_APART = 0.05  # of an effect, that no free parameter may absorb
 _OFF = 0.1  # relative error of the parameters that the diagnosis starts from
-
-Outside = Literal[
-    "torque_ripple", "cross_coupling", "position_dependent_friction", "gain_drift", "disturbance"
-]
-OUTSIDE: tuple[Outside, ...] = (
-    "torque_ripple",
-    "cross_coupling",
-    "position_dependent_friction",
-    "gain_drift",
-    "disturbance",
-)
 
 
 @dataclass(frozen=True)
@@ -58,33 +47,6 @@ class Case:
     outside: Outside | None  # not in it
     ratio: float  # of the effect to the noise
     truth: Vector  # (d,) parameters of the hidden robot
-
-
-@dataclass(frozen=True)
-class _Force:
-    """An effect outside the catalogue, on one degree of freedom."""
-
-    kind: Outside
-    dof: int
-    actuator: int
-    other: int  # actuator
-    size: float
-
-    def at(self, data: mujoco.MjData, seconds: float, length: float) -> float:
-        """Generalised force [N or N m] at a moment of the whole recording."""
-        position, velocity = data.qpos[self.dof], data.qvel[self.dof]
-        match self.kind:
-            case "torque_ripple":
-                return self.size * float(np.sin(12 * position))
-            case "cross_coupling":
-                return self.size * float(data.ctrl[self.other])
-            case "position_dependent_friction":
-                turn = 1 + np.sin(6 * position)
-                return -self.size * float(turn * np.tanh(velocity / 0.05))
-            case "gain_drift":
-                return self.size * float(data.ctrl[self.actuator]) * (seconds / length - 0.5)
-            case "disturbance":
-                return self.size * float(np.sin(2 * np.pi * 2.7 * seconds))
 
 
 def draw_case(
@@ -104,7 +66,7 @@ def draw_case(
     wrong = replace(nominal, start=start)
     robot = _Robot(task, nominal)
     hidden: list[Effect] = []
-    force: _Force | None = None
+    force: Force | None = None
     if outside:
         force = robot.sized_force(rng, ratio)
     while len(hidden) < count and not outside:
@@ -174,7 +136,7 @@ class _Robot:
         late = effect.kind in ("actuator_delay", "sensor_delay") and effect.values[0] > self._period
         return bool(sensible and not late)
 
-    def sized_force(self, rng: np.random.Generator, ratio: float) -> _Force:
+    def sized_force(self, rng: np.random.Generator, ratio: float) -> Force:
         kind = OUTSIDE[int(rng.integers(len(OUTSIDE)))]
         actuator, other = rng.permutation(self._base.nu)[:2].tolist()
         joint = int(self._base.actuator_trnid[actuator, 0])
@@ -190,10 +152,10 @@ class _Robot:
         per_newton = float(np.sqrt(np.nanmean(changed**2))) / force
         # root mean square of a force of size one, roughly
         unit = {"gain_drift": 0.17, "cross_coupling": 0.55}.get(kind, 0.7)
-        return _Force(kind, dof, actuator, other, ratio / (per_newton * unit))
+        return Force(kind, dof, actuator, other, ratio / (per_newton * unit))
 
     def record(
-        self, rng: np.random.Generator, effects: Sequence[Effect], force: _Force | None
+        self, rng: np.random.Generator, effects: Sequence[Effect], force: Force | None
     ) -> Measurement:
         """A measurement by the robot's sensors."""
         commands = np.stack([_commands(rng, self._task, STEPS + 1) for _ in range(EPISODES)])
@@ -261,17 +223,17 @@ class _Robot:
         rng: np.random.Generator,
         commands: Array3,
         effects: Sequence[Effect],
-        force: _Force | None,
+        force: Force | None,
     ) -> Array3:
         """True states (episodes, rows, 2 nv); raises InvalidInput where they diverge."""
         model = self._nominal.model(self._nominal.start, effects)
         model.opt.timestep /= _FINER
         model.opt.integrator = other_integrator(self._base.opt.integrator)
-        skip = self._task.frame_skip * _FINER
-        episodes, rows = commands.shape[:2]
+        skip, (episodes, rows) = self._task.frame_skip * _FINER, commands.shape[:2]
         initial = self._task.initial(episodes, rng)
         finer = np.repeat(commands, skip, axis=1)
         applied = obeyed(self._base, effects, finer, model.opt.timestep)
+        length = episodes * rows * self._period
         data, states = mujoco.MjData(model), np.empty((episodes, rows, 2 * model.nv))
         for episode in range(episodes):
             _place(model, data, initial, episode, rng)
@@ -282,7 +244,6 @@ class _Robot:
                     if force is not None:
                         now = (episode * rows + row) * self._period
                         seconds = now + (step % skip) * model.opt.timestep
-                        length = episodes * rows * self._period
                         data.qfrc_applied[force.dof] = force.at(data, seconds, length)
                     mujoco.mj_step(model, data)
         if not np.all(np.abs(states) < 1e6):

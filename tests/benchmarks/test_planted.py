@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from adr_service.effects.base import Effect
-from benchmarks.planted import EPISODES, OUTSIDE, STEPS, draw_case, hide
+from benchmarks.outside import OUTSIDE
+from benchmarks.planted import EPISODES, STEPS, draw_case, hide
 from tests.hidden import arm
 
 
