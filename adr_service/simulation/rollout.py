@@ -83,6 +83,12 @@ def run_episodes(
     return Episodes(observations, actions, rewards, lengths, diverged)
 
 
+def random_actions(task: Task, rng: np.random.Generator) -> Act:
+    """Actions (n, a), uniform within the task's bounds whatever is observed."""
+    low, high = task.action_low, task.action_high
+    return lambda observations: rng.uniform(low, high, (len(observations), len(low)))
+
+
 def follow(
     task: Task,
     simulations: Simulations,
