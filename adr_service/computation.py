@@ -16,9 +16,10 @@ from adr_service.methods.bayrn import propose
 from adr_service.methods.catalogue import parse_settings
 from adr_service.progress import Progress, silent
 from adr_service.randomness import stream
+from adr_service.simulation.rollout import random_actions
 from adr_service.stages import KINDS, Stage, StageResult, events_of
 from adr_service.startup_time import preparing
-from adr_service.target import random_actions, simulate_evaluation, simulate_rollout
+from adr_service.target import simulate_evaluation, simulate_rollout
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.training.policy import Policy
 from adr_service.training.settings import TrainingSettings

@@ -269,12 +269,6 @@ def simulate_evaluation(
     return _episodes(task, variant, policy.act, episodes, task.horizon, rng)
 
 
-def random_actions(task: Task, rng: np.random.Generator) -> Act:
-    """Actions (n, a) uniform within the task's bounds, whatever is observed."""
-    low, high = task.action_low, task.action_high
-    return lambda observations: rng.uniform(low, high, (len(observations), len(low)))
-
-
 def _episodes(
     task: Task, variant: str, act: Act, n: int, steps: int, rng: np.random.Generator
 ) -> Episodes:
