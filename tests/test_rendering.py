@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from adr_service.errors import InvalidInput
-from adr_service.simulation.batch import compiled
+from adr_service.simulation.model import compiled
 from adr_service.simulation.rendering import Camera, of_policy, of_recording, save, stride_of
 from adr_service.tasks.catalogue import BUILT_IN, get_task, hidden_of
 from tests.recordings import recording
