@@ -11,10 +11,10 @@ from mujoco.batch import MODEL_FIELDS
 
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.simulation.batch import Simulations, compiled, control_period
-from adr_service.simulation.contract import check
 from adr_service.simulation.model import link_of, resolve
 from adr_service.tasks.base import Entry, State
 from adr_service.tasks.catalogue import BUILT_IN, get_task, source_of, variants_of
+from adr_service.tasks.check import check_task
 from tests.plain import inertial, model_of, rotation
 
 TASKS = [entry.task for entry in BUILT_IN.values()]
@@ -41,13 +41,13 @@ def simulated(task, n=8, steps=20):
 
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_every_task_keeps_the_contract_that_the_doctor_checks(name):
-    check(BUILT_IN[name])
+    check_task(BUILT_IN[name])
 
 
 @pytest.mark.parametrize(
     ("function", "wrong", "message"),
     [
-        ("observe", lambda self, state: state.qpos, r"observe gave shape \(3, 2\); .* \(3, 4\)"),
+        ("observe", lambda self, state: state.qpos, r"observe gave shape \(3, 2\) .* \(3, 4\)"),
         ("reward", lambda self, b, a, s: np.zeros((3, 1)), r"reward gave shape \(3, 1\)"),
         ("terminated", lambda self, state: np.zeros(1), "terminated gave shape"),
         ("state", lambda self, o: State(o[:, :2] + 1, o[:, 2:]), "must give the measured columns"),
@@ -58,7 +58,7 @@ def test_a_task_that_breaks_the_contract_is_named_with_what_is_wrong(function, w
     arm = BUILT_IN["arm"]
     broken = type("Broken", (type(arm.task),), {function: wrong})()
     with pytest.raises(InvalidInput, match=f"task 'arm': .*{message}"):
-        check(Entry(broken, arm.variants))
+        check_task(Entry(broken, arm.variants))
 
 
 def test_every_task_has_the_three_variants(task):
