@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from mujoco.batch import MODEL_FIELDS
 
-from adr_service.errors import InvalidInput, UnknownName
+from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import Simulations, compiled, control_period
 from adr_service.simulation.model import link_of, resolve
 from adr_service.tasks.base import Entry, State
-from adr_service.tasks.catalogue import BUILT_IN, get_task, source_of, variants_of
+from adr_service.tasks.catalogue import BUILT_IN, get_task, variants_of
 from adr_service.tasks.check import check_task
 from tests.plain import inertial, model_of, rotation
 
@@ -292,10 +292,3 @@ def test_two_geoms_meet_at_the_published_margin(name):
     """Since MuJoCo 3.5 the margins of two geoms are summed."""
     margins = compiled(get_task(name).xml).geom_margin
     assert set((margins[:, None] + margins).ravel()) == {0.001}
-
-
-def test_an_unknown_task_or_variant_is_named_with_what_there_is():
-    with pytest.raises(UnknownName, match="did you mean 'hopper'"):
-        get_task("hoper")
-    with pytest.raises(UnknownName, match="vanilla, noisy, unmodeled"):
-        source_of("arm", "windy")
