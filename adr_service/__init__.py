@@ -11,6 +11,6 @@ for event in run(spec, LocalStages()):
 
 __version__ = "0.1.0"
 
-from adr_service.tasks.gymnasium_ids import register
+from adr_service.tasks.gymnasium_ids import register_with_gymnasium
 
-register()
+register_with_gymnasium()

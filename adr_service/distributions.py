@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from scipy import stats
 
 from adr_service.arrays import Matrix, Vector, frozen
 from adr_service.errors import InfeasibleDistribution, InvalidInput, UnknownName
@@ -126,6 +125,8 @@ class Gaussian:
 
     def log_prob(self, values: Matrix) -> Vector:
         """Density of the unclipped Gaussian, per SI unit."""
+        from scipy import stats
+
         x, mean = self.space.normalise(values), self.location
         cov: Any = self.covariance  # annotated as a number in SciPy
         density = np.atleast_1d(stats.multivariate_normal.logpdf(x, mean, cov, allow_singular=True))
@@ -172,10 +173,14 @@ class TruncatedGaussian:
 
     def quantile(self, levels: Matrix) -> Matrix:
         """Values (n, d) at `levels` (n, d) in [0, 1): common random numbers for a search."""
+        from scipy import stats
+
         low, high = self._limits
         return self.mean + self.std * stats.truncnorm.ppf(levels, low, high)
 
     def log_prob(self, values: Matrix) -> Vector:
+        from scipy import stats
+
         low, high = self._limits
         return np.sum(stats.truncnorm.logpdf(values, low, high, self.mean, self.std), axis=1)
 

@@ -6,14 +6,13 @@
 The `.npz` keys are DROPO's (`observations`, `next_observations`, `actions`, `terminals`), and `dt`.
 """
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from adr_service.arrays import Indices, Matrix, frozen
+from adr_service.arrays import Indices, Matrix, frozen, spans
 from adr_service.errors import InvalidInput
 from adr_service.json_values import sha256
 from adr_service.npz import read_arrays, write_arrays
@@ -88,17 +87,19 @@ class TransitionDataset:
     def windows(self, length: int) -> Indices:
         """First rows of consecutive, non-overlapping windows that stay inside an episode."""
         starts = [
-            row for first, last in self._spans() for row in range(first, last - length + 1, length)
+            row
+            for first, last in spans(self.episodes)
+            for row in range(first, last - length + 1, length)
         ]
         return np.array(starts, dtype=np.int64)
 
     def split(self) -> list["TransitionDataset"]:
         """One dataset per episode, in order."""
-        return [self._rows(slice(first, last)) for first, last in self._spans()]
+        return [self._rows(slice(first, last)) for first, last in spans(self.episodes)]
 
     def first_episodes(self, count: int) -> "TransitionDataset":
         """The first `count` (at least one) episodes, or all where there are fewer."""
-        return self.first(self._spans()[:count][-1][1])
+        return self.first(spans(self.episodes)[:count][-1][1])
 
     def first(self, rows: int) -> "TransitionDataset":
         """The first `rows` (at least one) transitions, or all where there are fewer."""
@@ -194,11 +195,6 @@ class TransitionDataset:
             columns=parts[0].columns,
             origin="; ".join(dict.fromkeys(p.origin for p in parts)),
         )
-
-    def _spans(self) -> list[tuple[int, int]]:
-        """Half-open row ranges of the episodes."""
-        edges = [0, *(np.flatnonzero(np.diff(self.episodes)) + 1).tolist(), len(self)]
-        return [(a, b) for a, b in itertools.pairwise(edges) if b > a]
 
     def _rows(self, rows: slice) -> "TransitionDataset":
         return TransitionDataset(

@@ -13,10 +13,10 @@ from rich.console import Console
 from rich.markup import escape
 
 from adr_service.errors import InvalidInput
-from adr_service.simulation.batch import compiled
-from adr_service.simulation.contract import check as check_task
+from adr_service.simulation.model import compiled
 from adr_service.simulation.rendering import Camera
 from adr_service.tasks.catalogue import catalogue
+from adr_service.tasks.check import check_task
 from api.connections import connections_allowed
 from api.settings import read_settings
 

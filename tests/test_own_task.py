@@ -65,7 +65,7 @@ def test_an_installed_task_is_simulated_and_runs_like_ours(installed):
     ("value", "message"),
     [
         ("nowhere:ENTRY", "cannot be loaded"),
-        ("adr_service.tasks.hopper:variants", "must name an adr_service.tasks.base.Entry"),
+        ("adr_service.tasks.hopper:Hopper", "must name an adr_service.tasks.base.Entry"),
         ("adr_pendulum:ENTRY", "a task of another name, 'pendulum'"),
     ],
 )

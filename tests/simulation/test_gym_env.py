@@ -13,7 +13,7 @@ from adr_service.errors import InvalidInput, UnknownName
 from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.tasks.base import State
 from adr_service.tasks.catalogue import BUILT_IN, hidden_of, source_of
-from tests.test_tasks import CASES, IDS
+from tests.tasks.cases import CASES, IDS
 
 assert adr_service.__version__  # importing it registers the names
 ROBOTS = ("Arm", "Hopper", "HalfCheetah", "Walker2d", "Humanoid")
