@@ -1,6 +1,6 @@
 """Criticise a task's simulator by a measurement."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -36,6 +36,7 @@ class Criticised(Result):
         return self.to_stored().blobs
 
 
+@dataclass(frozen=True, kw_only=True)
 class Criticise(Stage[Criticised]):
     """A whole criticism: sharing its parts between runs would not be worth it."""
 
