@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
-from typing import Annotated, Any, Literal, Self, TypeVar, cast
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, cast
 
 from pydantic import (
     AfterValidator,
@@ -28,9 +28,7 @@ from pydantic_core import CoreSchema
 from adr_service.causes import Cause, domain_of
 from adr_service.errors import AdrError, InvalidInput, UnknownName
 from adr_service.json_values import Wire, explain
-from adr_service.methods.base import OfflineSettings
-from adr_service.methods.catalogue import AnyMethod, methods
-from adr_service.methods.references import OracleSettings
+from adr_service.methods.catalogue import AnyMethod, methods, names_of
 from adr_service.methods.simopt import SimOptSettings
 from adr_service.presets import PRESETS
 from adr_service.simulation.batch import check_effects
@@ -103,6 +101,7 @@ class SimulatedTarget(Wire):
     """The hidden truth of the task's variant, in simulation."""
 
     kind: Literal["simulated"] = "simulated"
+    program: ClassVar[str | None] = None  # the method's
     effects: list[Effect] = Field(
         default=[], max_length=100, description="that it has, and the source's file lacks"
     )
@@ -112,6 +111,7 @@ class RecordedTarget(Wire):
     """No target at all, but a stored recording, from which an offline method learns once."""
 
     kind: Literal["recorded"] = "recorded"
+    program: ClassVar[str | None] = "adr_service.programs.recorded"
     dataset: Name = Field(description="id of an uploaded recording")
     episodes: int | None = Field(
         None, ge=1, lt=2**31, description="the first so many; default: all"
@@ -122,6 +122,7 @@ class ExternalTarget(Wire):
     """A real robot, or any machine, whose client asks the service for episodes to run."""
 
     kind: Literal["external"] = "external"
+    program: ClassVar[str | None] = None  # the method's
 
 
 AnyTarget = Annotated[
@@ -220,14 +221,16 @@ class RunSpec(Wire):
                 f"transitions: {self.transitions} given, but an episode of {self.task} has "
                 f"{horizon} steps at most"
             )
-        offline = isinstance(self.method, OfflineSettings)
+        offline = self.method.learns_from == "recordings"
         if not offline and isinstance(self.target, RecordedTarget):
             raise ValueError(
                 f"method: {self.method.name} needs a target that it can visit; a recorded one "
-                f"serves {', '.join(_offline_methods())}"
+                f"serves {', '.join(names_of('recordings'))}"
             )
-        if isinstance(self.method, OracleSettings) and not isinstance(self.target, SimulatedTarget):
-            raise ValueError("method: nobody knows the truth that the oracle would be trained on")
+        if self.method.needs_truth and not isinstance(self.target, SimulatedTarget):
+            raise ValueError(
+                f"method: nobody knows the truth that the {self.method.name} would be trained on"
+            )
         if (self.collector == "recording") != isinstance(self.target, RecordedTarget):
             raise ValueError(
                 f"collector: {self.collector!r} given, with a {self.target.kind} target; "
@@ -235,14 +238,19 @@ class RunSpec(Wire):
             )
         if self.collector != "simopt" and not offline:
             raise ValueError(
-                f"collector: {self.collector!r} given, but only {', '.join(_offline_methods())} "
-                "learn from what another policy collects"
+                f"collector: {self.collector!r} given, but only "
+                f"{', '.join(names_of('recordings'))} learn from what another policy collects"
             )
         if (self.simopt is not None) != (offline and self.collector == "simopt"):
             raise ValueError(
                 "simopt: given, but this run learns nothing from SimOpt's trajectories"
             )
         return self
+
+    @property
+    def program(self) -> str:
+        """The module of the program that runs it."""
+        return self.target.program or self.method.program
 
     @property
     def source_domain(self) -> str:
@@ -279,6 +287,7 @@ class CriticismSpec(Wire):
     """What a stored measurement says that a task's simulator gets wrong."""
 
     kind: Literal["criticism"] = "criticism"
+    program: ClassVar[str] = "adr_service.programs.criticism"
     task: TaskName
     variant: VariantName = Field("vanilla", validate_default=True)
     dataset: Name = Field(description="id of an uploaded measurement")
@@ -343,12 +352,13 @@ class BenchmarkSpec(Wire):
 
     def _collectors_of(self, method: Any) -> list[Collector]:
         name = method if isinstance(method, str) else method.name
-        return self.collectors if name in _offline_methods() else ["simopt"]
+        return self.collectors if name in names_of("recordings") else ["simopt"]
 
     @property
     def _all_methods(self) -> list[Any]:
         named = [m if isinstance(m, str) else m.name for m in self.methods]
-        references = ["prior", "oracle"] if self.references else []
+        known = methods().items() if self.references else ()
+        references = [name for name, settings in known if settings.is_reference]
         return [*self.methods, *(name for name in references if name not in named)]
 
     def extended(self, extension: BenchmarkExtension) -> "BenchmarkSpec":
@@ -367,7 +377,7 @@ class BenchmarkSpec(Wire):
         """The runs, seeds outermost, so that a stopped benchmark has whole repetitions."""
         budget = ("iterations", "transitions", "evaluation_episodes", "training")
         given = {name: getattr(self, name) for name in budget if getattr(self, name) is not None}
-        own = next((m for m in self.methods if isinstance(m, SimOptSettings)), None)
+        own = next((m for m in self.methods if not isinstance(m, str) and m.collects), None)
         simopt = {} if own is None else {"simopt": _as_given(own)}
         chosen = [(m, c) for m in self._all_methods for c in self._collectors_of(m)]
         for seed, task, variant, (method, collector) in product(
@@ -409,8 +419,4 @@ def _learns_from_simopt(spec: dict[str, Any]) -> bool:
     """Whether a spec, perhaps not valid, is of an offline method that sees SimOpt's data."""
     method = spec.get("method")
     name = cast(dict[str, Any], method).get("name") if isinstance(method, dict) else method
-    return name in _offline_methods() and spec.get("collector", "simopt") == "simopt"
-
-
-def _offline_methods() -> list[str]:
-    return [name for name, settings in methods().items() if issubclass(settings, OfflineSettings)]
+    return name in names_of("recordings") and spec.get("collector", "simopt") == "simopt"

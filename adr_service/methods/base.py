@@ -1,16 +1,18 @@
-"""What an ADR method is: evidence about the target in, a distribution to train on out.
+"""Interfaces of ADR methods: evidence about the target in, a distribution to train on out.
 
 Methods never train a policy and never touch the target. An `OfflineMethod` turns recorded
-transitions into an estimate; an `OnlineMethod` is asked for a distribution, and told what the
-policy trained on it did on the target. State is a JSON value, so that a run can stop and go on.
+transitions into an estimate. An `OnlineMethod` is asked for a distribution, and learns from the
+target's trajectory of the policy that was trained on it. State is a JSON value, so that a run can
+stop and go on.
 
-A method's settings are its entry in the catalogue: they know how to make the method, and what it
-will cost (docs/add-a-method.md).
+A method's settings are its entry in the catalogue. They say all that differs between methods: how
+to make the method, which program runs it, what it learns from, what it costs, and how reports show
+it (docs/add-a-method.md).
 """
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, ClassVar, Literal, Protocol, Self, cast
 
 import numpy as np
 
@@ -87,14 +89,55 @@ class OnlineMethod(Protocol):
         ...
 
 
+Data = Literal["nothing", "returns", "visits", "recordings"]
+
+
 class MethodSettings(Wire):
     """Settings of a method."""
 
     name: Any  # the method's: a `Literal` in each class, which `str` could not become
 
+    program: ClassVar[str]  # module with the function `run` for runs of the method
+    learns_from: ClassVar[Data]  # the target's returns, its own visits, or others' recordings
+    grid: ClassVar["Grid | None"] = None
+    believes: ClassVar[bool] = False  # each answer is one distribution, an estimate
+    needs_truth: ClassVar[bool] = False  # trains on the hidden truth, in the target's own space
+    is_reference: ClassVar[bool] = False  # part of every benchmark, to compare with
+    is_level: ClassVar[bool] = False  # evaluated once, without iterations
+    collects: ClassVar[bool] = False  # its visits are the data of offline methods by default
+    label: ClassVar[str] = ""  # in figures; empty: the name
+    # in figures; one per method everywhere, Okabe and Ito's, which colour-blind readers tell apart
+    colour: ClassVar[str] = "#882255"
+
+    @property
+    def infers(self) -> bool:
+        """True if the method infers distributions from transitions of the target."""
+        return self.learns_from in ("visits", "recordings")
+
+    @property
+    def each(self) -> "list[Self]":
+        """These settings with one value each in the place of the grid's list."""
+        if self.grid is None:
+            return [self]
+        given: Any = getattr(self, self.grid.field)
+        values = cast(list[Any], given) if isinstance(given, list) else [given]
+        return [self.model_copy(update={self.grid.field: value}) for value in values]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A setting that may have several values, tried side by side; the best answer counts."""
+
+    field: str  # of the settings
+    criterion: str  # diagnostic of an estimate; the smallest is the best
+
 
 class OfflineSettings(MethodSettings):
     """Settings of a method that learns from recorded transitions."""
+
+    program: ClassVar[str] = "adr_service.programs.offline"
+    learns_from: ClassVar[Data] = "recordings"
+    believes: ClassVar[bool] = True
 
     @abstractmethod
     def create(self) -> OfflineMethod: ...
@@ -106,7 +149,11 @@ class OfflineSettings(MethodSettings):
 
 
 class OnlineSettings(MethodSettings):
-    """Settings of a method that is told what the policy of its last distribution did."""
+    """Settings of a method that learns from visits of the policy of its last distribution."""
+
+    program: ClassVar[str] = "adr_service.programs.online"
+    learns_from: ClassVar[Data] = "visits"
+    believes: ClassVar[bool] = True
 
     @abstractmethod
     def create(self) -> OnlineMethod: ...

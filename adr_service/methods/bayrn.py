@@ -13,14 +13,14 @@ highest posterior mean.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.distributions import Uniform
-from adr_service.methods.base import MethodSettings
+from adr_service.methods.base import Data, MethodSettings
 from adr_service.parameters import ParameterSpace
 from adr_service.startup_time import preparing
 
@@ -28,6 +28,11 @@ from adr_service.startup_time import preparing
 class BayRnSettings(MethodSettings):
     name: Literal["bayrn"] = "bayrn"
     initial: int = Field(10, ge=2, le=1000, description="policies of UDR to start from")
+
+    program: ClassVar[str] = "adr_service.programs.bayesian"
+    learns_from: ClassVar[Data] = "returns"
+    label: ClassVar[str] = "BayRn"
+    colour: ClassVar[str] = "#999933"
 
 
 @dataclass(frozen=True)

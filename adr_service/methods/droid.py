@@ -11,7 +11,7 @@ go on for the whole recorded length, falling or not, so nothing is gained by dyi
 diverged one is the worst.
 """
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -32,6 +32,9 @@ class DroidSettings(OfflineSettings):
     name: Literal["droid"] = "droid"
     budget: int = Field(1000, ge=1, le=1_000_000, description="simulated replays of the data")
     initial_std: float = Field(1.0, gt=0, description="of the search, in [0, 4] coordinates")
+
+    label: ClassVar[str] = "DROID"
+    colour: ClassVar[str] = "#CC79A7"
 
     def create(self) -> "Droid":
         return Droid(self)

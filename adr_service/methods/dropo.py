@@ -20,7 +20,7 @@ Where we differ from the published code, and why:
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, PositiveFloat
@@ -29,7 +29,7 @@ from scipy.stats import qmc
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.distributions import TruncatedGaussian
 from adr_service.errors import InvalidInput
-from adr_service.methods.base import Estimate, OfflineSettings, Problem
+from adr_service.methods.base import Estimate, Grid, OfflineSettings, Problem
 from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
 from adr_service.search.cma_es import strategy
@@ -62,6 +62,11 @@ class DropoSettings(OfflineSettings):
     steps: int = Field(1, ge=1, le=10_000, description="control steps per replayed window (lambda)")
     exact: bool = Field(False, description="simulate every draw of every candidate")
 
+    # Sec. IV-A: epsilon by the error of one-step predictions by the estimate's mean
+    grid: ClassVar[Grid | None] = Grid("epsilon", criterion="mean_squared_error")
+    label: ClassVar[str] = "DROPO"
+    colour: ClassVar[str] = "#D55E00"
+
     def create(self) -> "Dropo":
         return Dropo(self)
 
@@ -69,17 +74,12 @@ class DropoSettings(OfflineSettings):
         draws = _EMULATORS * draws_to_fit(parameters)
         if self.exact:
             draws = self.budget * self.samples_per_parameter * parameters
-        return draws * transitions * len(self.each())
-
-    def each(self) -> list["DropoSettings"]:
-        """These settings with one epsilon each."""
-        epsilons = self.epsilon if isinstance(self.epsilon, list) else [self.epsilon]
-        return [self.model_copy(update={"epsilon": epsilon}) for epsilon in epsilons]
+        return draws * transitions
 
 
 class Dropo:
     def __init__(self, settings: DropoSettings):
-        """`settings` have one epsilon (`DropoSettings.each`)."""
+        """`settings` have one epsilon (`MethodSettings.each`)."""
         if isinstance(settings.epsilon, list):
             raise InvalidInput(f"one search has one epsilon; given {settings.epsilon}")
         self._settings, self._epsilon = settings, settings.epsilon

@@ -14,7 +14,7 @@ Where we differ, and why:
   the minimum temperature has no unit and an outlier does not decide it.
 """
 
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -55,12 +55,20 @@ class SimOptSettings(_Settings):
     name: Literal["simopt"] = "simopt"
     updates: int = Field(5, ge=1, le=1000, description="REPS updates per target trajectory")
 
+    collects: ClassVar[bool] = True  # benchmark, Sec. 3.4
+    label: ClassVar[str] = "SimOpt"
+    colour: ClassVar[str] = "#0072B2"
+
 
 class SimOpt1Settings(_Settings):
     """SimOpt-1 (benchmark, Sec. 3.2): all updates at once, on data of the prior's policy."""
 
     name: Literal["simopt_1"] = "simopt_1"
     updates: int = Field(25, ge=1, le=1000, description="REPS updates, from the prior")
+
+    program: ClassVar[str] = "adr_service.programs.single_shot"
+    label: ClassVar[str] = "SimOpt-1"
+    colour: ClassVar[str] = "#56B4E9"
 
 
 class SimOpt:

@@ -9,7 +9,7 @@ The standard deviations that follow from the Jacobian and the residuals are repo
 not trained on: they are honest only where the model is right.
 """
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -32,6 +32,8 @@ class SysidSettings(OfflineSettings):
     starts: int = Field(4, ge=1, le=1000, description="searches, the first from the middle")
     steps: int = Field(1, ge=1, le=10_000, description="control steps per replayed window")
     iterations: int = Field(50, ge=1, le=10_000, description="evaluations per search, at most")
+
+    colour: ClassVar[str] = "#000000"
 
     def create(self) -> "Sysid":
         return Sysid(self)

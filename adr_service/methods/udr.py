@@ -5,19 +5,25 @@ random within the search space. How they draw is not stated; here, per parameter
 draws, sorted.
 """
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from adr_service.distributions import Uniform
-from adr_service.methods.base import MethodSettings
+from adr_service.methods.base import Data, MethodSettings
 from adr_service.parameters import ParameterSpace
 
 
 class UdrSettings(MethodSettings):
     name: Literal["udr"] = "udr"
     policies: int = Field(10, ge=1, le=1000, description="random bounds, one policy each")
+
+    program: ClassVar[str] = "adr_service.programs.udr"
+    learns_from: ClassVar[Data] = "nothing"
+    is_level: ClassVar[bool] = True
+    label: ClassVar[str] = "UDR"
+    colour: ClassVar[str] = "#E69F00"
 
 
 def random_bounds(
