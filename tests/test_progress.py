@@ -2,15 +2,15 @@
 
 import pytest
 
-from adr_service.progress import part_of, silent
+from adr_service.progress import Checkpoint, part_of, silent
 
 
 class Recorder:
     def __init__(self):
         self.calls = []
 
-    def __call__(self, fraction, so_far=None, **facts):
-        self.calls.append((fraction, so_far, facts))
+    def __call__(self, fraction, checkpoint=None, **facts):
+        self.calls.append((fraction, checkpoint, facts))
 
 
 @pytest.mark.parametrize(("done", "parts"), [(0, 1), (0, 4), (3, 4)])
@@ -29,10 +29,10 @@ def test_parts_of_parts_compose():
     assert recorder.calls[0][0] == pytest.approx(0.5 + 0.5 * 0.75)
 
 
-def test_facts_pass_through_unchanged():
-    recorder = Recorder()
-    part_of(recorder, 0, 2)(0.5, None, steps=7)
-    assert recorder.calls == [(0.25, None, {"steps": 7})]
+def test_checkpoints_and_facts_pass_through_unchanged():
+    recorder, checkpoint = Recorder(), Checkpoint(steps=7, content=b"policy", events=())
+    part_of(recorder, 0, 2)(0.5, checkpoint, steps=7)
+    assert recorder.calls == [(0.25, checkpoint, {"steps": 7})]
 
 
 def test_silence_takes_the_same_arguments():
