@@ -200,15 +200,15 @@ class TruncatedGaussian:
 def distribution_from_json(space: ParameterSpace, document: dict[str, Any]) -> Distribution:
     """The distribution that `to_json` wrote."""
     kind = str(document.get("kind"))
-    if kind not in _KINDS:
-        raise UnknownName("distribution kind", kind, _KINDS)
-    create, fields = _KINDS[kind]
+    if kind not in KINDS:
+        raise UnknownName("distribution kind", kind, KINDS)
+    create, fields = KINDS[kind]
     if missing := [name for name in fields if name not in document]:
         raise InvalidInput(f"a {kind} distribution needs {', '.join(fields)}; not given: {missing}")
     return create(space, *(document[name] for name in fields))
 
 
-_KINDS: dict[str, tuple[Callable[..., Distribution], tuple[str, str]]] = {
+KINDS: dict[str, tuple[Callable[..., Distribution], tuple[str, str]]] = {
     "uniform": (Uniform, ("low", "high")),
     "gaussian": (Gaussian, ("location", "covariance")),
     "truncated_gaussian": (TruncatedGaussian, ("mean", "std")),

@@ -10,8 +10,8 @@ EXAMPLE = ROOT / "docs/examples/adr-pendulum"
 
 USE = """
 import gymnasium, numpy as np
-from adr_service.computation import LocalStages
-from adr_service.runs import run
+from adr_service.stages.local import LocalStages
+from adr_service.programs import run
 from adr_service.simulation.batch import Simulations
 from adr_service.specs import RunSpec
 from adr_service.tasks.base import State

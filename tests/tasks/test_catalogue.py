@@ -73,8 +73,8 @@ import sys
 import adr_service.tasks
 adr_service.tasks.__path__.append(FOLDER)
 
-from adr_service.computation import LocalStages
-from adr_service.runs import run
+from adr_service.stages.local import LocalStages
+from adr_service.programs import run
 from adr_service.specs import RunSpec
 from adr_service.tasks.catalogue import BUILT_IN, identity_of
 from adr_service.tasks.check import check_task

@@ -5,9 +5,9 @@ import pytest
 
 from adr_service.benchmark.statistics import difference
 from adr_service.causes import Cause
-from adr_service.computation import LocalStages
-from adr_service.runs import run
+from adr_service.programs import run
 from adr_service.specs import RunSpec
+from adr_service.stages.local import LocalStages
 from tests.hidden import named_effects
 
 SEEDS = (1,)  # another, by hand: 23 without and 182 with the extension

@@ -6,11 +6,10 @@ import torch
 from scipy.stats import mannwhitneyu
 from stable_baselines3.common.logger import configure
 
-from adr_service.distributions import Gaussian
+from adr_service.distributions import Gaussian, Uniform
 from adr_service.randomness import stream
 from adr_service.simulation.vec_env import RandomizedVecEnv
-from adr_service.target import truth_as_distribution
-from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.tasks.catalogue import get_task, hidden_of, source_of
 from adr_service.training.sac import BACKENDS, train
 from adr_service.training.settings import TrainingSettings
 
@@ -135,7 +134,7 @@ def test_learning_curves_overlap():
     def areas(backend, **changes):
         given = {**CURVE, "backend": backend, **changes}
         settings = TrainingSettings.model_validate(given)
-        truth = truth_as_distribution("arm", "vanilla")
+        truth = Uniform.point(SOURCE.space, hidden_of("arm", "vanilla").values)
         trained = [train(ARM, SOURCE, truth, settings, stream("curve", seed)) for seed in range(5)]
         return [np.mean([point.mean_return for point in training.curve]) for training in trained]
 

@@ -1,0 +1,45 @@
+"""Errors that say what was given and what is accepted."""
+
+import pytest
+
+from adr_service import errors
+from adr_service.errors import AdrError, BudgetExceeded, InvalidInput, StageFailed, UnknownName
+
+
+def test_every_error_is_an_adr_error_and_has_a_code_of_its_own():
+    kinds = [k for k in vars(errors).values() if isinstance(k, type) and issubclass(k, AdrError)]
+    codes = [kind.code for kind in kinds]
+    assert len(set(codes)) == len(codes) > 5
+
+
+def test_an_unknown_name_is_answered_with_the_nearest_and_all_accepted_names():
+    error = UnknownName("task", "hoper", ["arm", "hopper"])
+    assert str(error) == "there is no task 'hoper'; did you mean 'hopper'? accepted: arm, hopper"
+
+
+def test_a_name_that_resembles_none_gets_no_suggestion():
+    error = UnknownName("task", "zzz", ["arm", "hopper"])
+    assert str(error) == "there is no task 'zzz'; accepted: arm, hopper"
+
+
+def test_an_unknown_name_is_an_invalid_input_and_a_lookup_error():
+    for kind in (InvalidInput, LookupError):
+        with pytest.raises(kind):
+            raise UnknownName("task", "a", ["b"])
+
+
+def test_a_long_wrong_name_is_shortened_in_the_message():
+    message = str(UnknownName("task", "x" * 5000, ["arm"]))
+    assert f"'{'x' * 100}…'" in message
+    assert len(message) < 200
+
+
+def test_an_exceeded_budget_states_all_three_numbers():
+    error = BudgetExceeded("target rollouts", 3, 2, 4)
+    assert str(error) == "target rollouts: 3 used and 2 more asked for, but the budget is 4"
+
+
+def test_a_failed_stage_keeps_its_cause_apart_from_its_message():
+    error = StageFailed("train_policy 1", "worker_lost", "three attempts were lost")
+    assert error.cause == "worker_lost"
+    assert str(error) == "train_policy 1: three attempts were lost"
