@@ -21,13 +21,13 @@ import numpy as np
 from adr_service.arrays import Matrix
 from adr_service.benchmark.statistics import difference, interval, mean
 from adr_service.causes import Cause
-from adr_service.computation import LocalStages
 from adr_service.criticism.blind import hide
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.simulator import Nominal
 from adr_service.events import IterationFinished
-from adr_service.runs import run
+from adr_service.programs import run
 from adr_service.specs import Effect, RunSpec
+from adr_service.stages.local import LocalStages
 from adr_service.tasks.catalogue import get_task, source_of
 
 FOLDER = Path("build/bench")

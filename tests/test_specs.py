@@ -1,26 +1,11 @@
-import json
 from typing import ClassVar
 
 import pytest
 from pydantic import ValidationError
 
-from adr_service.events import (
-    FINISHED,
-    IterationFinished,
-    RunFailed,
-    RunQueued,
-    RunStarted,
-    RunStopped,
-    RunSucceeded,
-    StageFinished,
-    TrainingEvaluated,
-    event_from_json,
-    state_after,
-)
 from adr_service.methods.simopt import SimOptSettings
 from adr_service.presets import PRESETS
 from adr_service.specs import BenchmarkSpec, ExternalTarget, RunSpec
-from adr_service.stages import Stage
 
 GOOD = {"task": "arm", "method": "simopt", "preset": "smoke"}
 
@@ -174,74 +159,6 @@ class TestBenchmark:
         with pytest.raises(ValidationError) as refused:
             self.spec(**change)
         assert message in str(refused.value)
-
-
-class TestStageDigest:
-    stage = Stage("evaluate", {"task": "arm", "seed": 1, "x": [0.1, 2]}, {"policy": b"abc"})
-
-    def test_it_does_not_depend_on_the_order_of_inputs(self):
-        other = Stage("evaluate", {"x": [0.1, 2], "seed": 1, "task": "arm"}, {"policy": b"abc"})
-        assert other.digest == self.stage.digest
-
-    @pytest.mark.parametrize(
-        "other",
-        [
-            Stage("train_policy", stage.inputs, stage.blobs),
-            Stage("evaluate", {**stage.inputs, "seed": 2}, stage.blobs),
-            Stage("evaluate", stage.inputs, {"policy": b"abd"}),
-            Stage("evaluate", stage.inputs, {"other": b"abc"}),
-        ],
-        ids=["kind", "input", "bytes", "name"],
-    )
-    def test_it_depends_on_everything_that_matters(self, other):
-        assert other.digest != self.stage.digest
-
-    def test_it_is_a_promise_to_stored_results(self):
-        """Changing it makes every stored stage run again: bump a version instead."""
-        expected = "75f4d711f349d5c56532c38a5ce1c611fb05ada589a67f09524f5240a7d0a959"
-        assert self.stage.digest == expected
-
-
-EVENTS = [
-    RunQueued(submission=1),
-    RunStarted(submission=1),
-    StageFinished(kind="evaluate", digest="0" * 64),
-    TrainingEvaluated(digest="0" * 64, steps=40, mean_return=1 / 3, standard_error=0.0),
-    IterationFinished(
-        iteration=1,
-        target_rollouts=1,
-        target_transitions=20,
-        evaluation_episodes=2,
-        distributions=[{"kind": "uniform", "low": [0.1], "high": [1 / 3]}],
-        policies=["a"],
-        source_returns=[1.5],
-        reached_threshold=[False],
-        training_steps=[600],
-        inference_steps=0,
-        returns=[[1.0, 2.0]],
-        diagnostics={"a": [None, 1e-300]},
-    ),
-    RunFailed(submission=1, code="worker_lost", message="gone"),
-    RunStopped(submission=1),
-    RunSucceeded(),
-]
-
-
-@pytest.mark.parametrize("event", EVENTS, ids=lambda event: event.type)
-def test_events_survive_json(event):
-    assert event_from_json(event.model_dump_json()) == event
-    assert json.loads(event.model_dump_json())["type"] == event.type
-
-
-def test_the_state_is_the_fold_of_the_events():
-    queued, started, stage, curve, _, failed, stopped, succeeded = EVENTS
-    assert state_after([queued]) == "queued"
-    assert state_after([queued, started, stage, curve]) == "running"
-    assert state_after([queued, started, failed]) == "failed"
-    assert state_after([queued, started, failed, RunQueued(submission=2)]) == "queued"
-    assert state_after([queued, started, stopped]) == "cancelled"
-    assert state_after([queued, started, succeeded]) == "succeeded"
-    assert state_after([]) not in FINISHED
 
 
 class TestWhoCollects:
