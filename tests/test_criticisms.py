@@ -10,12 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 from adr_service.causes import Cause
-from adr_service.stages.local import LocalStages
 from adr_service.criticism.blind import hide
 from adr_service.criticism.report import FILES
 from adr_service.events import CriticismFinished
 from adr_service.programs import run
 from adr_service.specs import CriticismSpec
+from adr_service.stages.local import LocalStages
 from api.cli import app
 from api.client import Refused
 from tests.hidden import arm, recorded

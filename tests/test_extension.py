@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from adr_service.causes import Cause, domain_of, parse_domain
-from adr_service.stages.local import LocalStages
 from adr_service.criticism.simulator import Nominal
 from adr_service.errors import InvalidInput
 from adr_service.programs import run
 from adr_service.simulation.batch import Simulations
 from adr_service.specs import RunSpec
+from adr_service.stages.local import LocalStages
 from adr_service.tasks.catalogue import get_task, source_of
 from tests.hidden import named_effects
 
