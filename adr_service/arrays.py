@@ -1,4 +1,4 @@
-"""Names for the array roles used everywhere; shapes stand where an array is made."""
+"""Names of array roles; shapes are stated where an array is made."""
 
 from itertools import pairwise
 from typing import Any

@@ -1,4 +1,4 @@
-"""Progress of computations, and how they learn that nobody wants them any more."""
+"""Progress of computations, and the cancelling of those that no run waits for any more."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -28,7 +28,7 @@ class Progress(Protocol):
 
 
 def part_of(progress: Progress, done: int, parts: int) -> Progress:
-    """Progress of the next of `parts` equal parts, of which `done` are behind."""
+    """Progress of one of `parts` equal parts, after `done` finished ones."""
 
     def report(fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
         progress((done + fraction) / parts, checkpoint=checkpoint, **facts)
@@ -37,4 +37,4 @@ def part_of(progress: Progress, done: int, parts: int) -> Progress:
 
 
 def silent(fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
-    """The progress nobody looks at."""
+    """A progress callback that does nothing."""
