@@ -77,7 +77,8 @@ class TransitionDataset:
 
     def __repr__(self) -> str:
         s, a = self.observations.shape[1], self.actions.shape[1]
-        return f"TransitionDataset({len(self)} transitions, {self.episode_count} episodes, s={s}, a={a})"
+        counts = f"{len(self)} transitions, {self.episode_count} episodes"
+        return f"TransitionDataset({counts}, s={s}, a={a})"
 
     @property
     def episode_count(self) -> int:

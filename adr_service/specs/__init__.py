@@ -11,7 +11,6 @@ from adr_service.specs.run import AnyRun, CriticismSpec, RunSpec
 from adr_service.specs.target import (
     EXTERNAL_EPISODES,
     AnyTarget,
-    Effect,
     ExternalTarget,
     RecordedTarget,
     SimulatedTarget,
@@ -25,7 +24,6 @@ __all__ = [
     "BenchmarkExtension",
     "BenchmarkSpec",
     "CriticismSpec",
-    "Effect",
     "ExternalTarget",
     "RecordedTarget",
     "RunSpec",

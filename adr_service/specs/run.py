@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_validator
 from pydantic_core import CoreSchema
 
-from adr_service.causes import domain_of
+from adr_service.effects.base import Effect, domain_of
 from adr_service.errors import AdrError
 from adr_service.json_values import Wire
 from adr_service.methods.catalogue import AnyMethod, names_of
@@ -22,7 +22,7 @@ from adr_service.specs.names import (
     VariantName,
     known_method,
 )
-from adr_service.specs.target import AnyTarget, Effect, RecordedTarget, SimulatedTarget
+from adr_service.specs.target import AnyTarget, RecordedTarget, SimulatedTarget
 from adr_service.tasks.catalogue import get_task, variant_of
 from adr_service.training.settings import TrainingSettings
 
@@ -91,7 +91,7 @@ class RunSpec(Wire):
             ("target.effects", pair.hidden.source, self.hidden_effects),
         ):
             try:
-                check_effects(task, replace(source, causes=tuple(e.cause for e in effects)))
+                check_effects(task, replace(source, effects=tuple(effects)))
             except AdrError as error:
                 raise ValueError(f"{name}: {error}") from error
         if self.transitions > task.horizon:
@@ -139,12 +139,12 @@ class RunSpec(Wire):
     @property
     def source_domain(self) -> str:
         """The domain that methods may simulate."""
-        return domain_of(self.variant, [effect.cause for effect in self.extension])
+        return domain_of(self.variant, self.extension)
 
     @property
     def target_domain(self) -> str:
         """The domain that policies are judged on."""
-        return domain_of(self.variant, [effect.cause for effect in self.hidden_effects])
+        return domain_of(self.variant, self.hidden_effects)
 
     @property
     def hidden_effects(self) -> list[Effect]:

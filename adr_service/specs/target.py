@@ -4,23 +4,9 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from adr_service.causes import Cause
+from adr_service.effects.base import Effect
 from adr_service.json_values import Wire
 from adr_service.specs.names import Name
-
-
-class Effect(Wire):
-    """An effect that a simulator's file lacks, as criticism names it."""
-
-    kind: Name
-    location: Name = Field(description="as joint:elbow, or global")
-    values: list[float] = Field(
-        min_length=1, max_length=100, description="strengths in the mechanism's order"
-    )
-
-    @property
-    def cause(self) -> Cause:
-        return Cause(self.kind, self.location, tuple(self.values))
 
 
 class SimulatedTarget(Wire):

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.simulator import Nominal
+from adr_service.criticism.nominal import Nominal
 from adr_service.events import RunEvent
 from adr_service.progress import Progress
 from adr_service.stages.base import Cost, Machine, Result, Role, Stage

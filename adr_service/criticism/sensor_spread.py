@@ -1,9 +1,9 @@
-"""What sensors do to readings beside moving them: steps, and more noise than was said.
+"""Spread that sensors add to readings: steps, and more noise than the measurement states.
 
-Neither changes what is predicted on average, so neither is found by predictions. Steps are seen in
-the readings themselves, which then lie on a lattice; they count where they are a good part of the
-sensor's noise, and not as fine as the last digits that every number in a file has. More noise can
-only be told where the measurement says how much there should be.
+Neither moves a reading on average, so predictions cannot reveal them. Steps show in the readings
+themselves, which then lie on a lattice. They count if they are a good part of the sensor's noise,
+and coarser than the last digits that every number in a file has. Excess noise is seen only if the
+measurement states how much there should be.
 """
 
 import numpy as np
@@ -11,32 +11,34 @@ import numpy as np
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import Fit, settled
-from adr_service.criticism.verdict import Estimate, NamedCause
-from adr_service.simulation.mechanism import sensors
-from adr_service.simulation.mechanisms import get_mechanism, unit_of
+from adr_service.criticism.verdict import NamedCause, StrengthInterval
+from adr_service.effects.base import sensors
+from adr_service.effects.catalogue import get_mechanism
+from adr_service.effects.models import unit_of
 
 _NEAR = 1e-3  # of a step: how near to the lattice all readings are
 _LEAST_LEVELS, _FINEST = 3, 1e4  # steps over the whole range
 _PARTS, _SAME = (1, 2, 3, 4), 1e-9  # of the range: what rounding makes of one level
-_NOTICED = 0.5  # of a sensor's variance: what steps or unsaid noise must be of it
+_NOTICED = 0.5  # of a sensor's variance, that steps or excess noise must be
 _REACH = 1.96  # standard errors
 
 
 def spread_causes(fit: Fit, sensor: Vector) -> list[NamedCause]:
-    """Sensors that have steps, or more noise than `sensor` (m,) says (NaN: nothing is said)."""
-    found: list[NamedCause] = []
+    """Sensors with steps, or with more noise than the stated variances `sensor` (m,); NaN: not
+    stated."""
+    causes: list[NamedCause] = []
     measured = fit.simulator.data.is_measured()
     for number, readings in enumerate(fit.simulator.measured.T):
         if not measured[number]:
             continue
         stepped = _stepped(fit, number, readings)
         noisy = None if stepped else _noisier(fit, number, sensor)
-        found += [cause for cause in (stepped, noisy) if cause is not None]
-    return found
+        causes += [cause for cause in (stepped, noisy) if cause is not None]
+    return causes
 
 
 def lattice(readings: Vector) -> float | None:
-    """The step of which all readings (n,) are whole multiples apart; None where there is none."""
+    """Largest step that divides the distances of all readings (n,); None if there is none."""
     levels = np.unique(readings)
     if len(levels) < _LEAST_LEVELS:
         return None
@@ -63,13 +65,13 @@ def _stepped(fit: Fit, number: int, readings: Vector) -> NamedCause | None:
 
 
 def _noisier(fit: Fit, number: int, sensor: Vector) -> NamedCause | None:
-    said = sensor[number]
-    if np.isnan(said):
+    stated = sensor[number]
+    if np.isnan(stated):
         return None
     free = settled(fit, np.where(np.arange(len(sensor)) == number, np.nan, sensor))
-    more = free.noise.sensor[number] - said
+    more = free.noise.sensor[number] - stated
     gains = free.held_out - fit.held_out
-    if more < _NOTICED * said or not is_evidence(gains):
+    if more < _NOTICED * stated or not is_evidence(gains):
         return None
     deviation = float(np.sqrt(more))
     # of a variance, from as many readings
@@ -82,5 +84,5 @@ def _cause(fit: Fit, kind: str, number: int, value: float, reach: float, gain: f
     location = f"sensor:{sensors(model)[number]}"
     (strength,) = get_mechanism(kind).strengths
     unit = unit_of(model, location, strength.unit)
-    estimate = Estimate(strength.name, value, max(value - reach, 0.0), value + reach, unit)
-    return NamedCause(kind, location, (estimate,), 1.0 - float(np.exp(-gain)), gain)
+    interval = StrengthInterval(strength.name, value, max(value - reach, 0.0), value + reach, unit)
+    return NamedCause(kind, location, (interval,), 1.0 - float(np.exp(-gain)), gain)

@@ -15,7 +15,7 @@ import numpy as np
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.simulator import Nominal
+from adr_service.criticism.nominal import Nominal
 from adr_service.errors import InvalidInput
 from adr_service.parameters import Parameter, ParameterSpace
 

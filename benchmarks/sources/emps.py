@@ -14,7 +14,7 @@ from scipy import io, signal
 
 from adr_service.arrays import Vector
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.simulator import Nominal
+from adr_service.criticism.nominal import Nominal
 from adr_service.errors import InvalidInput
 from adr_service.parameters import Parameter, ParameterSpace
 

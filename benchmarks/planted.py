@@ -1,8 +1,8 @@
-"""Measurements that hide an effect, to see whether criticism finds it.
+"""Planted effects: measurements of a hidden robot, to see whether criticism names what it has.
 
     case = draw_case(task, nominal, rng, ratio=0.3)
     case.measurement                    # all that the diagnosis may see, besides the nominal model
-    case.causes                         # what it should say
+    case.effects                        # the effects that it should name
 
 The hidden robot is not the diagnosed model: it is integrated four times more finely by another
 integrator, its parameters differ from those that the diagnosis starts from, and its sensors are
@@ -19,13 +19,15 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
-from adr_service.causes import Cause
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.simulator import Nominal, Simulator, other_integrator
+from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.simulator import Simulator, other_integrator
+from adr_service.effects.base import Effect
+from adr_service.effects.catalogue import MECHANISMS, get_mechanism
+from adr_service.effects.models import element_of
+from adr_service.effects.signals import obeyed, recorded
 from adr_service.errors import InvalidInput
-from adr_service.simulation.mechanism import Commands
-from adr_service.simulation.mechanisms import MECHANISMS, element_of, get_mechanism
-from adr_service.tasks.base import Task
+from adr_service.tasks.base import State, Task
 
 EPISODES, STEPS = 30, 75
 _FINER = 4
@@ -52,7 +54,7 @@ class Case:
 
     nominal: Nominal
     measurement: Measurement
-    causes: tuple[Cause, ...]  # in the catalogue
+    effects: tuple[Effect, ...]  # in the catalogue
     outside: Outside | None  # not in it
     ratio: float  # of the effect to the noise
     truth: Vector  # (d,) parameters of the hidden robot
@@ -90,10 +92,10 @@ def draw_case(
     nominal: Nominal,
     rng: np.random.Generator,
     ratio: float,
-    causes: int = 1,
+    count: int = 1,
     outside: bool = False,
 ) -> Case:
-    """A case with `causes` random effects of the catalogue, or one outside of it.
+    """A case with `count` random effects of the catalogue, or one outside of it.
 
     `nominal.start` is the hidden truth; the case's nominal starts elsewhere.
     """
@@ -101,23 +103,23 @@ def draw_case(
     start = truth * (1 + _OFF * rng.uniform(-1, 1, len(truth)))
     wrong = replace(nominal, start=start)
     robot = _Robot(task, nominal)
-    hidden: list[Cause] = []
+    hidden: list[Effect] = []
     force: _Force | None = None
     if outside:
         force = robot.sized_force(rng, ratio)
-    while len(hidden) < causes and not outside:
-        cause = robot.sized_cause(rng, ratio)
-        if cause is not None and cause.location not in [c.location for c in hidden]:
-            hidden.append(cause)
+    while len(hidden) < count and not outside:
+        effect = robot.sized_effect(rng, ratio)
+        if effect is not None and effect.location not in [e.location for e in hidden]:
+            hidden.append(effect)
     measurement = robot.record(rng, hidden, force)
     return Case(wrong, measurement, tuple(hidden), force.kind if force else None, ratio, truth)
 
 
 def hide(
-    task: Task, nominal: Nominal, rng: np.random.Generator, causes: Sequence[Cause]
+    task: Task, nominal: Nominal, rng: np.random.Generator, effects: Sequence[Effect]
 ) -> Measurement:
-    """What a robot's sensors show that has `nominal.start` for parameters, and these causes."""
-    return _Robot(task, nominal).record(rng, causes, None)
+    """A measurement of a robot that has `nominal.start` for parameters, and these effects."""
+    return _Robot(task, nominal).record(rng, effects, None)
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,7 @@ class _Robot:
             for place in mechanism.locations(self._base)
         ]
 
-    def sized_cause(self, rng: np.random.Generator, ratio: float) -> Cause | None:
+    def sized_effect(self, rng: np.random.Generator, ratio: float) -> Effect | None:
         """A random effect as strong as `ratio` says; None where it cannot be."""
         kind, place = self._places[int(rng.integers(len(self._places)))]
         mechanism = get_mechanism(kind)
@@ -151,26 +153,25 @@ class _Robot:
         mixed = rng.uniform(0.5, 1.0, len(typical)) if len(typical) > 1 else np.ones(1)
         signs = [1.0 if s.low == 0 else rng.choice([-1.0, 1.0]) for s in mechanism.strengths]
         values = typical * mixed * np.array(signs)
-        found = 0.0
+        reached = 0.0
         for _ in range(_ADJUSTMENTS):
-            found = self._ratio_of(Cause(kind, place, tuple(values.tolist())))
-            if not np.isfinite(found) or found <= 1e-9:
+            reached = self._ratio_of(Effect(kind, place, tuple(values.tolist())))
+            if not np.isfinite(reached) or reached <= 1e-9:
                 return None
-            if abs(found / ratio - 1) < 0.05:
+            if abs(reached / ratio - 1) < 0.05:
                 break
-            values = values * np.clip(ratio / found, 0.1, 10.0)
-        cause = Cause(kind, place, tuple(values.tolist()))
+            values = values * np.clip(ratio / reached, 0.1, 10.0)
+        effect = Effect(kind, place, tuple(values.tolist()))
         low = np.array([s.low for s in mechanism.strengths])
-        if np.any(values < low) or abs(found / ratio - 1) > 0.3 or not self._is_physical(cause):
-            return None
-        return cause
+        is_sized = abs(reached / ratio - 1) <= 0.3 and not np.any(values < low)
+        return effect if is_sized and self._is_physical(effect) else None
 
-    def _is_physical(self, cause: Cause) -> bool:
-        """Whether nothing that must not be negative is, and delays are shorter than a step."""
-        model = self._nominal.model(self._nominal.start, [cause])
+    def _is_physical(self, effect: Effect) -> bool:
+        """True if no physical quantity is negative, and delays are shorter than a step."""
+        model = self._nominal.model(self._nominal.start, [effect])
         fields = (model.dof_damping, model.dof_armature, model.jnt_stiffness, model.body_mass)
         sensible = all(np.all(field >= 0) for field in fields) and np.all(model.geom_margin >= 0)
-        late = cause.kind in ("actuator_delay", "sensor_delay") and cause.values[0] > self._period
+        late = effect.kind in ("actuator_delay", "sensor_delay") and effect.values[0] > self._period
         return bool(sensible and not late)
 
     def sized_force(self, rng: np.random.Generator, ratio: float) -> _Force:
@@ -192,12 +193,12 @@ class _Robot:
         return _Force(kind, dof, actuator, other, ratio / (per_newton * unit))
 
     def record(
-        self, rng: np.random.Generator, causes: Sequence[Cause], force: _Force | None
+        self, rng: np.random.Generator, effects: Sequence[Effect], force: _Force | None
     ) -> Measurement:
-        """What the sensors of the robot show."""
+        """A measurement by the robot's sensors."""
         commands = np.stack([_commands(rng, self._task, STEPS + 1) for _ in range(EPISODES)])
-        states = self._run(rng, commands, causes, force)
-        shown = _through_sensors(self._base, states, causes, self._period)
+        states = self._run(rng, commands, effects, force)
+        shown = recorded(self._base, effects, states, self._period)
         nq = self._base.nq
         scale = np.repeat([_POSITION_NOISE, _VELOCITY_NOISE], nq)
         return self._measurement(shown + scale * rng.standard_normal(shown.shape), commands)
@@ -206,11 +207,11 @@ class _Robot:
     def _period(self) -> float:
         return self._base.opt.timestep * self._task.frame_skip
 
-    def _ratio_of(self, cause: Cause) -> float:
+    def _ratio_of(self, effect: Effect) -> float:
         pilot = self._pilot
         start = self._nominal.start
-        with_cause = pilot.simulator.predict(start, [cause], pilot.states)
-        return self._in_noise(with_cause - pilot.predicted)
+        changed = pilot.simulator.predict(start, [effect], pilot.states)
+        return self._in_noise(changed - pilot.predicted)
 
     def _in_noise(self, effect: Matrix) -> float:
         """Root mean square of what the free parameters cannot absorb of an effect (N, m)."""
@@ -229,7 +230,7 @@ class _Robot:
     @cached_property
     def _pilot(self) -> _Pilot:
         """A recording without any effect and without noise, to size effects with."""
-        rng = np.random.default_rng(0)  # one yardstick for the sizes of all cases of a robot
+        rng = np.random.default_rng(0)  # the same for all cases of a robot
         commands = np.stack([_commands(rng, self._task, STEPS + 1) for _ in range(8)])
         states = self._run(rng, commands, [], None)
         simulator = Simulator(self._nominal, self._measurement(states, commands), threads=1)
@@ -259,39 +260,50 @@ class _Robot:
         self,
         rng: np.random.Generator,
         commands: Array3,
-        causes: Sequence[Cause],
+        effects: Sequence[Effect],
         force: _Force | None,
     ) -> Array3:
         """True states (episodes, rows, 2 nv); raises InvalidInput where they diverge."""
-        model = self._nominal.model(self._nominal.start, causes)
+        model = self._nominal.model(self._nominal.start, effects)
         model.opt.timestep /= _FINER
         model.opt.integrator = other_integrator(self._base.opt.integrator)
-        data, skip = mujoco.MjData(model), self._task.frame_skip * _FINER
+        skip = self._task.frame_skip * _FINER
         episodes, rows = commands.shape[:2]
         initial = self._task.initial(episodes, rng)
-        states = np.empty((episodes, rows, 2 * model.nv))
-        told = _obeyed(self._base, np.repeat(commands, skip, axis=1), model.opt.timestep, causes)
-        length = episodes * rows * self._period
+        finer = np.repeat(commands, skip, axis=1)
+        applied = obeyed(self._base, effects, finer, model.opt.timestep)
+        data, states = mujoco.MjData(model), np.empty((episodes, rows, 2 * model.nv))
         for episode in range(episodes):
-            mujoco.mj_resetData(model, data)
-            data.qpos[:] = initial.qpos[episode] + 0.05 * rng.standard_normal(model.nq)
-            data.qvel[:] = initial.qvel[episode] + 0.3 * rng.standard_normal(model.nv)
-            lifted = _lift(model)
-            if lifted is not None:
-                data.qpos[lifted] += rng.uniform(0.05, 0.4)
+            _place(model, data, initial, episode, rng)
             for row in range(rows):
                 states[episode, row] = np.concatenate([data.qpos, data.qvel])
                 for step in range(row * skip, (row + 1) * skip):
-                    data.ctrl[: told.shape[2]] = told[episode, step]
+                    data.ctrl[: applied.shape[2]] = applied[episode, step]
                     if force is not None:
-                        seconds = (episode * rows + row) * self._period + (
-                            step % skip
-                        ) * model.opt.timestep
+                        now = (episode * rows + row) * self._period
+                        seconds = now + (step % skip) * model.opt.timestep
+                        length = episodes * rows * self._period
                         data.qfrc_applied[force.dof] = force.at(data, seconds, length)
                     mujoco.mj_step(model, data)
         if not np.all(np.abs(states) < 1e6):
             raise InvalidInput("the hidden robot diverged; draw another")
         return states
+
+
+def _place(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    initial: State,
+    episode: int,
+    rng: np.random.Generator,
+) -> None:
+    """Put the robot near an initial state, and lift it where it can be lifted."""
+    mujoco.mj_resetData(model, data)
+    data.qpos[:] = initial.qpos[episode] + 0.05 * rng.standard_normal(model.nq)
+    data.qvel[:] = initial.qvel[episode] + 0.3 * rng.standard_normal(model.nv)
+    lifted = _lift(model)
+    if lifted is not None:
+        data.qpos[lifted] += rng.uniform(0.05, 0.4)
 
 
 def _lift(model: mujoco.MjModel) -> int | None:
@@ -314,55 +326,3 @@ def _commands(rng: np.random.Generator, task: Task, rows: int) -> Matrix:
         state = keep * state + np.sqrt(1 - keep**2) * noise[row]
         values[row] = state
     return low + (np.clip(0.6 * values, -1, 1) + 1) / 2 * (high - low)
-
-
-def _obeyed(
-    model: mujoco.MjModel, commands: Array3, timestep: float, causes: Sequence[Cause]
-) -> Array3:
-    told = commands.copy()
-    for cause in causes:
-        mechanism = get_mechanism(cause.kind)
-        if mechanism.command is not None:
-            actuator = element_of(model, cause.location)
-            largest = float(np.abs(model.actuator_ctrlrange[actuator]).max())
-            known = Commands(told[:, :, actuator], timestep, largest)
-            told[:, :, actuator] = mechanism.command(known, actuator, np.array(cause.values))
-    return told
-
-
-def _through_sensors(
-    model: mujoco.MjModel, states: Array3, causes: Sequence[Cause], period: float
-) -> Array3:
-    """What sensors show of true states (episodes, rows, 2 nv), without noise.
-
-    Written apart from `Simulator.felt`, whose approximations the hidden robot must not share.
-    """
-    shown = states.copy()
-    for cause in causes:
-        sense, size = get_mechanism(cause.kind).sense, cause.values[0]
-        if sense is None:
-            continue
-        if sense == "backlash":
-            column = int(model.jnt_dofadr[element_of(model, cause.location)])
-            shown[:, :, column] = _play(states[:, :, column], size)
-            continue
-        column = element_of(model, cause.location)
-        if sense == "bias":
-            shown[:, :, column] += size
-        elif sense == "scale":
-            shown[:, :, column] *= 1 + size
-        elif sense == "delay":
-            slope = np.diff(states[:, :, column], axis=1, prepend=states[:, :1, column]) / period
-            shown[:, :, column] -= size * slope
-        else:
-            raise InvalidInput(f"{cause.kind} is not hidden here: round the readings, or add noise")
-    return shown
-
-
-def _play(positions: Matrix, gap: float) -> Matrix:
-    """(episodes, rows) the play operator of width `gap`: it follows only what pushes it."""
-    shown, state = np.empty_like(positions), positions[:, 0].copy()
-    for row, position in enumerate(positions.T):
-        state = np.clip(state, position - gap / 2, position + gap / 2)
-        shown[:, row] = state
-    return shown
