@@ -5,6 +5,7 @@ with AdrClient() as client:
     client.results(benchmark["links"]["results"])
 """
 
+import os
 import time
 from collections.abc import Iterator, Sequence
 from types import TracebackType
@@ -224,7 +225,13 @@ class AdrClient:
         return response
 
 
+def connect(url: str = DEFAULT_URL, timeout_s: float = 60.0) -> AdrClient:
+    """Return a client with the token in ADR_TOKEN, if there is one."""
+    return AdrClient(url, os.environ.get("ADR_TOKEN", ""), timeout_s)
+
+
 def is_finished(seen: Json) -> bool:
+    """True if a run, or every run of a benchmark, has ended."""
     if "is_finished" in seen:
         return bool(seen["is_finished"])
     return seen["state"] in {"succeeded", "failed", "cancelled"}

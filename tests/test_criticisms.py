@@ -139,24 +139,3 @@ def test_the_command_line_lets_the_service_criticise_and_writes_what_it_found(
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(FILES)
     assert criticised in CliRunner().invoke(app, ["list", *at]).output
     assert "joint_coulomb_friction" in CliRunner().invoke(app, ["watch", criticised, *at]).output
-
-
-def test_a_file_in_place_of_the_folder_is_refused_before_the_work(tmp_path):
-    (tmp_path / "out").touch()
-    asked = ["criticise", "--task", "arm", "--dataset", "data_0", "--out", str(tmp_path / "out")]
-    done = CliRunner().invoke(app, asked)
-    assert "is a file; --out is a folder" in str(done.exception) + done.output
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ([], "give either --data or --dataset"),
-        (["--dataset", "data_0"], "--dataset goes with --task"),
-        (["--dataset", "data_0", "--task", "arm", "--free", "x=0:1"], "takes no --model or --free"),
-    ],
-)
-def test_the_command_line_says_what_goes_together(tmp_path, arguments, message):
-    done = CliRunner().invoke(app, ["criticise", "--out", str(tmp_path), *arguments])
-    assert done.exit_code != 0
-    assert message in str(done.exception) + done.output

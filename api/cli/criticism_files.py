@@ -1,4 +1,4 @@
-"""`adr criticise`: from files to files, without a service."""
+"""A criticism from files to files, without a service."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,17 +21,24 @@ from adr_service.tasks.catalogue import get_task, variant_of
 def nominal_of(
     task: str | None, variant: str | None, model: Path | None, free: Sequence[str]
 ) -> tuple[Nominal, str]:
-    """What is criticised, and its name. Raises InvalidInput where it is not one thing."""
+    """Return the simulator to criticise, and its name.
+
+    Raises InvalidInput unless the options name exactly one.
+    """
     if (task is None) == (model is None):
         raise InvalidInput("give either --task or --model")
-    if task is not None:
-        if free:
-            raise InvalidInput("--free goes with --model; a task has its own parameters")
-        chosen = variant or "vanilla"
-        return Nominal.of_task(get_task(task), variant_of(task, chosen).source), f"{task}, {chosen}"
-    if variant is not None:
-        raise InvalidInput("--variant goes with --task")
-    assert model is not None
+    if task is None:
+        assert model is not None
+        if variant is not None:
+            raise InvalidInput("--variant goes with --task")
+        return _nominal_of_model(model, free)
+    if free:
+        raise InvalidInput("--free goes with --model; a task has its own parameters")
+    chosen = variant or "vanilla"
+    return Nominal.of_task(get_task(task), variant_of(task, chosen).source), f"{task}, {chosen}"
+
+
+def _nominal_of_model(model: Path, free: Sequence[str]) -> tuple[Nominal, str]:
     space = ParameterSpace(tuple(_parameter(text) for text in free))
     if not model.is_file():
         raise InvalidInput(f"{model} cannot be read: it is no file")
@@ -44,7 +51,7 @@ def nominal_of(
 
 
 def _parameter(text: str) -> Parameter:
-    """ADDRESS=LOW:HIGH."""
+    """Return the parameter of a text ADDRESS=LOW:HIGH."""
     address, _, bounds = text.partition("=")
     low, _, high = bounds.partition(":")
     try:
@@ -58,14 +65,14 @@ def _parameter(text: str) -> Parameter:
 def criticise_files(
     nominal: Nominal, name: str, data: Path, out: Path, seed: int, progress: Progress
 ) -> Criticism:
-    """Writes verdict.json, report.html and, where something was named, the extended model."""
-    found = criticise(nominal, _measurement(data), np.random.default_rng(seed), progress)
-    write(out, files_of(found, name))
-    return found
+    """Write verdict.json, report.html and, if effects are named, the extended model."""
+    criticism = criticise(nominal, _measurement(data), np.random.default_rng(seed), progress)
+    write(out, files_of(criticism, name))
+    return criticism
 
 
 def write(out: Path, files: Mapping[str, bytes]) -> None:
-    """A criticism's files, and none of an earlier one."""
+    """Write the files of a criticism, and delete those of an earlier one."""
     out.mkdir(parents=True, exist_ok=True)
     for name in FILES:
         (out / name).unlink(missing_ok=True)
