@@ -12,7 +12,7 @@ from adr_service.simulation.batch import control_period
 from adr_service.tasks.catalogue import catalogue
 from api.errors import problem
 from api.metrics import CONTENT_TYPE, exposition
-from api.routes.runs import artifact_response
+from api.routes.downloads import artifact_response
 from api.service import ServiceDependency
 
 router = APIRouter(tags=["catalogue"])
