@@ -1,4 +1,4 @@
-"""What the routes work with: one database and one orchestrator."""
+"""The service that the routes use: one database and one orchestrator."""
 
 import logging
 import shutil
@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 
 
 class QueueFull(AdrError):
-    """There are too many live runs; later there are fewer."""
+    """Too many runs are live; the request may be sent again later."""
 
     code = "queue_full"
 
@@ -47,7 +47,7 @@ class Service:
         check_dataset(spec, dataset_store.load_dataset(self.database, spec.dataset)[1])
 
     def check_queue(self, live: int) -> None:
-        """Refuse what could not be run: too many runs, on no cores, on a disk nearly full."""
+        """Raise an error if there are too many runs, no cores, or too little disk for more runs."""
         if self.orchestrator.cores == 0 and self.settings.ray_address != "local":
             raise ClusterUnavailable(
                 "the cluster has no cores, so nothing would ever run: add a node with some "
@@ -62,15 +62,15 @@ class Service:
 
     @property
     def dashboard_url(self) -> str | None:
-        """Where browsers reach Ray's dashboard."""
+        """Address of Ray's dashboard for browsers."""
         return self.settings.ray_dashboard_url or self.orchestrator.dashboard_url
 
     def free_disk(self) -> int:
-        """Bytes that are left where results are."""
+        """Free bytes on the disk of the results."""
         return shutil.disk_usage(self.settings.data_dir).free
 
     def check_disk(self) -> None:
-        """Refuse new work while the disk is nearly full; what runs may end."""
+        """Raise DiskFull if the disk is nearly full; live runs may end."""
         free, floor = self.free_disk(), self.settings.disk_floor_mb
         if free < floor * 1e6:
             raise DiskFull(
@@ -79,21 +79,21 @@ class Service:
             )
 
     def claim(self, worker: str, tasks: Sequence[str]) -> TargetTask | None:
-        """A target task for a robot, if there is one; the lock is taken only then."""
+        """Claim a visit for a robot, if one is free; only then is the database locked."""
         now = self.orchestrator.clock.now()
         if not task_store.is_one_free(self.database, tasks, now):
             return None
         return task_store.claim(self.database, worker, tasks, now, self.settings.lease_s)
 
     def expired(self) -> list[store.Deletion]:
-        """What has finished before the time that it is kept for; nothing by default."""
+        """Runs and benchmarks that have been kept for `retention_days`, each with its deletion."""
         days = self.settings.retention_days
         if days is None:
             return []
         return store.finished_before(self.database, datetime.now(UTC) - timedelta(days=days))
 
     def forget(self, delete: Callable[[Database, str], None], id: str) -> None:
-        """Delete something expired, if it still is."""
+        """Delete an expired run or benchmark, unless it has changed meanwhile."""
         try:
             delete(self.database, id)
         except (NotFound, NotPossible) as error:  # somebody was faster, or resumed it
@@ -107,7 +107,7 @@ class Service:
 
 
 def open_service(settings: Settings) -> Service:
-    """Open the database, start Ray, and go on with what is unfinished."""
+    """Open the database, start Ray, and continue unfinished runs."""
     _prepare(settings.data_dir)
     database = open_database(settings.database)
     try:
@@ -121,7 +121,7 @@ def open_service(settings: Settings) -> Service:
 
 
 def _prepare(data_dir: Path) -> None:
-    """A folder for results, and secrets, that nobody else on the machine can look into."""
+    """Make a folder for results and secrets that no other user of the machine can read."""
     try:
         data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
         mode = stat.S_IMODE(data_dir.stat().st_mode)

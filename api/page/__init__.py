@@ -36,7 +36,7 @@ def index(request: Request, service: ServiceDependency) -> Response:
 
 @router.get("/docs")
 def docs(request: Request) -> Response:
-    """The API's reference, from its own description."""
+    """The API's reference, made from its description."""
     description = request.app.openapi()
     return _templates.TemplateResponse(request, "docs.html", {"api": description})
 

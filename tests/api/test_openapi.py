@@ -26,7 +26,7 @@ def described():
     return create_app(Settings()).openapi()
 
 
-def test_the_description_is_the_one_that_was_agreed_on(described):
+def test_the_description_is_the_golden_file(described):
     """A change of the API is a change of this file; ADR_WRITE_GOLDEN=1 writes it anew."""
     text = json.dumps(described, indent=1, sort_keys=True) + "\n"
     if os.environ.get("ADR_WRITE_GOLDEN"):
@@ -34,7 +34,7 @@ def test_the_description_is_the_one_that_was_agreed_on(described):
     assert text == GOLDEN.read_text(), "run with ADR_WRITE_GOLDEN=1, and read the difference"
 
 
-def test_every_route_is_described_and_says_how_it_refuses(described):
+def test_every_route_has_a_description_and_a_problem(described):
     for path, methods in described["paths"].items():
         for method, route in methods.items():
             assert route.get("description"), f"{method} {path} has no description"

@@ -50,12 +50,12 @@ def criticised(service: RunningService, uploaded):
     return id
 
 
-def test_a_measurement_is_a_dataset_and_says_what_it_holds(uploaded):
+def test_a_measurement_is_a_dataset_with_counts_and_columns(uploaded):
     assert (uploaded["transitions"], uploaded["episodes"], uploaded["actions"]) == (900, 12, 2)
     assert uploaded["columns"] == ["qpos_0", "qpos_1", "qvel_0", "qvel_1"]
 
 
-def test_the_cause_is_named_and_the_extended_model_has_it(service, criticised):
+def test_the_hidden_cause_is_named_and_is_in_the_extended_model(service, criticised):
     found = service.client.criticism(criticised)
     (cause,) = found["verdict"]["causes"]
     assert (cause["kind"], cause["location"]) == (HIDDEN.kind, HIDDEN.location)
@@ -75,14 +75,14 @@ def test_the_report_is_a_page(service, criticised):
     assert "What arm, vanilla gets wrong" in response.text
 
 
-def test_it_says_the_same_without_a_service(service, content, uploaded, criticised):
+def test_the_verdict_is_the_same_without_a_service(service, content, uploaded, criticised):
     spec = CriticismSpec(task="arm", dataset=uploaded["id"])
     (finished,) = [e for e in run(spec, LocalStages(), content) if isinstance(e, CriticismFinished)]
-    told = service.client.criticism(criticised)["verdict"]
-    assert {**finished.verdict, "seconds": 0} == {**told, "seconds": 0}
+    verdict = service.client.criticism(criticised)["verdict"]
+    assert {**finished.verdict, "seconds": 0} == {**verdict, "seconds": 0}
 
 
-def test_it_is_a_run_among_runs(service, criticised):
+def test_a_criticism_is_listed_among_runs(service, criticised):
     listed = service.client.list_all("runs", method="criticism")
     assert [entry["id"] for entry in listed] == [criticised]
     kinds = [kind["kind"] for kind in service.client.cost(criticised)["kinds"]]
@@ -98,7 +98,7 @@ def test_it_is_a_run_among_runs(service, criticised):
         ({"task": "leg"}, "no task 'leg'"),
     ],
 )
-def test_what_cannot_be_criticised_is_refused(service, uploaded, spec, message):
+def test_an_unknown_task_or_dataset_cannot_be_criticised(service, uploaded, spec, message):
     with pytest.raises(Refused, match=message):
         service.client.submit_criticism({"dataset": uploaded["id"], **spec})
 
@@ -120,7 +120,7 @@ def test_a_measurement_without_rows_is_refused(service, content):
         service.client.upload(file.getvalue())
 
 
-def test_a_run_that_is_none_and_a_file_that_is_not_there_are_refused(service, criticised):
+def test_an_unknown_file_and_a_run_that_is_no_criticism_are_refused(service, criticised):
     with pytest.raises(Refused, match="accepted: "):
         service.client.criticism_file(criticised, "model.xml")
     other = service.client.submit_run({"task": "arm", "method": "prior", "preset": "smoke"})
@@ -128,7 +128,7 @@ def test_a_run_that_is_none_and_a_file_that_is_not_there_are_refused(service, cr
         service.client.criticism(other["id"])
 
 
-def test_the_command_line_lets_the_service_criticise_and_writes_what_it_found(
+def test_the_command_line_writes_the_files_of_a_criticism_by_the_service(
     service, uploaded, criticised, tmp_path
 ):
     at = ["--url", service.client.url]

@@ -1,4 +1,4 @@
-"""What the service's log has of a record."""
+"""Records in the service's log."""
 
 import io
 import json
@@ -12,8 +12,8 @@ FORGED = "gone\n2026-01-01T00:00:00Z [info] all runs succeeded\x1b[2J\u2028\x9b3
 
 
 @pytest.fixture(params=["text", "json"])
-def told(request, monkeypatch):
-    """What was logged of a defect in a stage, in each form."""
+def logged(request, monkeypatch):
+    """The form, and the log of three failed stages."""
     output = io.StringIO()
     monkeypatch.setattr("sys.stderr", output)
     root = logging.getLogger()
@@ -36,8 +36,8 @@ def told(request, monkeypatch):
     return request.param, output.getvalue()
 
 
-def test_a_record_has_its_level_its_ids_and_its_trace_and_no_values(told):
-    form, text = told
+def test_a_record_has_its_level_its_ids_and_its_trace_and_no_values(logged):
+    form, text = logged
     assert "a-token-of-somebody" not in text
     assert "ValueError: 19" in text
     if form == "json":
@@ -48,8 +48,8 @@ def test_a_record_has_its_level_its_ids_and_its_trace_and_no_values(told):
         assert "run=run_1" in text
 
 
-def test_others_words_begin_no_line_and_steer_no_terminal(told):
-    form, text = told
+def test_text_of_others_begins_no_line_and_controls_no_terminal(logged):
+    form, text = logged
     assert not set("\x1b\x9b\u2028") & set(text)
     assert not [line for line in text.splitlines() if line.startswith("2026-01-01")]
     if form == "json":

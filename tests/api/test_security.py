@@ -1,4 +1,4 @@
-"""A walk through the threats of docs/security.md: a test for each row, or its reason there."""
+"""The threats in docs/security.md: each row has a test, or a reason why it has none."""
 
 import base64
 import re
@@ -21,7 +21,7 @@ from api.settings import Settings
 from tests.service import free_port, start_service, until
 
 pytestmark = pytest.mark.ray
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 TOKEN, ROBOT = "u" * 32, "r" * 32
 RUN = {"task": "arm", "method": "prior", "preset": "smoke"}
 XSS = "<script>alert(1)</script>"
@@ -110,7 +110,7 @@ def test_a_page_elsewhere_cannot_change_anything_even_without_a_body(http, path,
 
 
 @pytest.mark.parametrize("text", ["a\x1b[2Jb", "a\nb", "a\u202eb", "\x9b31m"])
-def test_a_robots_words_cannot_steer_a_terminal(http, text):
+def test_text_of_a_robot_cannot_control_a_terminal(http, text):
     claim = {"worker": text, "tasks": ["arm"]}
     answer = http.post("/v1/target_tasks/claim", json=claim, headers=bearer(ROBOT))
     assert answer.status_code == 422
@@ -126,7 +126,7 @@ def test_a_name_that_is_not_the_services_is_refused(http):
     assert http.get("/healthz", headers={"Host": "localhost:1"}).status_code == 200
 
 
-def test_browsers_are_told_to_load_and_run_nothing(http):
+def test_browsers_load_and_run_nothing(http):
     for path in ("/", "/docs", "/v1/runs", "/nothing"):
         headers = http.get(path, headers=bearer(TOKEN)).headers
         assert headers["Content-Security-Policy"].startswith("default-src 'none'")
@@ -206,10 +206,10 @@ def test_more_runs_than_may_wait_are_refused(http):
 
 def test_secrets_are_in_no_log_and_no_answer(http, guarded):
     http.get("/v1/runs", headers=bearer("w" * 32))
-    told = guarded.log.read_text() + http.get("/metrics", headers=bearer(TOKEN)).text
+    shown = guarded.log.read_text() + http.get("/metrics", headers=bearer(TOKEN)).text
     ray_token = (guarded.data_dir / "ray_token").read_text()
     for secret in (TOKEN, ROBOT, "w" * 32, ray_token):
-        assert secret not in told
+        assert secret not in shown
 
 
 def test_the_folder_is_the_owners_alone(guarded):
@@ -268,7 +268,7 @@ def test_every_port_that_listens_on_all_interfaces_is_named_in_the_docs(service)
 
 
 @pytest.mark.parametrize("how", ["a file in its place", "read-only"])
-def test_a_data_folder_that_cannot_be_written_is_said_without_a_trace(tmp_path, how):
+def test_a_data_folder_that_cannot_be_written_is_reported_without_a_traceback(tmp_path, how):
     folder = tmp_path / "data"
     if how == "read-only":
         folder.mkdir()
@@ -292,7 +292,7 @@ def test_a_data_folder_that_cannot_be_written_is_said_without_a_trace(tmp_path, 
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"ADR_HOST": "0.0.0.0"}, "refusing to listen"),  # noqa: S104
         ({"ADR_HOST": "192.0.2.7", "ADR_TOKEN": "short"}, "16 characters or more"),
@@ -300,11 +300,11 @@ def test_a_data_folder_that_cannot_be_written_is_said_without_a_trace(tmp_path, 
         ({"ADR_RATE": "many"}, "is no rate"),
     ],
 )
-def test_it_does_not_start_open_by_mistake(tmp_path, given, told):
+def test_it_does_not_start_open_by_mistake(tmp_path, given, message):
     command = [sys.executable, "-m", "api", "serve", "--data-dir", str(tmp_path)]
     environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), **given}
     ended = subprocess.run(
         command, env=environment, capture_output=True, text=True, check=False, timeout=60, cwd=ROOT
     )
     assert ended.returncode == 2
-    assert told in ended.stderr.replace("\n", " ")
+    assert message in ended.stderr.replace("\n", " ")

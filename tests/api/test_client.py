@@ -1,4 +1,4 @@
-"""What clients are told of servers that are not the service."""
+"""The Python client, and servers that are not the service."""
 
 import threading
 from contextlib import contextmanager
@@ -6,12 +6,13 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
-from api.client import AdrClient, Unreachable
+from api.client import AdrClient, Refused, Unreachable
+from tests.api.smoke import SMOKE
 
 
 @contextmanager
 def server(status, seconds=0.0):
-    """Answers everything like that, after so many seconds."""
+    """A server that answers every request with this status, after so many seconds."""
     done = threading.Event()
 
     class Handler(BaseHTTPRequestHandler):
@@ -39,7 +40,18 @@ def test_a_proxy_without_its_service_is_not_a_refusal(status):
         client.ready()
 
 
-def test_a_slow_answer_is_not_told_as_no_service():
+def test_a_slow_answer_is_not_reported_as_an_absent_service():
     refused = pytest.raises(Unreachable, match="did not answer in time")
     with server(200, seconds=30) as url, AdrClient(url, timeout_s=0.2) as client, refused:
         client.ready()
+
+
+@pytest.mark.ray
+def test_a_refusal_and_an_absent_service_are_explained(service):
+    with pytest.raises(Refused, match="did you mean 'arm'"):
+        service.client.submit_run({**SMOKE, "task": "arn"})
+    with (
+        AdrClient("http://127.0.0.1:9") as nobody,
+        pytest.raises(Unreachable, match="adr serve"),
+    ):
+        nobody.ready()
