@@ -296,7 +296,7 @@ def test_a_data_folder_that_cannot_be_written_is_reported_without_a_traceback(tm
     [
         ({"ADR_HOST": "0.0.0.0"}, "refusing to listen"),  # noqa: S104
         ({"ADR_HOST": "192.0.2.7", "ADR_TOKEN": "short"}, "16 characters or more"),
-        ({"ADR_ROBOT_TOKEN": ROBOT}, "of no use without ADR_TOKEN"),
+        ({"ADR_ROBOT_TOKEN": ROBOT}, "has no effect without ADR_TOKEN"),
         ({"ADR_RATE": "many"}, "is no rate"),
     ],
 )
