@@ -38,8 +38,7 @@ from adr_service.presets import PRESETS
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec, RunSpec
 from adr_service.stages import Stage, StageResult
 from adr_service.transitions import TransitionDataset
-from api import upkeep
-from api.cli import app
+from api.cli import app, upkeep
 from db import datasets, maintenance, runs, schema, stages
 from db.errors import (
     DatabaseDamaged,

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import psutil
 import pytest
-
 from adr_service.computation import compute
-from adr_service.errors import RunCancelled, StageFailed
 from adr_service.runs import run
+
+from adr_service.errors import RunCancelled, StageFailed
 from adr_service.specs import RunSpec
 from adr_service.stages import Stage
 from adr_service.training.policy import Policy

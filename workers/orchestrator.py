@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple, TypeVar
 
+from adr_service.runs import run
 from structlog.contextvars import bound_contextvars
 
 from adr_service.errors import AdrError, RunCancelled, StageFailed
@@ -21,7 +22,6 @@ from adr_service.events import (
     RunSucceeded,
     StageFinished,
 )
-from adr_service.runs import run
 from adr_service.specs import RunSpec
 from adr_service.target import episode_result
 from db import datasets as dataset_store

@@ -18,13 +18,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from adr_service.computation import compute
+from adr_service.runs import oracle_training
 from ray import tune as ray_tune
 from ray.tune.schedulers import ASHAScheduler
 
-from adr_service.computation import compute
 from adr_service.errors import InvalidInput
 from adr_service.progress import SoFar
-from adr_service.runs import oracle_training
 from adr_service.specs import RunSpec
 from adr_service.tasks.catalogue import get_task
 from workers.cluster import Cluster, RayOptions
