@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from adr_service.criticism.words import sure
+from adr_service.errors import remedy_of
 from adr_service.json_values import printable
 from api.client import AdrClient, Json, is_finished
 
@@ -87,12 +88,17 @@ def _duration(hours: float) -> str:
 
 
 def failures(seen: Json) -> list[str]:
-    """Why runs failed, a line each."""
+    """Why runs failed, and what a user can do; one text for each run."""
     return [
-        f"{run['id']} failed: {printable(run['error']['message'])}".replace("\n", "\n    ")
+        f"{run['id']} failed: {_with_remedy(run['error'])}".replace("\n", "\n    ")
         for run in _runs(seen)
         if run["error"]
     ]
+
+
+def _with_remedy(error: Json) -> str:
+    remedy = remedy_of(error["code"])
+    return printable(error["message"]) + ("" if remedy is None else f"\n{remedy}")
 
 
 def estimates_table(results: Json) -> RenderableType:

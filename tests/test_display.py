@@ -4,18 +4,19 @@ import io
 
 from rich.console import Console
 
+from adr_service.errors import FailureCode
 from api.display import failures, headline, results_table, verdict_table
 
 SPEC = {"task": "arm", "method": {"name": "simopt"}, "seed": 0}
 
 
 def a_run(id, state, *stages, error=None):
-    told = {"code": "target_failed", "message": error} if error else None
+    failure = {"code": "target_failed", "message": error} if error else None
     progress = [
         {"digest": f"{id}{i}", "kind": kind, "state": doing, "fraction": 0.5, "facts": {}}
         for i, (kind, doing) in enumerate(stages)
     ]
-    return {"id": id, "state": state, "spec": SPEC, "progress": progress, "error": told}
+    return {"id": id, "state": state, "spec": SPEC, "progress": progress, "error": failure}
 
 
 def test_who_is_waited_for_is_said():
@@ -29,10 +30,11 @@ def test_who_is_waited_for_is_said():
     )
 
 
-def test_what_failed_is_said_and_why():
+def test_a_failed_run_has_its_reason_and_a_remedy():
     seen = {"runs": [a_run("a", "succeeded"), a_run("b", "failed", error="the motor is hot")]}
     assert headline(seen) == "1/2 runs done, others failed"
-    assert failures(seen) == ["b failed: the motor is hot"]
+    remedy = FailureCode.TARGET_FAILED.remedy
+    assert failures(seen) == [f"b failed: the motor is hot\n    {remedy}"]
 
 
 def test_names_of_causes_are_not_wrapped_on_narrow_terminals():
