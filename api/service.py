@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 import adr_service
 from adr_service.benchmark.comparison import Outcome
-from adr_service.benchmark.utilisation import utilisation
+from adr_service.benchmark.cost import utilisation
 from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.criticism.simulator import Nominal, check_measurement
 from adr_service.errors import AdrError, InvalidInput
@@ -25,15 +25,17 @@ from adr_service.target import Recording
 from adr_service.tasks.catalogue import get_task, source_of
 from api.settings import Settings
 from api.views import CostView, cost_view, results_view
+from db import benchmarks as benchmark_store
 from db import datasets as dataset_store
-from db import runs as store
+from db import events as event_store
+from db import results as result_store
 from db import stages as stage_store
-from db import target_tasks as task_store
+from db import visits as visit_store
 from db.errors import DatabaseUnavailable, DiskFull, NotFound, NotPossible
 from db.requests import RequestKey
 from db.runs import RunRecord
 from db.session import Database, open_database
-from db.target_tasks import TargetTask
+from db.visits import Visit
 from workers.cluster import ClusterUnavailable, RayOptions
 from workers.orchestrator import Orchestrator
 
@@ -57,7 +59,7 @@ class Service:
         specs = {record.id: record.spec for record in records}
         found = [
             (spec, event)
-            for run_id, event in store.iterations_of(self.database, list(specs))
+            for run_id, event in event_store.iterations_of(self.database, list(specs))
             if isinstance(spec := specs[run_id], RunSpec)
         ]
         digests = [digest for _, event in found for digest in event.inferences]
@@ -72,27 +74,27 @@ class Service:
 
         Its bootstraps take seconds, so it is kept until one of the runs has found more.
         """
-        found = store.count_iterations(self.database, [record.id for record in records])
+        found = event_store.count_iterations(self.database, [record.id for record in records])
         version = sha256(canonical_json([adr_service.__version__, found]).encode())
-        known = store.kept_results(self.database, id, version)
+        known = result_store.kept_results(self.database, id, version)
         if known is None:
             known = results_view(self.outcomes(records)).model_dump_json()
             try:
-                store.keep_results(self.database, id, version, known)
+                result_store.keep_results(self.database, id, version, known)
             except DatabaseUnavailable as error:
                 log.warning("the results of %s are not kept: %s", id, error)
         return known
 
     def cost(self, records: Sequence[RunRecord]) -> CostView:
         """What the runs have cost so far."""
-        timings = stage_store.timings_of(self.database, [record.id for record in records])
+        executions = stage_store.executions_of(self.database, [record.id for record in records])
         used = None
-        if timings and all(record.is_finished for record in records):
-            first = min(timing.asked for _, timing in timings)
-            last = max(timing.ended for _, timing in timings)
+        if executions and all(record.is_finished for record in records):
+            first = min(execution.asked for _, execution in executions)
+            last = max(execution.ended for _, execution in executions)
             # others' stages keep cores busy too
-            used = utilisation(stage_store.timings_between(self.database, first, last))
-        return cost_view(timings, used, self.outcomes(records))
+            used = utilisation(stage_store.executions_between(self.database, first, last))
+        return cost_view(executions, used, self.outcomes(records))
 
     def check_dataset(self, spec: AnyRun) -> None:
         """Refuse a run that names a dataset which is not there, or not of its task."""
@@ -145,19 +147,21 @@ class Service:
                 f"below {floor} (ADR_DISK_FLOOR_MB): free some space, or delete runs"
             )
 
-    def claim(self, worker: str, tasks: Sequence[str]) -> TargetTask | None:
+    def claim(self, worker: str, tasks: Sequence[str]) -> Visit | None:
         """A target task for a robot, if there is one; the lock is taken only then."""
         now = self.orchestrator.clock.now()
-        if not task_store.is_one_free(self.database, tasks, now):
+        if not visit_store.is_one_free(self.database, tasks, now):
             return None
-        return task_store.claim(self.database, worker, tasks, now, self.settings.lease_s)
+        return visit_store.claim(self.database, worker, tasks, now, self.settings.lease_s)
 
-    def expired(self) -> list[store.Deletion]:
+    def expired(self) -> list[benchmark_store.Deletion]:
         """What has finished before the time that it is kept for; nothing by default."""
         days = self.settings.retention_days
         if days is None:
             return []
-        return store.finished_before(self.database, datetime.now(UTC) - timedelta(days=days))
+        return benchmark_store.finished_before(
+            self.database, datetime.now(UTC) - timedelta(days=days)
+        )
 
     def forget(self, delete: Callable[[Database, str], None], id: str) -> None:
         """Delete something expired, if it still is."""
@@ -179,7 +183,7 @@ def open_service(settings: Settings) -> Service:
     database = open_database(settings.database)
     try:
         orchestrator = Orchestrator(database, _ray_options(settings))
-        task_store.renew_leases(database, orchestrator.clock.now(), settings.lease_s)
+        visit_store.renew_leases(database, orchestrator.clock.now(), settings.lease_s)
         orchestrator.start()
     except BaseException:
         database.close()

@@ -8,8 +8,8 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel, SkipValidation
 
 from adr_service.benchmark.comparison import Outcome, comparisons, costs, decode, estimates, table
+from adr_service.benchmark.cost import Execution, Utilisation
 from adr_service.benchmark.protocol import Plan
-from adr_service.benchmark.utilisation import Timing, Utilisation
 from adr_service.events import (
     FINISHED,
     CriticismFinished,
@@ -20,10 +20,13 @@ from adr_service.events import (
 )
 from adr_service.specs import BenchmarkSpec, CriticismSpec, RecordedTarget, RunSpec
 from adr_service.tasks.catalogue import get_task
+from db.benchmarks import BenchmarkRecord
 from db.datasets import DatasetRecord
-from db.runs import BenchmarkRecord, EventRecord, RunRecord
-from db.target_tasks import TargetTask
-from workers.dispatcher import Activity
+from db.events import EventRecord
+from db.models import VisitState
+from db.runs import RunRecord
+from db.visits import Visit
+from workers.jobs import Activity
 
 Item = TypeVar("Item")
 Record = TypeVar("Record")
@@ -39,22 +42,6 @@ class RunError(BaseModel):
     message: str
 
 
-class ActivityView(BaseModel):
-    """A stage in the works."""
-
-    kind: str
-    digest: str
-    state: str
-    attempt: int
-    seconds: float
-    fraction: float
-    facts: dict[str, Any]
-    actor: str | None
-    actor_id: str | None  # as Ray's dashboard knows it
-    pid: int | None
-    started_by: str
-
-
 class RunView(BaseModel):
     id: str
     benchmark_id: str | None
@@ -64,7 +51,7 @@ class RunView(BaseModel):
     created_at: datetime
     updated_at: datetime
     error: RunError | None
-    progress: list[ActivityView]
+    progress: list[Activity]
     spec: SkipValidation[
         RunSpec | CriticismSpec
     ]  # it is valid, and checking a benchmark takes a while
@@ -134,27 +121,13 @@ class KindCost(BaseModel):
     preparing_seconds: float  # imports and compilations, by the clock
 
 
-class UtilisationView(BaseModel):
-    """Core seconds while there was work for all cores; see the glossary."""
-
-    useful: float
-    overhead: float
-    cores: int
-    seconds: float
-    computing: float
-    starting: float
-    preparing: float
-    waiting: float
-    orchestration: float
-
-
 class CostView(BaseModel):
     """What was spent on a run or a benchmark. Stages shared with others are included."""
 
     note: str
     kinds: list[KindCost]
     # null: it has not finished, or there was never work for all cores at once
-    utilisation: UtilisationView | None
+    utilisation: Utilisation | None
     inferences: list[dict[str, Any]]
 
 
@@ -181,18 +154,9 @@ class CriticismView(BaseModel):
     links: dict[str, str]
 
 
-class DatasetView(BaseModel):
-    """A stored recording."""
+class DatasetView(DatasetRecord):
+    """A stored recording, with its links."""
 
-    id: str
-    sha256: str
-    created_at: datetime
-    transitions: int
-    episodes: int
-    actions: int
-    dt: float
-    columns: list[str]
-    origin: str
     links: dict[str, str]
 
 
@@ -208,7 +172,7 @@ class TaskView(BaseModel):
     seed: int
     has_policy: bool  # else random actions
     external: bool
-    state: str
+    state: VisitState
     attempt: int
     worker: str | None
     steps: int
@@ -265,7 +229,7 @@ def run_view(record: RunRecord, activities: Sequence[Activity]) -> RunView:
         created_at=record.created_at,
         updated_at=record.updated_at,
         error=error,
-        progress=[ActivityView(**asdict(activity)) for activity in activities],
+        progress=list(activities),
         spec=record.spec,
         links=_run_links(record),
     )
@@ -327,7 +291,7 @@ def page_of(
     return Page(items=[render(record) for record in shown], next_page_token=token)
 
 
-def task_view(task: TargetTask) -> TaskView:
+def task_view(task: Visit) -> TaskView:
     here, inputs = f"/v1/target_tasks/{task.id}", task.inputs
     return TaskView(
         id=task.id,
@@ -355,7 +319,7 @@ def task_view(task: TargetTask) -> TaskView:
     )
 
 
-def claim_view(task: TargetTask) -> ClaimView:
+def claim_view(task: Visit) -> ClaimView:
     assert task.lease is not None
     assert task.expires_at is not None
     assert task.claimed_at is not None
@@ -383,27 +347,26 @@ def results_view(outcomes: Sequence[Outcome]) -> ResultsView:
 
 
 def cost_view(
-    timings: Sequence[tuple[str, Timing]],
+    executions: Sequence[tuple[str, Execution]],
     used: Utilisation | None,
     outcomes: Sequence[Outcome],
 ) -> CostView:
-    kinds: dict[str, list[Timing]] = {}
-    for kind, timing in timings:
-        kinds.setdefault(kind, []).append(timing)
+    kinds: dict[str, list[Execution]] = {}
+    for kind, execution in executions:
+        kinds.setdefault(kind, []).append(execution)
     return CostView(
         note=_COST_NOTE,
         kinds=[
             KindCost(
                 kind=kind,
                 stages=len(group),
-                seconds=sum(t.ended - t.began for t in group),
-                cpu_seconds=sum(t.cpu for t in group),
-                preparing_seconds=sum(t.preparing for t in group),
+                seconds=sum(e.seconds for e in group),
+                cpu_seconds=sum(e.cpu or 0.0 for e in group),
+                preparing_seconds=sum(e.preparing or 0.0 for e in group),
             )
             for kind, group in sorted(kinds.items())
         ],
-        utilisation=used
-        and UtilisationView(useful=used.useful, overhead=used.overhead, **asdict(used)),
+        utilisation=used,
         inferences=[asdict(cost) for cost in costs(outcomes)],
     )
 
@@ -431,8 +394,7 @@ def training_views(run_id: str, records: Sequence[EventRecord]) -> list[Training
 
 def dataset_view(record: DatasetRecord) -> DatasetView:
     here = f"/v1/datasets/{record.id}"
-    known = {name: value for name, value in asdict(record).items() if name != "number"}
-    return DatasetView(**known, links={"self": here, "content": f"{here}/content"})
+    return DatasetView(**dict(record), links={"self": here, "content": f"{here}/content"})
 
 
 def distribution_view(outcome: Outcome) -> DistributionView:

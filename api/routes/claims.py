@@ -7,7 +7,7 @@ from fastapi import APIRouter
 
 from adr_service.benchmark.claims import reports
 from api.service import ServiceDependency
-from db import runs as store
+from db import runs as run_store
 
 router = APIRouter(prefix="/v1/claims", tags=["claims"])
 
@@ -15,5 +15,5 @@ router = APIRouter(prefix="/v1/claims", tags=["claims"])
 @router.get("")
 def claims(service: ServiceDependency) -> list[dict[str, Any]]:
     """One report per budget: each claim, the numbers that bear on it, and the verdict."""
-    outcomes = service.outcomes(store.list_runs(service.database, limit=None))
+    outcomes = service.outcomes(run_store.list_runs(service.database, limit=None))
     return [asdict(report) for report in reports(outcomes)]

@@ -32,7 +32,8 @@ from api.views import (
     run_view,
     training_views,
 )
-from db import runs as store
+from db import events as event_store
+from db import runs as run_store
 from db import stages as stage_store
 from db.errors import NotFound
 from db.requests import Replayed
@@ -48,7 +49,7 @@ MEDIA = {"svg": "image/svg+xml", "png": "image/png", "csv": "text/csv"}
 
 def _existing(run_id: str, service: ServiceDependency) -> str:
     """Refuses a run that is not there, before a stream begins."""
-    return store.get_run(service.database, run_id).id
+    return run_store.get_run(service.database, run_id).id
 
 
 def _last_seen(
@@ -92,7 +93,7 @@ def list_runs(
     page_token: Annotated[int, Query(ge=0, lt=2**63)] = 0,
 ) -> Page[RunView]:
     """Runs in order of submission."""
-    records = store.list_runs(
+    records = run_store.list_runs(
         service.database,
         state=state,
         method=method,
@@ -112,17 +113,17 @@ async def get_run(
 ) -> RunView:
     """How it stands; with `wait`, as soon as its state is another, or has ended."""
     until = time.monotonic() + wait
-    record = first = await anyio.to_thread.run_sync(store.get_run, service.database, run_id)
+    record = first = await anyio.to_thread.run_sync(run_store.get_run, service.database, run_id)
     while record.state == first.state and not record.is_finished and time.monotonic() < until:
         await anyio.sleep(LOOK_EVERY_S)
-        record = await anyio.to_thread.run_sync(store.get_run, service.database, run_id)
+        record = await anyio.to_thread.run_sync(run_store.get_run, service.database, run_id)
     return run_view_of(service, record)
 
 
 @router.post("/{run_id}/cancel", status_code=status.HTTP_202_ACCEPTED)
 def cancel(run_id: str, service: ServiceDependency) -> RunView:
     """Ask a run to stop; what its stages have finished is kept."""
-    record = store.request_cancel(service.database, run_id)
+    record = run_store.request_cancel(service.database, run_id)
     service.orchestrator.cancel(record)
     return run_view_of(service, record)
 
@@ -130,7 +131,7 @@ def cancel(run_id: str, service: ServiceDependency) -> RunView:
 @router.post("/{run_id}/resume", status_code=status.HTTP_202_ACCEPTED)
 def resume(run_id: str, service: ServiceDependency) -> RunView:
     """Go on with a failed or cancelled run from its last finished stage."""
-    record = store.resubmit(service.database, run_id, service.check_queue)
+    record = run_store.resubmit(service.database, run_id, service.check_queue)
     service.orchestrator.submit(record)
     return run_view_of(service, record)
 
@@ -138,7 +139,7 @@ def resume(run_id: str, service: ServiceDependency) -> RunView:
 @router.delete("/{run_id}", status_code=status.HTTP_204_NO_CONTENT)
 def delete(run_id: str, service: ServiceDependency) -> None:
     """Delete a finished run and what only it refers to."""
-    store.delete_run(service.database, run_id)
+    run_store.delete_run(service.database, run_id)
 
 
 @router.get("/{run_id}/events")
@@ -149,7 +150,7 @@ def events(
     limit: PageSize = 100,
 ) -> Page[EventView]:
     """Events with a sequence number above `after`."""
-    found = store.events_of(service.database, run_id, after=after, limit=limit + 1)
+    found = event_store.events_of(service.database, run_id, after=after, limit=limit + 1)
     return page_of(found, limit, event_view, lambda record: record.seq)
 
 
@@ -162,8 +163,8 @@ async def stream(
     """Its events as they happen (`id` is their sequence number), until it has ended."""
     while True:
         # its state is read first: what ended it is among the events then
-        record = await anyio.to_thread.run_sync(store.get_run, service.database, run_id)
-        page = partial(store.events_of, service.database, run_id, after=seen, limit=_STREAMED)
+        record = await anyio.to_thread.run_sync(run_store.get_run, service.database, run_id)
+        page = partial(event_store.events_of, service.database, run_id, after=seen, limit=_STREAMED)
         found = await anyio.to_thread.run_sync(page)
         for event in found:
             seen = event.seq
@@ -180,7 +181,7 @@ def results(
     run_id: str, service: ServiceDependency, format: Literal["json", "csv"] = "json"
 ) -> Response:
     """Its result table, after every iteration; and comparisons, estimates, costs."""
-    record = store.get_run(service.database, run_id)
+    record = run_store.get_run(service.database, run_id)
     if format == "csv":
         return Response(to_csv(table(service.outcomes([record]))), media_type="text/csv")
     return Response(service.results(run_id, [record]), media_type="application/json")
@@ -189,19 +190,19 @@ def results(
 @router.get("/{run_id}/cost")
 def cost(run_id: str, service: ServiceDependency) -> CostView:
     """What its stages cost, and how busy the cores were."""
-    return service.cost([store.get_run(service.database, run_id)])
+    return service.cost([run_store.get_run(service.database, run_id)])
 
 
 @router.get("/{run_id}/trainings")
 def trainings(run_id: str, service: ServiceDependency) -> list[TrainingView]:
     """The learning curves of its policies, of those in training as well."""
-    return training_views(run_id, store.events_of(service.database, run_id))
+    return training_views(run_id, event_store.events_of(service.database, run_id))
 
 
 @router.get("/{run_id}/trainings/{digest}/policy", response_class=Response)
 def policy_of_training(run_id: str, digest: str, service: ServiceDependency) -> Response:
     """The policy of a training; the best so far, while it goes on."""
-    known = training_views(run_id, store.events_of(service.database, run_id))
+    known = training_views(run_id, event_store.events_of(service.database, run_id))
     content = stage_store.policy_of_training(service.database, digest)
     if content is None or digest not in {training.digest for training in known}:
         raise NotFound("policy of training", digest)
@@ -211,20 +212,20 @@ def policy_of_training(run_id: str, digest: str, service: ServiceDependency) -> 
 @router.get("/{run_id}/figures")
 def figures(run_id: str, service: ServiceDependency) -> list[str]:
     """Names of the figures that can be drawn by now."""
-    return drawable(service.outcomes([store.get_run(service.database, run_id)]))
+    return drawable(service.outcomes([run_store.get_run(service.database, run_id)]))
 
 
 @router.get("/{run_id}/figures/{name}.{file_format}", response_class=Response)
 def figure(run_id: str, name: str, file_format: Format, service: ServiceDependency) -> Response:
     """A figure, or its numbers as CSV."""
-    outcomes = service.outcomes([store.get_run(service.database, run_id)])
+    outcomes = service.outcomes([run_store.get_run(service.database, run_id)])
     return Response(draw(name, outcomes, file_format), media_type=MEDIA[file_format])
 
 
 @router.get("/{run_id}/distribution")
 def distribution(run_id: str, service: ServiceDependency) -> DistributionView:
     """What the latest policy was trained on: the method's answer, by parameter."""
-    record = store.get_run(service.database, run_id)
+    record = run_store.get_run(service.database, run_id)
     outcomes = service.outcomes([record])
     if not outcomes:
         raise NotFound("finished iteration of run", run_id)
@@ -234,7 +235,7 @@ def distribution(run_id: str, service: ServiceDependency) -> DistributionView:
 @router.get("/{run_id}/policy", response_class=Response)
 def policy(run_id: str, service: ServiceDependency) -> Response:
     """The latest evaluated policy (of several, the first), as safetensors."""
-    outcomes = service.outcomes([store.get_run(service.database, run_id)])
+    outcomes = service.outcomes([run_store.get_run(service.database, run_id)])
     if not outcomes:
         raise NotFound("evaluated policy of run", run_id)
     digest = outcomes[-1].iteration.policies[0]
@@ -244,11 +245,11 @@ def policy(run_id: str, service: ServiceDependency) -> Response:
 def start(service: Service, spec: AnyRun, key: str | None) -> RunRecord:
     """Store a run and start it; where the key has started one before, that run."""
     try:
-        record = store.create_run(
+        record = run_store.create_run(
             service.database, spec, request_key(key, spec), service.check_queue
         )
     except Replayed as before:
-        record = store.get_run(service.database, before.id)
+        record = run_store.get_run(service.database, before.id)
     if not record.is_finished:
         service.orchestrator.submit(record)
     return record

@@ -6,7 +6,7 @@ the lease of its claim; once that is lost, everything is refused with 409 and th
 
 import time
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated
 
 import anyio
 from fastapi import APIRouter, Body, Depends, Header, Query, Request, Response, status
@@ -17,7 +17,8 @@ from api.routes.datasets import LARGEST, NPZ, octets
 from api.routes.runs import LOOK_EVERY_S, PageSize, bytes_response
 from api.service import ServiceDependency
 from api.views import ClaimView, HeartbeatView, Page, TaskView, claim_view, page_of, task_view
-from db import target_tasks as store
+from db import visits as store
+from db.models import VisitState
 
 router = APIRouter(prefix="/v1/target_tasks", tags=["target tasks"])
 _Name = Annotated[Line, Field(min_length=1, max_length=80)]
@@ -70,14 +71,14 @@ async def claim(
 @router.get("")
 def list_tasks(
     service: ServiceDependency,
-    state: Literal["pending", "claimed", "done", "failed", "withdrawn"] | None = None,
+    state: VisitState | None = None,
     run_id: str | None = None,
     external: Annotated[bool | None, Query(description="for robots, not simulated")] = None,
     page_size: PageSize = 100,
     page_token: Annotated[int, Query(ge=0, lt=2**63)] = 0,
 ) -> Page[TaskView]:
     """Visits to targets, in order."""
-    found = store.list_tasks(
+    found = store.list_visits(
         service.database,
         state=state,
         run_id=run_id,
@@ -91,7 +92,7 @@ def list_tasks(
 @router.get("/{task_id}")
 def get_task(task_id: str, service: ServiceDependency) -> TaskView:
     """Who has it, since when, and how far it is."""
-    return task_view(store.get_task(service.database, task_id))
+    return task_view(store.get_visit(service.database, task_id))
 
 
 @router.get("/{task_id}/policy", response_class=Response)
