@@ -33,7 +33,8 @@ def test_a_stage_that_two_runs_share_is_counted_once():
 def test_a_failed_run_is_named_with_its_error():
     seen = {"runs": [a_run("a", "succeeded"), a_run("b", "failed", error="the motor is hot")]}
     assert headline(seen) == "1/2 runs done, others failed"
-    assert failures(seen) == ["b failed: the motor is hot"]
+    remedy = FailureCode.TARGET_FAILED.remedy
+    assert failures(seen) == [f"b failed: the motor is hot\n    {remedy}"]
 
 
 def test_a_run_alone_is_as_a_benchmark_of_one():
