@@ -1,5 +1,6 @@
 """Progress of runs on a terminal."""
 
+from adr_service.errors import FailureCode
 from api.cli.progress import failures, headline, label
 
 SPEC = {"task": "arm", "method": {"name": "simopt"}, "seed": 0}
