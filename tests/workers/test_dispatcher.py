@@ -16,8 +16,8 @@ from adr_service.runs import run
 from adr_service.specs import RunSpec
 from adr_service.stages import Stage
 from adr_service.training.policy import Policy
-from db.errors import DatabaseUnavailable
 from tests.service import until
+from tests.workers.stores import Store
 from workers.cluster import RayOptions
 from workers.dispatcher import Dispatcher
 from workers.ray_stages import RayStages
@@ -52,44 +52,6 @@ def training(seed, **changes):
 
 def long_training(seed):
     return training(seed, max_steps=10_000_000, evaluate_every=10_000_000)
-
-
-class Store:
-    """A memory in place of the database."""
-
-    def __init__(self):
-        self.results, self.commits, self.notes = {}, [], []
-        self.first = {}  # by digest: whether the stage was the first of its process
-        self.refusals = 0  # of the database, to come
-        self.dropped = []
-
-    def find(self, stage, run_id):
-        self.refuse()
-        return self.results.get(stage.digest)
-
-    def note(self, stage, so_far, run_ids):
-        self.notes.append((stage.digest, so_far, run_ids))
-
-    def begin(self, stage, run_id, worker):
-        return "lease"
-
-    def drop(self, stage):
-        self.dropped.append(stage.digest)
-        raise OSError("the file system is read-only")
-
-    def commit(self, stage, result, execution, lease, run_ids):
-        self.refuse()
-        if "run_unlucky" in run_ids:
-            raise OSError("no space left on device")
-        self.results[stage.digest] = result
-        self.first[stage.digest] = execution.is_first
-        attempt, started_by = execution.attempt, execution.started_by
-        self.commits.append((stage.digest, attempt, started_by, sorted(run_ids)))
-
-    def refuse(self):
-        if self.refusals > 0:
-            self.refusals -= 1
-            raise DatabaseUnavailable("the database cannot be used just now")
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +121,7 @@ def test_a_process_serves_one_run_after_the_other_and_ends_when_idle(started):
     task = {"task": "arm", "variant": "vanilla"}
     evaluation = Stage("evaluate", {**task, "episodes": 1, "seed": 0}, {"policy": policy})
     dispatcher.submit(evaluation, "run_after").result(60)
-    assert [store.first[s.digest] for s in (stage, evaluation)] == [False, False]
+    assert [store.executions[s.digest].is_first for s in (stage, evaluation)] == [False, False]
     until(lambda: not Path(f"/proc/{seen.pid}").exists())
 
 
@@ -245,12 +207,12 @@ def test_a_process_that_hangs_before_its_first_sign_of_life_is_lost_as_well(
 def workers(dispatcher):
     """Pids of processes that were started for actors of stages, however far they have come."""
     others = ("ray::Board", "ray::RuntimeEnvAgent", "ray::DashboardAgent")
-    found = []
+    pids = []
     for process in psutil.Process().children(recursive=True):
         with suppress(psutil.NoSuchProcess):
             if process.parent().name() == "raylet" and not process.name().startswith(others):
-                found.append(process.pid)
-    return found
+                pids.append(process.pid)
+    return pids
 
 
 @pytest.mark.slow
