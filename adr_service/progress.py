@@ -1,4 +1,4 @@
-"""How long computations say that they live, and learn that nobody wants them any more."""
+"""Progress of a computation: its reports, and the request to stop."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 @dataclass(frozen=True)
 class SoFar:
-    """The best that a computation has until now, in the form of its result."""
+    """The best result of a computation that goes on, in the form of its final one."""
 
     values: dict[str, Any]
     blobs: dict[str, bytes]
@@ -23,7 +23,7 @@ class Progress(Protocol):
 
 
 def part_of(progress: Progress, done: int, parts: int) -> Progress:
-    """Progress of the next of `parts` equal parts, of which `done` are behind."""
+    """Progress of the next of `parts` equal parts, after `done` of them."""
 
     def report(fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
         progress((done + fraction) / parts, so_far=so_far, **facts)
@@ -32,4 +32,4 @@ def part_of(progress: Progress, done: int, parts: int) -> Progress:
 
 
 def silent(fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
-    """The progress nobody looks at."""
+    """Report progress to nobody."""
