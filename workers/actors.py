@@ -122,7 +122,7 @@ class _Reporter:
     def progress(self, fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
         if self._unwanted.is_set():
             raise StageCancelled
-        self._latest = (fraction, facts)
+        self._latest = (float(fraction), facts)
         if so_far is not None:
             self._so_far = so_far
 
