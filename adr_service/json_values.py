@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+from collections.abc import Collection
 from typing import Annotated, Any, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -36,12 +37,19 @@ class Wire(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _known_fields(cls, given: Any) -> Any:
-        """Pydantic refuses unknown fields too, but does not say which there are."""
-        if isinstance(given, dict):
-            for name in cast(dict[Any, Any], given):
-                if name not in cls.model_fields:
-                    raise ValueError(str(UnknownName("field", str(name), cls.model_fields)))
-        return given
+        return refuse_unknown_fields(given, cls.model_fields)
+
+
+def refuse_unknown_fields(given: Any, fields: Collection[str]) -> Any:
+    """The value as it is; raises ValueError with the fields there are if a JSON object has others.
+
+    Pydantic refuses unknown fields too, but does not list the known ones.
+    """
+    if isinstance(given, dict):
+        for name in cast(dict[Any, Any], given):
+            if name not in fields:
+                raise ValueError(str(UnknownName("field", str(name), fields)))
+    return given
 
 
 def canonical_json(value: Any) -> str:

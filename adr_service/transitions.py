@@ -76,8 +76,9 @@ class TransitionDataset:
         return len(self.observations)
 
     def __repr__(self) -> str:
-        s, a, episodes = self.observations.shape[1], self.actions.shape[1], self.episode_count
-        return f"TransitionDataset({len(self)} transitions, {episodes} episodes, s={s}, a={a})"
+        s, a = self.observations.shape[1], self.actions.shape[1]
+        counts = f"{len(self)} transitions, {self.episode_count} episodes"
+        return f"TransitionDataset({counts}, s={s}, a={a})"
 
     @property
     def episode_count(self) -> int:

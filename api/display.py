@@ -10,7 +10,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from adr_service.criticism.words import sure
+from adr_service.criticism.verdict import sure
 from adr_service.json_values import printable
 from api.client import AdrClient, Json, is_finished
 

@@ -16,8 +16,9 @@ from pydantic import BaseModel
 import adr_service
 from adr_service.benchmark.comparison import Outcome
 from adr_service.benchmark.utilisation import utilisation
+from adr_service.criticism.compatibility import check_measurement
 from adr_service.criticism.measurements import Measurement, is_measurement
-from adr_service.criticism.simulator import Nominal, check_measurement
+from adr_service.criticism.nominal import Nominal
 from adr_service.errors import AdrError, InvalidInput
 from adr_service.json_values import canonical_json, sha256
 from adr_service.specs import AnyRun, CriticismSpec, RunSpec

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import ray
+from adr_service.computation import compute
 from ray.exceptions import RayError
 
-from adr_service.computation import compute
 from adr_service.errors import AdrError
 from adr_service.progress import SoFar, StageCancelled
 from adr_service.stages import Stage, StageResult

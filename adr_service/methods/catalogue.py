@@ -1,7 +1,7 @@
-"""The catalogue of methods: the settings class of each is its entry.
+"""The catalogue of methods, in which each method's settings class is its entry.
 
-Ours are the settings classes in the modules of this package. Those of installed packages are named
-by an entry point of the group `adr_service.methods` (docs/add-a-method.md).
+It collects the settings classes in the modules of this package, and those that installed packages
+name by an entry point of the group `adr_service.methods` (docs/add-a-method.md).
 """
 
 import inspect
@@ -9,9 +9,10 @@ import pkgutil
 from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import import_module
+from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING, Annotated, Any, Union, get_args
 
-from pydantic import Field, TypeAdapter
+from pydantic import Field
 
 import adr_service.methods
 from adr_service.errors import InvalidInput
@@ -24,55 +25,57 @@ _ORDER: tuple[Data, ...] = get_args(Data)
 
 @cache
 def methods() -> Mapping[str, type[MethodSettings]]:
-    """The settings classes by the methods' names: ours, installed packages', the references.
+    """Settings classes by method name: ours, then those of installed packages, then references.
 
-    Ours are in the order of what they learn from, from nothing to recordings.
+    Ours stand in the order of the data they learn from: nothing, returns, visits, recordings.
     """
     ours = {name_of(settings): settings for settings in sorted(_built_in(), key=_rank)}
     references = {name: each for name, each in ours.items() if each.is_reference}
     entries = {name: each for name, each in ours.items() if not each.is_reference}
     for point in installed(GROUP):
-        settings = load(point)
-        if not (isinstance(settings, type) and issubclass(settings, _INFERRING)):
+        settings = _settings_at(point)
+        if point.name in entries | references:
             raise InvalidInput(
-                f"{origin(point)} must name a subclass of OfflineSettings or OnlineSettings "
-                f"(adr_service.methods.base); it is {settings!r}"
+                f"{origin(point)} gives a method whose name is taken; the other methods are "
+                f"{', '.join(entries | references)}"
             )
-        if inspect.isabstract(settings):
-            lacking = ", ".join(sorted(settings.__abstractmethods__))
-            raise InvalidInput(f"{origin(point)} gives {settings.__name__}, which lacks {lacking}")
-        if name_of(settings) != point.name:
-            raise InvalidInput(
-                f"{origin(point)} gives a method of another name, {name_of(settings)!r}"
-            )
-        if point.name in ours | entries:
-            raise InvalidInput(f"{origin(point)} gives a method which there is already")
         entries[point.name] = settings
     return entries | references
 
 
 def names_of(learns_from: Data) -> list[str]:
-    """The names of the methods that learn from such data."""
+    """Names of the methods that learn from one kind of data."""
     return [name for name, each in methods().items() if each.learns_from == learns_from]
 
 
-def parse_settings(document: Any) -> MethodSettings:
-    """The settings of any method, from JSON."""
-    return TypeAdapter[MethodSettings](AnyMethod).validate_python(document)
-
-
 def identity_of(settings: MethodSettings) -> dict[str, Any]:
-    """The inputs by which a stage knows a method: its settings, and a foreign package's version."""
+    """Inputs by which a stage knows a method: its settings, and the version of its package."""
     return {"method": settings, "method_package": package_of(GROUP, settings.name)}
 
 
 def name_of(settings: type[MethodSettings]) -> str:
-    """The method's name, the only value of the literal; empty where there is none."""
+    """Name of the method, from the literal type of the field; empty if there is none."""
     return str(next(iter(get_args(settings.model_fields["name"].annotation)), ""))
 
 
+def _settings_at(point: EntryPoint) -> type[MethodSettings]:
+    """The settings class that an entry point names, if it is complete and has the point's name."""
+    settings = load(point)
+    if not (isinstance(settings, type) and issubclass(settings, _INFERRING)):
+        raise InvalidInput(
+            f"{origin(point)} must name a subclass of OfflineSettings or OnlineSettings "
+            f"(adr_service.methods.base); it is {settings!r}"
+        )
+    if inspect.isabstract(settings):
+        lacking = ", ".join(sorted(settings.__abstractmethods__))
+        raise InvalidInput(f"{origin(point)} gives {settings.__name__}, which lacks {lacking}")
+    if name_of(settings) != point.name:
+        raise InvalidInput(f"{origin(point)} gives a method of another name, {name_of(settings)!r}")
+    return settings
+
+
 def _built_in() -> Iterator[type[MethodSettings]]:
-    """The settings classes in the modules of this package, in the order of their definition."""
+    """Settings classes in the modules of this package, by module, in the order of definition."""
     for module in pkgutil.iter_modules(adr_service.methods.__path__):
         if module.name not in ("base", "catalogue"):
             content = vars(import_module(f"{adr_service.methods.__name__}.{module.name}"))

@@ -1,7 +1,7 @@
 """The two references of every benchmark, which infer nothing.
 
-`prior` trains on the conservative start of all methods (iteration 0), `oracle` on the hidden
-truth, which the target reveals to nobody else. Lower and upper reference.
+`prior` trains on N(2, I), the conservative start of all methods (benchmark, Sec. 3.4); it is the
+lower reference. `oracle` trains on the hidden truth, which no method may see; it is the upper one.
 """
 
 from typing import ClassVar, Literal

@@ -1,8 +1,9 @@
-"""Uniform domain randomisation: the baseline that looks at no data.
+"""Uniform domain randomization (UDR): the baseline that learns from no data.
 
-Benchmark (Tiboni et al.), Sec. 3.2: the mean over policies trained on uniform bounds drawn at
-random within the search space. How they draw is not stated; here, per parameter, two uniform
-draws, sorted.
+Tiboni et al., the benchmark's paper, Sec. 3.2: the mean over policies that are trained on uniform
+bounds, drawn at random within the search space.
+
+The paper does not state how it draws the bounds. Here each parameter has two uniform draws, sorted.
 """
 
 from typing import ClassVar, Literal
@@ -29,7 +30,7 @@ class UdrSettings(MethodSettings):
 def random_bounds(
     space: ParameterSpace, settings: UdrSettings, rng: np.random.Generator
 ) -> list[Uniform]:
-    """`settings.policies` boxes inside the search bounds."""
+    """`settings.policies` random boxes inside the search bounds (Sec. 3.2)."""
     corners = np.sort(
         rng.uniform(space.low, space.high, (settings.policies, 2, len(space))), axis=1
     )

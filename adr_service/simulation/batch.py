@@ -24,10 +24,10 @@ from mujoco.batch import MODEL_FIELDS, Batch
 from numpy.typing import NDArray
 
 from adr_service.arrays import Indices, Mask, Matrix, frozen
+from adr_service.effects.base import is_added
+from adr_service.effects.models import apply, check_simulated, make_inertias_explicit, prepared
 from adr_service.errors import InvalidInput
 from adr_service.simulation.links import LinkLengths
-from adr_service.simulation.mechanism import is_added
-from adr_service.simulation.mechanisms import apply, check_simulated, openly, prepared
 from adr_service.simulation.model import (
     Slot,
     Writer,
@@ -51,7 +51,7 @@ class Simulations:
         self.n = n
         self._task = task
         self._lengths = LinkLengths(task, source) if links_of(source) else None
-        self._effects = _Effects(task, source) if source.causes else None
+        self._effects = _Effects(task, source) if source.effects else None
         model = compiled(task.xml)
         if self._lengths:
             model = self._lengths.base
@@ -147,7 +147,7 @@ class Simulations:
 
 def check_effects(task: Task, source: Source) -> None:
     """Raises InvalidInput unless the source's effects can be simulated."""
-    if source.causes:
+    if source.effects:
         _Effects(task, source)
 
 
@@ -155,25 +155,25 @@ class _Effects:
     """The models of a task with effects that its file lacks, on top of all parameters."""
 
     def __init__(self, task: Task, source: Source):
-        check_simulated(compiled(task.xml), source.causes)
+        check_simulated(compiled(task.xml), source.effects)
         if links := links_of(source):
             raise InvalidInput(
                 f"{task.name} with the lengths of {', '.join(links)} as parameters cannot be "
                 "extended by effects: its shape is compiled anew for every draw"
             )
-        self._causes = source.causes
+        self._added = source.effects
         spec = mujoco.MjSpec.from_string(task.xml)
-        openly(spec)
-        self._bare = prepared(spec, source.causes)
+        make_inertias_explicit(spec)
+        self._bare = prepared(spec, source.effects)
         self.base = copy(self._bare)
-        apply(self.base, source.causes)
+        apply(self.base, source.effects)
         if self.base.nu > compiled(task.xml).nu and "qfrc_actuator" in task.derived:
             raise InvalidInput(
                 f"{task.name} observes its actuators' forces, among which asymmetric friction and "
                 "external forces would stand: they are not possible there"
             )
         if min(self.base.body_mass.min(), self.base.body_inertia.min()) < 0:
-            raise InvalidInput(f"effects {source.causes} leave a body with a negative mass")
+            raise InvalidInput(f"effects {source.effects} leave a body with a negative mass")
         self._slots = [resolve(self._bare, address) for address in addresses_of(source)]
         self._fixed = list(source.fixed.values())
         changed = {name for name in MODEL_FIELDS if differs(self._bare, self.base, name)}
@@ -191,7 +191,7 @@ class _Effects:
             model = copy(self._bare)
             for slot, value in zip(self._slots, [*self._fixed, *draw], strict=True):
                 write(model, slot, value)
-            apply(model, self._causes)
+            apply(model, self._added)
             for array, name in zip(self._expanded, self._fields, strict=True):
                 array[row] = getattr(model, name)
 

@@ -13,7 +13,7 @@ methods compute the result, say what that costs, and give a stand-in result to p
 
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Generic, Literal, Protocol, TypeVar, cast
 
@@ -80,16 +80,15 @@ class Result(BaseModel):
 
     def to_stored(self) -> StageResult:
         """The form in which the result is stored; optional fields without a value are left out."""
-        return StageResult(*_split(self))
+        return StageResult(*_split(self.model_dump(by_alias=True)))
 
 
 R = TypeVar("R", bound=Result)
 
 
-class Stage(BaseModel, ABC, Generic[R]):
+@dataclass(frozen=True, kw_only=True)
+class Stage(ABC, Generic[R]):
     """Base of the kinds of stages. Fields of bytes are binary inputs, all others are JSON."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     kind: ClassVar[str]
     version: ClassVar[int]  # bumped when results of the kind change
@@ -126,17 +125,17 @@ class Stage(BaseModel, ABC, Generic[R]):
     @property
     def inputs(self) -> dict[str, Any]:
         """The inputs that are JSON; optional ones without a value are left out."""
-        return _split(self)[0]
+        return self._split[0]
 
     @property
     def blobs(self) -> dict[str, bytes]:
         """The binary inputs."""
-        return _split(self)[1]
+        return self._split[1]
 
     @property
     def document(self) -> dict[str, Any]:
         """The content of the digest: kind, version, inputs, and hashes of the binary inputs."""
-        inputs, blobs = _split(self)
+        inputs, blobs = self._split
         return {
             "kind": self.kind,
             "version": self.version,
@@ -146,8 +145,12 @@ class Stage(BaseModel, ABC, Generic[R]):
 
     def read(self, stored: StageResult) -> R:
         """The result that was stored."""
-        fields = {**stored.values, **stored.blobs}
-        return cast(R, self.result.model_validate(fields, context=self))
+        values = {**stored.values, **stored.blobs}
+        return cast(R, self.result.model_validate(values, context=self))
+
+    @property
+    def _split(self) -> tuple[dict[str, Any], dict[str, bytes]]:
+        return _split({field.name: _as_json(getattr(self, field.name)) for field in fields(self)})
 
 
 def compute(stage: Stage[Any], progress: Progress = silent) -> StageResult:
@@ -178,9 +181,17 @@ class Stages(Protocol):
         ...
 
 
-def _split(value: BaseModel) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """The JSON fields and the bytes of a model; fields without a value are in neither."""
-    fields = value.model_dump(by_alias=True)
+def _split(fields: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """The JSON values and the bytes among fields; those without a value are in neither."""
     given = {name: content for name, content in fields.items() if content is not None}
     blobs = {name: content for name, content in given.items() if isinstance(content, bytes)}
     return {name: content for name, content in given.items() if name not in blobs}, blobs
+
+
+def _as_json(value: Any) -> Any:
+    """An input as JSON; bytes and JSON as they are."""
+    if isinstance(value, BaseModel):
+        return value.model_dump()
+    if isinstance(value, list):
+        return [_as_json(each) for each in cast(list[Any], value)]
+    return value.to_json() if hasattr(value, "to_json") else value

@@ -1,13 +1,13 @@
 """Criticise a task's simulator by a measurement."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
 
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.simulator import Nominal
+from adr_service.criticism.nominal import Nominal
 from adr_service.events import RunEvent
 from adr_service.progress import Progress
 from adr_service.stages.base import Cost, Machine, Result, Role, Stage
@@ -36,6 +36,7 @@ class Criticised(Result):
         return self.to_stored().blobs
 
 
+@dataclass(frozen=True, kw_only=True)
 class Criticise(Stage[Criticised]):
     """A whole criticism: sharing its parts between runs would not be worth it."""
 

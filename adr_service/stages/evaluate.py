@@ -1,5 +1,6 @@
 """Evaluate a policy on the simulated target, for the result table alone."""
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -19,6 +20,7 @@ class TargetEvaluation(Result):
     diverged_episodes: int
 
 
+@dataclass(frozen=True, kw_only=True)
 class Evaluate(Stage[TargetEvaluation]):
     """Full episodes of one policy on the simulated target."""
 

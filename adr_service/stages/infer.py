@@ -1,9 +1,9 @@
 """Infer a distribution from what the target showed."""
 
+from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from pydantic import SerializeAsAny
 
 from adr_service.events import RunEvent
 from adr_service.methods.base import (
@@ -31,6 +31,7 @@ class Inferred(Result):
     diagnostics: dict[str, Any]  # JSON
 
 
+@dataclass(frozen=True, kw_only=True)
 class Infer(Stage[Inferred]):
     """One inference of a method.
 
@@ -45,7 +46,7 @@ class Infer(Stage[Inferred]):
 
     variant: str
     seed: int
-    method: SerializeAsAny[MethodSettings]
+    method: MethodSettings
     method_package: str | None = None
     state: dict[str, Any] | None = None  # JSON
     policy: bytes | None = None

@@ -1,9 +1,9 @@
 """Propose the next distribution to train on, from the target returns so far (BayRn)."""
 
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from pydantic import SerializeAsAny
 
 from adr_service.distributions import Uniform
 from adr_service.events import RunEvent
@@ -27,6 +27,7 @@ class Proposed(Result):
     diagnostics: dict[str, Any]  # JSON
 
 
+@dataclass(frozen=True, kw_only=True)
 class Propose(Stage[Proposed]):
     """One step of Bayesian optimisation over uniform distributions."""
 
@@ -37,9 +38,9 @@ class Propose(Stage[Proposed]):
 
     variant: str
     seed: int
-    method: SerializeAsAny[MethodSettings]
+    method: MethodSettings
     method_package: str | None = None
-    distributions: list[Belief]
+    distributions: list[Uniform]
     returns: list[float]  # of a policy of each distribution, on the target
 
     @property
@@ -48,8 +49,7 @@ class Propose(Stage[Proposed]):
         return source_of(self.task, self.variant).space
 
     def compute(self, rng: np.random.Generator, progress: Progress) -> Proposed:
-        boxes = [box for box in self.distributions if isinstance(box, Uniform)]
-        proposal = propose(boxes, np.array(self.returns), rng)
+        proposal = propose(self.distributions, np.array(self.returns), rng)
         return Proposed(
             distribution=proposal.next,
             best=proposal.best,

@@ -1,5 +1,6 @@
 """One episode on a target outside, which a robot's client takes as a task and uploads."""
 
+from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -27,6 +28,7 @@ class RobotEpisode(Result):
     data: bytes  # a TransitionDataset as .npz
 
 
+@dataclass(frozen=True, kw_only=True)
 class TargetEpisode(Stage[RobotEpisode]):
     """An episode for a robot. It belongs to one run: robots do not repeat themselves."""
 

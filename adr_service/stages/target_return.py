@@ -1,5 +1,6 @@
 """Measure the return of one full episode on the simulated target, for methods that see returns."""
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -20,6 +21,7 @@ class EpisodeReturn(Result):
     transitions: int
 
 
+@dataclass(frozen=True, kw_only=True)
 class TargetReturn(Stage[EpisodeReturn]):
     """One full episode of a policy on the simulated target."""
 

@@ -1,5 +1,6 @@
 """Record one trajectory of a policy on the simulated target."""
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -21,6 +22,7 @@ class Rollout(Result):
     data: bytes  # a TransitionDataset as .npz
 
 
+@dataclass(frozen=True, kw_only=True)
 class TargetRollout(Stage[Rollout]):
     """One episode on the simulated target, of at most `transitions` control steps."""
 

@@ -1,13 +1,15 @@
 """Train one policy on one distribution of simulator parameters."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
+from adr_service.distributions import Distribution
 from adr_service.events import RunEvent, TrainingEvaluated
 from adr_service.progress import Checkpoint, Progress
-from adr_service.stages.base import Belief, Cost, Machine, Result, Role, Stage
+from adr_service.stages.base import Cost, Machine, Result, Role, Stage
 from adr_service.startup_time import preparing
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.training.curve import Evaluation
@@ -34,6 +36,7 @@ class TrainedPolicy(Result):
     diverged_episodes: int
 
 
+@dataclass(frozen=True, kw_only=True)
 class TrainPolicy(Stage[TrainedPolicy]):
     """Training on a task's source, until its reward threshold or the last step."""
 
@@ -44,7 +47,7 @@ class TrainPolicy(Stage[TrainedPolicy]):
 
     variant: str
     seed: int
-    distribution: Belief
+    distribution: Distribution
     training: TrainingSettings
 
     def compute(self, rng: np.random.Generator, progress: Progress) -> TrainedPolicy:

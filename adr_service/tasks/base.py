@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector, frozen
-from adr_service.causes import Cause
+from adr_service.effects.base import Effect
 from adr_service.parameters import ParameterSpace
 
 if TYPE_CHECKING:  # MuJoCo takes a tenth of a second to import
@@ -35,7 +35,7 @@ class Source:
 
     space: ParameterSpace
     fixed: Mapping[str, float] = field(default_factory=dict[str, float])
-    causes: tuple[Cause, ...] = ()  # effects beyond what the task's file has
+    effects: tuple[Effect, ...] = ()  # beyond what the task's file has
 
 
 @dataclass(frozen=True)

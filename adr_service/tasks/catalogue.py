@@ -13,7 +13,7 @@ from functools import cache
 from importlib.metadata import EntryPoint
 
 from adr_service import tasks
-from adr_service.causes import parse_domain
+from adr_service.effects.base import parse_domain
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.plugins import installed, load, origin, package_of
 from adr_service.tasks.base import Entry, Hidden, Source, Task, Variant
@@ -80,8 +80,8 @@ def variant_of(task: str, variant: str) -> Variant:
 
 def source_of(task: str, domain: str) -> Source:
     """The simulator that methods may use: the variant's source with the domain's effects."""
-    variant, causes = parse_domain(domain)
-    return replace(variant_of(task, variant).source, causes=causes)
+    variant, effects = parse_domain(domain)
+    return replace(variant_of(task, variant).source, effects=effects)
 
 
 def hidden_of(task: str, domain: str) -> Hidden:
@@ -89,9 +89,9 @@ def hidden_of(task: str, domain: str) -> Hidden:
 
     For simulated targets and environments alone.
     """
-    variant, causes = parse_domain(domain)
+    variant, effects = parse_domain(domain)
     hidden = variant_of(task, variant).hidden
-    return replace(hidden, source=replace(hidden.source, causes=causes))
+    return replace(hidden, source=replace(hidden.source, effects=effects))
 
 
 def identity_of(task: str) -> Mapping[str, str]:

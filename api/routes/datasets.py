@@ -4,8 +4,9 @@ from typing import Annotated
 
 from fastapi import APIRouter, Body, Depends, Header, HTTPException, Query, Response, status
 
+from adr_service.criticism.compatibility import check_measurement
 from adr_service.criticism.measurements import Measurement, is_measurement
-from adr_service.criticism.simulator import Nominal, check_measurement
+from adr_service.criticism.nominal import Nominal
 from adr_service.simulation.replay import check_recorded
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.transitions import TransitionDataset

@@ -6,12 +6,12 @@ from functools import partial
 from typing import Annotated, Any, Literal
 
 import anyio
+from adr_service.benchmark.protocol import Plan, plan
 from fastapi import APIRouter, Depends, Header, Query, Response, status
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from adr_service.benchmark.comparison import table, to_csv
 from adr_service.benchmark.figures import Format, draw, drawable
-from adr_service.benchmark.protocol import Plan, plan
 from adr_service.events import RunState
 from adr_service.json_values import sha256
 from adr_service.specs import AnyRun, RunSpec

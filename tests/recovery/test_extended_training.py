@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adr_service.benchmark.statistics import difference
-from adr_service.causes import Cause
+from adr_service.effects.base import Effect
 from adr_service.programs import run
 from adr_service.specs import RunSpec
 from adr_service.stages.local import LocalStages
@@ -32,7 +32,7 @@ def returned(hidden, extension, seed):
 
 def test_policies_of_the_extended_simulator_return_more_on_a_target_that_hides_an_effect():
     """A spring that has to be held against, which no parameter can say."""
-    hidden = Cause("joint_spring", "joint:shoulder", (12.0,))
+    hidden = Effect("joint_spring", "joint:shoulder", (12.0,))
     extension = named_effects("arm", "vanilla", [hidden], seed=500)
     (named,) = extension
     assert (named["kind"], named["location"]) == (hidden.kind, hidden.location)

@@ -7,8 +7,8 @@ import pytest
 
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.simulator import Simulator
-from adr_service.criticism.sources import dropo, xl330
 from adr_service.errors import InvalidInput
+from benchmarks.sources import dropo, xl330
 
 
 @pytest.mark.slow
