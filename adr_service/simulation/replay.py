@@ -35,8 +35,8 @@ class Replay:
     def predict(self, dynamics: Matrix) -> Array3:
         """Predicted observations at each window's end, (n, w, s); NaN where diverged.
 
-        Only the first state of a window is taken from the data. Any number of dynamics; they
-        are simulated `n` (of the constructor) at a time, which changes no bit.
+        Only the first state of a window comes from the data. Any number of dynamics is
+        simulated in batches of the constructor's `n`; the batch size changes no bit.
         """
         most = self._simulations.n
         parts = [dynamics[first : first + most] for first in range(0, len(dynamics), most)]
@@ -63,7 +63,7 @@ class Replay:
 
 
 def check_recorded(task: Task, data: TransitionDataset) -> None:
-    """Refuse data that are not of this task's robot."""
+    """Raise InvalidInput if the data are not of this task's robot."""
     given = (data.observations.shape[1], data.actions.shape[1])
     expected = (task.measured, len(task.action_low))
     if given != expected:
