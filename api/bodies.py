@@ -1,7 +1,8 @@
-"""Specs in bodies, validated beside the event loop: a benchmark's takes as long as all its runs'.
+"""Specs in bodies, validated on threads.
 
-FastAPI validates bodies on the event loop, where everybody else would wait. Here it hands them on
-as they came, with the same description in the API's reference, to functions on threads.
+FastAPI validates bodies on the event loop, and all other requests wait meanwhile; a benchmark takes
+as long as all its runs. Here FastAPI passes bodies unread to functions on threads. Their
+description in the API's reference stays the same.
 """
 
 from typing import Annotated, Any, TypeVar

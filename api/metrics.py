@@ -1,6 +1,6 @@
-"""/metrics for Prometheus: what waits, what runs, how fast, and how long the database takes.
+"""/metrics for Prometheus: counts of runs, stages and visits, their speed, and the database's.
 
-Counted when it is asked for, from the database and the dispatcher; nothing is kept in between.
+Each request counts them anew, from the database and the dispatcher.
 """
 
 import time
@@ -58,7 +58,7 @@ class _Now(Collector):
             "adr_target_tasks",
             "Visits to targets by state and claimant.",
             ["state", "of"],
-            {(s, "robots" if e else "simulated"): n for (s, e), n in counted.tasks.items()},
+            {(s, "robots" if e else "simulated"): n for (s, e), n in counted.visits.items()},
         )
         yield _gauge(
             "adr_lease_age_seconds",
@@ -78,7 +78,7 @@ class _Now(Collector):
 def _gauge(
     name: str, text: str, labels: Sequence[str], values: Mapping[tuple[str, ...], float]
 ) -> Metric:
-    """Numbers by the values of their labels."""
+    """Return a gauge from numbers by the values of their labels."""
     gauge = GaugeMetricFamily(name, text, labels=labels)
     for key, value in values.items():
         gauge.add_metric(key, value)

@@ -27,7 +27,7 @@ from adr_service.errors import InvalidInput
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.tasks.catalogue import get_task
 from api.cli import app
-from api.display import verdict_table
+from api.cli.verdict_table import verdict_table
 from benchmarks.planted import draw_case, hide
 from tests.hidden import arm, recorded
 

@@ -21,11 +21,12 @@ from typing import Any
 from ray import tune as ray_tune
 from ray.tune.schedulers import ASHAScheduler
 
-from adr_service.computation import compute
 from adr_service.errors import InvalidInput
-from adr_service.progress import SoFar
-from adr_service.runs import oracle_training
+from adr_service.events import RunEvent, TrainingEvaluated
+from adr_service.programs.references import truth_training
+from adr_service.progress import Checkpoint
 from adr_service.specs import RunSpec
+from adr_service.stages.base import compute
 from adr_service.tasks.catalogue import get_task
 from workers.cluster import Cluster, RayOptions
 
@@ -85,17 +86,20 @@ def tune(
 def _train(config: dict[str, Any], spec: RunSpec) -> None:
     """A trial, in a process of its own; reports every evaluation."""
 
-    def report(curve: list[dict[str, Any]]) -> None:
-        best = max(point["mean_return"] for point in curve)
-        ray_tune.report({**curve[-1], "best_return": best})
+    def report(curve: Sequence[RunEvent]) -> None:
+        points = [point for point in curve if isinstance(point, TrainingEvaluated)]
+        best = max(point.mean_return for point in points)
+        latest = points[-1].model_dump(include={"steps", "mean_return", "standard_error"})
+        ray_tune.report({**latest, "best_return": best})
 
-    def progress(fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
-        if so_far is not None:
-            report(so_far.values["curve"])
+    def progress(fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
+        if checkpoint is not None:
+            report(checkpoint.events)
 
     training = spec.training.model_copy(update={"learning_rate": config["learning_rate"]})
     given = spec.model_copy(update={"seed": config["seed"], "training": training})
-    report(compute(oracle_training(given), progress).values["curve"])
+    stage = truth_training(given)
+    report(stage.events(stage.read(compute(stage, progress))))
 
 
 def _rank(trial: Trial) -> tuple[bool, float]:

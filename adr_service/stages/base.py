@@ -153,7 +153,10 @@ class Stage(ABC, Generic[R]):
         return _split({field.name: _as_json(getattr(self, field.name)) for field in fields(self)})
 
 
-def compute(stage: Stage[Any], progress: Progress = silent) -> StageResult:
+AnyStage = Stage[Any]
+
+
+def compute(stage: AnyStage, progress: Progress = silent) -> StageResult:
     """Run a stage here and now; its random numbers come from its digest."""
     return stage.compute(stream("stage", stage.digest), progress).to_stored()
 

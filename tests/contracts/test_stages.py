@@ -131,5 +131,8 @@ def changed(value):
     return changes.get(type(value), lambda: _wider(value))()
 
 
-def _wider(gaussian):
-    return type(gaussian)(gaussian.space, gaussian.location, 2 * gaussian.covariance)
+def _wider(belief):
+    """Another distribution of the same kind."""
+    if hasattr(belief, "covariance"):
+        return type(belief)(belief.space, belief.location, 2 * belief.covariance)
+    return type(belief)(belief.space, belief.low, belief.low)
