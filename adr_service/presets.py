@@ -65,7 +65,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "transitions": 200,
             "evaluation_episodes": 50,
             "training": {
-                # by a few trainings on Hopper (docs/training.md); nearly all of the time is updates
+                # by a few trainings on Hopper (docs/training.md); updates take nearly all time
                 "max_steps": 120_000,
                 "gradient_steps": 12,
                 "learning_rate": 0.001,

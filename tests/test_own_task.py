@@ -1,4 +1,4 @@
-"""The example package of docs/own-task.md, installed and used as a user would."""
+"""The example package of docs/own-task.md, installed and used."""
 
 import subprocess
 
@@ -55,7 +55,7 @@ def installed(tmp_path_factory):
     return folder
 
 
-def test_an_installed_task_is_simulated_and_runs_like_ours(installed):
+def test_an_installed_task_is_simulated_and_runs(installed):
     done = python(USE, installed)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "fine"
@@ -69,7 +69,7 @@ def test_an_installed_task_is_simulated_and_runs_like_ours(installed):
         ("adr_pendulum:ENTRY", "a task of another name, 'pendulum'"),
     ],
 )
-def test_an_entry_point_that_leads_wrong_is_named(installed, tmp_path, value, message):
+def test_a_broken_entry_point_is_named_with_its_error(installed, tmp_path, value, message):
     add_entry_point(tmp_path, "adr_service.tasks", value)
     code = "from adr_service.tasks.catalogue import get_task; get_task('arm')"
     done = python(code, tmp_path, installed)

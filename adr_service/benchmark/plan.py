@@ -20,6 +20,7 @@ from adr_service.events import RunEvent
 from adr_service.programs import Program, run
 from adr_service.randomness import stream
 from adr_service.simulation.batch import Simulations
+from adr_service.simulation.rollout import random_actions
 from adr_service.specs import AnyRun
 from adr_service.stages.base import PRIORITY, Cost, Machine, R, Result, Stage
 from adr_service.tasks.catalogue import get_task, variants_of
@@ -198,8 +199,9 @@ def _step_rate(task_name: str) -> float:
     simulations, rng = Simulations(task, source, 12), stream("step rate", task.name)
     simulations.set_dynamics(np.tile((source.space.low + source.space.high) / 2, (12, 1)))
     simulations.set_state(task.initial(12, rng))
+    act, unseen = random_actions(task, rng), np.empty((12, 0))
     steps, started = 0, time.thread_time()
     while (elapsed := time.thread_time() - started) < _MEASURED_S:
-        simulations.step(rng.uniform(task.action_low, task.action_high, (12, len(task.action_low))))
+        simulations.step(act(unseen))
         steps += 12
     return steps / elapsed

@@ -52,11 +52,8 @@ class Simulations:
         self._task = task
         self._lengths = LinkLengths(task, source) if links_of(source) else None
         self._effects = _Effects(task, source) if source.effects else None
-        model = compiled(task.xml)
-        if self._lengths:
-            model = self._lengths.base
-        if self._effects:
-            model = self._effects.base
+        changed = self._effects or self._lengths
+        model = compiled(task.xml) if changed is None else changed.base
         _check(task, model)
         self._batch = Batch(model, n, threads)
         self._rows = np.arange(n)

@@ -1,7 +1,7 @@
 """HalfCheetah: run forward on two legs in the plane, as fast as possible; it cannot fall.
 
 The benchmark's RandomHalfCheetah-v0 (Tiboni et al., random-envs), with the masses and inertias
-of its simulator, MuJoCo 2.1.0; docs/tasks.md lists what differs from it and why.
+of its simulator, MuJoCo 2.1.0; docs/tasks.md lists the differences and their reasons.
 """
 
 from collections.abc import Mapping

@@ -1,7 +1,7 @@
 """Hopper: hop forward on one leg, as fast as possible, without falling.
 
 The benchmark's RandomHopper-v0 (Tiboni et al., random-envs), with the masses and inertias of
-its simulator, MuJoCo 2.1.0; docs/tasks.md lists what differs from it and why.
+its simulator, MuJoCo 2.1.0; docs/tasks.md lists the differences and their reasons.
 """
 
 from collections.abc import Mapping

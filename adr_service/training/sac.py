@@ -4,10 +4,10 @@
     trained.policy.act(observations)
 
 Training stops when the mean return over evaluation episodes, drawn from the *source*
-distribution, reaches the task's reward threshold; the best policy of all evaluations is kept.
-Both backends take the same hyperparameters and give the same kind of `Policy`. One training
-per process at a time: SB3's replay buffer draws from NumPy's global generator, which it seeds
-from our stream.
+distribution, reaches the task's reward threshold. The result is the best policy of all
+evaluations. Both backends take the same hyperparameters and give the same kind of `Policy`. A
+process trains one policy at a time, because SB3's replay buffer draws from NumPy's global
+generator, which it seeds from our stream.
 """
 
 import importlib.util
@@ -40,13 +40,13 @@ Keep = Callable[[Policy, Sequence[Evaluation]], Checkpoint]
 
 @dataclass(frozen=True)
 class Training:
-    """A trained policy and how it came about."""
+    """A trained policy with its learning curve and its costs."""
 
     policy: Policy  # the best of all evaluations
     curve: tuple[Evaluation, ...]
     steps: int
     adjusted_draws: int  # dynamics moved onto a bound, see `Draws`
-    diverged_episodes: int  # ended because the simulation stopped being finite
+    diverged_episodes: int  # ended because the simulation diverged
 
     @property
     def best(self) -> Evaluation:
@@ -74,7 +74,7 @@ def train(
     stop_at = task.reward_threshold if settings.stop_at_threshold else math.inf
     judge = _Judge(task, source, distribution, settings, evaluation_rng)
     monitor = _Monitor(backend, judge, settings, stop_at, progress, keep)
-    model.set_logger(Logger(None, []))  # SB3's own would make a folder per training
+    model.set_logger(Logger(None, []))  # SB3's own makes a folder per training
     model.learn(settings.max_steps, callback=monitor, log_interval=None)
     if not judge.curve or judge.curve[-1].steps < model.num_timesteps:
         judge.evaluate(backend.policy(model, task, settings.activation), model.num_timesteps)
@@ -83,7 +83,7 @@ def train(
 
 
 class _Judge:
-    """Evaluates policies on fresh draws of the source distribution; keeps the best."""
+    """Evaluates policies on new draws of the source distribution and keeps the best."""
 
     def __init__(
         self,
@@ -115,7 +115,7 @@ class _Judge:
 
 
 class _Monitor(BaseCallback):
-    """Evaluates on schedule, reports progress, stops at the threshold."""
+    """Evaluates on schedule, reports progress and stops at the threshold."""
 
     def __init__(
         self,
@@ -158,7 +158,7 @@ class _Backend(Protocol):
 def _hyperparameters(task: Task, settings: TrainingSettings, seed: int) -> dict[str, Any]:
     return {
         "learning_rate": settings.learning_rate or task.learning_rate,
-        # no larger than what a training can fill: allocating is not free
+        # no larger than a training can fill, because allocating takes time
         "buffer_size": min(settings.buffer_size, settings.max_steps + settings.environments),
         "learning_starts": settings.learning_starts,
         "batch_size": settings.batch_size,
@@ -195,12 +195,12 @@ class _Sb3:
 
 
 class _Sbx:
-    """SBX (JAX), by the authors of SB3: the same interface, several times the updates/s."""
+    """SBX (JAX), by the authors of SB3: the same interface with more updates per second."""
 
     def build(self, env: RandomizedVecEnv, settings: TrainingSettings, common: Any) -> Any:
         if importlib.util.find_spec("sbx") is None:
             raise InvalidInput(
-                "backend 'sbx' needs the package sbx-rl: pip install sbx-rl; or 'sb3'"
+                "backend 'sbx' needs the package sbx-rl (pip install sbx-rl); without it, use 'sb3'"
             )
         with preparing():
             import flax.linen
@@ -228,7 +228,7 @@ class _Sbx:
 
 @cache
 def _count_compilations() -> None:
-    """Let JAX report what it spends on compiling, once per process."""
+    """Count the time that JAX spends on compiling as preparation, once per process."""
     import jax
 
     def listen(event: str, duration_secs: float, **_: Any) -> None:

@@ -1,4 +1,4 @@
-"""The hyperparameters of policy training, apart from the libraries that use them."""
+"""Hyperparameters of policy training, importable without the libraries that train."""
 
 import importlib.util
 from itertools import pairwise

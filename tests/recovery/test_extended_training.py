@@ -1,4 +1,4 @@
-"""What an extension is worth: policies of the extended simulator on a target with an effect."""
+"""Policies trained on an extended simulator return more on a target with that effect."""
 
 import numpy as np
 import pytest

@@ -12,7 +12,7 @@ from benchmarks.sources import dropo, xl330
 
 
 @pytest.mark.slow
-def test_the_servos_coulomb_friction_and_its_encoders_offset_are_found(datasets):
+def test_a_servos_coulomb_friction_and_its_encoders_offset_are_named(datasets):
     """Published checks (2 of 4 swings): Coulomb .0138 N m, offset .0295 rad, and of a later fit
     armature .0018 kg m²."""
     logs = sorted((datasets / "bam_xl330" / "raw").glob("*.json"))
@@ -31,7 +31,7 @@ def test_the_servos_coulomb_friction_and_its_encoders_offset_are_found(datasets)
 
 
 @pytest.mark.slow
-def test_what_today_s_hopper_gets_wrong_of_an_older_engine_is_found(datasets):
+def test_criticism_names_the_difference_between_two_versions_of_mujoco(datasets):
     """Inertias and masses of all bodies, and the contact margin (MuJoCo 2.1 against 4.0).
 
     Learned from 6 of 20 episodes; the error is of all of them. The masses are published.
@@ -65,7 +65,7 @@ def squared_error(nominal, data):
     return float((error**2).sum(axis=1).mean())
 
 
-def test_what_is_no_log_of_a_servo_is_refused(tmp_path):
+def test_a_file_that_is_no_log_of_a_servo_is_refused(tmp_path):
     log = tmp_path / "log.json"
     log.write_text('{"entries": [{"timestamp": 0}]}')
     with pytest.raises(InvalidInput, match="is no log of a servo"):
@@ -76,6 +76,6 @@ def test_what_is_no_log_of_a_servo_is_refused(tmp_path):
         xl330.read([log])
 
 
-def test_what_is_no_record_of_dropos_is_refused(tmp_path):
+def test_a_folder_without_dropos_records_is_refused(tmp_path):
     with pytest.raises(InvalidInput, match="has no record hoppermass_n10000"):
         dropo.read(tmp_path)

@@ -25,7 +25,7 @@ def id_of(task, variant):
 
 
 @pytest.mark.parametrize(("task", "variant"), CASES, ids=IDS)
-def test_gymnasiums_checker_is_content_but_for_the_infinite_bounds(task, variant):
+def test_gymnasiums_checker_complains_of_the_infinite_bounds_alone(task, variant):
     env = gymnasium.make(id_of(task.name, variant))
     assert env.spec.max_episode_steps == task.horizon
     with warnings.catch_warnings(record=True) as complaints:
@@ -35,8 +35,8 @@ def test_gymnasiums_checker_is_content_but_for_the_infinite_bounds(task, variant
 
 
 @pytest.mark.parametrize("task", BUILT_IN)
-def test_it_simulates_what_the_training_environment_does(task):
-    """From the same generator: the same dynamics, observations, rewards and endings."""
+def test_an_environment_simulates_the_same_as_the_training_environment(task):
+    """The same generator gives the same dynamics, observations, rewards and endings."""
     source = source_of(task, "vanilla")
     belief = Uniform(source.space, source.space.low, source.space.high)
     one = gymnasium.make(id_of(task, "vanilla"), distribution=belief.to_json()).unwrapped
@@ -55,7 +55,7 @@ def test_it_simulates_what_the_training_environment_does(task):
             break
 
 
-def test_the_noisy_environment_shows_noise_of_its_variance():
+def test_the_noisy_environment_has_noise_of_the_stated_variance():
     env = gymnasium.make("adr/RandomHopperNoisy-v0").unwrapped
     clean = gymnasium.make("adr/RandomHopper-v0").unwrapped
     errors = []
@@ -81,7 +81,7 @@ def test_some_dynamics_can_be_given_at_reset():
     assert info["dynamics"]["leg_mass"] == hidden_of("hopper", "vanilla").values[2]
 
 
-def test_a_diverged_simulation_ends_its_episode_and_says_so():
+def test_a_diverged_simulation_ends_its_episode_with_a_flag_in_info():
     env = gymnasium.make("adr/RandomHopper-v0").unwrapped
     env.reset(seed=0)
     env._simulations.set_state(State(np.full((1, 6), np.nan), np.zeros((1, 6))))
@@ -103,25 +103,25 @@ def test_a_diverged_simulation_ends_its_episode_and_says_so():
         ({"dynamics": [3.0]}, "values by name"),
     ],
 )
-def test_dynamics_that_cannot_be_are_explained(options, message):
+def test_impossible_dynamics_are_refused_with_the_accepted_values(options, message):
     env = gymnasium.make("adr/RandomHopper-v0").unwrapped
     with pytest.raises((InvalidInput, UnknownName), match=message):
         env.reset(options=options)
 
 
 def test_actions_that_are_not_finite_are_refused():
-    """MuJoCo would take them for zero, and say so in a log file alone."""
+    """MuJoCo takes them for zero and writes a warning to a log file alone."""
     env = gymnasium.make("adr/RandomHopper-v0").unwrapped
     env.reset(seed=0)
     with pytest.raises(InvalidInput, match="finite"):
         env.step(np.array([0.0, np.nan, 0.0]))
 
 
-def test_a_frozen_parameter_cannot_be_given():
+def test_a_frozen_parameter_cannot_be_set():
     env = gymnasium.make("adr/RandomHopperUnmodeled-v0").unwrapped
     with pytest.raises(InvalidInput, match="torso_mass is frozen"):
         env.reset(options={"dynamics": {"torso_mass": 4.0}})
 
 
-def test_the_control_period_is_known_exactly():
+def test_the_control_period_is_exact():
     assert gymnasium.make("adr/RandomHumanoid-v0").unwrapped.dt == pytest.approx(0.015, rel=1e-12)

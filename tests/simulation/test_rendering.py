@@ -31,7 +31,7 @@ class TestDrawing:
         assert before.shape == (352, 480, 3)
         assert np.any(before != after, axis=2).mean() > 5e-4
 
-    def test_a_model_without_a_camera_is_seen_from_aside(self):
+    def test_a_model_without_a_camera_is_seen_from_the_side(self):
         body = '<body><freejoint/><geom size="0.3" rgba="1 0 0 1"/></body>'
         model = mujoco.MjModel.from_xml_string(
             f"<mujoco><worldbody>{body}<light/></worldbody></mujoco>"
@@ -52,7 +52,7 @@ class TestDrawing:
     # the film is written by another program, which JAX of earlier tests warns of
     @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
     @pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
-    def test_a_film_shows_an_episode_as_fast_as_it_was(self, tmp_path):
+    def test_a_film_plays_in_real_time(self, tmp_path):
         env = gymnasium.make("adr/RandomHopper-v0", render_mode="rgb_array")
         still = lambda o: np.zeros((1, 3))  # noqa: E731
         gif, mp4 = tmp_path / "film.gif", tmp_path / "film.mp4"
@@ -79,6 +79,6 @@ class TestDrawing:
 @pytest.mark.parametrize(
     ("period_s", "stride"), [(0.008, 5), (0.05, 1), (0.015, 2), (0.02, 1), (0.001, 20), (0.1, 1)]
 )
-def test_a_gif_has_the_pictures_that_hundredths_of_seconds_can_time(tmp_path, period_s, stride):
+def test_a_gif_leaves_out_pictures_until_hundredths_of_seconds_fit(tmp_path, period_s, stride):
     assert stride_of(tmp_path / "film.gif", period_s) == stride
     assert stride_of(tmp_path / "film.mp4", period_s) == 1

@@ -42,7 +42,7 @@ def test_an_episode_is_cut_at_the_horizon_and_says_so():
     assert all(info["TimeLimit.truncated"] for info in infos)
 
 
-def test_the_seed_decides_everything():
+def test_the_seed_determines_every_observation():
     rollouts = []
     for _ in range(2):
         env = made(seed=5)

@@ -1,7 +1,6 @@
-"""Gymnasium's own environments, running our models: they must observe, reward and end as we do.
+"""Gymnasium's own environments observe, reward and end as our tasks do, on our models.
 
-Where the definitions differ on purpose, the difference itself is what is tested; docs/tasks.md
-lists them.
+Where the definitions differ on purpose, the tests check the difference; docs/tasks.md lists them.
 """
 
 import gymnasium
@@ -22,7 +21,7 @@ ALIVE = {"hopper": 1.0, "half_cheetah": 0.0, "walker2d": 1.0, "humanoid": 5.0}
 
 
 def gymnasium_view(task, observations):
-    """Our observations as Gymnasium shows them."""
+    """Our observations in the layout of Gymnasium's."""
     if task.name in ("hopper", "walker2d"):  # velocities clipped
         positions = observations.shape[1] // 2
         clipped = np.clip(observations[:, positions:], -10, 10)
@@ -94,8 +93,8 @@ def test_episodes_end_at_the_same_step(rollout):
     assert any(ended for _, _, ended in ours) == (task.name != "half_cheetah")
 
 
-def test_rewards_agree_but_for_the_bonus_of_the_failing_step(rollout):
-    """Random-envs pays for being alive on every step; Gymnasium's v5 not where it has fallen."""
+def test_rewards_agree_except_for_the_bonus_of_the_failing_step(rollout):
+    """Random-envs pays the bonus for being alive on every step, Gymnasium's v5 not after a fall."""
     task, ours, theirs = rollout
     bonus = ALIVE[task.name] * np.array([ended for _, _, ended in theirs])
     expected = np.array([reward for _, reward, _ in theirs]) + bonus

@@ -23,7 +23,7 @@ PAPER = {  # Tiboni et al., Table 1: observations, actions, parameters (unmodele
 
 
 @pytest.mark.parametrize("name", PAPER)
-def test_dimensions_are_the_papers(name):
+def test_dimensions_are_those_of_the_paper(name):
     task, variants = get_task(name), variants_of(name)
     observations, actions, parameters, unmodeled = PAPER[name]
     assert len(task.columns) == len(set(task.columns)) == observations
@@ -67,8 +67,8 @@ def test_masses_and_inertias_are_those_of_mujoco_2_1_0(name):
 
 
 @pytest.mark.parametrize("name", PAPER)
-def test_all_else_is_as_in_gymnasiums_models(name):
-    """Joints, motors, shapes and contacts; what differs on purpose is in docs/tasks.md."""
+def test_joints_motors_shapes_and_contacts_are_those_of_gymnasiums_models(name):
+    """docs/tasks.md lists the differences that are on purpose."""
     ours = compiled(get_task(name).xml)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -91,7 +91,7 @@ def test_all_else_is_as_in_gymnasiums_models(name):
 
 
 @pytest.mark.parametrize("name", ["hopper", "humanoid"])
-def test_two_geoms_meet_at_the_published_margin(name):
+def test_two_geoms_touch_at_the_published_margin(name):
     """Since MuJoCo 3.5 the margins of two geoms are summed."""
     margins = compiled(get_task(name).xml).geom_margin
     assert set((margins[:, None] + margins).ravel()) == {0.001}

@@ -74,7 +74,7 @@ def weights(sbx, target=False):
     """SBX's weights under SB3's names."""
     actor = sbx.policy.actor_state.params["params"]
     names = ("actor.latent_pi.0", "actor.latent_pi.2", "actor.mu", "actor.log_std")
-    found = {name: (actor[f"Dense_{i}"], ()) for i, name in enumerate(names)}
+    layers_of = {name: (actor[f"Dense_{i}"], ()) for i, name in enumerate(names)}
     for prefix, params in (
         ("critic", sbx.policy.qf_state.params),
         ("critic_target", sbx.policy.qf_state.target_params),
@@ -82,16 +82,16 @@ def weights(sbx, target=False):
         layers = params["params"]["VmapContinuousCritic_0"]
         for i in range(3):
             for q in range(2):
-                found[f"{prefix}.qf{q}.{2 * i}"] = (layers[f"Dense_{i}"], (q,))
+                layers_of[f"{prefix}.qf{q}.{2 * i}"] = (layers[f"Dense_{i}"], (q,))
     return {
         f"{name}.{kind}": torch.as_tensor(np.array(layer[key][at]).T.copy())
-        for name, (layer, at) in found.items()
+        for name, (layer, at) in layers_of.items()
         for kind, key in (("weight", "kernel"), ("bias", "bias"))
     }
 
 
 @pytest.mark.parametrize("activation", ["tanh", "relu"])
-def test_one_update_is_the_same(no_noise, activation):
+def test_one_update_is_the_same_in_both_backends(no_noise, activation):
     """Actor, critics, their targets and the temperature after one update, to float32's rounding
     after Adam, whose first step is the learning rate times a sign."""
     sbx, sb3 = build("sbx", activation), build("sb3", activation)
@@ -101,18 +101,18 @@ def test_one_update_is_the_same(no_noise, activation):
     update(sb3)
     sbx.publish()
     after = weights(sbx)
-    for name, found in sb3.policy.state_dict().items():
+    for name, expected in sb3.policy.state_dict().items():
         moved = (after[name] - before[name]).abs().max()
         assert moved > 0.001 * RATE, name
-        # where a gradient is about zero, its sign is rounding's: a few weights in a thousand
-        differ = (found - after[name]).abs() > 0.01 * RATE
+        # rounding decides the sign of a gradient near zero: a few weights in a thousand
+        differ = (expected - after[name]).abs() > 0.01 * RATE
         assert differ.float().mean() < 0.005, name
     temperature = float(np.exp(sbx.ent_coef_state.params["log_ent_coef"]))
     assert temperature == pytest.approx(float(torch.exp(sb3.log_ent_coef.detach())), rel=1e-5)
     assert temperature != 1.0
 
 
-def test_it_acts_on_what_it_sees_with_what_it_has_learned(no_noise):
+def test_the_next_actions_come_from_the_updated_actor(no_noise):
     """Without noise, an action is the mode of the updated actor's distribution."""
     sbx = build("sbx", "tanh")
     before, _ = sbx.predict(sbx._last_obs, deterministic=True)
@@ -126,10 +126,12 @@ def test_it_acts_on_what_it_sees_with_what_it_has_learned(no_noise):
 
 
 @pytest.mark.slow
-def test_learning_curves_overlap():
-    """Five seeds each, by the mean of their evaluations: an exact Mann-Whitney test at 1 %, which
-    with five and five calls them different where every seed of one is above all of the other.
-    A learning rate thirty times too small is told apart, so it can."""
+def test_the_learning_curves_of_both_backends_overlap():
+    """An exact Mann-Whitney test at 1 % on the mean evaluations of five seeds each.
+
+    With five and five seeds it rejects only if all seeds of one exceed all of the other. It does
+    reject a learning rate thirty times too small, so it has power.
+    """
 
     def areas(backend, **changes):
         given = {**CURVE, "backend": backend, **changes}

@@ -57,7 +57,7 @@ def test_layers_that_do_not_fit_are_refused():
         Policy((layers[0], layers[0]), "relu", np.zeros(2), np.ones(2))
 
 
-def test_its_file_says_what_it_is_without_our_code():
+def test_a_policys_file_can_be_read_without_our_code():
     content = policy().to_bytes()
     (length,) = struct.unpack("<Q", content[:8])
     header = json.loads(content[8 : 8 + length])

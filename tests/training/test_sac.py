@@ -40,12 +40,12 @@ class TestSac:
         assert first.policy.to_bytes() == second.policy.to_bytes()
         assert first.curve == second.curve
 
-    def test_nothing_is_left_on_the_disk(self, backend, tmp_path, monkeypatch):
+    def test_a_training_leaves_no_file(self, backend, tmp_path, monkeypatch):
         monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
         self.train(backend)
         assert list(tmp_path.iterdir()) == []
 
-    def test_the_policy_kept_is_the_best_evaluated(self, backend):
+    def test_the_best_evaluated_policy_is_kept(self, backend):
         training = self.train(backend)
         assert [point.steps for point in training.curve] == [240, 480]
         assert training.best.mean_return == max(p.mean_return for p in training.curve)
@@ -57,7 +57,7 @@ class TestSac:
         training = train(easy, VANILLA.source, PRIOR, settings, stream("test", 1))
         assert training.steps == 240
 
-    def test_the_policy_does_what_the_librarys_own_does(self, backend):
+    def test_the_policy_acts_as_the_librarys_own(self, backend):
         """The weights are in the right layers: equal to float32's rounding."""
         settings = TrainingSettings.model_validate({**TINY, "backend": backend})
         env = RandomizedVecEnv(ARM, VANILLA.source, PRIOR, 4, np.random.default_rng(0))
@@ -69,7 +69,7 @@ class TestSac:
         expected, _ = model.predict(observations, deterministic=True)
         np.testing.assert_allclose(policy.act(observations), expected, atol=2e-6)
 
-    def test_it_can_be_cancelled_from_inside(self, backend):
+    def test_a_training_stops_when_its_progress_raises_a_cancellation(self, backend):
         def stop(fraction, **facts):
             if fraction > 0.3:
                 raise StageCancelled
@@ -77,7 +77,7 @@ class TestSac:
         with pytest.raises(StageCancelled):
             self.train(backend, progress=stop)
 
-    def test_numpys_global_generator_decides_nothing(self, backend):
+    def test_the_state_of_numpys_global_generator_changes_nothing(self, backend):
         np.random.seed(1)  # noqa: NPY002
         first = self.train(backend)
         np.random.seed(2)  # noqa: NPY002

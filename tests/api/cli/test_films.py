@@ -56,7 +56,7 @@ def test_the_command_films_a_recording(tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_filmed_is_explained(tmp_path, arguments, message):
+def test_impossible_films_are_refused_with_the_reason(tmp_path, arguments, message):
     data = tmp_path / "data.npz"
     data.write_bytes(recording("hopper", 3).to_npz())
     done = adr("render", *(str(data) if a == "DATA" else a for a in arguments))
@@ -67,7 +67,7 @@ def test_what_cannot_be_filmed_is_explained(tmp_path, arguments, message):
 @pytest.mark.parametrize(
     "environment", [{"MUJOCO_EGL_DEVICE_ID": "99", "MUJOCO_GL": ""}, {"MUJOCO_GL": "glfw"}]
 )
-def test_a_machine_that_cannot_draw_says_what_to_install(tmp_path, environment):
+def test_a_machine_that_cannot_draw_names_the_packages_to_install(tmp_path, environment):
     data, film = tmp_path / "data.npz", tmp_path / "film.gif"
     data.write_bytes(recording("hopper", 2).to_npz())
     for display in ("DISPLAY", "WAYLAND_DISPLAY"):
