@@ -31,6 +31,7 @@ from adr_service.distributions import Gaussian
 from adr_service.methods.base import Evidence, OnlineSettings, Problem, Update
 from adr_service.progress import Progress, part_of
 from adr_service.simulation.batch import Simulations
+from adr_service.simulation.replay import check_recorded
 from adr_service.simulation.rollout import follow
 from adr_service.tasks.base import State
 
@@ -132,6 +133,7 @@ class _ClosedLoop:
     """Simulations of a policy from recorded initial states, and their distance from the target."""
 
     def __init__(self, problem: Problem, evidence: Evidence, settings: _Settings):
+        check_recorded(problem.task, evidence.data)
         self._task, self._settings = problem.task, settings
         self._act = evidence.policy.act
         self._simulations = Simulations(problem.task, problem.source, settings.samples)
