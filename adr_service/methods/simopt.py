@@ -16,7 +16,8 @@ Where we differ, and why:
 - Costs are divided by the distance of their 90th percentile from the best before each update. So
   the minimum temperature has no unit, and one outlier does not decide it.
 - The search for the temperature starts at 1 instead of 10, because costs have that scale.
-- The temperature doubles while the new covariance is singular; there it grows by small steps.
+- While the new covariance is singular, the temperature doubles. Their code adds 1e-4, then twice as
+  much each time.
 """
 
 from typing import Any, ClassVar, Literal
