@@ -95,7 +95,7 @@ class Droid:
             costs = replay.costs(np.array(candidates))
             es.tell(candidates, _ranked(costs).tolist())
             best = float(np.nanmin(costs))
-            progress(replay.evaluations / budget, cost=best)
+            progress(min(replay.evaluations / budget, 1.0), cost=best)
         return best
 
 

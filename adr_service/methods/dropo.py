@@ -294,6 +294,6 @@ def minimise(
                 best, era = End(best.x, objective.loss(best.x)), objective.era
             if min(losses) < best.loss:
                 best = End(np.array(candidates[int(np.argmin(losses))]), min(losses))
-            progress(evaluations / budget, evaluations=evaluations, loss=best.loss)
+            progress(min(evaluations / budget, 1.0), evaluations=evaluations, loss=best.loss)
         ends.append(best)
     return ends, evaluations

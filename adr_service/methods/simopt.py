@@ -16,7 +16,8 @@ Where we differ, and why:
 - Costs are divided by the distance of their 90th percentile from the best before each update. So
   the minimum temperature has no unit, and one outlier does not decide it.
 - The search for the temperature starts at 1 instead of 10, because costs have that scale.
-- The temperature doubles while the new covariance is singular; there it grows by small steps.
+- While the new covariance is singular, the temperature doubles. Their code adds 1e-4, then twice as
+  much each time.
 """
 
 from typing import Any, ClassVar, Literal
@@ -31,6 +32,7 @@ from adr_service.distributions import Gaussian
 from adr_service.methods.base import Evidence, OnlineSettings, Problem, Update
 from adr_service.progress import Progress, part_of
 from adr_service.simulation.batch import Simulations
+from adr_service.simulation.replay import check_recorded
 from adr_service.simulation.rollout import follow
 from adr_service.tasks.base import State
 
@@ -132,6 +134,7 @@ class _ClosedLoop:
     """Simulations of a policy from recorded initial states, and their distance from the target."""
 
     def __init__(self, problem: Problem, evidence: Evidence, settings: _Settings):
+        check_recorded(problem.task, evidence.data)
         self._task, self._settings = problem.task, settings
         self._act = evidence.policy.act
         self._simulations = Simulations(problem.task, problem.source, settings.samples)
