@@ -21,6 +21,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import gymnasium
+import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from stable_baselines3.common.vec_env import SubprocVecEnv
@@ -165,7 +166,12 @@ def training(task: Task, strength: float = 1.0) -> dict[str, Subject]:
 
 
 def peer(task: Task) -> gymnasium.Env:
-    return gymnasium.make(PEERS[task.name])
+    """Gymnasium's environment, without MuJoCo's warning on `settotalmass` in its HalfCheetah."""
+    mujoco.set_mju_user_warning(lambda text: None)
+    try:
+        return gymnasium.make(PEERS[task.name])
+    finally:
+        mujoco.set_mju_user_warning(None)
 
 
 def peers(single: gymnasium.Env, many: SubprocVecEnv) -> dict[str, Subject]:

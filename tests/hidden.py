@@ -1,4 +1,4 @@
-"""Targets that hide effects, and what criticism names of them."""
+"""Targets that hide effects, and the effects that criticism names."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,17 +17,17 @@ def arm():
 
 
 def recorded(measurement):
-    """Its arrays by name."""
+    """Arrays of a measurement by name."""
     names = ("time", "qpos", "qvel", "ctrl", "episode")
     return {name: getattr(measurement, name) for name in names}
 
 
 def named_effects(
-    task: str, variant: str, causes: Sequence[Effect], seed: int
+    task: str, variant: str, effects: Sequence[Effect], seed: int
 ) -> list[dict[str, Any]]:
-    """What criticism names, as a spec takes it."""
+    """Effects that criticism names, as a spec takes them."""
     truth = Nominal.of_task(get_task(task), source_of(task, "vanilla"))
-    data = hide(get_task(task), truth, np.random.default_rng(seed), causes)
+    data = hide(get_task(task), truth, np.random.default_rng(seed), effects)
     nominal = Nominal.of_task(get_task(task), source_of(task, variant))
     found = criticise(nominal, data, np.random.default_rng(0), threads=1)
     assert found.extension is not None

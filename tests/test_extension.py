@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adr_service.criticism.nominal import Nominal
-from adr_service.effects.base import Effect, domain_of, parse_domain
+from adr_service.effects.base import Effect, domain_of
 from adr_service.errors import InvalidInput
 from adr_service.programs import run
 from adr_service.simulation.batch import Simulations
@@ -34,10 +34,10 @@ EFFECTS = {
 HEAVIER = (Effect("body_mass", "body:upper", (0.5,)),)  # alone: its inertia is a parameter's
 
 
-@pytest.mark.parametrize(("name", "causes"), [*EFFECTS.items(), ("arm", HEAVIER)])
-def test_extended_simulations_equal_mujoco_with_the_extended_model(name, causes):
+@pytest.mark.parametrize(("name", "effects"), [*EFFECTS.items(), ("arm", HEAVIER)])
+def test_extended_simulations_equal_mujoco_with_the_extended_model(name, effects):
     task, rng, n = get_task(name), np.random.default_rng(0), 3
-    source = source_of(name, domain_of("vanilla", causes))
+    source = source_of(name, domain_of("vanilla", effects))
     simulations = Simulations(task, source, n)
     draws = np.array([[rng.uniform(p.high / 2, p.high) for p in source.space.parameters]] * n)
     draws[1:] *= rng.uniform(0.8, 1.0, (n - 1, draws.shape[1]))
@@ -49,7 +49,7 @@ def test_extended_simulations_equal_mujoco_with_the_extended_model(name, causes)
     for action in actions:
         simulations.step(action)
     for i in range(n):
-        model = Nominal(task.xml, source.space, draws[i]).model(draws[i], causes)
+        model = Nominal(task.xml, source.space, draws[i]).model(draws[i], effects)
         data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:] = start.qpos[i], start.qvel[i]
         for action in actions[:, i]:
@@ -57,11 +57,6 @@ def test_extended_simulations_equal_mujoco_with_the_extended_model(name, causes)
             mujoco.mj_step(model, data, task.frame_skip)
         np.testing.assert_array_equal(simulations.state.qpos[i], data.qpos)
         np.testing.assert_array_equal(simulations.state.qvel[i], data.qvel)
-
-
-def test_a_domain_is_a_variant_and_effects():
-    assert domain_of("noisy", []) == "noisy"
-    assert parse_domain(domain_of("noisy", EFFECTS["arm"])) == ("noisy", EFFECTS["arm"])
 
 
 @pytest.mark.parametrize(

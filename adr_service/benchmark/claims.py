@@ -24,11 +24,11 @@ from adr_service.methods.catalogue import methods
 from adr_service.randomness import stream
 from adr_service.specs import RunSpec, SimulatedTarget
 
-Verdict = Literal["supported", "contradicted", "undecided", "not measured"]
+ClaimVerdict = Literal["supported", "contradicted", "undecided", "not measured"]
 _SOLVED = 0.95  # normalised target return
 _SAME = 0.1  # of a normalised return
 _POINT = 0.05  # standard deviation in [0, 4] below which a distribution is a point
-_DECISIVE: tuple[Verdict, ...] = ("contradicted", "not measured", "undecided")  # in this order
+_DECISIVE: tuple[ClaimVerdict, ...] = ("contradicted", "not measured", "undecided")  # in order
 _METHODS = ("udr", "bayrn", "simopt", "simopt_1", "droid", "dropo")
 _HARD = ("half_cheetah", "walker2d", "humanoid")
 _TASKS = ("hopper", *_HARD)
@@ -36,22 +36,22 @@ _VARIANTS = ("vanilla", "noisy", "unmodeled")
 
 
 @dataclass(frozen=True)
-class Finding:
+class ClaimReport:
     """A claim, the verdict, and the numbers that bear on it."""
 
     claim: str  # "V1"
     statement: str
-    verdict: Verdict
+    verdict: ClaimVerdict
     evidence: list[str]
 
 
 @dataclass(frozen=True)
 class Report:
-    """Findings of all runs under one budget."""
+    """One report for each claim, from all runs under one budget."""
 
     preset: str
     changed: dict[str, object]  # fields of the budget that are not the preset's
-    findings: list[Finding]
+    findings: list[ClaimReport]
 
 
 def reports(outcomes: Iterable[Outcome]) -> list[Report]:
@@ -143,7 +143,7 @@ class Cell:
         return f"{self.method}{whose} on {self.task} {self.variant}{after}"
 
 
-Answer = tuple[Verdict, list[str]]
+Answer = tuple[ClaimVerdict, list[str]]
 Check = Callable[[Measured], Answer]
 
 
@@ -164,7 +164,7 @@ def _fails(cell: Cell) -> Check:
 
 
 def _compared(
-    ones: Sequence[Cell], others: Sequence[Cell], judge: Callable[[Interval], Verdict]
+    ones: Sequence[Cell], others: Sequence[Cell], judge: Callable[[Interval], ClaimVerdict]
 ) -> Check:
     """A judgement of the difference between two methods, averaged over cells."""
 
@@ -254,25 +254,25 @@ def _costs_more(task: str, dear: str, cheap: str) -> Check:
     return check
 
 
-def _by_several(verdict: Verdict, seeds: int) -> Verdict:
+def _by_several(verdict: ClaimVerdict, seeds: int) -> ClaimVerdict:
     """One seed settles nothing, whatever its episodes' interval."""
     return verdict if seeds > 1 else "undecided"
 
 
-def _for_every(holds: Sequence[bool]) -> Verdict:
+def _for_every(holds: Sequence[bool]) -> ClaimVerdict:
     """Of each seed."""
     if all(holds):
         return _by_several("supported", len(holds))
     return "undecided" if any(holds) else _by_several("contradicted", len(holds))
 
 
-def _beyond(found: Interval, bound: float) -> Verdict:
+def _beyond(found: Interval, bound: float) -> ClaimVerdict:
     if found.low >= bound:
         return "supported"
     return "contradicted" if found.high < bound else "undecided"
 
 
-def _within(gap: Interval) -> Verdict:
+def _within(gap: Interval) -> ClaimVerdict:
     if gap.low >= -_SAME and gap.high <= _SAME:
         return "supported"
     return "contradicted" if gap.low > _SAME or gap.high < -_SAME else "undecided"
@@ -280,7 +280,10 @@ def _within(gap: Interval) -> Verdict:
 
 def _not(answer: Answer) -> Answer:
     verdict, evidence = answer
-    swapped: dict[Verdict, Verdict] = {"supported": "contradicted", "contradicted": "supported"}
+    swapped: dict[ClaimVerdict, ClaimVerdict] = {
+        "supported": "contradicted",
+        "contradicted": "supported",
+    }
     return swapped.get(verdict, verdict), evidence
 
 
@@ -319,9 +322,9 @@ class Claim:
     statement: str
     checks: Sequence[Check]
 
-    def judge(self, measured: Measured) -> Finding:
+    def judge(self, measured: Measured) -> ClaimReport:
         answers = [check(measured) for check in self.checks]
-        return Finding(self.name, self.statement, *_all(answers))
+        return ClaimReport(self.name, self.statement, *_all(answers))
 
 
 def _any_of(checks: Sequence[Check]) -> Check:

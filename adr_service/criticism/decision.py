@@ -1,9 +1,9 @@
-"""Which cause the evidence names: one, several alike, none, or none that we know.
+"""The rule that turns evidence into names: one cause, several alike, none, or none that we know.
 
 A gain counts from `THRESHOLD` nats (a study of single-step residuals on Hopper had 21 at most in
 26 cases without any cause), and only where it is more than two standard errors by what episodes
 differ, or as much without the two that gain most: touches of the ground that no simulator foresees
-gain 35 to 40 nats in one or two, true causes something in nearly all. Two causes are told apart by
+gain 35 to 40 nats in one or two, true causes something in nearly all. Two causes differ by
 more than `TIE` nats, `ALIKE` of what they explain and two standard errors of their difference.
 Where a flexible force still explains more than a fifth of what the causes do, they are not what is
 wrong.
@@ -25,13 +25,15 @@ _DRAWS = 1000
 
 @dataclass(frozen=True)
 class Decision:
+    """Candidates that the evidence names, with their probabilities."""
+
     alike: tuple[int, ...]  # the best candidate and all that explain as much; empty: none
-    # (candidates + 1,) of each, zero where it is no evidence, and that it is none of them
+    # (candidates + 1,) probability of each, zero without evidence, and at last of none of them
     confidence: Vector
 
 
 def decide(gains: Matrix, rng: np.random.Generator) -> Decision:
-    """From nats by episode of candidates (c, E)."""
+    """The best of candidates (c, E) in nats by episode, and all that explain as much."""
     totals = gains.sum(axis=1)
     order = [i for i in np.argsort(-totals).tolist() if is_evidence(gains[i])]
     confidence = np.zeros(len(gains) + 1)
@@ -44,18 +46,19 @@ def decide(gains: Matrix, rng: np.random.Generator) -> Decision:
 
 
 def is_unknown(flexible: Vector, named: float) -> bool:
-    """Whether a flexible force (E,) still explains more than `named` nats leave room for."""
+    """True if a flexible force (E,) is evidence beside causes that explain `named` nats."""
     return is_evidence(flexible) and float(flexible.sum()) > UNEXPLAINED * named
 
 
 def is_evidence(gains: Vector) -> bool:
+    """True if gains by episode (E,) are more than chance, and do not hang on few episodes."""
     rest = np.sort(gains)[:-_FEW].sum()
     return bool(gains.sum() > THRESHOLD and (gains.sum() > _chance(gains) or rest > THRESHOLD))
 
 
 def beats(difference: Vector, gain: float) -> bool:
-    """Whether a cause that gains so much explains more than another, by so much by episode (E,),
-    than chance and what is wrong with either's simulation would."""
+    """True if a cause with a total `gain` explains more than another, by a `difference` (E,) that
+    is beyond chance and the errors of either's simulation."""
     return bool(difference.sum() > max(TIE, _chance(difference), ALIKE * gain))
 
 
@@ -66,7 +69,7 @@ def _chance(gains: Vector) -> float:
 
 def _confidence(gains: Matrix, rng: np.random.Generator) -> Vector:
     """Pseudo-BMA+: softmax of the gains under Bayesian bootstraps of the episodes (Yao et al.,
-    2018). None of them has the gain that chance can reach."""
+    2018). The last column, for none of them, has the gain that chance can reach."""
     episodes = gains.shape[1]
     weights = episodes * rng.dirichlet(np.ones(episodes), _DRAWS)
     totals = np.concatenate([weights @ gains.T, np.full((_DRAWS, 1), THRESHOLD)], axis=1)

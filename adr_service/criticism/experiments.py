@@ -1,4 +1,4 @@
-"""The experiment that would tell two explanations of the same data apart.
+"""The experiment that best separates two explanations of the same data.
 
 Each is simple: one actuator moves, the others rest, from postures that the recording has. The best
 is the one on which the two fitted simulators differ most, in units of the one-step error that noise
@@ -32,7 +32,7 @@ class _Trial:
 
 
 def separating_experiment(one: Fit, other: Fit) -> Experiment:
-    """The experiment that best tells the effects of two fits to the same data apart."""
+    """The experiment that best separates the effects of two fits to the same data."""
     fits, recorded = (one, other), one.simulator
     unit = expected_errors(one)
     trials = _trials(recorded)

@@ -22,7 +22,7 @@ from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import with_effects
 from adr_service.parameters import ParameterSpace
 
-_DIGITS = 17  # that tell every double apart
+_DIGITS = 17  # enough for every double
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Residuals that are linear in all that is not known, and what that makes of them.
+"""Residuals that are linear in all unknowns, and their maximum-likelihood fit.
 
     noise, normal = estimate(linear, start, known)
     change, covariance = normal.change()
@@ -15,20 +15,20 @@ from adr_service.arrays import Array3, Mask, Matrix, Vector
 from adr_service.criticism.noise import Ascent, Chain, Noise, Whitener
 
 _SETTLED, _MOST_STEPS = 0.3, 60  # [nats] that a step gains at least
-_RIDGE = 1e-9  # of what the data say of a column
+_RIDGE = 1e-9  # of the information on a column
 _DAMPING = (1e-3, 1e2)  # of Newton steps, relative to the information: least and most
 _HARDER, _EASIER = 30.0, 3.0  # factors of it, after a step that failed and one that did not
 
 
 @dataclass(frozen=True)
 class Linear:
-    """Residuals of all transitions, how they would change, and what is known before of that."""
+    """Residuals of all transitions, their derivatives, and a prior on the coefficients."""
 
     chain: Chain
     residual: Array3  # (E, T, m)
     columns: np.ndarray  # (E, T, m, p)
     mean: Vector  # (p,) of each column's coefficient, before the data
-    precision: Vector  # (p,) of that; zero: nothing is known
+    precision: Vector  # (p,) of that prior; zero: no prior
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,8 @@ class Normal:
         return cls(inner[..., 1:], inner[..., 0], log_likelihood, linear.mean, linear.precision)
 
     def with_columns(self, own: np.ndarray, cross: np.ndarray, score: Matrix) -> "Normal":
-        """More columns: their information (E, k, k), that with ours (E, p, k), score (E, k)."""
+        """Normal equations with k more columns: their information (E, k, k), that with ours
+        (E, p, k), and their score (E, k)."""
         top = np.concatenate([self.information, cross], axis=2)
         bottom = np.concatenate([cross.swapaxes(1, 2), own], axis=2)
         nothing = np.zeros(own.shape[1])
@@ -67,7 +68,7 @@ class Normal:
         return covariance @ (self.score.sum(axis=0) + self.precision * self.mean), covariance
 
     def covariance(self) -> Matrix:
-        """(p, p) of the most probable change, by how much episodes differ about it.
+        """(p, p) covariance of the most probable change, by the differences between episodes.
 
         The sandwich estimate, which holds where residuals are neither Gaussian nor independent
         within an episode (Liang and Zeger, 1986), for few episodes (HC1).
@@ -78,8 +79,8 @@ class Normal:
         return model @ (apart.T @ apart) @ model * count / max(count - p, 1)
 
     def settled(self, columns: slice = slice(None)) -> float:
-        """Log-likelihood of all episodes, with what was known before, once these columns alone
-        have changed."""
+        """Log-likelihood of all episodes, with the prior, after the best change of these columns
+        alone."""
         precision, mean = self.precision[columns], self.mean[columns]
         information = self.information[:, columns, columns].sum(axis=0) + np.diag(precision)
         score = self.score[:, columns].sum(axis=0) + precision * mean
@@ -95,11 +96,11 @@ class Normal:
 
 
 def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
-    """The noise of what the columns leave at their best, from `start`, settled; and the normal
-    equations under it.
+    """Maximum-likelihood noise of the residuals that the columns leave, from `start`, and the
+    normal equations under it.
 
-    `known` (m,): whose sensors' variances stay as they are. A step that makes the residuals less
-    probable is damped.
+    `known` (m,): sensors whose variances stay. A step that makes the residuals less probable is
+    damped.
     """
     whitener, normal = _judged(linear, start)
     reached, damping = normal.settled(), _DAMPING[0]
@@ -131,7 +132,7 @@ def products(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 def inverse(information: np.ndarray) -> np.ndarray:
     """Inverse of normal matrices (..., p, p), whose columns may differ by many orders.
 
-    Zero of columns of which the data say nothing, huge where they tell some together only.
+    Zero for columns without information, huge for those that only a combination determines.
     """
     diagonal = np.diagonal(information, axis1=-2, axis2=-1)
     scale = np.where(diagonal > 0, np.sqrt(np.maximum(diagonal, 0.0)), np.inf)

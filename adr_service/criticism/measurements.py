@@ -1,9 +1,9 @@
-"""What was measured of a robot: full states and commands over time, episode by episode.
+"""A measurement of a robot: full states and commands over time, episode by episode.
 
     measurement = Measurement.from_npz(path.read_bytes())
 
 Row k's command is applied from `time[k]` to `time[k + 1]`; the last row of an episode has a state
-and a command that leads nowhere. Positions and velocities are in the order of the model's
+and a command that nobody executes. Positions and velocities are in the order of the model's
 degrees of freedom, in SI units.
 """
 
@@ -39,54 +39,20 @@ class Measurement:
     qvel_std: Vector | None = None  # (nv,)
 
     def __post_init__(self) -> None:
-        rows = len(self.time)
         for name, dimensions in (("time", 1), ("qpos", 2), ("qvel", 2), ("ctrl", 2)):
             values = frozen(getattr(self, name))
             object.__setattr__(self, name, values)
-            if values.ndim != dimensions or len(values) != rows:
-                raise InvalidInput(
-                    f"{name} has shape {values.shape}; expected are {rows} rows, as many as `time`"
-                    f" has, in {dimensions} dimension{'s' * (dimensions > 1)}"
-                )
-            if not np.all(np.isfinite(values)):
-                where = np.argwhere(~np.isfinite(values))[0].tolist()
-                raise InvalidInput(f"{name} is not finite at row {where[0]}{_column(where)}")
+            _check_array(name, values, len(self.time), dimensions)
         episode = np.array(self.episode)
-        if episode.shape != (rows,) or episode.dtype.kind not in "iu":
-            raise InvalidInput(
-                f"episode has shape {episode.shape} and type {episode.dtype}; expected are {rows} "
-                "whole numbers"
-            )
-        if (back := np.flatnonzero(np.diff(episode) < 0)).size:
-            raise InvalidInput(f"episode numbers must not decrease; they do at row {back[0] + 1}")
+        _check_episodes(episode, self.time)
         object.__setattr__(self, "episode", episode.astype(np.int64))
-        if not rows:
-            raise InvalidInput("the measurement has no rows")
-        late = (np.diff(self.time) <= 0) & (np.diff(episode) == 0)
-        if late.any():
-            row = int(np.flatnonzero(late)[0])
-            raise InvalidInput(
-                f"time must increase within an episode; it goes from {self.time[row]:g} to "
-                f"{self.time[row + 1]:g} s at row {row + 1}"
-            )
-        if (count := 1 + np.count_nonzero(np.diff(episode))) > MOST_EPISODES:
-            raise InvalidInput(
-                f"a measurement has {MOST_EPISODES:,} episodes at most; this has {count:,}"
-            )
         if single := [first for first, last in self.spans() if last - first == 1]:
             raise InvalidInput(
-                f"the episode at row {single[0]} has a single row, which says nothing; leave it out"
+                f"the episode at row {single[0]} has a single row, so no transition; leave it out"
             )
         for name, width in (("qpos_std", self.qpos.shape[1]), ("qvel_std", self.qvel.shape[1])):
             if (given := getattr(self, name)) is not None:
-                values = frozen(given)
-                if values.shape not in ((), (width,)) or not np.all(values >= 0):
-                    raise InvalidInput(
-                        f"{name} must be {width} numbers that are not negative; given "
-                        f"{values.tolist()}"
-                    )
-                values = frozen(np.broadcast_to(values, (width,)))
-                object.__setattr__(self, name, values)
+                object.__setattr__(self, name, _deviations(name, frozen(given), width))
 
     @classmethod
     def from_npz(cls, content: bytes) -> "Measurement":
@@ -145,9 +111,9 @@ class Measurement:
         )
 
     def sensor_variance(self) -> Vector:
-        """(nq + nv,) of the noise in positions and velocities, NaN where it is not known.
+        """(nq + nv,) variances of the noise in positions and velocities, NaN if not known.
 
-        What was not measured has the variance that the recording shows.
+        An unmeasured column has its variance over the recording.
         """
         parts: list[Vector] = []
         for values, std in ((self.qpos, self.qpos_std), (self.qvel, self.qvel_std)):
@@ -156,18 +122,19 @@ class Measurement:
         return np.concatenate(parts)
 
     def is_measured(self) -> Mask:
-        """(nq + nv,) whose noise is not infinite."""
+        """(nq + nv,) true for columns whose noise is not infinite."""
         stds = ((self.qpos, self.qpos_std), (self.qvel, self.qvel_std))
         known = [np.zeros(v.shape[1]) if std is None else std for v, std in stds]
         return np.isfinite(np.concatenate(known))
 
     def check_usable(self) -> None:
-        """Refuse what is too little to tell a cause from noise, and sensors that are stuck."""
+        """Raises InvalidInput for too few data to separate effects from noise, and for a stuck
+        sensor."""
         steps = int(np.sum(np.diff(self.episode) == 0))
         if steps < _LEAST_TRANSITIONS or len(self.spans()) < _LEAST_EPISODES:
             raise InvalidInput(
-                f"{steps} transitions in {len(self.spans())} episodes are too few to tell a "
-                f"cause from noise; at least {_LEAST_TRANSITIONS} in {_LEAST_EPISODES} are needed "
+                f"{steps} transitions in {len(self.spans())} episodes are too few to tell effects "
+                f"from noise; at least {_LEAST_TRANSITIONS} in {_LEAST_EPISODES} are needed "
                 "(cut a long recording into episodes of about a second)"
             )
 
@@ -178,7 +145,7 @@ class Measurement:
                 _check_moves(name, values)
 
     def check_velocities(self) -> None:
-        """Refuse velocities that are not the rates of the positions; of slides and hinges."""
+        """Raises InvalidInput unless velocities are the rates of the positions, by joint."""
         inside = np.flatnonzero(np.diff(self.episode) == 0)
         measured, nv = self.is_measured(), self.qvel.shape[1]
         for column in range(nv):
@@ -186,10 +153,10 @@ class Measurement:
                 continue
             moved = self.qpos[inside + 1, column] - self.qpos[inside, column]
             mean = (self.qvel[inside + 1, column] + self.qvel[inside, column]) / 2
-            said = self.period() * mean
-            if not np.any(said) or np.corrcoef(moved, said)[0, 1] < _ALIKE:
+            expected = self.period() * mean
+            if not np.any(expected) or np.corrcoef(moved, expected)[0, 1] < _ALIKE:
                 continue  # too little motion to judge by
-            ratio = float(moved @ said / (said @ said))
+            ratio = float(moved @ expected / (expected @ expected))
             if not 1 / _OFF < ratio < _OFF:
                 raise InvalidInput(
                     f"column {column} of qpos moves {ratio:.3g} times as far as the same column of "
@@ -213,20 +180,66 @@ class Measurement:
         return period
 
 
+def _check_array(name: str, values: Matrix, rows: int, dimensions: int) -> None:
+    if values.ndim != dimensions or len(values) != rows:
+        raise InvalidInput(
+            f"{name} has shape {values.shape}; expected are {rows} rows, as many as `time`"
+            f" has, in {dimensions} dimension{'s' * (dimensions > 1)}"
+        )
+    if not np.all(np.isfinite(values)):
+        where = np.argwhere(~np.isfinite(values))[0].tolist()
+        column = f", column {where[1]}" if len(where) > 1 else ""
+        raise InvalidInput(f"{name} is not finite at row {where[0]}{column}")
+
+
+def _check_episodes(episode: Indices, time: Vector) -> None:
+    """Refuse episode numbers and times that are not in recording order."""
+    rows = len(time)
+    if episode.shape != (rows,) or episode.dtype.kind not in "iu":
+        raise InvalidInput(
+            f"episode has shape {episode.shape} and type {episode.dtype}; expected are {rows} "
+            "whole numbers"
+        )
+    if (back := np.flatnonzero(np.diff(episode) < 0)).size:
+        raise InvalidInput(f"episode numbers must not decrease; they do at row {back[0] + 1}")
+    if not rows:
+        raise InvalidInput("the measurement has no rows")
+    late = (np.diff(time) <= 0) & (np.diff(episode) == 0)
+    if late.any():
+        row = int(np.flatnonzero(late)[0])
+        raise InvalidInput(
+            f"time must increase within an episode; it goes from {time[row]:g} to "
+            f"{time[row + 1]:g} s at row {row + 1}"
+        )
+    if (count := 1 + np.count_nonzero(np.diff(episode))) > MOST_EPISODES:
+        raise InvalidInput(
+            f"a measurement has {MOST_EPISODES:,} episodes at most; this has {count:,}"
+        )
+
+
+def _deviations(name: str, given: Vector, width: int) -> Vector:
+    """Standard deviations (width,) of sensors, from one for each or one for all."""
+    if given.shape not in ((), (width,)) or not np.all(given >= 0):
+        raise InvalidInput(
+            f"{name} must be {width} numbers that are not negative; given {given.tolist()}"
+        )
+    return frozen(np.broadcast_to(given, (width,)))
+
+
 def _numbers(number: int, line: Sequence[str], header: Sequence[str]) -> list[float]:
     if len(line) != len(header):
         raise InvalidInput(
             f"line {number} of the CSV has {len(line)} values; the header has {len(header)}"
         )
-    found: list[float] = []
+    values: list[float] = []
     for name, value in zip(header, line, strict=True):
         try:
-            found.append(float(value))
+            values.append(float(value))
         except ValueError as error:
             raise InvalidInput(
                 f"line {number} of the CSV has {value!r} for {name}; expected is a number"
             ) from error
-    return found
+    return values
 
 
 def _numbered(header: Sequence[str], name: str) -> list[str]:
@@ -235,7 +248,7 @@ def _numbered(header: Sequence[str], name: str) -> list[str]:
 
 
 def _check_moves(name: str, values: Vector) -> None:
-    """Refuse a sensor that shows one value always, or whose range ends where the robot goes on."""
+    """Raises InvalidInput for a sensor that never changes, or that saturates."""
     needed = (
         "; needed are readings that follow the robot, or an infinite standard deviation (in an "
         ".npz) for what is not read"
@@ -252,9 +265,5 @@ def _check_moves(name: str, values: Vector) -> None:
 
 
 def is_measurement(content: bytes) -> bool:
-    """Whether an `.npz` means to be one, and not transitions."""
+    """True if an `.npz` is meant to be a measurement, and not transitions."""
     return "qpos" in names_in(content)
-
-
-def _column(where: list[int]) -> str:
-    return f", column {where[1]}" if len(where) > 1 else ""

@@ -125,8 +125,8 @@ def _worth_refining(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def _simplest_first(alike: Sequence[Weighed]) -> Alike:
-    """Candidates that nothing tells apart, one with the fewest strengths first, then the best;
-    without those that are the first with a strength more."""
+    """Indistinguishable candidates, one with the fewest strengths first, then the best; without
+    those that are the first with a strength more."""
     best = max(each.fair_gain for each in alike)
     near = [each for each in alike if best - each.fair_gain < max(TIE, ALIKE * best)]
     first = min(near, key=lambda each: (sum(len(e.values) for e in each.effects), -each.fair_gain))
@@ -152,7 +152,7 @@ def _from_elsewhere(current: Fit, best: Fit, sensor: Vector) -> Fit:
 
 
 def slots(named: Sequence[Alike]) -> list[slice]:
-    """Where the effects of a fit belong to each that was named."""
+    """Positions, among the effects of a fit, of each that was named."""
     ends = np.cumsum([len(alike[0].effects) for alike in named]).tolist()
     return [slice(e - len(a[0].effects), e) for e, a in zip(ends, named, strict=True)]
 

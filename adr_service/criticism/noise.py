@@ -1,4 +1,4 @@
-"""Noise that a measured trajectory carries, and what of it explains the one-step residuals.
+"""Noise of a measured trajectory, and the share of the one-step residuals that it explains.
 
 Around smoothed states, the residuals of an episode are linear in everything that is unknown:
 
@@ -8,7 +8,7 @@ with sensor noise e ~ N(0, R) and misfit w ~ Student-t(0, Q). Q has two values: 
 in which a contact or a limit acts, where small errors of the state have large consequences, and
 one for all others. Consecutive residuals share a sensor's noise; whitening an episode as a whole,
 by the Cholesky factor of its block-tridiagonal covariance, is what a Kalman filter does, and gives
-independent numbers of variance one. Variances are found by maximum likelihood (the average
+independent numbers of variance one. Variances are maximum-likelihood estimates (the average
 information algorithm; Gilmour, Thompson and Cullis, 1995); the weights of the t distribution as in
 robust Kalman smoothing (Agamennoni, Nieto and Nebot, 2012).
 
@@ -24,24 +24,24 @@ from adr_service.arrays import Array3, Mask, Matrix, Vector
 
 DEGREES = 4.0  # of freedom of the misfit's t distribution
 _ROUNDING = 1e-11  # relative, so that covariances stay positive
-_LEAST = 1e-12  # relative to the residuals' variance: what rounding leaves
-_LIFTED = 1e-3  # relative to those of typical ones: what a variance has at least at first
-_HIDDEN = 1e-3  # of a sensor's variance: what no misfit's falls below
-_ROUGHLY = 1e-6  # of information: what a variance that the data say nothing of is divided by
-_FURTHEST = 3.0  # that the logarithm of a variance moves in a step
+_LEAST = 1e-12  # variance that rounding leaves, relative to the residuals'
+_LIFTED = 1e-3  # least variance at the start, relative to that of typical residuals
+_HIDDEN = 1e-3  # least variance of the misfit, relative to the sensor's
+_ROUGHLY = 1e-6  # floor on the information of a variance, which may not be identifiable
+_FURTHEST = 3.0  # largest step of the logarithm of a variance
 
 
 @dataclass(frozen=True)
 class Chain:
-    """How noise passes through the transitions of all episodes."""
+    """Sensitivities through which noise passes in the transitions of all episodes."""
 
     mask: Mask  # (E, T)
     transition: np.ndarray  # (E, T, m, m) F, zero where there is none
     stiff: Mask  # (E, T) whether a contact or a limit acts
-    measured: Mask  # (m,) of which sensors there are readings
+    measured: Mask  # (m,) true for sensors that have readings
 
     def where(self, mask: Mask) -> "Chain":
-        """Fewer transitions."""
+        """The chain with these transitions alone."""
         return replace(
             self, mask=mask, transition=np.where(mask[..., None, None], self.transition, 0.0)
         )
@@ -103,13 +103,13 @@ class Whitener:
 
     def adjoint(self, white: Array3) -> Array3:
         """The inverse covariance times residuals (E, T, m), from their whitened form."""
-        found = np.empty_like(white)
+        whole = np.empty_like(white)
         for k in reversed(range(white.shape[1])):
             rest = white[:, k]
             if k + 1 < white.shape[1]:
-                rest = rest - np.einsum("eij,ei->ej", self.below[:, k + 1], found[:, k + 1])
-            found[:, k] = np.einsum("eij,ei->ej", self.inverse[:, k], rest)
-        return found
+                rest = rest - np.einsum("eij,ei->ej", self.below[:, k + 1], whole[:, k + 1])
+            whole[:, k] = np.einsum("eij,ei->ej", self.inverse[:, k], rest)
+        return whole
 
     def inverse_blocks(self) -> tuple[np.ndarray, np.ndarray]:
         """Diagonal blocks (E, T, m, m) of the inverse covariance, and those left of them."""
@@ -136,7 +136,7 @@ class Whitener:
         return normal + np.sum(prior * mask, axis=1)
 
     def sensor_errors(self, residual: Array3) -> tuple[Array3, np.ndarray]:
-        """What sensors probably added to each state (E, T + 1, m), and that guess's covariance."""
+        """Estimates of the sensors' errors in each state (E, T + 1, m), and their covariance."""
         adjoint = self.adjoint(self.whiten(residual[..., None])[..., 0])
         blame = _blame(self.chain, adjoint)
         chance = _chances(self.chain, *self.inverse_blocks(), _matrices)
@@ -146,7 +146,7 @@ class Whitener:
 
 @dataclass(frozen=True)
 class Ascent:
-    """Where the log-likelihood of residuals rises, and how it bends, about a noise."""
+    """Gradient and curvature of the log-likelihood of residuals, about a noise."""
 
     noise: Noise
     gradient: Matrix  # (3, m) by the logarithms of the sensor's, the free and the stiff variance
@@ -163,7 +163,7 @@ class Ascent:
         mask, m = chain.mask, residual.shape[2]
         adjoint = whitener.adjoint(whitener.whiten(residual[..., None])[..., 0])
         diagonal, left = whitener.inverse_blocks()
-        said = np.diagonal(diagonal, axis1=2, axis2=3)
+        expected = np.diagonal(diagonal, axis1=2, axis2=3)
         blame = _blame(chain, adjoint)
         chance = _chances(chain, diagonal, left, _columnwise)
         spread, own = misfit_variance(chain, noise), np.arange(m)
@@ -175,10 +175,10 @@ class Ascent:
         moved[..., :m] -= chain.transition * error[:, :-1, None, :]
         for number, where in enumerate(regimes, 1):
             variance = where[..., None] * spread
-            gradient[number] = np.sum(variance * (adjoint**2 - said), axis=(0, 1)) / 2
+            gradient[number] = np.sum(variance * (adjoint**2 - expected), axis=(0, 1)) / 2
             moved[..., own, number * m + own] = variance * adjoint
         rows = whitener.whiten(moved).reshape(-1, 3 * m)
-        moment = spread + spread**2 * (adjoint**2 - said)  # E[w²] given the residuals
+        moment = spread + spread**2 * (adjoint**2 - expected)  # E[w²] given the residuals
         energy = np.sum(moment / (spread * noise.weights[..., None]), axis=2)
         weights = np.where(mask, (DEGREES + m) / (DEGREES + energy), 1.0)
         floor = _LEAST * np.maximum(np.mean(residual[mask] ** 2, axis=0), 1e-30)
@@ -188,8 +188,8 @@ class Ascent:
     def step(self, known: Mask, damping: float) -> Noise:
         """Noise after a damped Newton step of the variances and an EM update of the weights.
 
-        `known` (m,): whose sensors' variances stay as they are. Where all weights of a regime
-        change by a factor, its variances do as well (PX-EM; Liu, Rubin and Wu, 1998).
+        `known` (m,): sensors whose variances stay. If all weights of a regime change by a factor,
+        its variances do as well (PX-EM; Liu, Rubin and Wu, 1998).
         """
         noise, m = self.noise, len(known)
         free = np.concatenate([~known, *(np.full(m, where.any()) for where in self.regimes)])
@@ -209,9 +209,9 @@ class Ascent:
 
 
 def lifted(noise: Noise, chain: Chain, residual: Array3, known: Mask) -> Noise:
-    """Noise without variances that are next to nothing, from where no step would lead back.
+    """Noise without variances so close to zero that no step would leave it.
 
-    `known` (m,): whose sensors' variances stay as they are.
+    `known` (m,): sensors whose variances stay.
     """
     least = _LIFTED * _typical_variance(chain, residual)
     sensor = np.where(known, noise.sensor, np.maximum(noise.sensor, least))
@@ -220,9 +220,9 @@ def lifted(noise: Noise, chain: Chain, residual: Array3, known: Mask) -> Noise:
 
 
 def at_start(chain: Chain, residual: Array3, sensor: Vector) -> Noise:
-    """A first guess: half of the residuals' robust variance is either sensor's, a tenth misfit.
+    """A first guess: half of the residuals' robust variance for each sensor, a tenth for misfit.
 
-    `sensor` (m,) holds the variances that are known, and NaN.
+    `sensor` (m,): known variances, NaN for unknown ones.
     """
     variance = _typical_variance(chain, residual)
     given = np.where(np.isnan(sensor), variance / 2, np.maximum(sensor, 1e-24))
@@ -230,12 +230,12 @@ def at_start(chain: Chain, residual: Array3, sensor: Vector) -> Noise:
 
 
 def _least_misfit(sensor: Vector, floor: Vector, measured: Mask) -> Vector:
-    """Variances (m,) that sensors hide, but from which weights still find outliers."""
+    """Least variances (m,) of misfit: hidden by the sensors, but enough to weigh outliers."""
     return np.maximum(floor, np.where(measured, _HIDDEN * sensor, 0.0))
 
 
 def _typical_variance(chain: Chain, residual: Array3) -> Vector:
-    """(m,) of residuals that are no outliers."""
+    """(m,) robust variance of the residuals."""
     spread = 1.4826 * np.median(np.abs(residual[chain.mask]), axis=0)
     return np.maximum(spread**2, 1e-24)
 
@@ -277,5 +277,5 @@ def _matrices(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _columnwise(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The diagonal of that."""
+    """Diagonal of the same product."""
     return np.einsum("...ij,...ij->...j", one, other)

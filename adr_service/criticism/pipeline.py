@@ -4,8 +4,8 @@
     criticism.verdict.conclusion        # "cause"
     criticism.extension.xml             # the simulator with the cause
 
-Three quarters of the episodes tell effects apart, each judged by episodes that its fit has not
-seen; the last quarter is opened once, for the gain.
+Three quarters of the episodes are for the search, where each effect is judged by episodes that its
+fit has not seen. The last quarter is opened once, for the gain.
 """
 
 import time
@@ -66,7 +66,7 @@ class _Outcome:
 
 @dataclass(frozen=True)
 class _Judgement:
-    """Whether the named effects are the whole story."""
+    """The named effects beside a flexible force, which may be the better explanation."""
 
     outcome: _Outcome
     spread: list[NamedCause]  # sensors that have steps, or noise that the measurement hides

@@ -117,7 +117,7 @@ def _causes(verdict: Verdict) -> str:
 
 
 def _advice(verdict: Verdict) -> str:
-    """What to do with the robot, where several causes would do."""
+    """Experiments with the robot that would separate tied causes."""
     lines: list[str] = []
     for cause, tied, experiments in zip(
         verdict.causes, verdict.tied, verdict.experiments, strict=True
@@ -139,8 +139,8 @@ def _advice(verdict: Verdict) -> str:
                     "separates them further than whole episodes of these data do"
                 )
             lines.append(f"<li>{_words(cause)} from {_words(other)}: {apart}.</li>")
-    told = "<h2>What would tell them apart</h2><ul>" + "".join(lines) + "</ul>"
-    return told if lines else ""
+    listed = "<h2>Experiments that would separate them</h2><ul>" + "".join(lines) + "</ul>"
+    return listed if lines else ""
 
 
 def _rows(cause: NamedCause, prefix: str) -> list[list[Any]]:

@@ -98,7 +98,7 @@ class _Scan:
             candidate = self._at([Effect(kind, location, tuple((factor * typical).tolist()))])
             if candidate is None or (candidate.gain <= best.gain and best.gain > 0):
                 continue
-            if candidate.gain <= 0:  # of no use, but its deviations tell the detection limit
+            if candidate.gain <= 0:  # no evidence, but its deviations set the detection limit
                 candidate = replace(candidate, effects=best.effects, gains=best.gains)
             best = candidate
         return best
@@ -162,7 +162,7 @@ class _Scan:
 
 
 def _identifiable(covariance: Matrix, own: np.ndarray, sizes: Vector) -> tuple[np.ndarray, Vector]:
-    """Which strengths (k,) the data determine, and their standard deviations, inf elsewhere."""
+    """Mask (k,) of the strengths that the data determine, and their deviations, inf elsewhere."""
     count = len(sizes)
     variance, alone = np.diagonal(covariance)[-count:], np.diagonal(own.sum(axis=0))
     seen = (variance > 0) & (variance * alone < _ABSORBED) & (variance < _UNSEEN)

@@ -57,9 +57,9 @@ def _intervals(fit: Fit, slot: slice) -> tuple[StrengthInterval, ...]:
 def residual_of(
     baseline: Fit, final: Fit, first: Sequence[Candidate], flexible: Vector
 ) -> Residual:
-    """What the final fit leaves, where `flexible` (E,) nats are those of a flexible force over it.
+    """Everything that the final fit leaves, and the detection limits of the first scan.
 
-    `first`: candidates of the first scan, for detection limits.
+    `flexible` (E,): nats of a flexible force beside the final fit.
     """
     simulator, space = final.simulator, final.simulator.nominal.space
     used = int(final.linear.chain.mask.sum())

@@ -170,7 +170,7 @@ class Verdict:
     confidence: float
     causes: tuple[NamedCause, ...]
     tied: tuple[tuple[NamedCause, ...], ...]  # equally good alternatives, cause by cause
-    # for each alternative, the experiment that would tell it apart from the named cause
+    # for each alternative, the experiment that best separates it from the named cause
     experiments: tuple[tuple[Experiment, ...], ...]
     residual: Residual
     gain: Gain | None  # None: nothing was named that predictions would gain from

@@ -42,8 +42,8 @@ def read(folder: Path, prefix: str = "hoppermass_n10000", episodes: int = 20) ->
         rows = slice(first, first + _PIECE)
         states = np.concatenate([before[rows], after[rows][-1:]])
         travelled = PERIOD_S * np.cumsum(states[:, _POSITIONS])
-        told = np.concatenate([actions[rows], np.zeros((1, actions.shape[1]))])
-        pieces.append(np.concatenate([travelled[:, None], states, told], axis=1))
+        commands = np.concatenate([actions[rows], np.zeros((1, actions.shape[1]))])
+        pieces.append(np.concatenate([travelled[:, None], states, commands], axis=1))
     rows, width = np.concatenate(pieces), 1 + before.shape[1]
     return Measurement(
         time=np.tile(PERIOD_S * np.arange(_PIECE + 1, dtype=np.float64), len(pieces)),

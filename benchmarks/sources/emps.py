@@ -60,12 +60,12 @@ def read(path: Path) -> Measurement:
     velocity = np.gradient(smooth, 1 / _RATE_HZ)
     count = (len(smooth) // _DECIMATION - 1) // _ROWS * _ROWS
     rows = np.arange(count) * _DECIMATION
-    told = _low_pass(output)[: count * _DECIMATION].reshape(count, _DECIMATION).mean(axis=1)
+    commands = _low_pass(output)[: count * _DECIMATION].reshape(count, _DECIMATION).mean(axis=1)
     return Measurement(
         time=rows / _RATE_HZ,
         qpos=smooth[rows][:, None],
         qvel=velocity[rows][:, None],
-        ctrl=told[:, None],
+        ctrl=commands[:, None],
         episode=np.arange(count) // _ROWS,
         # velocities follow from positions: judging both would count the same error twice
         qpos_std=np.array([np.inf]),

@@ -1,0 +1,48 @@
+"""Planted cases: repeatable, hidden from the diagnosis, and as strong as asked for."""
+
+import numpy as np
+import pytest
+
+from adr_service.effects.base import Effect
+from benchmarks.planted import EPISODES, OUTSIDE, STEPS, draw_case, hide
+from tests.hidden import arm
+
+
+def test_a_case_is_the_same_for_the_same_generator_and_starts_off_the_truth():
+    task, nominal = arm()
+    one, other = (draw_case(task, nominal, np.random.default_rng(5), 0.3) for _ in range(2))
+    assert one.effects == other.effects
+    np.testing.assert_array_equal(one.measurement.qpos, other.measurement.qpos)
+    assert np.all(one.nominal.start != nominal.start)
+
+
+def test_a_case_without_effects_has_none_and_a_case_outside_has_no_known_one():
+    task, nominal = arm()
+    nothing = draw_case(task, nominal, np.random.default_rng(5), 0.3, count=0)
+    outside = draw_case(task, nominal, np.random.default_rng(5), 0.3, outside=True)
+    assert (nothing.effects, nothing.outside) == ((), None)
+    assert outside.effects == ()
+    assert outside.outside in OUTSIDE
+
+
+def test_two_effects_of_a_case_are_at_two_places():
+    case = draw_case(*arm(), np.random.default_rng(6), 0.3, count=2)
+    assert len({effect.location for effect in case.effects}) == 2
+
+
+def test_a_bias_of_a_sensor_moves_its_readings_and_no_others():
+    task, nominal = arm()
+    bias = Effect("sensor_bias", "sensor:elbow.position", (0.1,))
+    plain, biased = (hide(task, nominal, np.random.default_rng(7), e) for e in ([], [bias]))
+    assert len(plain.time) == EPISODES * (STEPS + 1)
+    np.testing.assert_allclose((biased.qpos - plain.qpos)[:, 1], 0.1, atol=1e-12)
+    np.testing.assert_array_equal(biased.qpos[:, 0], plain.qpos[:, 0])
+    np.testing.assert_array_equal(biased.qvel, plain.qvel)
+
+
+def test_a_larger_ratio_is_a_larger_effect():
+    strengths = []
+    for ratio in (0.1, 0.3):
+        (effect,) = draw_case(*arm(), np.random.default_rng(100), ratio).effects
+        strengths.append(abs(effect.values[0]))
+    assert strengths[1] / strengths[0] == pytest.approx(3.0, rel=0.15)

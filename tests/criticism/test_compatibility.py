@@ -1,0 +1,73 @@
+"""Measurements and models that do not belong together are refused, with what is expected."""
+
+import numpy as np
+import pytest
+
+from adr_service.criticism.compatibility import check_measurement, steps_between
+from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.simulator import Simulator
+from adr_service.errors import InvalidInput
+from adr_service.parameters import ParameterSpace
+from tests.hidden import arm
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("time", lambda a: np.where(np.arange(len(a)) == 7, a - 0.01, a), "from row 6 to 7"),
+        ("time", lambda a: 1000 * a, "2000 of the model's steps; accepted are 500 at most"),
+        ("time", lambda a: 1.3 * a, "no multiple of the model's step of 0.01"),
+        ("ctrl", lambda a: a[:, :1], "ctrl has 1 columns; the model has 2"),
+    ],
+)
+def test_a_measurement_that_no_simulation_can_follow_is_refused(good, name, change, message):
+    measurement = Measurement(**{**good, name: change(good[name])})
+    with pytest.raises(InvalidInput, match=message):
+        Simulator(arm()[1], measurement)
+
+
+@pytest.mark.parametrize(
+    ("xml", "message"),
+    [
+        ("<mujoco><nonsense/></mujoco>", "MuJoCo cannot read the model"),
+        (
+            '<mujoco><worldbody><body><joint type="slide"/></body></worldbody></mujoco>',
+            "compile",
+        ),
+        (
+            '<mujoco><compiler settotalmass="2"/><worldbody><body><joint type="slide"/>'
+            '<geom size="1"/></body></worldbody></mujoco>',
+            "settotalmass",
+        ),
+        (
+            '<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>',
+            "free and ball joints",
+        ),
+    ],
+)
+def test_a_model_that_cannot_be_criticised_is_refused(good, xml, message):
+    with pytest.raises(InvalidInput, match=message):
+        Simulator(Nominal.of_model(xml, ParameterSpace(())), Measurement(**good))
+
+
+def test_more_than_memory_holds_is_refused():
+    """One long episode among many short ones: all are padded to the longest."""
+    short, long = 4000, 60_000
+    rows = 2 * short + long
+    measurement = Measurement(
+        time=np.arange(rows) * 0.02,
+        qpos=np.random.default_rng(0).standard_normal((rows, 2)),
+        qvel=np.random.default_rng(1).standard_normal((rows, 2)),
+        ctrl=np.zeros((rows, 2)),
+        episode=np.append(np.repeat(np.arange(short), 2), np.full(long, short)),
+    )
+    with pytest.raises(InvalidInput, match="4001 episodes, the longest of 60000 rows"):
+        check_measurement(arm()[1], measurement)
+
+
+def test_steps_between_rows_are_a_whole_number():
+    assert steps_between(0.02, 0.01) == 2
+    assert steps_between(0.3, 0.1) == 3  # although 0.3 / 0.1 is not 3 in floating point
+    with pytest.raises(InvalidInput, match="no multiple"):
+        steps_between(0.025, 0.01)

@@ -1,0 +1,72 @@
+"""The rule that turns gains by episode into names."""
+
+import numpy as np
+import pytest
+
+from adr_service.criticism.decision import ALIKE, THRESHOLD, beats, decide, is_unknown
+
+NOTHING = np.zeros(20)
+
+
+def decided(gains):
+    return decide(np.array(gains), np.random.default_rng(0))
+
+
+def test_a_gain_below_the_threshold_is_chance():
+    gains = np.full(20, 0.9 * THRESHOLD / 20)
+    assert not decided([gains]).alike
+
+
+def test_a_gain_that_hangs_on_one_episode_is_chance():
+    gains = NOTHING.copy()
+    gains[3] = 10 * THRESHOLD
+    assert not decided([gains]).alike
+
+
+def test_the_best_that_is_more_than_chance_is_named_beside_a_larger_one_that_is_not():
+    flaky = np.full(20, -0.5)
+    flaky[:2] = 60.0
+    decision = decided([flaky, np.full(20, 4.0)])
+    assert decision.alike == (1,)
+    assert decision.confidence[1] > 0.99
+
+
+def test_what_few_episodes_show_clearly_is_evidence():
+    gains = NOTHING.copy()
+    gains[:3] = 100.0
+    assert decided([gains]).alike == (0,)
+
+
+def test_no_candidate_at_all_is_none():
+    assert not decided(np.empty((0, 20))).alike
+
+
+def test_the_better_of_two_is_named_with_all_confidence():
+    decision = decided([np.full(20, 2.0), np.full(20, 5.0)])
+    assert decision.alike == (1,)
+    assert decision.confidence[1] > 0.99
+
+
+def test_two_that_differ_by_less_than_their_difference_varies_are_tied():
+    noise = np.random.default_rng(1).normal(0, 3, 20)
+    decision = decided([5 + noise, np.full(20, 5.2)])
+    assert set(decision.alike) == {0, 1}
+
+
+def test_what_a_flexible_force_explains_beside_a_cause_decides_whether_that_is_it():
+    flexible = np.full(20, 9.0)
+    assert is_unknown(flexible, named=100.0)
+    assert not is_unknown(flexible, named=2000.0)
+    assert not is_unknown(np.full(20, 1.0), named=0.0)  # chance
+
+
+def test_probabilities_of_all_candidates_and_of_none_add_up_to_one():
+    decision = decided([np.full(20, 2.0), np.full(20, 2.1), NOTHING])
+    assert decision.confidence.sum() == pytest.approx(1.0)
+    assert decision.confidence[2] == 0.0  # no evidence
+
+
+def test_a_difference_within_the_error_of_a_large_gain_decides_nothing():
+    difference = np.full(20, 1.0)
+    assert beats(difference, gain=100.0)
+    assert not beats(difference, gain=20.0 / ALIKE)

@@ -1,0 +1,52 @@
+"""Extended models as files."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from adr_service.criticism.extension import extend, written_out
+from adr_service.effects.base import Effect
+from tests.hidden import arm
+
+SPRING = Effect("joint_spring", "joint:elbow", (1 / 3,))
+DELAY = Effect("actuator_delay", "actuator:elbow", (0.01,))
+
+
+def test_an_extension_has_every_digit_of_its_parameters_and_effects():
+    nominal = arm()[1]
+    values = nominal.start * np.pi / 3
+    written = extend(nominal, values, [SPRING]).nominal().model(np.empty(0))
+    expected = nominal.model(values, [SPRING])
+    np.testing.assert_array_equal(written.jnt_stiffness, expected.jnt_stiffness)
+    np.testing.assert_array_equal(written.body_mass, expected.body_mass)
+
+
+def test_an_effect_on_commands_stands_beside_the_model():
+    nominal = arm()[1]
+    extension = extend(nominal, nominal.start, [DELAY, SPRING])
+    assert extension.beside == [DELAY]
+    assert extension.to_json() == {
+        "version": 1,
+        "effects": [
+            {"kind": "actuator_delay", "location": "actuator:elbow", "values": (0.01,)}
+            | {"in_mjcf": False},
+            {"kind": "joint_spring", "location": "joint:elbow", "values": (1 / 3,)}
+            | {"in_mjcf": True},
+        ],
+    }
+
+
+def test_mujoco_writes_its_own_digits_again_afterwards():
+    xml = '<mujoco><worldbody><geom name="g" size="0.123456789"/></worldbody></mujoco>'
+    spec = mujoco.MjSpec.from_string(xml)
+    spec.compile()
+    before = spec.to_xml()
+    assert "0.123456789" in written_out(spec)
+    assert spec.to_xml() == before
+    assert "0.123456789" not in before
+
+
+def test_an_extension_of_an_unknown_kind_is_refused():
+    nominal = arm()[1]
+    with pytest.raises(LookupError, match="no mechanism 'warp'"):
+        extend(nominal, nominal.start, [Effect("warp", "global", (1.0,))])

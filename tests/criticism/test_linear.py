@@ -1,0 +1,78 @@
+"""Normal equations, against dense least squares."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adr_service.criticism.linear import Linear, Normal, inverse
+from adr_service.criticism.noise import Chain, Noise, Whitener
+
+EPISODES, STEPS, WIDTH, COLUMNS = 6, 10, 2, 3
+
+
+@pytest.fixture
+def linear():
+    """Residuals without noise of states, so that all of them are independent of variance one."""
+    rng = np.random.default_rng(0)
+    mask = np.ones((EPISODES, STEPS), dtype=bool)
+    still = np.zeros((EPISODES, STEPS, WIDTH, WIDTH))
+    chain = Chain(mask, still, ~mask, np.ones(WIDTH, bool))
+    columns = rng.standard_normal((EPISODES, STEPS, WIDTH, COLUMNS))
+    noise = rng.standard_normal((EPISODES, STEPS, WIDTH))
+    residual = columns @ np.array([1.0, -2.0, 0.5]) + noise
+    return Linear(chain, residual, columns, np.zeros(COLUMNS), np.zeros(COLUMNS))
+
+
+def normal_of(linear):
+    noise = Noise(np.ones(WIDTH), np.full((2, WIDTH), 1e-12), np.ones((EPISODES, STEPS)))
+    return Normal.of(Whitener.of(linear.chain, noise), linear)
+
+
+def dense(linear, episodes):
+    """Ordinary least squares over some episodes."""
+    rows = linear.columns[episodes].reshape(-1, linear.columns.shape[3])
+    return np.linalg.lstsq(rows, linear.residual[episodes].ravel(), rcond=None)[0]
+
+
+def test_the_most_probable_change_is_that_of_least_squares(linear):
+    change, covariance = normal_of(linear).change()
+    np.testing.assert_allclose(change, dense(linear, slice(None)), rtol=1e-6)
+    rows = linear.columns.reshape(-1, COLUMNS)
+    np.testing.assert_allclose(covariance, np.linalg.inv(rows.T @ rows), rtol=1e-6)
+
+
+def test_an_episode_is_left_out_as_by_a_fit_to_the_others(linear):
+    left = normal_of(linear).left_out()
+    constant = WIDTH * STEPS * np.log(2 * np.pi) / 2
+    for number in range(EPISODES):
+        others = np.arange(EPISODES) != number
+        rest = linear.residual[number] - linear.columns[number] @ dense(linear, others)
+        weights = -4.0 / 2 * STEPS  # the prior of weights of one
+        assert left[number] == pytest.approx(-np.sum(rest**2) / 2 - constant + weights, rel=1e-5)
+
+
+def test_more_columns_later_are_the_same_as_all_at_once(linear):
+    whole = normal_of(linear)
+    parts = replace(
+        linear, columns=linear.columns[..., :2], mean=np.zeros(2), precision=np.zeros(2)
+    )
+    later = normal_of(parts).with_columns(
+        whole.information[:, 2:, 2:], whole.information[:, :2, 2:], whole.score[:, 2:]
+    )
+    np.testing.assert_allclose(later.change()[0], whole.change()[0], rtol=1e-9)
+
+
+def test_a_strong_prior_keeps_a_column_where_it_was(linear):
+    held = replace(linear, mean=np.array([7.0, 0, 0]), precision=np.array([1e9, 0, 0]))
+    assert normal_of(held).change()[0][0] == pytest.approx(7.0, rel=1e-4)
+
+
+def test_settling_all_columns_gains_at_least_as_much_as_some(linear):
+    normal = normal_of(linear)
+    assert normal.settled() > normal.settled(slice(0, 1)) > normal.log_likelihood.sum()
+
+
+def test_the_inverse_of_a_column_without_information_is_zero():
+    information = np.diag([4.0, 0.0, 1e-12])
+    np.testing.assert_allclose(inverse(information), np.diag([0.25, 0.0, 1e12]), rtol=1e-6)

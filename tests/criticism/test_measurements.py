@@ -1,0 +1,147 @@
+"""Measurements: accepted arrays and tables, and refusals that say what is wrong."""
+
+import numpy as np
+import pytest
+
+from adr_service.criticism.measurements import Measurement, is_measurement
+from adr_service.errors import InvalidInput
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("qvel", lambda a: a[:-1], "qvel has shape .* expected are 2280 rows"),
+        ("qpos", lambda a: np.where(np.arange(len(a))[:, None] == 5, np.nan, a), "row 5"),
+        ("episode", lambda a: a[::-1], "must not decrease; they do at row 76"),
+        ("episode", lambda a: a.astype(float), "whole numbers"),
+        ("time", lambda a: a[:, None], "in 1 dimension"),
+        (
+            "time",
+            lambda a: np.where(np.arange(len(a)) == 7, a - 0.1, a),
+            "time must increase within an episode; it goes from 0.12 to 0.04 s at row 7",
+        ),
+        ("time", np.zeros_like, "time must increase"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused_with_the_row(good, name, change, message):
+    with pytest.raises(InvalidInput, match=message):
+        Measurement(**{**good, name: change(good[name])})
+
+
+def test_a_measurement_without_rows_is_refused(good):
+    with pytest.raises(InvalidInput, match="has no rows"):
+        Measurement(**{name: values[:0] for name, values in good.items()})
+
+
+def test_an_episode_of_one_row_is_refused(good):
+    ids = good["episode"].copy()
+    ids[-1] += 1
+    with pytest.raises(InvalidInput, match="the episode at row 2279 has a single row"):
+        Measurement(**{**good, "episode": ids})
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("time", lambda a: 2 * a, "column 0 of qpos moves 0.5 times as far as"),
+        ("qvel", np.degrees, "qpos moves 0.0175 times as far"),
+    ],
+)
+def test_velocities_that_are_not_the_rates_of_positions_are_refused(good, name, change, message):
+    measurement = Measurement(**{**good, name: change(good[name])})
+    with pytest.raises(InvalidInput, match=message):
+        measurement.check_velocities()
+
+
+def test_too_few_episodes_are_refused(good):
+    with pytest.raises(InvalidInput, match="in 7 episodes are too few"):
+        Measurement(**good).episodes(range(7)).check_usable()
+
+
+def test_one_deviation_stands_for_all_columns(good):
+    measurement = Measurement(**good, qpos_std=0.1)
+    np.testing.assert_array_equal(measurement.qpos_std, [0.1, 0.1])
+    np.testing.assert_array_equal(
+        np.isnan(measurement.sensor_variance()), [False, False, True, True]
+    )
+
+
+@pytest.mark.parametrize("given", [[0.1, 0.1, 0.1], [0.1, -0.1], [np.nan, 0.1]])
+def test_deviations_of_another_shape_or_sign_are_refused(good, given):
+    with pytest.raises(InvalidInput, match="qvel_std must be 2 numbers that are not negative"):
+        Measurement(**good, qvel_std=given)
+
+
+def test_an_unmeasured_column_has_its_variance_over_the_recording(good):
+    measurement = Measurement(**good, qpos_std=[np.inf, 0.1])
+    np.testing.assert_array_equal(measurement.is_measured(), [False, True, True, True])
+    expected = (measurement.qpos[:, 0].std() + 1e-3) ** 2
+    assert measurement.sensor_variance()[0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_chosen_episodes_keep_their_order_and_rows(good):
+    measurement = Measurement(**good)
+    first, last = measurement.spans()[5]
+    chosen = measurement.episodes([2, 5])
+    assert chosen.spans() == [(0, 76), (76, 152)]
+    np.testing.assert_array_equal(chosen.qpos[76:], measurement.qpos[first:last])
+
+
+def test_a_file_of_arrays_is_the_same_measurement(good, tmp_path):
+    np.savez(tmp_path / "measured.npz", **good)
+    content = (tmp_path / "measured.npz").read_bytes()
+    assert is_measurement(content)
+    np.testing.assert_array_equal(Measurement.from_npz(content).qvel, good["qvel"])
+
+
+def test_a_file_that_lacks_an_array_is_refused_with_those_it_has(good, tmp_path):
+    np.savez(tmp_path / "part.npz", time=good["time"], qpos=good["qpos"])
+    with pytest.raises(InvalidInput, match=r"lacks .'qvel', 'ctrl', 'episode'.*'qpos', 'time'"):
+        Measurement.from_npz((tmp_path / "part.npz").read_bytes())
+
+
+def test_a_table_is_the_same_measurement_as_its_arrays(good):
+    measured = Measurement.from_csv(as_csv(good))
+    for name, values in good.items():
+        np.testing.assert_array_equal(getattr(measured, name), values)
+
+
+def as_csv(fields):
+    wide = [(n, fields[n]) for n in ("qpos", "qvel", "ctrl")]
+    header = ["time", "episode", *(f"{n}_{i}" for n, v in wide for i in range(v.shape[1]))]
+    table = np.column_stack([fields["time"], fields["episode"], *(v for _, v in wide)])
+    lines = [",".join(map(repr, row)) for row in table.tolist()]
+    return "\n".join([",".join(header), *lines])
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ("qvel_1", "qvel_7", "expected are time, episode, and from 0 on qpos_0"),
+        ("0.0,0.0,", "0.0,first,", "line 2 of the CSV has 'first' for episode"),
+        ("0.0,0.0,", "0.0,", "line 2 of the CSV has 7 values; the header has 8"),
+        ("0.0,0.0,", "0.0,0.5,", "episodes must be whole numbers"),
+        ("0.0,0.0,", "0.0,inf,", "episodes must be whole numbers"),
+        ("\n0.0,0.0,", "\n\n\n0.0,first,", "line 4 of the CSV has 'first'"),
+    ],
+)
+def test_a_table_that_is_wrong_is_refused_with_its_line(good, before, after, message):
+    with pytest.raises(InvalidInput, match=message):
+        Measurement.from_csv(as_csv(good).replace(before, after, 1))
+
+
+@pytest.mark.parametrize(
+    ("name", "spoil", "message"),
+    [
+        ("qpos", lambda v: 0 * v + 0.5, "qpos, column 1, is 0.5 in all rows"),
+        ("qvel", lambda v: np.minimum(v, np.quantile(v, 0.7)), "qvel, column 1, is saturated"),
+    ],
+)
+def test_a_sensor_that_is_stuck_is_named(good, name, spoil, message):
+    spoiled = good[name].copy()
+    spoiled[:, 1] = spoil(spoiled[:, 1])
+    with pytest.raises(InvalidInput, match=message):
+        Measurement(**{**good, name: spoiled}).check_usable()
+    # a column without readings may hold anything
+    unread = np.where(np.arange(2) == 1, np.inf, 0.01)
+    Measurement(**{**good, name: spoiled, f"{name}_std": unread}).check_usable()

@@ -1,0 +1,49 @@
+"""The simulator under criticism, and where its parameters start."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adr_service.criticism.nominal import Nominal
+from adr_service.effects.base import Effect
+from adr_service.errors import InvalidInput
+from adr_service.parameters import Parameter, ParameterSpace
+from adr_service.simulation.model import read, resolve
+from adr_service.tasks.catalogue import get_task, source_of
+from tests.hidden import arm
+
+
+def test_a_start_outside_of_the_bounds_is_refused():
+    space = ParameterSpace((Parameter("mass", "body:fore.mass", "kg", 2.0, 3.0, 2.0),))
+    with pytest.raises(InvalidInput, match=r"the model has 0\.7 for mass, .* bounds: 2 to 3"):
+        Nominal.of_model(get_task("arm").xml, space)
+
+
+def test_a_model_starts_at_the_values_of_its_file():
+    space = ParameterSpace((Parameter("mass", "body:fore.mass", "kg", 0.1, 3.0, 0.1),))
+    nominal = Nominal.of_model(get_task("arm").xml, space)
+    np.testing.assert_allclose(nominal.start, [0.7])
+
+
+def test_parameters_land_in_the_model():
+    nominal = arm()[1]
+    values = 1.1 * nominal.start
+    model = nominal.model(values)
+    for address, value in nominal.addressed(values).items():
+        assert read(model, resolve(model, address)) == pytest.approx(value, rel=1e-12)
+
+
+def test_a_source_that_is_extended_already_is_refused():
+    payload = Effect("payload", "body:fore", (1.0,))
+    source = replace(source_of("arm", "vanilla"), effects=(payload,))
+    with pytest.raises(InvalidInput, match="arm is extended already"):
+        Nominal.of_task(get_task("arm"), source)
+
+
+def test_elements_without_a_name_get_one_so_that_effects_have_a_place():
+    body = '<body><joint type="slide"/><geom size="1"/></body>'
+    xml = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
+    model = Nominal.of_model(xml, ParameterSpace(())).model(np.empty(0))
+    assert model.body(1).name == "unnamed_1"
+    assert model.joint(0).name == "unnamed_0"

@@ -1,0 +1,50 @@
+"""The scan over all effects at all places."""
+
+import numpy as np
+import pytest
+
+from adr_service.criticism.decision import THRESHOLD
+from adr_service.criticism.evidence import fit, smoothed
+from adr_service.criticism.responses import Responses
+from adr_service.criticism.scan import location_of, places, scan
+from adr_service.criticism.simulator import Simulator
+from adr_service.effects.base import Effect
+from benchmarks.planted import hide
+from tests.hidden import arm
+
+
+def test_one_effect_at_all_places_is_a_group():
+    """With a strength for each, where it explains more than any single place."""
+    hidden = [
+        Effect("joint_coulomb_friction", "joint:shoulder", (0.2,)),
+        Effect("joint_coulomb_friction", "joint:elbow", (0.1,)),
+    ]
+    task, nominal = arm()
+    data = hide(task, nominal, np.random.default_rng(401), hidden).episodes(range(12))
+    sensor = data.sensor_variance()
+    with Simulator(nominal, data, threads=1, finer=3) as simulator:
+        baseline = smoothed(fit(simulator, sensor), sensor)
+        best, *others = scan(baseline, Responses(baseline))
+    assert (best.kind, best.location) == ("joint_coulomb_friction", "joint:*")
+    assert best.gain > max(c.gain for c in others if len(c.effects) == 1) + THRESHOLD
+    strengths = {cause.location: cause.values[0] for cause in best.effects}
+    expected = {cause.location: cause.values[0] for cause in hidden}
+    assert strengths == pytest.approx(expected, rel=0.3)  # to first order
+
+
+def test_a_group_is_named_after_the_kind_of_its_places():
+    springs = [Effect("joint_spring", f"joint:{name}", (1.0,)) for name in ("shoulder", "elbow")]
+    assert location_of(springs) == "joint:*"
+    assert location_of(springs[:1]) == "joint:shoulder"
+
+
+def test_sensors_without_readings_are_no_places():
+    task, nominal = arm()
+    data = hide(task, nominal, np.random.default_rng(401), []).episodes(range(2))
+    unread = type(data)(data.time, data.qpos, data.qvel, data.ctrl, data.episode, [np.inf, 0.1])
+    with (
+        Simulator(nominal, data, threads=1) as all_read,
+        Simulator(nominal, unread, threads=1) as one,
+    ):
+        missing = set(places(all_read)) - set(places(one))
+    assert {location for _, location in missing} == {"sensor:shoulder.position"}

@@ -1,0 +1,84 @@
+"""Predictions of a simulator with effects."""
+
+import numpy as np
+
+from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.simulator import Simulator, other_integrator
+from adr_service.effects.base import Effect
+from tests.hidden import arm
+
+
+def test_a_body_without_mass_is_predicted_as_nan(good):
+    nominal = arm()[1]
+    with Simulator(nominal, Measurement(**good), threads=1) as simulator:
+        for gone in (
+            Effect("body_mass", "body:fore", (-0.7,)),
+            Effect("body_inertia", "body:fore", (-1.0,)),
+        ):
+            assert np.isnan(simulator.predict(nominal.start, [gone], simulator.measured)).all()
+
+
+def test_actuators_obey_their_limits(good):
+    wild = Measurement(**{**good, "ctrl": 3.0 * np.sign(good["ctrl"])})
+    with Simulator(arm()[1], wild, threads=1) as simulator:
+        obeyed = simulator.commands([], simulator.steps)
+        unmoved = Effect("actuator_deadband", "actuator:elbow", (0.0,))
+        harmless = simulator.commands([unmoved], simulator.steps)
+    assert np.abs(obeyed).max() == 1.0
+    np.testing.assert_array_equal(obeyed, harmless)
+
+
+def test_whole_episodes_are_followed_as_step_after_step(good):
+    """Open loop, with an effect on commands, one in a sensor and one in the model."""
+    causes = [
+        Effect("actuator_delay", "actuator:elbow", (0.004,)),
+        Effect("sensor_bias", "sensor:elbow.position", (0.02,)),
+        Effect("joint_coulomb_friction", "joint:shoulder", (0.2,)),
+    ]
+    nominal = arm()[1]
+    with Simulator(nominal, Measurement(**good), threads=1) as simulator:
+        whole = simulator.follow(nominal.start, causes)
+        late = [Effect("sensor_delay", "sensor:elbow.position", (0.005,))]
+        first_of_late = simulator.follow(nominal.start, late)[1]
+        expected = simulator.predict(nominal.start, late, simulator.measured)[0]
+        states = simulator.measured.copy()
+        for _ in range(3):
+            ends = simulator.predict(nominal.start, causes, states)
+            states[simulator.starts + 1] = ends
+            first = [begin for begin, _ in simulator.data.spans()]
+            states[first] = simulator.measured[first]
+    np.testing.assert_allclose(first_of_late, expected, rtol=1e-12)
+    for begin, _ in simulator.data.spans():
+        np.testing.assert_allclose(whole[begin : begin + 4], states[begin : begin + 4], rtol=1e-9)
+
+
+def test_predictions_are_equal_at_any_number_of_threads(good):
+    nominal, data = arm()[1], Measurement(**good)
+    effects = [Effect("joint_spring", "joint:elbow", (2.0,))]
+    with Simulator(nominal, data, threads=1) as one, Simulator(nominal, data, threads=3) as three:
+        np.testing.assert_array_equal(
+            *(each.predict(nominal.start, effects, each.measured) for each in (one, three))
+        )
+
+
+def test_a_finer_step_is_the_limit_of_coarser_ones(good):
+    """Errors of an integrator of first order halve with its step."""
+    nominal, data = arm()[1], Measurement(**good).episodes(range(8))
+    with Simulator(nominal, data, threads=1) as simulator:
+        own = int(simulator.base.opt.integrator)
+        known = (nominal.start, (), simulator.measured)
+        exact = simulator.predict_finer(*known, 64, other_integrator(own))
+        errors = [
+            np.abs(simulator.predict_finer(*known, finer, own) - exact).mean() for finer in (2, 4)
+        ]
+    assert errors[1] < 0.7 * errors[0]
+
+
+def test_a_push_changes_predictions_in_proportion(good):
+    nominal = arm()[1]
+    with Simulator(nominal, Measurement(**good), threads=1) as simulator:
+        known = (nominal.start, (), simulator.measured)
+        still, once, twice = (
+            simulator.predict_pushed(*known, 1, size) for size in (0.0, 0.01, 0.02)
+        )
+    np.testing.assert_allclose(twice - still, 2 * (once - still), rtol=1e-3, atol=1e-8)

@@ -1,0 +1,49 @@
+"""Effects on commands do what their formulas say."""
+
+import numpy as np
+import pytest
+
+from adr_service.effects.actuators import drives, largest_force
+from adr_service.effects.base import Commands, Effect
+from adr_service.effects.catalogue import get_mechanism
+
+COMMANDS = Commands(np.array([[1.0, 1.0, -0.5, 0.2, 0.0, 0.8]]), 0.01, 1.0)
+
+
+def obeyed(kind, strength):
+    return get_mechanism(kind).command(COMMANDS, np.array([strength]))
+
+
+def test_a_delay_of_whole_steps_shifts_commands_and_a_part_of_one_mixes_two():
+    np.testing.assert_allclose(obeyed("actuator_delay", 0.02), [[0.0, 0.0, 1.0, 1.0, -0.5, 0.2]])
+    np.testing.assert_allclose(
+        obeyed("actuator_delay", 0.0025), [[0.75, 1.0, -0.125, 0.025, 0.05, 0.6]]
+    )
+
+
+def test_a_lag_is_the_mean_of_the_exact_first_order_response():
+    seconds, constant = np.linspace(0, 0.01, 10_001), 0.03
+    exact = 1 - np.exp(-seconds / constant)  # of a step from rest
+    response = obeyed("actuator_lag", constant)
+    assert response[0, 0] == pytest.approx(np.trapezoid(exact, seconds) / 0.01, rel=1e-6)
+
+
+def test_a_deadband_takes_its_width_from_every_command():
+    np.testing.assert_allclose(obeyed("actuator_deadband", 0.3), [[0.7, 0.7, -0.2, 0.0, 0.0, 0.5]])
+
+
+def test_a_saturation_cuts_the_largest_commands():
+    np.testing.assert_allclose(
+        obeyed("actuator_saturation", 0.4), [[0.6, 0.6, -0.5, 0.2, 0.0, 0.6]]
+    )
+
+
+def test_a_bias_is_a_force_after_the_gear(cart):
+    model = cart(Effect("actuator_bias", "actuator:push", (1.5,)))
+    assert model.actuator_biasprm[0, 0] * model.actuator_gear[0, 0] == pytest.approx(1.5)
+
+
+def test_the_largest_force_of_an_unlimited_actuator_is_that_of_command_one(cart):
+    model = cart()
+    assert drives(model, 0) == [0]
+    assert largest_force(model, 0) == 3.0  # its gear

@@ -1,0 +1,42 @@
+"""Effects in bodies obey mechanics."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from adr_service.effects.base import Effect
+from tests.hidden import arm
+
+
+def test_a_payload_is_a_point_mass_at_the_end_of_its_body():
+    """The composite's inertia about the joint, by the parallel axis theorem."""
+    nominal = arm()[1]
+    before = nominal.model(nominal.start)
+    after = nominal.model(nominal.start, [Effect("payload", "body:fore", (0.2,))])
+
+    def about_joint(model):
+        body = model.body("fore").id
+        across = model.body_mass[body] * model.body_ipos[body, 2] ** 2
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
+        frame = rotation.reshape(3, 3)
+        return across + (frame @ np.diag(model.body_inertia[body]) @ frame.T)[1, 1]
+
+    assert about_joint(after) - about_joint(before) == pytest.approx(0.2 * 0.5**2, rel=1e-9)
+    assert after.body("fore").mass[0] - before.body("fore").mass[0] == pytest.approx(0.2)
+
+
+def test_more_mass_takes_more_force(cart):
+    """a = F / m under the actuator's constant force."""
+    for mass in (0.0, 1.0):
+        model = cart(Effect("body_mass", "body:cart", (mass,)))
+        data = mujoco.MjData(model)
+        data.ctrl[0] = 1.0
+        mujoco.mj_forward(model, data)
+        assert data.qacc[0] == pytest.approx(3.0 / (2.0 + mass), rel=1e-9)
+
+
+def test_a_moved_centre_of_mass_leaves_the_mass(cart):
+    before, after = cart(), cart(Effect("body_com", "body:cart", (0.1, 0.0, -0.2)))
+    np.testing.assert_allclose(after.body("cart").ipos - before.body("cart").ipos, [0.1, 0.0, -0.2])
+    np.testing.assert_array_equal(after.body_mass, before.body_mass)

@@ -1,0 +1,37 @@
+"""Effects at contacts change a geom and the pairs that it is in, and no other."""
+
+import numpy as np
+import pytest
+
+from adr_service.effects.base import Effect
+from adr_service.effects.catalogue import get_mechanism
+
+XML = """
+<mujoco><worldbody>
+<geom name="floor" type="plane" size="1 1 1"/>
+<body name="ball"><freejoint/><geom name="skin" size=".1"/></body>
+<body name="ghost"><freejoint/><geom name="air" size=".1" contype="0" conaffinity="0"/></body>
+<body name="foot"><freejoint/><geom name="sole" size=".1" contype="0" conaffinity="0"/></body>
+</worldbody>
+<contact><pair geom1="sole" geom2="floor" friction="1 1 0.1 0.1 0.1"/></contact></mujoco>
+"""
+
+
+def test_only_geoms_that_can_touch_are_places(cart):
+    places = get_mechanism("contact_friction").locations(cart(xml=XML))
+    assert places == ["geom:skin", "geom:sole"]
+
+
+def test_friction_changes_a_geom_or_its_pair_in_proportion(cart):
+    model = cart(Effect("contact_friction", "geom:sole", (0.5,)), xml=XML)
+    np.testing.assert_allclose(model.pair_friction[0], [1.5, 1.5, 0.1, 0.1, 0.1])
+    assert model.geom("skin").friction[0] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "field", "expected"),
+    [("contact_margin", "margin", 0.5), ("contact_softness", "solref", 0.03)],
+)
+def test_margin_adds_and_softness_multiplies(cart, kind, field, expected):
+    model = cart(Effect(kind, "geom:skin", (0.5,)), xml=XML)
+    assert getattr(model.geom("skin"), field)[0] == pytest.approx(expected)

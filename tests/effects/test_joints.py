@@ -1,0 +1,68 @@
+"""Effects at joints do what their formulas say."""
+
+import numpy as np
+import pytest
+
+from adr_service.criticism.extension import extend
+from adr_service.effects.base import Effect
+from adr_service.effects.catalogue import MECHANISMS
+from adr_service.effects.joints import BACKLASH
+
+
+@pytest.mark.parametrize("default", ["", 'gear="50" dyntype="integrator" forcerange="-1 1"'])
+@pytest.mark.parametrize("damping", [4.0, -4.0])
+def test_a_brake_acts_one_way_whatever_the_defaults_are(moving, default, damping):
+    """v(t) = v exp(-|d| t / m) for one sign of v; implicit Euler to first order."""
+    slide = moving(default)
+    effect = Effect("joint_asymmetric_viscous_friction", "joint:x", (damping,))
+    after = slide.predict(np.empty(0), [effect], slide.measured)[:, 1]
+    before = slide.measured[slide.starts, 1]
+    braked = np.sign(before) == np.sign(damping)
+    np.testing.assert_array_equal(after[~braked], before[~braked])
+    np.testing.assert_allclose(after[braked], before[braked] * np.exp(-0.002 * 4 / 2), rtol=1e-4)
+
+
+def test_viscous_friction_brakes_both_ways(moving):
+    slide = moving()
+    effect = Effect("joint_viscous_friction", "joint:x", (4.0,))
+    after = slide.predict(np.empty(0), [effect], slide.measured)[:, 1]
+    before = slide.measured[slide.starts, 1]
+    np.testing.assert_allclose(after, before * np.exp(-0.002 * 4 / 2), rtol=1e-4)
+
+
+def test_stribeck_friction_is_smaller_at_speed_than_coulomb_friction(moving):
+    slide = moving()
+    coulomb, stribeck = (
+        slide.predict(np.empty(0), [effect], slide.measured)[:, 1]
+        for effect in (
+            Effect("joint_coulomb_friction", "joint:x", (5.0,)),
+            Effect("joint_stribeck_friction", "joint:x", (5.0, 2.0)),
+        )
+    )
+    before = np.abs(slide.measured[slide.starts, 1])
+    assert np.all(before - np.abs(stribeck) < before - np.abs(coulomb))
+    np.testing.assert_array_less(np.abs(stribeck), before)
+
+
+def test_an_extended_model_can_be_criticised_again_and_a_zero_still_is_nothing(moving):
+    slide = moving()
+    effects = [
+        Effect("joint_asymmetric_viscous_friction", "joint:x", (4.0,)),
+        Effect("external_force", "body:cart", (1.0, 0.0, 0.0)),
+    ]
+    extended = extend(slide.nominal, np.empty(0), effects).nominal()
+    again = type(slide)(extended, slide.data, threads=1)
+    assert not [p for m in MECHANISMS.values() for p in m.locations(again.base) if "adr_" in p]
+    without = again.predict(np.empty(0), [], again.measured)
+    for effect in effects:
+        nothing = Effect(effect.kind, effect.location, (0.0,) * len(effect.values))
+        np.testing.assert_array_equal(
+            again.predict(np.empty(0), [nothing], again.measured), without
+        )
+
+
+def test_backlash_follows_only_the_edge_that_pushes():
+    positions = np.array([[0.0, 0.3, 1.0, 0.9, 0.4, -1.0]])
+    shown = BACKLASH.sensing.record(positions, np.array([0.4]), 0.01)
+    np.testing.assert_allclose(shown, [[0.0, 0.1, 0.8, 0.8, 0.6, -0.8]])
+    np.testing.assert_array_less(np.abs(shown - positions), 0.2 + 1e-12)

@@ -1,0 +1,61 @@
+"""Several effects on the way of one signal."""
+
+import numpy as np
+import pytest
+
+from adr_service.effects.base import Effect
+from adr_service.effects.signals import behind, obeyed, offset_of, recorded, shown, uses_rates
+from adr_service.errors import InvalidInput
+
+BIAS = Effect("sensor_bias", "sensor:x.position", (0.5,))
+SCALE = Effect("sensor_scale", "sensor:x.position", (0.1,))
+STATES, RATES = np.array([[1.0, 2.0], [3.0, -1.0]]), np.zeros((2, 2))
+
+
+def test_effects_in_sensors_leave_other_columns_alone(cart):
+    readings = shown(cart(), [BIAS, SCALE], STATES, RATES)
+    np.testing.assert_allclose(readings[:, 0], [1.6, 3.8])  # offsets by the true position add up
+    np.testing.assert_array_equal(readings[:, 1], STATES[:, 1])
+
+
+def test_each_effect_is_undone(cart):
+    for effect in (BIAS, SCALE):
+        readings = shown(cart(), [effect], STATES, RATES)
+        np.testing.assert_allclose(behind(cart(), [effect], readings, RATES), STATES)
+
+
+def test_without_effects_signals_stay(cart):
+    np.testing.assert_array_equal(shown(cart(), [], STATES, RATES), STATES)
+    np.testing.assert_array_equal(behind(cart(), [], STATES, RATES), STATES)
+    commands = np.ones((1, 3, 1))
+    np.testing.assert_array_equal(obeyed(cart(), [], commands, 0.01), commands)
+
+
+def test_effects_on_commands_act_in_their_order(cart):
+    late = Effect("actuator_delay", "actuator:push", (0.01,))
+    dead = Effect("actuator_deadband", "actuator:push", (0.5,))
+    commands = np.array([1.0, 0.2, -1.0])[None, :, None]
+    changed = obeyed(cart(), [late, dead], commands, 0.01)
+    np.testing.assert_allclose(changed[0, :, 0], [0.0, 0.5, 0.0])
+
+
+def test_records_pass_through_one_effect_after_the_other(cart):
+    """First 0.5 more, then 1.1 times that."""
+    readings = recorded(cart(), [BIAS, SCALE], STATES[None], 0.1)
+    np.testing.assert_allclose(readings[0, :, 0], [1.65, 3.85])
+
+
+def test_what_only_spreads_has_no_record(cart):
+    noise = Effect("sensor_noise", "sensor:x.position", (0.1,))
+    with pytest.raises(InvalidInput, match=r"sensor_noise .* or add noise"):
+        recorded(cart(), [noise], STATES[None], 0.1)
+
+
+def test_an_effect_in_the_model_is_no_effect_in_a_sensor(cart):
+    with pytest.raises(InvalidInput, match="joint_spring is not in a sensor"):
+        offset_of(cart(), Effect("joint_spring", "joint:x", (1.0,)), STATES, RATES)
+
+
+def test_rates_are_needed_for_delays_alone():
+    assert not uses_rates([BIAS, SCALE])
+    assert uses_rates([BIAS, Effect("sensor_delay", "sensor:x.position", (0.01,))])
