@@ -1,3 +1,4 @@
+import itertools
 import json
 
 import pytest
@@ -9,6 +10,7 @@ from adr_service.events import (
     RunFailed,
     RunQueued,
     RunStarted,
+    RunState,
     RunStopped,
     RunSucceeded,
     StageFinished,
@@ -49,22 +51,42 @@ def test_events_survive_json(event):
     assert json.loads(event.model_dump_json())["type"] == event.type
 
 
-def test_the_state_is_the_fold_of_the_events():
-    queued, started, stage, curve, _, failed, stopped, succeeded = EVENTS
-    assert state_after([queued]) == "queued"
-    assert state_after([queued, started, stage, curve]) == "running"
-    assert state_after([queued, started, failed]) == "failed"
-    assert state_after([queued, started, failed, RunQueued(submission=2)]) == "queued"
-    assert state_after([queued, started, stopped]) == "cancelled"
-    assert state_after([queued, started, succeeded]) == "succeeded"
-    assert state_after([]) not in FINISHED
+LIFECYCLE = {
+    RunQueued(submission=1): RunState.QUEUED,
+    RunStarted(submission=1): RunState.RUNNING,
+    RunSucceeded(): RunState.SUCCEEDED,
+    RunFailed(submission=1, code="internal", message="a defect"): RunState.FAILED,
+    RunStopped(submission=1): RunState.CANCELLED,
+}
+
+
+def test_every_state_is_reached_by_one_lifecycle_event():
+    assert set(LIFECYCLE.values()) == set(RunState)
+    for (event, after), before in itertools.product(LIFECYCLE.items(), RunState):
+        assert next_state(before, event) is after
+
+
+def test_the_state_depends_on_the_last_lifecycle_event_alone():
+    for events in itertools.permutations(LIFECYCLE, 3):
+        assert state_after(events) is LIFECYCLE[events[-1]]
+    assert state_after([]) is RunState.QUEUED
+
+
+def test_failed_and_cancelled_runs_are_finished_and_resumable_and_succeeded_ones_finished():
+    assert {state for state in RunState if state.is_finished} == FINISHED
+    assert FINISHED - {state for state in RunState if state.is_resumable} == {RunState.SUCCEEDED}
+    assert not RunState.QUEUED.is_resumable
+    assert not RunState.RUNNING.is_resumable
+
+
+def test_states_have_the_values_of_the_api():
+    assert list(RunState) == ["queued", "running", "succeeded", "failed", "cancelled"]
 
 
 def test_events_of_a_computation_leave_the_state_alone():
     criticised = CriticismFinished(verdict={}, files={})
-    for event in (*EVENTS[2:5], criticised):
-        for state in ("queued", "running", "succeeded", "failed", "cancelled"):
-            assert next_state(state, event) == state
+    for event, state in itertools.product((*EVENTS[2:5], criticised), RunState):
+        assert next_state(state, event) is state
 
 
 def test_keys_of_different_events_differ():

@@ -121,7 +121,7 @@ class _Reporter:
     def progress(self, fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
         if self._unwanted.is_set():
             raise StageCancelled
-        self._latest = (fraction, facts)
+        self._latest = (float(fraction), facts)
         if checkpoint is not None:
             self._checkpoint = checkpoint
 

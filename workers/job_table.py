@@ -1,4 +1,4 @@
-"""What becomes of jobs: who waits for them, who is next, and how they end.
+"""The table of jobs: the runs that wait for each, the order, and how each ends.
 
     table = JobTable(results, heartbeats.set_unwanted)
     table.accept(stage, run_id, future)         # equal stages are one job

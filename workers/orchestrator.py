@@ -171,6 +171,7 @@ class Orchestrator:
 
     @property
     def dashboard_url(self) -> str | None:
+        """Address of Ray's dashboard, once Ray has started."""
         return self._dispatcher.dashboard_url
 
     def activities(self, run_id: str | None = None) -> list[Activity]:

@@ -30,7 +30,7 @@ _LEASE_S = 3600.0  # of the simulated target, which is watched by its signs of l
 
 
 class Results(Protocol):
-    """Where the dispatcher stores results. Every function may raise DatabaseUnavailable."""
+    """A store of results. Every function may raise DatabaseUnavailable."""
 
     def find(self, stage: AnyStage, run_id: str) -> StageResult | None:
         """A stored result, to which this run refers from now on as well.

@@ -9,7 +9,7 @@ from alembic import command
 from typer.testing import CliRunner
 
 from adr_service.errors import AdrError, InvalidInput
-from api import upkeep
+from api.cli import upkeep
 from api.cli import app
 from db import events, maintenance, runs, stages
 from db.errors import DatabaseInUse
