@@ -53,7 +53,7 @@ def test_nothing_of_a_commit_stays_when_a_part_of_it_fails(database):
 def test_equal_bytes_are_stored_once(database):
     run = runs.create_run(database, SPEC)
     for x in (1, 2):
-        commit(database(x), StageResult({}, {"p": b"same"}), run.id)
+        commit(database, evaluation(x), StageResult({}, {"p": b"same"}), run.id)
     assert count(database, "artifacts") == 1
 
 
@@ -97,7 +97,7 @@ def test_an_episode_that_took_no_core_has_seconds_and_is_not_measured(database):
 def test_the_timing_column_keeps_its_form(database):
     """Databases of earlier versions are read, and later rows look like theirs."""
     commit(database, STAGE, RESULT)
-    commit(database(2), RESULT, execution=UNMEASURED)
+    commit(database, evaluation(2), RESULT, execution=UNMEASURED)
     with database.read() as session:
         rows = session.execute(text("select timing from stages")).scalars().all()
     assert set(rows) == {

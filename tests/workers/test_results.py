@@ -8,12 +8,14 @@ from adr_service.stages.base import StageResult
 from db import events, runs, stages, visits
 from db.errors import DatabaseUnavailable
 from db.visits import LeaseLost
-from tests.db.rows import EXECUTION, RESULT, SPEC, STAGE
+from tests.db.rows import EXECUTION, SPEC
 from tests.stages.examples import episode, rollout, training
 from workers import results
 from workers.results import DatabaseResults, Refused, Retries, Unavailable, attempted
 
 IDS = {"run": "run_a"}
+STAGE = training()
+RESULT = STAGE.stand_in().to_stored()
 VISIT = rollout()
 ROLLOUT = StageResult({"transitions": 10}, {"data": b"recorded"})
 
