@@ -1,6 +1,7 @@
 """The unit of work: a pure function of digestible inputs, and who runs it.
 
-    stage = Stage("evaluate", {"task": "arm", ...}, {"policy": policy_bytes})
+    inputs = {"task": "arm", "variant": "vanilla", "episodes": 10, "seed": 0}
+    stage = Stage("evaluate", inputs, {"policy": policy_bytes})
     result = yield from stages.run(stage)
 
 A stage is its kind, the kind's version, JSON inputs and binary inputs; their SHA-256 is its
