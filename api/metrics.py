@@ -58,7 +58,7 @@ class _Now(Collector):
             "adr_target_tasks",
             "Visits to targets by state and claimant.",
             ["state", "of"],
-            {(s, "robots" if e else "simulated"): n for (s, e), n in counted.tasks.items()},
+            {(s, "robots" if e else "simulated"): n for (s, e), n in counted.visits.items()},
         )
         yield _gauge(
             "adr_lease_age_seconds",

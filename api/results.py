@@ -9,12 +9,12 @@ from pydantic import BaseModel
 
 import adr_service
 from adr_service.benchmark.comparison import Outcome, comparisons, costs, estimates, table
-from adr_service.benchmark.utilisation import Timing, Utilisation, utilisation
+from adr_service.benchmark.cost import Execution, Utilisation, utilisation
 from adr_service.json_values import canonical_json, sha256
 from adr_service.specs import RecordedTarget, RunSpec
 from api.service import Service
-from api.views import UtilisationView
-from db import runs as store
+from db import events as event_store
+from db import results as result_store
 from db import stages as stage_store
 from db.errors import DatabaseUnavailable
 from db.runs import RunRecord
@@ -53,7 +53,7 @@ class CostView(BaseModel):
     note: str
     kinds: list[KindCost]
     # null: it has not finished, or there was never work for all cores at once
-    utilisation: UtilisationView | None
+    utilisation: Utilisation | None
     inferences: list[dict[str, Any]]
 
 
@@ -62,7 +62,7 @@ def outcomes_of(service: Service, records: Sequence[RunRecord]) -> list[Outcome]
     specs = {record.id: record.spec for record in records}
     iterations = [
         (spec, event)
-        for run_id, event in store.iterations_of(service.database, list(specs))
+        for run_id, event in event_store.iterations_of(service.database, list(specs))
         if isinstance(spec := specs[run_id], RunSpec)
     ]
     digests = [digest for _, event in iterations for digest in event.inferences]
@@ -78,14 +78,14 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
 
     Its bootstraps take seconds, so it is stored until one of the runs finishes another iteration.
     """
-    count = store.count_iterations(service.database, [record.id for record in records])
+    count = event_store.count_iterations(service.database, [record.id for record in records])
     version = sha256(canonical_json([adr_service.__version__, count]).encode())
-    stored = store.kept_results(service.database, id, version)
+    stored = result_store.kept_results(service.database, id, version)
     if stored is not None:
         return stored
     results = results_view(outcomes_of(service, records)).model_dump_json()
     try:
-        store.keep_results(service.database, id, version, results)
+        result_store.keep_results(service.database, id, version, results)
     except DatabaseUnavailable as error:
         log.warning("the results of %s are not kept: %s", id, error)
     return results
@@ -112,44 +112,43 @@ def _note(outcomes: Sequence[Outcome]) -> str:
 
 def cost_of(service: Service, records: Sequence[RunRecord]) -> CostView:
     """Return the cost of runs so far."""
-    timings = stage_store.timings_of(service.database, [record.id for record in records])
+    executions = stage_store.executions_of(service.database, [record.id for record in records])
     used = None
-    if timings and all(record.is_finished for record in records):
-        used = _utilisation(service, [timing for _, timing in timings])
-    return cost_view(timings, used, outcomes_of(service, records))
+    if executions and all(record.is_finished for record in records):
+        used = _utilisation(service, [execution for _, execution in executions])
+    return cost_view(executions, used, outcomes_of(service, records))
 
 
-def _utilisation(service: Service, timings: Sequence[Timing]) -> Utilisation | None:
+def _utilisation(service: Service, executions: Sequence[Execution]) -> Utilisation | None:
     """Return the utilisation of the cores from the first of these stages to the last."""
-    first = min(timing.asked for timing in timings)
-    last = max(timing.ended for timing in timings)
+    first = min(execution.asked for execution in executions)
+    last = max(execution.ended for execution in executions)
     # stages of other runs keep cores busy too
-    return utilisation(stage_store.timings_between(service.database, first, last))
+    return utilisation(stage_store.executions_between(service.database, first, last))
 
 
 def cost_view(
-    timings: Sequence[tuple[str, Timing]],
+    executions: Sequence[tuple[str, Execution]],
     used: Utilisation | None,
     outcomes: Sequence[Outcome],
 ) -> CostView:
-    """Return the cost of stages, given as (kind, timing)."""
-    kinds: dict[str, list[Timing]] = {}
-    for kind, timing in timings:
-        kinds.setdefault(kind, []).append(timing)
+    """Return the cost of stages, given as (kind, execution)."""
+    kinds: dict[str, list[Execution]] = {}
+    for kind, execution in executions:
+        kinds.setdefault(kind, []).append(execution)
     return CostView(
         note=_COST_NOTE,
         kinds=[_kind_cost(kind, group) for kind, group in sorted(kinds.items())],
-        utilisation=used
-        and UtilisationView(useful=used.useful, overhead=used.overhead, **asdict(used)),
+        utilisation=used,
         inferences=[asdict(cost) for cost in costs(outcomes)],
     )
 
 
-def _kind_cost(kind: str, timings: Sequence[Timing]) -> KindCost:
+def _kind_cost(kind: str, executions: Sequence[Execution]) -> KindCost:
     return KindCost(
         kind=kind,
-        stages=len(timings),
-        seconds=sum(timing.ended - timing.began for timing in timings),
-        cpu_seconds=sum(timing.cpu for timing in timings),
-        preparing_seconds=sum(timing.preparing for timing in timings),
+        stages=len(executions),
+        seconds=sum(execution.seconds for execution in executions),
+        cpu_seconds=sum(execution.cpu or 0.0 for execution in executions),
+        preparing_seconds=sum(execution.preparing or 0.0 for execution in executions),
     )

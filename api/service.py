@@ -16,12 +16,12 @@ from adr_service.errors import AdrError, InvalidInput
 from adr_service.specs import AnyRun
 from api.settings import Settings
 from api.uploads import check_dataset
+from db import benchmarks as benchmark_store
 from db import datasets as dataset_store
-from db import runs as store
-from db import target_tasks as task_store
+from db import visits as visit_store
 from db.errors import DiskFull, NotFound, NotPossible
 from db.session import Database, open_database
-from db.target_tasks import TargetTask
+from db.visits import Visit
 from workers.cluster import ClusterUnavailable, RayOptions
 from workers.orchestrator import Orchestrator
 
@@ -78,19 +78,21 @@ class Service:
                 f"below {floor} (ADR_DISK_FLOOR_MB): free some space, or delete runs"
             )
 
-    def claim(self, worker: str, tasks: Sequence[str]) -> TargetTask | None:
+    def claim(self, worker: str, tasks: Sequence[str]) -> Visit | None:
         """Claim a visit for a robot, if one is free; only then is the database locked."""
         now = self.orchestrator.clock.now()
-        if not task_store.is_one_free(self.database, tasks, now):
+        if not visit_store.is_one_free(self.database, tasks, now):
             return None
-        return task_store.claim(self.database, worker, tasks, now, self.settings.lease_s)
+        return visit_store.claim(self.database, worker, tasks, now, self.settings.lease_s)
 
-    def expired(self) -> list[store.Deletion]:
+    def expired(self) -> list[benchmark_store.Deletion]:
         """Runs and benchmarks that have been kept for `retention_days`, each with its deletion."""
         days = self.settings.retention_days
         if days is None:
             return []
-        return store.finished_before(self.database, datetime.now(UTC) - timedelta(days=days))
+        return benchmark_store.finished_before(
+            self.database, datetime.now(UTC) - timedelta(days=days)
+        )
 
     def forget(self, delete: Callable[[Database, str], None], id: str) -> None:
         """Delete an expired run or benchmark, unless it has changed meanwhile."""
@@ -112,7 +114,7 @@ def open_service(settings: Settings) -> Service:
     database = open_database(settings.database)
     try:
         orchestrator = Orchestrator(database, _ray_options(settings))
-        task_store.renew_leases(database, orchestrator.clock.now(), settings.lease_s)
+        visit_store.renew_leases(database, orchestrator.clock.now(), settings.lease_s)
         orchestrator.start()
     except BaseException:
         database.close()

@@ -1,39 +1,22 @@
-"""Runs, benchmarks and datasets as the API answers them: domain values with their links."""
+"""Runs and benchmarks as the API answers them: domain values with their links."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from datetime import datetime
-from typing import Any
 
 from pydantic import BaseModel, SkipValidation
 
 from adr_service.events import FINISHED, RunState
 from adr_service.specs import BenchmarkSpec, CriticismSpec, RunSpec
 from api.service import Service
-from db import runs as store
-from db.datasets import DatasetRecord
-from db.runs import BenchmarkRecord, RunRecord
+from db import benchmarks as benchmark_store
+from db.benchmarks import BenchmarkRecord
+from db.runs import RunRecord
+from workers.jobs import Activity
 
 
 class RunError(BaseModel):
     code: str
     message: str
-
-
-class ActivityView(BaseModel):
-    """A stage in the works."""
-
-    kind: str
-    digest: str
-    state: str
-    attempt: int
-    seconds: float
-    fraction: float
-    facts: dict[str, Any]
-    actor: str | None
-    actor_id: str | None  # as Ray's dashboard knows it
-    pid: int | None
-    started_by: str
 
 
 class RunView(BaseModel):
@@ -45,10 +28,9 @@ class RunView(BaseModel):
     created_at: datetime
     updated_at: datetime
     error: RunError | None
-    progress: list[ActivityView]
-    spec: SkipValidation[
-        RunSpec | CriticismSpec
-    ]  # it is valid, and checking a benchmark takes a while
+    progress: list[Activity]
+    # it is valid, and checking a benchmark takes a while
+    spec: SkipValidation[RunSpec | CriticismSpec]
     links: dict[str, str]
 
 
@@ -67,35 +49,6 @@ class BenchmarkView(BenchmarkSummary):
     runs: list[RunView]
 
 
-class UtilisationView(BaseModel):
-    """Core seconds while there was work for all cores; see the glossary."""
-
-    useful: float
-    overhead: float
-    cores: int
-    seconds: float
-    computing: float
-    starting: float
-    preparing: float
-    waiting: float
-    orchestration: float
-
-
-class DatasetView(BaseModel):
-    """A stored recording."""
-
-    id: str
-    sha256: str
-    created_at: datetime
-    transitions: int
-    episodes: int
-    actions: int
-    dt: float
-    columns: list[str]
-    origin: str
-    links: dict[str, str]
-
-
 def run_view(service: Service, record: RunRecord) -> RunView:
     """Return a run with the stages that it waits for now."""
     activities = service.orchestrator.activities(record.id)
@@ -111,7 +64,7 @@ def run_view(service: Service, record: RunRecord) -> RunView:
         created_at=record.created_at,
         updated_at=record.updated_at,
         error=error,
-        progress=[ActivityView(**asdict(activity)) for activity in activities],
+        progress=list(activities),
         spec=record.spec,
         links=_run_links(record),
     )
@@ -129,7 +82,7 @@ def _run_links(record: RunRecord) -> dict[str, str]:
 def benchmark_view(service: Service, record: BenchmarkRecord) -> BenchmarkView:
     """Return a benchmark with all its runs."""
     (summary,) = benchmark_summaries(service, [record])
-    runs = [run_view(service, run) for run in store.runs_of(service.database, record.id)]
+    runs = [run_view(service, run) for run in benchmark_store.runs_of(service.database, record.id)]
     return BenchmarkView(**dict(summary), runs=runs)
 
 
@@ -137,7 +90,7 @@ def benchmark_summaries(
     service: Service, records: Sequence[BenchmarkRecord]
 ) -> list[BenchmarkSummary]:
     """Return benchmarks without their runs; one query counts the states of all."""
-    states = store.states_of(service.database, [record.id for record in records])
+    states = benchmark_store.states_of(service.database, [record.id for record in records])
     return [_summary(record, states[record.id]) for record in records]
 
 
@@ -160,9 +113,3 @@ def _summary(record: BenchmarkRecord, states: Mapping[str, int]) -> BenchmarkSum
             "cost": f"{here}/cost",
         },
     )
-
-
-def dataset_view(record: DatasetRecord) -> DatasetView:
-    here = f"/v1/datasets/{record.id}"
-    known = {name: value for name, value in asdict(record).items() if name != "number"}
-    return DatasetView(**known, links={"self": here, "content": f"{here}/content"})

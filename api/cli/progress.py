@@ -9,6 +9,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from adr_service.errors import remedy_of
 from adr_service.json_values import printable
 from api.client import AdrClient, Json, is_finished
 
@@ -58,12 +59,17 @@ def _in_work(stages: Iterable[tuple[Json, Json]]) -> list[str]:
 
 
 def failures(seen: Json) -> list[str]:
-    """One line on each failed run, with its error."""
+    """One text for each failed run: its error, and what a user can do."""
     return [
-        f"{run['id']} failed: {printable(run['error']['message'])}".replace("\n", "\n    ")
+        f"{run['id']} failed: {_with_remedy(run['error'])}".replace("\n", "\n    ")
         for run in _runs(seen)
         if run["error"]
     ]
+
+
+def _with_remedy(error: Json) -> str:
+    remedy = remedy_of(error["code"])
+    return printable(error["message"]) + ("" if remedy is None else f"\n{remedy}")
 
 
 def label(spec: Json) -> str:

@@ -10,10 +10,13 @@ from fastapi.templating import Jinja2Templates
 from adr_service.benchmark.claims import reports
 from adr_service.benchmark.comparison import Outcome, table
 from adr_service.benchmark.figures import FIGURES, drawable
+from adr_service.errors import remedy_of
 from api.results import outcomes_of
 from api.service import Service, ServiceDependency
 from api.views import benchmark_summaries, benchmark_view, run_view
-from db import runs as store
+from db import benchmarks as benchmark_store
+from db import events as event_store
+from db import runs as run_store
 
 router = APIRouter(include_in_schema=False)
 _SHOWN = 100  # of each list on the first page; the API has the rest
@@ -22,7 +25,7 @@ _templates = Jinja2Templates(Path(__file__).parent / "templates")
 
 @router.get("/")
 def index(request: Request, service: ServiceDependency) -> Response:
-    benchmarks, single = store.latest(service.database, _SHOWN)
+    benchmarks, single = benchmark_store.latest(service.database, _SHOWN)
     return _templates.TemplateResponse(
         request,
         "index.html",
@@ -43,14 +46,15 @@ def docs(request: Request) -> Response:
 
 @router.get("/runs/{run_id}")
 def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
-    record = store.get_run(service.database, run_id)
+    record = run_store.get_run(service.database, run_id)
     return _templates.TemplateResponse(
         request,
         "run.html",
         {
             "run": run_view(service, record),
+            "remedy": None if record.error_code is None else remedy_of(record.error_code),
             "is_finished": record.is_finished,
-            "events": store.events_of(service.database, run_id),
+            "events": event_store.events_of(service.database, run_id),
             **_results(service, outcomes_of(service, [record])),
         },
     )
@@ -58,8 +62,8 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
 
 @router.get("/benchmarks/{benchmark_id}")
 def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -> Response:
-    shown = benchmark_view(service, store.get_benchmark(service.database, benchmark_id))
-    outcomes = outcomes_of(service, store.runs_of(service.database, benchmark_id))
+    shown = benchmark_view(service, benchmark_store.get_benchmark(service.database, benchmark_id))
+    outcomes = outcomes_of(service, benchmark_store.runs_of(service.database, benchmark_id))
     return _templates.TemplateResponse(
         request,
         "benchmark.html",

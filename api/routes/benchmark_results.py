@@ -11,7 +11,7 @@ from adr_service.benchmark.figures import Format, drawable
 from api.results import CostView, ResultsView, cost_of, outcomes_of, results_json
 from api.routes.downloads import CSV, csv_response, figure_response
 from api.service import Service, ServiceDependency
-from db import runs as store
+from db import benchmarks as benchmark_store
 
 router = APIRouter(prefix="/v1/benchmarks", tags=["benchmarks"])
 
@@ -23,7 +23,7 @@ def results(
     """Result table of all methods after every iteration, comparisons, estimates and costs."""
     if format == "csv":
         return csv_response(_outcomes(service, benchmark_id))
-    records = store.runs_of(service.database, benchmark_id)
+    records = benchmark_store.runs_of(service.database, benchmark_id)
     return Response(results_json(service, benchmark_id, records), media_type="application/json")
 
 
@@ -36,7 +36,7 @@ def claims(benchmark_id: str, service: ServiceDependency) -> list[dict[str, Any]
 @router.get("/{benchmark_id}/cost")
 def cost(benchmark_id: str, service: ServiceDependency) -> CostView:
     """Cost of the stages, and utilisation of the cores."""
-    return cost_of(service, store.runs_of(service.database, benchmark_id))
+    return cost_of(service, benchmark_store.runs_of(service.database, benchmark_id))
 
 
 @router.get("/{benchmark_id}/figures")
@@ -54,4 +54,4 @@ def figure(
 
 
 def _outcomes(service: Service, benchmark_id: str) -> list[Outcome]:
-    return outcomes_of(service, store.runs_of(service.database, benchmark_id))
+    return outcomes_of(service, benchmark_store.runs_of(service.database, benchmark_id))

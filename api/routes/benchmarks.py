@@ -10,7 +10,7 @@ from api.routes.paging import Page, PageSize, PageToken, page_of
 from api.routes.submissions import IdempotencyKey, plan_here, start_benchmark
 from api.service import ServiceDependency
 from api.views import BenchmarkSummary, BenchmarkView, benchmark_summaries, benchmark_view
-from db import runs as store
+from db import benchmarks as benchmark_store
 
 router = APIRouter(prefix="/v1/benchmarks", tags=["benchmarks"])
 
@@ -50,7 +50,9 @@ def list_benchmarks(
     service: ServiceDependency, page_size: PageSize = 100, page_token: PageToken = 0
 ) -> Page[BenchmarkSummary]:
     """Benchmarks in order of submission, without their runs."""
-    records = store.list_benchmarks(service.database, after=page_token, limit=page_size + 1)
+    records = benchmark_store.list_benchmarks(
+        service.database, after=page_token, limit=page_size + 1
+    )
     page = page_of(records, page_size, lambda record: record, lambda record: record.number)
     items = benchmark_summaries(service, page.items)
     return Page(items=items, next_page_token=page.next_page_token)
@@ -59,20 +61,20 @@ def list_benchmarks(
 @router.get("/{benchmark_id}")
 def get_benchmark(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
     """State of a benchmark and of all its runs."""
-    return benchmark_view(service, store.get_benchmark(service.database, benchmark_id))
+    return benchmark_view(service, benchmark_store.get_benchmark(service.database, benchmark_id))
 
 
 @router.post("/{benchmark_id}/cancel", status_code=status.HTTP_202_ACCEPTED)
 def cancel(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
     """Ask every live run to stop."""
-    service.orchestrator.cancel(*store.request_cancel_all(service.database, benchmark_id))
+    service.orchestrator.cancel(*benchmark_store.request_cancel_all(service.database, benchmark_id))
     return get_benchmark(benchmark_id, service)
 
 
 @router.post("/{benchmark_id}/resume", status_code=status.HTTP_202_ACCEPTED)
 def resume(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
     """Continue every failed or cancelled run."""
-    for run in store.resubmit_all(service.database, benchmark_id, service.check_queue):
+    for run in benchmark_store.resubmit_all(service.database, benchmark_id, service.check_queue):
         service.orchestrator.submit(run)
     return get_benchmark(benchmark_id, service)
 
@@ -84,7 +86,9 @@ def extend(
     service: ServiceDependency,
 ) -> BenchmarkView:
     """Add seeds, methods, tasks, variants or collectors; nothing is computed twice."""
-    added = store.extend_benchmark(service.database, benchmark_id, extension, service.check_queue)
+    added = benchmark_store.extend_benchmark(
+        service.database, benchmark_id, extension, service.check_queue
+    )
     for run in added:
         service.orchestrator.submit(run)
     return get_benchmark(benchmark_id, service)
@@ -93,4 +97,4 @@ def extend(
 @router.delete("/{benchmark_id}", status_code=status.HTTP_204_NO_CONTENT)
 def delete(benchmark_id: str, service: ServiceDependency) -> None:
     """Delete a finished benchmark with its runs and everything that only they refer to."""
-    store.delete_benchmark(service.database, benchmark_id)
+    benchmark_store.delete_benchmark(service.database, benchmark_id)

@@ -17,7 +17,8 @@ from api.routes.downloads import artifact_response
 from api.routes.submissions import IdempotencyKey, start_run
 from api.service import Service, ServiceDependency
 from api.views import RunView, run_view
-from db import runs as store
+from db import events as event_store
+from db import runs as run_store
 from db.errors import NotFound
 from db.runs import RunRecord
 
@@ -82,14 +83,14 @@ def file(run_id: str, name: str, service: ServiceDependency) -> Response:
 
 
 def _criticism(service: Service, run_id: str) -> RunRecord:
-    record = store.get_run(service.database, run_id)
+    record = run_store.get_run(service.database, run_id)
     if not isinstance(record.spec, CriticismSpec):
         raise NotFound("criticism", run_id)
     return record
 
 
 def _finished(service: Service, run_id: str) -> CriticismFinished | None:
-    for record in store.events_of(service.database, run_id, type="criticism_finished"):
+    for record in event_store.events_of(service.database, run_id, type="criticism_finished"):
         if isinstance(record.event, CriticismFinished):
             return record.event
     return None

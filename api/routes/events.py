@@ -14,8 +14,9 @@ from adr_service.events import RunEvent
 from api.routes.paging import Page, PageSize, page_of
 from api.routes.polling import EVERY_S
 from api.service import ServiceDependency
-from db import runs as store
-from db.runs import EventRecord
+from db import events as event_store
+from db import runs as run_store
+from db.events import EventRecord
 
 router = APIRouter(prefix="/v1/runs", tags=["runs"])
 _STREAMED = 500  # events at once
@@ -33,7 +34,7 @@ def event_view(record: EventRecord) -> EventView:
 
 def _existing(run_id: str, service: ServiceDependency) -> str:
     """Refuse an unknown run before a stream begins."""
-    return store.get_run(service.database, run_id).id
+    return run_store.get_run(service.database, run_id).id
 
 
 def _last_seen(
@@ -52,7 +53,7 @@ def events(
     limit: PageSize = 100,
 ) -> Page[EventView]:
     """Events with a sequence number above `after`."""
-    records = store.events_of(service.database, run_id, after=after, limit=limit + 1)
+    records = event_store.events_of(service.database, run_id, after=after, limit=limit + 1)
     return page_of(records, limit, event_view, lambda record: record.seq)
 
 
@@ -65,8 +66,8 @@ async def stream(
     """Events as they happen, until the run has ended; `id` is the sequence number."""
     while True:
         # its state is read first: the event that ended it is among the records then
-        run = await anyio.to_thread.run_sync(store.get_run, service.database, run_id)
-        page = partial(store.events_of, service.database, run_id, after=seen, limit=_STREAMED)
+        run = await anyio.to_thread.run_sync(run_store.get_run, service.database, run_id)
+        page = partial(event_store.events_of, service.database, run_id, after=seen, limit=_STREAMED)
         records = await anyio.to_thread.run_sync(page)
         for record in records:
             seen = record.seq

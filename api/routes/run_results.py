@@ -10,7 +10,7 @@ from adr_service.benchmark.figures import Format, drawable
 from api.results import CostView, ResultsView, cost_of, outcomes_of, results_json
 from api.routes.downloads import CSV, artifact_response, csv_response, figure_response
 from api.service import Service, ServiceDependency
-from db import runs as store
+from db import runs as run_store
 from db.errors import NotFound
 
 router = APIRouter(prefix="/v1/runs", tags=["runs"])
@@ -64,7 +64,7 @@ def results(
     run_id: str, service: ServiceDependency, format: Literal["json", "csv"] = "json"
 ) -> Response:
     """Result table after every iteration, comparisons, estimates and costs."""
-    record = store.get_run(service.database, run_id)
+    record = run_store.get_run(service.database, run_id)
     if format == "csv":
         return csv_response(outcomes_of(service, [record]))
     return Response(results_json(service, run_id, [record]), media_type="application/json")
@@ -73,7 +73,7 @@ def results(
 @router.get("/{run_id}/cost")
 def cost(run_id: str, service: ServiceDependency) -> CostView:
     """Cost of the stages, and utilisation of the cores."""
-    return cost_of(service, [store.get_run(service.database, run_id)])
+    return cost_of(service, [run_store.get_run(service.database, run_id)])
 
 
 @router.get("/{run_id}/figures")
@@ -108,4 +108,4 @@ def policy(run_id: str, service: ServiceDependency) -> Response:
 
 
 def _outcomes(service: Service, run_id: str) -> list[Outcome]:
-    return outcomes_of(service, [store.get_run(service.database, run_id)])
+    return outcomes_of(service, [run_store.get_run(service.database, run_id)])

@@ -16,7 +16,7 @@ from api.routes.polling import looks
 from api.routes.submissions import IdempotencyKey, plan_here, start_run
 from api.service import ServiceDependency
 from api.views import RunView, run_view
-from db import runs as store
+from db import runs as run_store
 
 router = APIRouter(prefix="/v1/runs", tags=["runs"])
 
@@ -61,7 +61,7 @@ def list_runs(
     page_token: PageToken = 0,
 ) -> Page[RunView]:
     """Runs in order of submission."""
-    records = store.list_runs(
+    records = run_store.list_runs(
         service.database,
         state=state,
         method=method,
@@ -80,10 +80,10 @@ async def get_run(
     wait: Annotated[float, Query(ge=0, le=20, description="s for its state to change")] = 0.0,
 ) -> RunView:
     """State of a run; `wait` delays the answer until the state changes or the run ends."""
-    record = first = await anyio.to_thread.run_sync(store.get_run, service.database, run_id)
+    record = first = await anyio.to_thread.run_sync(run_store.get_run, service.database, run_id)
     async for look in looks(wait):
         if look:
-            record = await anyio.to_thread.run_sync(store.get_run, service.database, run_id)
+            record = await anyio.to_thread.run_sync(run_store.get_run, service.database, run_id)
         if record.state != first.state or record.is_finished:
             break
     return run_view(service, record)
@@ -92,7 +92,7 @@ async def get_run(
 @router.post("/{run_id}/cancel", status_code=status.HTTP_202_ACCEPTED)
 def cancel(run_id: str, service: ServiceDependency) -> RunView:
     """Ask a run to stop; the results of finished stages stay."""
-    record = store.request_cancel(service.database, run_id)
+    record = run_store.request_cancel(service.database, run_id)
     service.orchestrator.cancel(record)
     return run_view(service, record)
 
@@ -100,7 +100,7 @@ def cancel(run_id: str, service: ServiceDependency) -> RunView:
 @router.post("/{run_id}/resume", status_code=status.HTTP_202_ACCEPTED)
 def resume(run_id: str, service: ServiceDependency) -> RunView:
     """Continue a failed or cancelled run from its last finished stage."""
-    record = store.resubmit(service.database, run_id, service.check_queue)
+    record = run_store.resubmit(service.database, run_id, service.check_queue)
     service.orchestrator.submit(record)
     return run_view(service, record)
 
@@ -108,4 +108,4 @@ def resume(run_id: str, service: ServiceDependency) -> RunView:
 @router.delete("/{run_id}", status_code=status.HTTP_204_NO_CONTENT)
 def delete(run_id: str, service: ServiceDependency) -> None:
     """Delete a finished run and everything that only it refers to."""
-    store.delete_run(service.database, run_id)
+    run_store.delete_run(service.database, run_id)

@@ -9,9 +9,11 @@ from adr_service.benchmark.protocol import Plan, plan
 from adr_service.json_values import sha256
 from adr_service.specs import AnyRun, BenchmarkSpec, RunSpec
 from api.service import Service
-from db import runs as store
+from db import benchmarks as benchmark_store
+from db import runs as run_store
+from db.benchmarks import BenchmarkRecord
 from db.requests import Replayed, RequestKey
-from db.runs import BenchmarkRecord, RunRecord
+from db.runs import RunRecord
 
 IdempotencyKey = Annotated[
     str | None,
@@ -22,11 +24,11 @@ IdempotencyKey = Annotated[
 def start_run(service: Service, spec: AnyRun, key: str | None) -> RunRecord:
     """Store a run and start it; return the earlier run if the key has started one."""
     try:
-        record = store.create_run(
+        record = run_store.create_run(
             service.database, spec, _request_key(key, spec), service.check_queue
         )
     except Replayed as before:
-        record = store.get_run(service.database, before.id)
+        record = run_store.get_run(service.database, before.id)
     if not record.is_finished:
         service.orchestrator.submit(record)
     return record
@@ -35,12 +37,12 @@ def start_run(service: Service, spec: AnyRun, key: str | None) -> RunRecord:
 def start_benchmark(service: Service, spec: BenchmarkSpec, key: str | None) -> BenchmarkRecord:
     """Store a benchmark and start its runs; return the earlier one if the key has started one."""
     try:
-        record = store.create_benchmark(
+        record = benchmark_store.create_benchmark(
             service.database, spec, _request_key(key, spec), service.check_queue
         )
     except Replayed as before:
-        record = store.get_benchmark(service.database, before.id)
-    for run in store.runs_of(service.database, record.id):
+        record = benchmark_store.get_benchmark(service.database, before.id)
+    for run in benchmark_store.runs_of(service.database, record.id):
         if not run.is_finished:
             service.orchestrator.submit(run)
     return record

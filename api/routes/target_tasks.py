@@ -6,7 +6,7 @@ lease of the claim. Once the lease is lost, the service refuses them with 409 an
 
 from datetime import datetime
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated
 
 import anyio
 from fastapi import APIRouter, Body, Depends, Header, Query, Request, Response, status
@@ -19,8 +19,9 @@ from api.routes.paging import Page, PageSize, PageToken, page_of
 from api.routes.polling import looks
 from api.service import ServiceDependency
 from api.uploads import LARGEST, NPZ, octets
-from db import target_tasks as store
-from db.target_tasks import TargetTask
+from db import visits as store
+from db.models import VisitState
+from db.visits import Visit
 
 router = APIRouter(prefix="/v1/target_tasks", tags=["target tasks"])
 _Name = Annotated[Line, Field(min_length=1, max_length=80)]
@@ -39,7 +40,7 @@ class TaskView(BaseModel):
     seed: int
     has_policy: bool  # else random actions
     external: bool
-    state: str
+    state: VisitState
     attempt: int
     worker: str | None
     steps: int
@@ -87,7 +88,7 @@ class Failure(Wire):
     )
 
 
-def task_view(task: TargetTask) -> TaskView:
+def task_view(task: Visit) -> TaskView:
     here, inputs = f"/v1/target_tasks/{task.id}", task.inputs
     return TaskView(
         id=task.id,
@@ -115,7 +116,7 @@ def task_view(task: TargetTask) -> TaskView:
     )
 
 
-def claim_view(task: TargetTask) -> ClaimView:
+def claim_view(task: Visit) -> ClaimView:
     assert task.lease is not None
     assert task.expires_at is not None
     assert task.claimed_at is not None
@@ -148,14 +149,14 @@ async def claim(
 @router.get("")
 def list_tasks(
     service: ServiceDependency,
-    state: Literal["pending", "claimed", "done", "failed", "withdrawn"] | None = None,
+    state: VisitState | None = None,
     run_id: str | None = None,
     external: Annotated[bool | None, Query(description="for robots, not simulated")] = None,
     page_size: PageSize = 100,
     page_token: PageToken = 0,
 ) -> Page[TaskView]:
     """Visits to targets, in order."""
-    tasks = store.list_tasks(
+    tasks = store.list_visits(
         service.database,
         state=state,
         run_id=run_id,
@@ -169,7 +170,7 @@ def list_tasks(
 @router.get("/{task_id}")
 def get_task(task_id: str, service: ServiceDependency) -> TaskView:
     """State, claimant and progress of a task."""
-    return task_view(store.get_task(service.database, task_id))
+    return task_view(store.get_visit(service.database, task_id))
 
 
 @router.get("/{task_id}/policy", response_class=Response)

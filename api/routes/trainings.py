@@ -8,10 +8,10 @@ from pydantic import BaseModel
 from adr_service.events import StageFinished, TrainingEvaluated
 from api.routes.downloads import bytes_response
 from api.service import ServiceDependency
-from db import runs as store
+from db import events as event_store
 from db import stages as stage_store
 from db.errors import NotFound
-from db.runs import EventRecord
+from db.events import EventRecord
 
 router = APIRouter(prefix="/v1/runs", tags=["runs"])
 
@@ -55,13 +55,13 @@ def training_views(run_id: str, records: Sequence[EventRecord]) -> list[Training
 @router.get("/{run_id}/trainings")
 def trainings(run_id: str, service: ServiceDependency) -> list[TrainingView]:
     """Learning curves of the policies, also of those in training."""
-    return training_views(run_id, store.events_of(service.database, run_id))
+    return training_views(run_id, event_store.events_of(service.database, run_id))
 
 
 @router.get("/{run_id}/trainings/{digest}/policy", response_class=Response)
 def policy_of_training(run_id: str, digest: str, service: ServiceDependency) -> Response:
     """Policy of a training; while it goes on, the best so far."""
-    known = training_views(run_id, store.events_of(service.database, run_id))
+    known = training_views(run_id, event_store.events_of(service.database, run_id))
     content = stage_store.policy_of_training(service.database, digest)
     if content is None or digest not in {training.digest for training in known}:
         raise NotFound("policy of training", digest)

@@ -1,5 +1,6 @@
 """Progress of runs on a terminal."""
 
+from adr_service.errors import FailureCode
 from api.cli.progress import failures, headline, label
 
 SPEC = {"task": "arm", "method": {"name": "simopt"}, "seed": 0}
@@ -30,10 +31,11 @@ def test_a_stage_that_two_runs_share_is_counted_once():
     assert headline({"runs": [run, run]}) == "0/2 runs done; now simopt/0 infer 50%"
 
 
-def test_a_failed_run_is_named_with_its_error():
+def test_a_failed_run_has_its_reason_and_a_remedy():
     seen = {"runs": [a_run("a", "succeeded"), a_run("b", "failed", error="the motor is hot")]}
     assert headline(seen) == "1/2 runs done, others failed"
-    assert failures(seen) == ["b failed: the motor is hot"]
+    remedy = FailureCode.TARGET_FAILED.remedy
+    assert failures(seen) == [f"b failed: the motor is hot\n    {remedy}"]
 
 
 def test_a_run_alone_is_as_a_benchmark_of_one():

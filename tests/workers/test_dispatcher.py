@@ -1,4 +1,4 @@
-"""Ray itself: sharing, cancelling, losing processes; one core or two, the same bytes."""
+"""Stages on Ray: shared, cancelled, lost; the same bytes on one core or two."""
 
 import os
 import re
@@ -20,7 +20,7 @@ from db.errors import DatabaseUnavailable
 from tests.service import until
 from workers.cluster import RayOptions
 from workers.dispatcher import Dispatcher
-from workers.stages import RayStages
+from workers.ray_stages import RayStages
 
 pytestmark = [
     pytest.mark.ray,
@@ -77,13 +77,14 @@ class Store:
         self.dropped.append(stage.digest)
         raise OSError("the file system is read-only")
 
-    def commit(self, stage, finished, attempt, run_ids):
+    def commit(self, stage, result, execution, lease, run_ids):
         self.refuse()
         if "run_unlucky" in run_ids:
             raise OSError("no space left on device")
-        self.results[stage.digest] = finished.result
-        self.first[stage.digest] = finished.work.is_first
-        self.commits.append((stage.digest, attempt.number, attempt.started_by, sorted(run_ids)))
+        self.results[stage.digest] = result
+        self.first[stage.digest] = execution.is_first
+        attempt, started_by = execution.attempt, execution.started_by
+        self.commits.append((stage.digest, attempt, started_by, sorted(run_ids)))
 
     def refuse(self):
         if self.refusals > 0:
@@ -116,7 +117,7 @@ def test_a_stage_gives_the_same_on_ray_as_here(started):
     assert dispatcher.submit(stage, "run_a").result(60) == compute(stage)
 
 
-def test_what_a_training_has_so_far_is_told_while_it_goes_on(started):
+def test_a_training_reports_its_checkpoint_while_it_goes_on(started):
     dispatcher, store = started
     stage = training(5, max_steps=10_000_000, evaluate_every=1000)
     result = dispatcher.submit(stage, "run_watched")
@@ -135,8 +136,8 @@ def test_equal_stages_are_computed_once_for_all_who_ask(started):
     stage = training(2)
     futures = [dispatcher.submit(stage, f"run_{i}") for i in range(5)]
     assert len({future.result(60).blobs["policy"] for future in futures}) == 1
-    found = [c for c in store.commits if c[0] == stage.digest]
-    assert found == [(stage.digest, 1, "run_0", [f"run_{i}" for i in range(5)])]
+    commits = [c for c in store.commits if c[0] == stage.digest]
+    assert commits == [(stage.digest, 1, "run_0", [f"run_{i}" for i in range(5)])]
     assert dispatcher.submit(stage, "run_later").result(5) == store.results[stage.digest]
 
 
@@ -213,7 +214,7 @@ def test_a_process_that_hangs_is_lost_as_well(started, monkeypatch):
     stage = training(51, max_steps=15_000, evaluate_every=15_000)
     future = dispatcher.submit(stage, "run_hung")
     pid = until(lambda: _pid(dispatcher, "run_hung"))
-    monkeypatch.setattr("workers.dispatcher._SILENT_S", 10.0)
+    monkeypatch.setattr("workers.heartbeats.SILENT_S", 10.0)
     os.kill(pid, signal.SIGSTOP)
     assert future.result(180).blobs
     assert [c[1] for c in store.commits if c[0] == stage.digest] == [2]
@@ -227,7 +228,7 @@ def test_a_process_that_hangs_before_its_first_sign_of_life_is_lost_as_well(
 ):
     dispatcher, store = started
     until(lambda: not workers(dispatcher))  # who are warm would be taken
-    monkeypatch.setattr("workers.dispatcher._FIRST_SIGN_S", 20.0)
+    monkeypatch.setattr("workers.heartbeats.FIRST_SIGN_S", 20.0)
     stage = training(520 + is_cancelled, max_steps=1_000, evaluate_every=1_000)
     future = dispatcher.submit(stage, "run_stopped")
     pid = until(lambda: next(iter(workers(dispatcher)), None))
@@ -262,7 +263,7 @@ def test_a_board_that_hangs_is_replaced(started):
     assert dispatcher.submit(stage, "run_board").result(180).blobs
     until(lambda: not Path(f"/proc/{pid}").exists())
     dispatcher.submit(long_training(54), "run_after")
-    until(lambda: _pid(dispatcher, "run_after"))  # which a board has told
+    until(lambda: _pid(dispatcher, "run_after"))  # which the new board has reported
     dispatcher.withdraw("run_after")
 
 
@@ -305,9 +306,7 @@ def test_a_result_that_cannot_be_stored_fails_its_stage_and_nobody_elses(started
 
 
 @pytest.mark.parametrize(("seed", "when"), [(72, "looked up"), (73, "stored")])
-def test_what_meets_a_database_that_cannot_be_used_just_now_waits_and_is_not_lost(
-    started, seed, when
-):
+def test_a_stage_waits_for_a_database_that_cannot_be_used_just_now(started, seed, when):
     dispatcher, store = started
     if when == "stored":
         stage = training(seed, max_steps=4000)
@@ -324,7 +323,7 @@ def test_what_meets_a_database_that_cannot_be_used_just_now_waits_and_is_not_los
     ]
 
 
-def test_a_run_on_two_cores_tells_the_same_as_in_this_process(started):
+def test_a_run_on_two_cores_has_the_same_events_as_in_this_process(started):
     """Events may come in another order where stages run at the same time."""
     from adr_service.computation import LocalStages
 

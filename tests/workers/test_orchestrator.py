@@ -1,4 +1,4 @@
-"""Which runs get a thread, and when; their programs are ours, and need no Ray."""
+"""Threads of runs: when one begins, and how it ends. The programs are the tests' own; no Ray."""
 
 import sqlite3
 import threading
@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from adr_service.errors import InvalidInput
+from adr_service.errors import FailureCode, InvalidInput, StageFailed
 from adr_service.specs import BenchmarkSpec, RunSpec
-from db import runs
+from db import benchmarks, runs
+from db.visits import LeaseLost
+from tests.db import leases
 from tests.service import until
 from workers.cluster import ClusterUnavailable, RayOptions
 from workers.orchestrator import RUNS_AT_ONCE, Orchestrator
@@ -17,14 +19,7 @@ from workers.orchestrator import RUNS_AT_ONCE, Orchestrator
 SPEC = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})
 
 
-@pytest.fixture
-def orchestrator(file_database):
-    return Orchestrator(file_database, RayOptions())  # it is not started
-
-
-def test_a_run_whose_end_cannot_be_stored_yet_is_not_begun_again(
-    file_database, orchestrator, tmp_path: Path, monkeypatch
-):
+def test_a_run_whose_end_cannot_be_stored_yet_is_not_begun_again(file_database, tmp_path: Path):
     file = tmp_path / "adr.sqlite"
     begun = []
     with closing(sqlite3.connect(file, isolation_level=None, check_same_thread=False)) as other:
@@ -34,7 +29,7 @@ def test_a_run_whose_end_cannot_be_stored_yet_is_not_begun_again(
             other.execute("begin immediate")
             raise InvalidInput("nothing can be computed")
 
-        monkeypatch.setattr("workers.orchestrator.run", program)
+        orchestrator = Orchestrator(file_database, RayOptions(), program)  # it is not started
         record = runs.create_run(file_database, SPEC)
         for _ in range(3):
             orchestrator.adopt()
@@ -51,21 +46,17 @@ def test_a_run_whose_end_cannot_be_stored_yet_is_not_begun_again(
     assert begun == [1, 1]
 
 
-def test_a_service_that_stops_begins_no_run_that_waited_for_a_thread(
-    file_database, monkeypatch, caplog
-):
+def test_a_service_that_stops_begins_no_run_that_waited_for_a_thread(file_database, caplog):
     """Seven thousand queued runs became "running", and wrote a traceback each, at a SIGTERM."""
-    begun, stopping = threading.Semaphore(0), threading.Event()
+    begun = threading.Semaphore(0)
 
-    def program(*_):
+    def program(spec, stages, recording):
         begun.release()
-        stopping.wait(60)
+        until(stages.is_cancelled)  # as it is once the service stops
         raise ClusterUnavailable("the dispatcher has stopped; restart the service")
         yield
 
-    monkeypatch.setattr("workers.orchestrator.run", program)
-    orchestrator = Orchestrator(file_database, RayOptions())
-    monkeypatch.setattr(orchestrator._dispatcher, "close", stopping.set)
+    orchestrator = Orchestrator(file_database, RayOptions(), program)
     for _ in range(3 * RUNS_AT_ONCE):
         orchestrator.submit(runs.create_run(file_database, SPEC))
     for _ in range(RUNS_AT_ONCE):
@@ -77,21 +68,60 @@ def test_a_service_that_stops_begins_no_run_that_waited_for_a_thread(
     assert "Traceback" not in caplog.text
 
 
-def test_cancelling_many_runs_stops_them_in_batches(file_database, monkeypatch):
+def test_cancelling_many_runs_stops_them_in_batches(file_database):
     waiting = threading.Event()
-    monkeypatch.setattr("workers.orchestrator.run", lambda *_: iter([waiting.wait(60)][:0]))
-    orchestrator = Orchestrator(file_database, RayOptions())
+
+    def program(*_):
+        waiting.wait(60)
+        return iter([])
+
+    orchestrator = Orchestrator(file_database, RayOptions(), program)
     given = {"tasks": ["arm"], "methods": ["prior"], "references": False, "preset": "smoke"}
     spec = BenchmarkSpec.model_validate({**given, "seeds": list(range(400))})
-    benchmark = runs.create_benchmark(file_database, spec).id
-    for run in runs.runs_of(file_database, benchmark):
+    benchmark = benchmarks.create_benchmark(file_database, spec).id
+    for run in benchmarks.runs_of(file_database, benchmark):
         orchestrator.submit(run)
     with counted(file_database) as transactions:
-        orchestrator.cancel(*runs.request_cancel_all(file_database, benchmark))
+        orchestrator.cancel(*benchmarks.request_cancel_all(file_database, benchmark))
         until(lambda: cancelled(file_database, benchmark) == 400 - RUNS_AT_ONCE)
     assert transactions.count("append_events") == 4
     assert transactions.count("request_cancel_all") == 1
     waiting.set()
+    orchestrator.close()
+
+
+def test_an_upload_is_not_read_before_its_lease(database):
+    """33 kB of somebody without a lease cost half a gigabyte."""
+    leases.publish(database, runs.create_run(database, leases.SPEC).id)
+    task = leases.claim(database, "a")
+    orchestrator = Orchestrator(database, RayOptions())
+    with pytest.raises(LeaseLost):
+        orchestrator.complete_task(task.id, "another lease", b"not an npz")
+    with pytest.raises(InvalidInput, match="not a readable"):
+        orchestrator.complete_task(task.id, task.lease, b"not an npz")
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (InvalidInput("no such gripper"), "invalid_input"),
+        (StageFailed("train_policy", FailureCode.WORKER_LOST, "lost"), "worker_lost"),
+        (ZeroDivisionError("a defect"), "internal"),
+        (RuntimeError("a NUL \0, which PostgreSQL cannot store"), "internal"),
+    ],
+)
+def test_an_error_of_the_program_is_on_the_runs_record(database, error, code):
+    def program(*_):
+        raise error
+        yield
+
+    orchestrator = Orchestrator(database, RayOptions(), program)
+    record = runs.create_run(database, SPEC)
+    orchestrator.submit(record)
+    until(lambda: runs.get_run(database, record.id).is_finished)
+    ended = runs.get_run(database, record.id)
+    assert (ended.state, ended.error_code) == ("failed", code)
+    assert str(error).replace("\0", "\\0") in ended.error_message
     orchestrator.close()
 
 
@@ -105,4 +135,4 @@ def counted(database):
 
 
 def cancelled(database, benchmark):
-    return runs.states_of(database, [benchmark])[benchmark].get("cancelled", 0)
+    return benchmarks.states_of(database, [benchmark])[benchmark].get("cancelled", 0)

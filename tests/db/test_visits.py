@@ -1,13 +1,11 @@
-"""Visits to targets as leased tasks: whatever happens, one result is accepted of each."""
+"""Visits to targets under leases: whatever happens, each has one accepted result."""
 
-import asyncio
 import tempfile
 import threading
 import time
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,66 +20,19 @@ from hypothesis.stateful import (
     rule,
 )
 
-from adr_service.errors import InvalidInput
 from adr_service.events import FINISHED, RunStarted, RunStopped, RunSucceeded, state_after
-from adr_service.specs import RunSpec
-from adr_service.stages import Stage, StageResult
-from api.routes.target_tasks import Claim
-from api.routes.target_tasks import claim as claim_route
-from db import runs, stages, target_tasks
+from db import events, runs, visits
 from db.clock import SteadyClock
 from db.errors import NotFound, NotPossible
 from db.session import open_database
-from db.target_tasks import LeaseLost
-from workers.cluster import RayOptions
-from workers.orchestrator import Orchestrator
-
-SPEC = RunSpec.model_validate(
-    {"task": "arm", "method": "simopt", "preset": "smoke", "target": {"kind": "external"}}
-)
-START = datetime(2026, 1, 1, tzinfo=UTC)
-LEASE_S = 60.0
-
-
-def visit(run_id, number=0, kind="target_episode"):
-    inputs = {"task": "arm", "run": run_id, "purpose": "rollout", "number": number, "seed": 0}
-    return Stage(kind, {**inputs, "transitions": 10}, {"policy": b"weights"})
-
-
-def publish(database, run_id, number=0):
-    with database.write("test") as session:
-        return target_tasks.publish(session, visit(run_id, number), run_id, START).id
-
-
-def claim(database, worker="robot", now=START, tasks=("arm",)):
-    return target_tasks.claim(database, worker, tasks, now, LEASE_S)
-
-
-def complete(database, task, lease=None, content=b"data", now=START):
-    result = StageResult({"transitions": 10, "return": 1.0}, {"data": content})
-    return target_tasks.complete(
-        database, task.id, lease or task.lease, result, now, lambda session: None
-    )
-
-
-def stored(database, digest):
-    with database.read() as session:
-        return stages.find_result(session, digest)
+from db.visits import LeaseLost
+from tests.db.leases import LEASE_S, SPEC, START, claim, complete, episode, publish
+from tests.db.rows import stored
 
 
 @pytest.fixture
 def run_id(database):
     return runs.create_run(database, SPEC).id
-
-
-def coroutine(*answers):
-    """Answers so, one after the other, and then as the last time."""
-    left = list(answers)
-
-    async def ask():
-        return left.pop(0) if len(left) > 1 else left[0]
-
-    return ask
 
 
 class TestLeases:
@@ -99,11 +50,11 @@ class TestLeases:
         assert (second.id, second.attempt) == (first.id, 2)
         for late in (
             lambda: complete(database, first),
-            lambda: target_tasks.heartbeat(database, first.id, first.lease, 3, START, LEASE_S),
-            lambda: target_tasks.release(database, first.id, first.lease),
-            lambda: target_tasks.fail(database, first.id, first.lease, "late"),
+            lambda: visits.heartbeat(database, first.id, first.lease, 3, START, LEASE_S),
+            lambda: visits.release(database, first.id, first.lease),
+            lambda: visits.fail(database, first.id, first.lease, "late"),
         ):
-            with pytest.raises(LeaseLost, match="was claimed 2 times; stop"):
+            with pytest.raises(LeaseLost, match="after 2 claims; stop"):
                 late()
         assert stored(database, first.digest) is None
         assert complete(database, second).state == "done"
@@ -112,7 +63,7 @@ class TestLeases:
         publish(database, run_id)
         task = claim(database)
         later = START + timedelta(seconds=50)
-        beaten = target_tasks.heartbeat(database, task.id, task.lease, 7, later, LEASE_S)
+        beaten = visits.heartbeat(database, task.id, task.lease, 7, later, LEASE_S)
         assert (beaten.steps, beaten.expires_at) == (7, later + timedelta(seconds=LEASE_S))
         assert claim(database, "b", START + timedelta(seconds=100)) is None
 
@@ -134,32 +85,9 @@ class TestLeases:
         publish(database, run_id)
         task = claim(database, "a")
         now = START + timedelta(hours=hours)
-        target_tasks.renew_leases(database, now, LEASE_S)
+        visits.renew_leases(database, now, LEASE_S)
         assert claim(database, "b", now + timedelta(seconds=LEASE_S - 1)) is None
         assert claim(database, "b", now + timedelta(seconds=LEASE_S)).id == task.id
-
-    def test_a_claim_whose_client_has_gone_is_given_back(self, database, run_id):
-        id = publish(database, run_id)
-        service = SimpleNamespace(
-            database=database, claim=lambda worker, tasks: claim(database, worker, tasks=tasks)
-        )
-        gone = SimpleNamespace(is_disconnected=coroutine(False, True))  # it goes meanwhile
-        asked = Claim(worker="a", tasks=["arm"], wait_s=20.0)
-        answer = asyncio.run(claim_route(asked, service, gone))
-        assert answer.status_code == 204
-        assert target_tasks.get_task(database, id).state == "pending"
-        there = SimpleNamespace(is_disconnected=coroutine(False))
-        assert asyncio.run(claim_route(asked, service, there)).task.id == id
-
-    def test_an_upload_is_not_read_before_its_lease(self, database, run_id):
-        """33 kB of somebody without a lease cost half a gigabyte."""
-        publish(database, run_id)
-        task = claim(database, "a")
-        orchestrator = Orchestrator(database, RayOptions())
-        with pytest.raises(LeaseLost):
-            orchestrator.complete_task(task.id, "another lease", b"not an npz")
-        with pytest.raises(InvalidInput, match="not a readable"):
-            orchestrator.complete_task(task.id, task.lease, b"not an npz")
 
     def test_an_expired_lease_that_nobody_took_is_good(self, database, run_id):
         publish(database, run_id)
@@ -179,12 +107,12 @@ class TestLeases:
     def test_what_is_given_back_is_free_and_what_failed_is_not(self, database, run_id):
         publish(database, run_id)
         task = claim(database)
-        target_tasks.release(database, task.id, task.lease)
+        visits.release(database, task.id, task.lease)
         again = claim(database)
         assert (again.id, again.attempt) == (task.id, 2)
-        failed = target_tasks.fail(database, again.id, again.lease, "the gripper is broken")
+        failed = visits.fail(database, again.id, again.lease, "the gripper is broken")
         assert (failed.state, failed.error) == ("failed", "the gripper is broken")
-        assert target_tasks.fail(database, again.id, again.lease, "said again") == failed
+        assert visits.fail(database, again.id, again.lease, "said again") == failed
         assert claim(database) is None
         publish(database, run_id)  # its run was resumed
         assert claim(database).attempt == 3
@@ -201,55 +129,55 @@ class TestLeases:
         task = claim(database)
         assert not task.is_unwanted
         runs.request_cancel(database, run_id)
-        beaten = target_tasks.heartbeat(database, task.id, task.lease, 1, START, LEASE_S)
+        beaten = visits.heartbeat(database, task.id, task.lease, 1, START, LEASE_S)
         assert beaten.is_unwanted
         assert claim(database, "b") is None
 
     def test_the_end_of_a_run_withdraws_its_tasks(self, database, run_id):
         publish(database, run_id)
         task = claim(database)
-        runs.append_event(database, run_id, RunStopped(submission=1))
-        assert target_tasks.get_task(database, task.id).state == "withdrawn"
+        events.append_event(database, run_id, RunStopped(submission=1))
+        assert visits.get_visit(database, task.id).state == "withdrawn"
         with pytest.raises(LeaseLost, match="the task is withdrawn"):
             complete(database, task)
         runs.delete_run(database, run_id)
         with pytest.raises(NotFound, match="no target task"):
-            target_tasks.get_task(database, task.id)
+            visits.get_visit(database, task.id)
 
     def test_the_policy_is_kept_for_the_robot_and_goes_with_its_run(self, database, run_id):
         id = publish(database, run_id)
-        assert target_tasks.policy_of(database, id) == b"weights"
-        runs.append_event(database, run_id, RunSucceeded())
+        assert visits.policy_of(database, id) == b"weights"
+        events.append_event(database, run_id, RunSucceeded())
         runs.delete_run(database, run_id)
         with pytest.raises(NotFound):
-            target_tasks.policy_of(database, id)
+            visits.policy_of(database, id)
 
 
 class TestSimulated:
     def test_the_simulated_target_completes_under_a_lease_like_a_robot(self, database, run_id):
-        stage = visit(run_id, kind="target_rollout")
+        stage = episode(run_id, kind="target_rollout")
         with database.write("test") as session:
             first, second = (
-                target_tasks.claim_simulated(session, stage, run_id, name, START, LEASE_S)
+                visits.claim_simulated(session, stage, run_id, name, START, LEASE_S)
                 for name in ("lost", "next")
             )
         with database.write("test") as session, pytest.raises(LeaseLost):
-            target_tasks.finish(session, stage.digest, first)
+            visits.finish(session, stage.digest, first)
         for _ in range(2):  # as when the answer to a commit was lost
             with database.write("test") as session:
-                target_tasks.finish(session, stage.digest, second)
-        (task,) = target_tasks.list_tasks(database, external=False)
+                visits.finish(session, stage.digest, second)
+        (task,) = visits.list_visits(database, external=False)
         assert (task.state, task.attempt, task.worker) == ("done", 2, "next")
 
     def test_no_robot_is_offered_it_and_a_claim_that_led_nowhere_is_forgotten(
         self, database, run_id
     ):
-        stage = visit(run_id, kind="target_rollout")
+        stage = episode(run_id, kind="target_rollout")
         with database.write("test") as session:
-            target_tasks.claim_simulated(session, stage, run_id, "actor", START, LEASE_S)
+            visits.claim_simulated(session, stage, run_id, "actor", START, LEASE_S)
         assert claim(database, now=START + timedelta(days=1)) is None
-        target_tasks.drop_simulated(database, stage.digest)
-        assert target_tasks.list_tasks(database) == []
+        visits.drop_simulated(database, stage.digest)
+        assert visits.list_visits(database) == []
 
 
 class Machine(RuleBasedStateMachine):
@@ -278,7 +206,7 @@ class Machine(RuleBasedStateMachine):
     @initialize()
     def submit(self):
         run_id = runs.create_run(self.database, SPEC).id
-        runs.append_event(self.database, run_id, RunStarted(submission=1))
+        events.append_event(self.database, run_id, RunStarted(submission=1))
         self.runs[run_id] = 1 + len(self.runs) % 2
         for number in range(self.runs[run_id]):
             publish(self.database, run_id, number)
@@ -302,11 +230,11 @@ class Machine(RuleBasedStateMachine):
             is_good = is_good or self.failed.get(task.id) == task.lease
         try:
             if word == "heartbeat":
-                target_tasks.heartbeat(self.database, task.id, task.lease, 1, self.now, LEASE_S)
+                visits.heartbeat(self.database, task.id, task.lease, 1, self.now, LEASE_S)
             elif word == "release":
-                target_tasks.release(self.database, task.id, task.lease)
+                visits.release(self.database, task.id, task.lease)
             elif word == "fail":
-                target_tasks.fail(self.database, task.id, task.lease, "broken")
+                visits.fail(self.database, task.id, task.lease, "broken")
                 self.failed[task.id] = task.lease
             else:
                 complete(self.database, task, content=word.encode(), now=self.now)
@@ -342,12 +270,12 @@ class Machine(RuleBasedStateMachine):
         if self.state(run_id) in FINISHED:
             return
         record = runs.get_run(self.database, run_id)
-        visits = target_tasks.list_tasks(self.database, run_id=run_id)
+        own = visits.list_visits(self.database, run_id=run_id)
         if record.cancel_requested:
-            runs.append_event(self.database, run_id, RunStopped(submission=record.submission))
-        elif all(task.state == "done" for task in visits):
-            runs.append_event(self.database, run_id, RunSucceeded())
-        for task in visits:
+            events.append_event(self.database, run_id, RunStopped(submission=record.submission))
+        elif all(task.state == "done" for task in own):
+            events.append_event(self.database, run_id, RunSucceeded())
+        for task in own:
             if self.state(run_id) in FINISHED:
                 self.current.pop(task.id, None)
 
@@ -356,31 +284,31 @@ class Machine(RuleBasedStateMachine):
             record = runs.resubmit(self.database, run_id)
         except NotPossible:
             return
-        runs.append_event(self.database, run_id, RunStarted(submission=record.submission))
+        events.append_event(self.database, run_id, RunStarted(submission=record.submission))
         for number in range(self.runs[run_id]):
-            if stored(self.database, visit(run_id, number).digest) is None:
+            if stored(self.database, episode(run_id, number).digest) is None:
                 self.failed.pop(publish(self.database, run_id, number), None)
 
     @invariant()
     def one_result_of_each_task_and_it_is_the_accepted_one(self):
-        for run_id, visits in self.runs.items():
-            for task in target_tasks.list_tasks(self.database, run_id=run_id):
+        for run_id, number in self.runs.items():
+            for task in visits.list_visits(self.database, run_id=run_id):
                 result = stored(self.database, task.digest)
                 assert (task.state == "done") == (result is not None) == (task.id in self.accepted)
                 if result is not None:
                     assert result.blobs["data"] == self.accepted[task.id][1]
                 if task.state == "claimed":
                     assert task.lease == self.current[task.id]
-            assert len(target_tasks.list_tasks(self.database, run_id=run_id)) == visits
+            assert len(visits.list_visits(self.database, run_id=run_id)) == number
 
     @invariant()
     def a_run_is_what_its_events_say_and_nothing_open_is_left_of_one_that_ended(self):
         for run_id in self.runs:
-            events = [e.event for e in runs.events_of(self.database, run_id)]
+            written = [e.event for e in events.events_of(self.database, run_id)]
             state = self.state(run_id)
-            assert state == state_after(events)
+            assert state == state_after(written)
             if state in FINISHED:
-                open_tasks = target_tasks.list_tasks(self.database, run_id=run_id)
+                open_tasks = visits.list_visits(self.database, run_id=run_id)
                 assert not [t for t in open_tasks if t.state in ("pending", "claimed")]
 
     def state(self, run_id):
@@ -407,7 +335,7 @@ def test_of_eight_claimers_that_sleep_over_their_leases_one_is_accepted_for_each
     def work(seed):
         rng = np.random.default_rng(seed)
         while len(accepted) < len(ids):
-            task = target_tasks.claim(database, f"robot-{seed}", ["arm"], datetime.now(UTC), 0.02)
+            task = visits.claim(database, f"robot-{seed}", ["arm"], datetime.now(UTC), 0.02)
             if task is None:
                 time.sleep(0.002)
                 continue
@@ -431,5 +359,5 @@ def test_of_eight_claimers_that_sleep_over_their_leases_one_is_accepted_for_each
     assert late, "nobody was late: the test has shown nothing"
     assert sorted(id for id, _ in accepted) == sorted(ids)
     for id, content in accepted:
-        digest = target_tasks.get_task(database, id).digest
+        digest = visits.get_visit(database, id).digest
         assert stored(database, digest).blobs == {"data": content}
