@@ -44,7 +44,7 @@ def upload(
     if task is not None:
         parsed.check_task(task)
     service.check_disk()
-    record, is_new = store.store_dataset(service.database, content)
+    record, is_new = store.store_dataset(service.database, content, parsed.data)
     if not is_new:
         response.status_code = status.HTTP_200_OK
     response.headers["Location"] = f"/v1/datasets/{record.id}"
