@@ -55,11 +55,11 @@ bench-dropo: setup
 
 # hours on two cores
 bench-criticism: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/criticism.py
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.criticism
 
 # half an hour on one core
 bench-extension: setup
-	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/extension.py
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.extension
 
 # three minutes
 bench-api: setup

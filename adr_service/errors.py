@@ -83,7 +83,7 @@ class FailureCode(StrEnum):
 
 
 def remedy_of(code: str) -> str | None:
-    """What a user can do about a failed run; None for a code of a user's own error class."""
+    """The remedy for a failed run; None for a code of a user's own error class."""
     return FailureCode(code).remedy if code in FailureCode.__members__.values() else None
 
 

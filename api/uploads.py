@@ -11,8 +11,9 @@ from typing import Annotated
 
 from fastapi import Header, HTTPException, status
 
+from adr_service.criticism.compatibility import check_measurement
 from adr_service.criticism.measurements import Measurement, is_measurement
-from adr_service.criticism.simulator import Nominal, check_measurement
+from adr_service.criticism.nominal import Nominal
 from adr_service.errors import InvalidInput
 from adr_service.simulation.replay import check_recorded
 from adr_service.specs import AnyRun, CriticismSpec

@@ -1,6 +1,6 @@
 """Blind test of criticism: effects hidden in measurements, and whether they are named.
 
-    python benchmarks/criticism.py [cases, 320] [tasks, arm,hopper,half_cheetah,walker2d] [seed, 12]
+    python -m benchmarks.criticism [cases, 320] [tasks, arm,hopper,half_cheetah,walker2d] [seed, 12]
 
 Of the cases 20 % hide nothing, 15 % an effect outside the catalogue, 5 % two effects, the rest one,
 at effect-to-noise ratios .03, .1, .3 and 1. Every measurement has 30 episodes of 75 control steps.
@@ -23,14 +23,14 @@ import numpy as np
 from scipy import stats
 
 import adr_service
-from adr_service.criticism.blind import Case, draw_case
 from adr_service.criticism.gain import measure_gain
+from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import Criticism, criticise, split
-from adr_service.criticism.simulator import Nominal
 from adr_service.criticism.verdict import Gain
 from adr_service.errors import AdrError
 from adr_service.json_values import sha256
 from adr_service.tasks.catalogue import get_task, source_of
+from benchmarks.planted import Case, draw_case
 
 FOLDER = Path("build/bench")
 RATIOS = (0.03, 0.1, 0.3, 1.0)
@@ -70,10 +70,10 @@ def _diagnosed(number: int, name: str, seed: int) -> dict[str, Any]:
         "task": name,
         "hidden": kind,
         "ratio": ratio,
-        "causes": [[c.kind, c.location, c.values] for c in case.causes],
+        "causes": [[c.kind, c.location, c.values] for c in case.effects],
         "outside": case.outside,
         "verdict": verdict,
-        "detectable": [detectable.get(f"{c.kind} {c.location}") for c in case.causes],
+        "detectable": [detectable.get(f"{c.kind} {c.location}") for c in case.effects],
         "ranking": [[c.kind, c.location, c.gain] for c in found.candidates[:6]],
         "oracle": None if oracle is None else oracle.to_json(),
         "seconds": seconds,
@@ -81,8 +81,8 @@ def _diagnosed(number: int, name: str, seed: int) -> dict[str, Any]:
 
 
 def _oracle(case: Case, found: Criticism) -> Gain:
-    """What the true parameters and causes would be worth on the same episodes."""
-    truth = replace(found.final, parameters=case.truth, causes=case.causes)
+    """Gain of the true parameters and effects on the same episodes."""
+    truth = replace(found.final, parameters=case.truth, effects=case.effects)
     rng = np.random.default_rng(0)  # of intervals, which are not used
     return measure_gain(found.baseline, truth, split(case.measurement)[1], rng, threads=1)
 
@@ -212,7 +212,8 @@ def main(
 def _code() -> str:
     """What the method is at present: a digest of its sources."""
     root = Path(adr_service.__file__).parent
-    files = [*(root / "criticism").rglob("*.py"), *(root / "simulation").rglob("*.py")]
+    folders = ("criticism", "effects", "simulation")
+    files = [file for folder in folders for file in (root / folder).rglob("*.py")]
     return sha256(b"".join(file.read_bytes() for file in sorted(files)))[:12]
 
 

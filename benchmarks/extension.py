@@ -1,7 +1,7 @@
 """What an extended simulator is worth: target returns where an effect is hidden that no parameter
 can say.
 
-    python benchmarks/extension.py [task, hopper] [seeds, 3] [preset, quick] [force in N, -10]
+    python -m benchmarks.extension [task, hopper] [seeds, 3] [preset, quick] [force in N, -10]
 
 The target pulls the robot's first body backwards. Criticism names that from a recording (30
 episodes of 75 control steps); then DROPO, on one rollout of the prior's policy, with the extension
@@ -20,27 +20,26 @@ import numpy as np
 
 from adr_service.arrays import Matrix
 from adr_service.benchmark.statistics import difference, interval, mean
-from adr_service.causes import Cause
-from adr_service.computation import LocalStages
-from adr_service.criticism.blind import hide
+from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
-from adr_service.criticism.simulator import Nominal
+from adr_service.effects.base import Effect
 from adr_service.events import IterationFinished
-from adr_service.runs import run
-from adr_service.specs import Effect, RunSpec
+from adr_service.programs import run
+from adr_service.specs import RunSpec
+from adr_service.stages.local import LocalStages
 from adr_service.tasks.catalogue import get_task, source_of
+from benchmarks.planted import hide
 
 FOLDER = Path("build/bench")
 
 
-def effects(causes: Sequence[Cause]) -> list[dict[str, object]]:
-    return [
-        Effect(kind=c.kind, location=c.location, values=list(c.values)).model_dump() for c in causes
-    ]
+def listed(effects: Sequence[Effect]) -> list[dict[str, object]]:
+    """Effects as a spec takes them."""
+    return [asdict(effect) for effect in effects]
 
 
-def named(task: str, hidden: Cause) -> list[dict[str, object]]:
-    """What criticism finds of the hidden effect."""
+def named(task: str, hidden: Effect) -> list[dict[str, object]]:
+    """Effects that criticism names in place of the hidden one."""
     nominal = Nominal.of_task(get_task(task), source_of(task, "vanilla"))
     data = hide(get_task(task), nominal, np.random.default_rng(1), [hidden])
     found = criticise(nominal, data, np.random.default_rng(0), threads=1)
@@ -49,7 +48,7 @@ def named(task: str, hidden: Cause) -> list[dict[str, object]]:
             cause.kind, cause.location, [(e.name, e.value, e.low, e.high) for e in cause.strengths]
         )
     assert found.extension is not None, "criticism named nothing"
-    return effects(found.extension.causes)
+    return listed(found.extension.effects)
 
 
 def returned(spec: dict[str, object]) -> Matrix:
@@ -61,14 +60,14 @@ def returned(spec: dict[str, object]) -> Matrix:
 
 def main(task: str = "hopper", seeds: str = "3", preset: str = "quick", force: str = "-10") -> None:
     first = mujoco.MjModel.from_xml_string(get_task(task).xml).body(1).name
-    hidden = Cause("external_force", f"body:{first}", (float(force), 0.0, 0.0))
+    hidden = Effect("external_force", f"body:{first}", (float(force), 0.0, 0.0))
     spec = {
         "task": task,
         "method": "dropo",
         "collector": "prior",
         "preset": preset,
         "iterations": 1,
-        "target": {"kind": "simulated", "effects": effects([hidden])},
+        "target": {"kind": "simulated", "effects": listed([hidden])},
     }
     extension = named(task, hidden)
     without: list[Matrix] = []

@@ -62,6 +62,8 @@ class Utc(TypeDecorator[datetime]):
 
 
 class Base(DeclarativeBase):
+    """The tables, with names for all their constraints."""
+
     metadata = MetaData(
         naming_convention={
             "ix": "ix_%(table_name)s_%(column_0_N_name)s",

@@ -36,8 +36,8 @@ _CLIENT = {  # and of our end of it
 class Postgresql:
     """A database of a PostgreSQL server; the writer's connection holds an advisory lock.
 
-    Whoever cannot have the lock has no connection to write with, also after the server restarted.
-    Both ends notice within a minute that the other is gone without a word.
+    A service without the lock has no connection to write with, also after the server restarted.
+    Both ends notice within a minute that the other is gone.
     """
 
     _LOCK = 0xAD5  # among the advisory locks of the database
@@ -86,7 +86,7 @@ class Postgresql:
             ) from None
 
     def _leave(self, context: ExceptionContext) -> None:
-        """A server that takes no writes any more: the next connection may find one that does."""
+        """Leave a server that takes no writes: the next connection may meet one that does."""
         if getattr(context.original_exception, "sqlstate", None) == self._READ_ONLY:
             context.is_disconnect = True
 

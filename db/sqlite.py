@@ -54,11 +54,11 @@ def check_log(url: str) -> None:
 class Sqlite:
     """A file, with a lock file beside it.
 
-    The write-ahead log with full synchronisation: what a transaction committed is on disk. The
+    It has a write-ahead log with full synchronisation: a committed transaction is on disk. The
     writer begins IMMEDIATE, so that it never has to give up half-way.
     """
 
-    # what passes by itself, or once somebody frees the disk
+    # errors that pass by themselves, or once a user frees the disk
     _PASSING = (
         sqlite3.SQLITE_BUSY,
         sqlite3.SQLITE_LOCKED,
@@ -76,7 +76,7 @@ class Sqlite:
         self.reader = self._engine(url, read_only=True)
 
     def lock(self) -> None:
-        """The lock is on the database file itself, and cannot be deleted beside it.
+        """Lock the database file itself; a lock file beside it could be deleted.
 
         The descriptor stays open until `unlock`: closing one drops SQLite's own locks.
         """
@@ -107,7 +107,7 @@ class Sqlite:
         self._file = -1
 
     def check_in_place(self) -> None:
-        """The file and its write-ahead log must be those that were opened."""
+        """Raise DatabaseGone if the file or its log is not the one that was opened."""
         log_file = self._log_file
         try:
             opened, there = os.fstat(self._file), os.stat(self._path)
@@ -143,8 +143,8 @@ class Sqlite:
     def migrating(self) -> Generator[Connection]:
         with self.writer.connect() as connection:
             driver = connection.connection.cursor()
-            # to change some tables is to delete and make them again, which would take along the
-            # rows that refer to them
+            # SQLite changes some tables by making them anew, which would delete the rows that
+            # refer to them
             driver.execute("PRAGMA foreign_keys=OFF")
             try:
                 with connection.begin():
@@ -185,7 +185,7 @@ class Sqlite:
     def reclaim(self, connection: Connection) -> bool:
         free = int(connection.scalar(text("PRAGMA freelist_count")) or 0)
         for _ in range(min(free, _PAGES_AT_ONCE)):
-            # of several pages, the driver would take the first alone
+            # asked for several pages, the driver would give back the first alone
             connection.exec_driver_sql("PRAGMA incremental_vacuum(1)")
         left = int(connection.scalar(text("PRAGMA freelist_count")) or 0)
         return 0 < left < free  # a file that could not be rewritten gives nothing back

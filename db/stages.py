@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 
 from adr_service.benchmark.cost import Execution
 from adr_service.json_values import canonical_json, sha256
-from adr_service.stages import StageResult
+from adr_service.stages.base import StageResult
 from db.models import (
     ArtifactRow,
     CheckpointRow,

@@ -29,7 +29,7 @@ from adr_service.benchmark.cost import Execution
 from adr_service.errors import AdrError
 from adr_service.events import FINISHED, RunState
 from adr_service.json_values import canonical_json
-from adr_service.stages import KINDS, Stage, StageResult
+from adr_service.stages.base import AnyStage, StageResult
 from db.errors import NotFound
 from db.models import OPEN_VISIT, ArtifactRow, RunRow, StageRow, TargetTaskRow, VisitState
 from db.session import Database
@@ -67,7 +67,7 @@ class Visit:
     is_unwanted: bool  # its run was asked to stop, or has ended
 
 
-def publish(session: Session, stage: Stage, run_id: str, now: datetime) -> TargetTaskRow:
+def publish(session: Session, stage: AnyStage, run_id: str, now: datetime) -> TargetTaskRow:
     """Offer a stage's visit to claimants, if it is not offered yet; inside a transaction.
 
     A visit that was withdrawn or has failed is offered again: its run goes on.
@@ -101,7 +101,7 @@ def is_one_free(database: Database, tasks: Sequence[str], now: datetime) -> bool
 
 
 def claim_simulated(
-    session: Session, stage: Stage, run_id: str, worker: str, now: datetime, lease_s: float
+    session: Session, stage: AnyStage, run_id: str, worker: str, now: datetime, lease_s: float
 ) -> str:
     """Publish and claim a visit for the simulated target; the lease. Inside a transaction.
 
@@ -139,10 +139,13 @@ def complete(
     id: str,
     lease: str,
     result: StageResult,
+    steps: int,
     now: datetime,
     also: Callable[[Session], None],
 ) -> Visit:
-    """Store an episode's result, and what `also` writes. The same again changes nothing.
+    """Store the result of an episode of `steps`, and what `also` writes.
+
+    The same again changes nothing.
 
     Raises NotFound and LeaseLost.
     """
@@ -154,7 +157,7 @@ def complete(
         row = _held(session, id, lease)
         add_result(session, row.digest, row.document, result, _episode(row, now))
         finish(session, row.digest, lease)
-        row.steps = result.values["transitions"]
+        row.steps = steps
         also(session)
         return _visit(session, row)
 
@@ -270,15 +273,15 @@ def policy_of(database: Database, id: str) -> bytes:
         return session.get_one(ArtifactRow, row.policy_sha256).content
 
 
-def _new_row(session: Session, stage: Stage, run_id: str, now: datetime) -> TargetTaskRow:
-    external = KINDS[stage.kind].role == "robot"
+def _new_row(session: Session, stage: AnyStage, run_id: str, now: datetime) -> TargetTaskRow:
+    external = stage.role == "robot"
     policy = stage.blobs.get("policy") if external else None
     return TargetTaskRow(
         id=f"task_{secrets.token_hex(8)}",
         digest=stage.digest,
         document=canonical_json(stage.document),
         run_id=run_id,
-        task=stage.inputs["task"],
+        task=stage.task,
         external=external,
         state=VisitState.PENDING,
         attempt=0,

@@ -14,16 +14,16 @@ from fastapi import FastAPI
 from sqlalchemy import create_engine
 
 from adr_service.benchmark.comparison import Outcome
-from adr_service.causes import Cause
-from adr_service.criticism.blind import hide
 from adr_service.distributions import Gaussian
+from adr_service.effects.base import Effect
 from adr_service.events import IterationFinished
 from adr_service.simulation.replay import Replay
 from adr_service.specs import BenchmarkSpec, RunSpec
-from adr_service.tasks.catalogue import get_task, hidden_of, source_of
+from adr_service.tasks.catalogue import catalogue, get_task, hidden_of, source_of
 from adr_service.training.policy import Policy
 from api.client import AdrClient
 from api.settings import Settings
+from benchmarks.planted import hide
 from tests.hidden import arm as arm_and_nominal
 from tests.hidden import recorded
 from tests.recordings import recording
@@ -78,13 +78,13 @@ def arm_criticised(_: Path) -> Names:
 
 def arm_with_an_effect(folder: Path) -> Names:
     names = arm_criticised(folder)
-    friction = Cause("joint_coulomb_friction", "joint:elbow", (0.15,))
+    friction = Effect("joint_coulomb_friction", "joint:elbow", (0.15,))
     data = hide(names["task"], names["nominal"], np.random.default_rng(0), [friction])
     return {**names, "measurement": data.episodes(range(12))}
 
 
 def simulated(folder: Path) -> Names:
-    from adr_service.criticism import scan
+    from adr_service.criticism import responses, scan
     from adr_service.criticism.simulator import Simulator
 
     names = arm_criticised(folder)
@@ -92,8 +92,8 @@ def simulated(folder: Path) -> Names:
     simulator = Simulator(nominal, measurement, threads=1, finer=3)
     states = np.concatenate([measurement.qpos, measurement.qvel], axis=1)
     names |= {"simulator": simulator, "sensor": measurement.sensor_variance(), "states": states}
-    names |= {"parameters": nominal.start, "causes": (), "effects": ()}
-    return {**vars(scan), **names}
+    names |= {"parameters": nominal.start, "effects": ()}
+    return {**vars(responses), **vars(scan), **names}
 
 
 def fitted(folder: Path) -> Names:
@@ -101,7 +101,8 @@ def fitted(folder: Path) -> Names:
 
     names = simulated(folder)
     baseline = smoothed(fit(names["simulator"], names["sensor"]), names["sensor"])
-    return {**names, "baseline": baseline}
+    effect = Effect("joint_coulomb_friction", "joint:elbow", (0.15,))
+    return {**names, "baseline": baseline, "effect": effect}
 
 
 def measurement_file(folder: Path) -> Names:
@@ -133,7 +134,7 @@ def benchmark_spec(_: Path) -> Names:
 
 
 def run_spec(_: Path) -> Names:
-    from adr_service.computation import LocalStages
+    from adr_service.stages.local import LocalStages
 
     return {"spec": RunSpec.model_validate({**SPEC, "method": "prior"}), "LocalStages": LocalStages}
 
@@ -148,8 +149,13 @@ def target(folder: Path) -> Names:
 
 
 def policy(folder: Path) -> Names:
-    names = target(folder)
-    return {**names, "policy_bytes": names["policy"]}
+    from adr_service.stages.evaluate import Evaluate
+
+    return {**target(folder), "Evaluate": Evaluate}
+
+
+def tasks(_: Path) -> Names:
+    return {"catalogue": catalogue}
 
 
 def stage(_: Path) -> Names:

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from adr_service.causes import Cause
-from adr_service.criticism.blind import hide
+from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
-from adr_service.criticism.simulator import Nominal
+from adr_service.effects.base import Effect
 from adr_service.tasks.catalogue import get_task, source_of
+from benchmarks.planted import hide
 
 
 def arm():
@@ -23,7 +23,7 @@ def recorded(measurement):
 
 
 def named_effects(
-    task: str, variant: str, causes: Sequence[Cause], seed: int
+    task: str, variant: str, causes: Sequence[Effect], seed: int
 ) -> list[dict[str, Any]]:
     """What criticism names, as a spec takes it."""
     truth = Nominal.of_task(get_task(task), source_of(task, "vanilla"))
@@ -33,5 +33,5 @@ def named_effects(
     assert found.extension is not None
     return [
         {"kind": c.kind, "location": c.location, "values": list(c.values)}
-        for c in found.extension.causes
+        for c in found.extension.effects
     ]

@@ -10,21 +10,25 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from adr_service.causes import Cause
-from adr_service.criticism.advice import remarks, separating_experiment
-from adr_service.criticism.blind import draw_case, hide
+from adr_service.criticism.compatibility import check_measurement
 from adr_service.criticism.decision import THRESHOLD, decide, is_unknown
 from adr_service.criticism.evidence import fit, smoothed
+from adr_service.criticism.experiments import separating_experiment
 from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
-from adr_service.criticism.readings import lattice
-from adr_service.criticism.scan import Effects, scan
-from adr_service.criticism.simulator import Nominal, Simulator, check_measurement
+from adr_service.criticism.remarks import on_commands
+from adr_service.criticism.responses import Responses
+from adr_service.criticism.scan import scan
+from adr_service.criticism.sensor_spread import lattice
+from adr_service.criticism.simulator import Simulator
+from adr_service.effects.base import Effect
 from adr_service.errors import InvalidInput
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.tasks.catalogue import get_task
 from api.cli import app
 from api.cli.verdict_table import verdict_table
+from benchmarks.planted import draw_case, hide
 from tests.hidden import arm, recorded
 
 # frozen before any threshold was chosen: the seeds of a battery on the small task
@@ -41,8 +45,8 @@ def case(seed, ratio=0.3, **how):
 def test_a_hidden_effect_is_named_or_tied_with_what_equals_it(seed):
     hidden = case(seed)
     found = criticise(hidden.nominal, hidden.measurement, np.random.default_rng(0), threads=1)
-    verdict, (cause,) = found.verdict, hidden.causes
-    assert verdict.finding in ("cause", "tie")
+    verdict, (cause,) = found.verdict, hidden.effects
+    assert verdict.conclusion in ("cause", "tie")
     assert len(verdict.causes) == 1
     named = {(c.kind, c.location) for c in (verdict.causes[0], *verdict.tied[0])}
     assert (cause.kind, cause.location) in named
@@ -51,9 +55,9 @@ def test_a_hidden_effect_is_named_or_tied_with_what_equals_it(seed):
 
 @pytest.mark.parametrize("seed", [200, 201])
 def test_where_nothing_is_hidden_nothing_is_found_but_detection_limits(seed):
-    hidden = case(seed, causes=0)
+    hidden = case(seed, count=0)
     found = criticise(hidden.nominal, hidden.measurement, np.random.default_rng(0), threads=1)
-    assert found.verdict.finding == "none"
+    assert found.verdict.conclusion == "none"
     assert found.extension is None
     assert found.verdict.gain is None
     limits = found.verdict.residual.detectable
@@ -70,14 +74,14 @@ def test_an_effect_that_is_not_in_the_catalogue_is_called_unknown(seed, ratio, e
     hidden = case(seed, ratio=ratio, outside=True)
     assert hidden.outside == effect
     found = criticise(hidden.nominal, hidden.measurement, np.random.default_rng(0), threads=1)
-    assert found.verdict.finding == "unknown"
+    assert found.verdict.conclusion == "unknown"
     assert not found.verdict.causes
 
 
 @pytest.fixture(scope="module")
 def good():
     """A measurement with nothing wrong."""
-    return recorded(case(1, causes=0).measurement)
+    return recorded(case(1, count=0).measurement)
 
 
 @pytest.fixture(scope="module")
@@ -260,15 +264,15 @@ def test_the_least_that_is_accepted_is_enough(good):
 def test_a_second_cause_is_found_beside_the_first():
     """The first looks like a group, `sensor:*`, until the second is known."""
     hidden = [
-        Cause("sensor_delay", "sensor:shoulder.position", (0.0006,)),
-        Cause("joint_armature", "joint:elbow", (0.0005,)),
+        Effect("sensor_delay", "sensor:shoulder.position", (0.0006,)),
+        Effect("joint_armature", "joint:elbow", (0.0005,)),
     ]
     task, nominal = arm()
     data = hide(task, nominal, np.random.default_rng(400), hidden)
     found = criticise(
         nominal, data.episodes(range(20)), np.random.default_rng(0), threads=1
     ).verdict
-    assert found.finding == "cause"
+    assert found.conclusion == "cause"
     assert len(found.causes) == 2
     for cause in hidden:
         (named,) = (n for n in found.causes if (n.kind, n.location) == (cause.kind, cause.location))
@@ -284,7 +288,7 @@ def test_what_the_sealed_episodes_refute_is_not_named():
                 task,
                 nominal,
                 np.random.default_rng(402),
-                [Cause("joint_spring", "joint:elbow", (k,))],
+                [Effect("joint_spring", "joint:elbow", (k,))],
             )
         )
         for k in (0.5, -0.5)
@@ -294,7 +298,7 @@ def test_what_the_sealed_episodes_refute_is_not_named():
         **{name: np.where(is_sealed, soft[name].T, stiff[name].T).T for name in stiff}
     )
     found = criticise(nominal, data, np.random.default_rng(0), threads=1)
-    assert found.verdict.finding == "unknown"  # by the flexible force
+    assert found.verdict.conclusion == "unknown"  # by the flexible force
     assert "joint_spring joint:elbow" in found.verdict.remarks[0]
     assert not found.verdict.causes
     assert found.verdict.gain is None
@@ -303,29 +307,29 @@ def test_what_the_sealed_episodes_refute_is_not_named():
 
 def test_commands_that_say_nothing_and_commands_beyond_limits_are_told(good):
     model = arm()[1].model(arm()[1].start)
-    assert remarks(model, Measurement(**good)) == ()
+    assert on_commands(model, Measurement(**good)) == ()
     told = np.array(good["ctrl"])
     told[:, 0], told[:3, 1] = 0.25, -1.5
-    still, beyond = remarks(model, Measurement(**{**good, "ctrl": told}))
-    assert still.startswith("Actuator shoulder is told 0.25 all the time")
+    still, beyond = on_commands(model, Measurement(**{**good, "ctrl": told}))
+    assert still.startswith("The command to actuator shoulder is 0.25 all the time")
     assert beyond.startswith("3 of 2250 commands to actuator elbow are beyond its limits, -1 to 1")
 
 
 def test_one_effect_at_all_places_is_a_group():
     """With a strength for each, where it explains more than any single place."""
     hidden = [
-        Cause("joint_coulomb_friction", "joint:shoulder", (0.2,)),
-        Cause("joint_coulomb_friction", "joint:elbow", (0.1,)),
+        Effect("joint_coulomb_friction", "joint:shoulder", (0.2,)),
+        Effect("joint_coulomb_friction", "joint:elbow", (0.1,)),
     ]
     task, nominal = arm()
     data = hide(task, nominal, np.random.default_rng(401), hidden).episodes(range(12))
     sensor = data.sensor_variance()
     with Simulator(nominal, data, threads=1, finer=3) as simulator:
         baseline = smoothed(fit(simulator, sensor), sensor)
-        best, *others = scan(baseline, Effects(baseline))
+        best, *others = scan(baseline, Responses(baseline))
     assert (best.kind, best.location) == ("joint_coulomb_friction", "joint:*")
-    assert best.gain > max(c.gain for c in others if len(c.causes) == 1) + THRESHOLD
-    found = {cause.location: cause.values[0] for cause in best.causes}
+    assert best.gain > max(c.gain for c in others if len(c.effects) == 1) + THRESHOLD
+    found = {cause.location: cause.values[0] for cause in best.effects}
     expected = {cause.location: cause.values[0] for cause in hidden}
     assert found == pytest.approx(expected, rel=0.3)  # to first order
 
@@ -334,8 +338,8 @@ def test_a_body_without_mass_moves_nothing(good):
     nominal = arm()[1]
     with Simulator(nominal, Measurement(**good), threads=1) as simulator:
         for gone in (
-            Cause("body_mass", "body:fore", (-0.7,)),
-            Cause("body_inertia", "body:fore", (-1.0,)),
+            Effect("body_mass", "body:fore", (-0.7,)),
+            Effect("body_inertia", "body:fore", (-1.0,)),
         ):
             assert np.isnan(simulator.predict(nominal.start, [gone], simulator.measured)).all()
 
@@ -343,9 +347,9 @@ def test_a_body_without_mass_moves_nothing(good):
 def test_commands_beyond_an_actuators_limits_are_what_it_obeys(good):
     wild = Measurement(**{**good, "ctrl": 3.0 * np.sign(good["ctrl"])})
     with Simulator(arm()[1], wild, threads=1) as simulator:
-        told = simulator.told([], simulator.steps)
-        unmoved = Cause("actuator_deadband", "actuator:elbow", (0.0,))
-        harmless = simulator.told([unmoved], simulator.steps)
+        told = simulator.commands([], simulator.steps)
+        unmoved = Effect("actuator_deadband", "actuator:elbow", (0.0,))
+        harmless = simulator.commands([unmoved], simulator.steps)
     assert np.abs(told).max() == 1.0
     np.testing.assert_array_equal(told, harmless)
 
@@ -370,7 +374,7 @@ class TestReadings:
         (cause,) = found.verdict.causes
         assert (cause.kind, cause.location) == ("sensor_quantisation", "sensor:elbow.position")
         assert cause.strengths[0].value == pytest.approx(0.005, rel=1e-9)
-        assert (found.verdict.finding, found.verdict.gain) == ("cause", None)
+        assert (found.verdict.conclusion, found.verdict.gain) == ("cause", None)
         assert [c.kind for c in found.extension.beside] == ["sensor_quantisation"]
         console = Console(width=200, record=True, file=io.StringIO())
         console.print(verdict_table(found.verdict.to_json()))
@@ -385,7 +389,7 @@ class TestReadings:
 
     def test_the_last_digits_of_a_file_are_no_steps(self, clean):
         rounded = {**clean, "qpos": np.round(clean["qpos"], 4)}
-        assert self.criticised(rounded).verdict.finding == "none"
+        assert self.criticised(rounded).verdict.conclusion == "none"
 
     def test_a_lattice_is_measured_to_the_last_digits(self):
         readings = 0.3 + 2 * np.pi / 4096 * np.random.default_rng(0).integers(-50, 50, 2000)
@@ -404,8 +408,8 @@ def test_what_would_tell_two_explanations_apart_is_said():
     narrow = hide(arm()[0], nominal, np.random.default_rng(402), []).episodes(range(8))
     with Simulator(nominal, narrow, threads=1) as simulator:
         plain = fit(simulator, narrow.sensor_variance())
-        pushed = [Cause("joint_coulomb_friction", "joint:elbow", (size,)) for size in (0.0, 0.1)]
-        one, other, same = (replace(plain, causes=(c,)) for c in (*pushed, pushed[0]))
+        pushed = [Effect("joint_coulomb_friction", "joint:elbow", (size,)) for size in (0.0, 0.1)]
+        one, other, same = (replace(plain, effects=(c,)) for c in (*pushed, pushed[0]))
         found = separating_experiment(one, other)
         equal = separating_experiment(one, same)
     assert "actuator:elbow" in found.description
@@ -417,14 +421,14 @@ def test_what_would_tell_two_explanations_apart_is_said():
 def test_whole_episodes_are_followed_as_step_after_step(good):
     """Open loop, with an effect on commands, one in a sensor and one in the model."""
     causes = [
-        Cause("actuator_delay", "actuator:elbow", (0.004,)),
-        Cause("sensor_bias", "sensor:elbow.position", (0.02,)),
-        Cause("joint_coulomb_friction", "joint:shoulder", (0.2,)),
+        Effect("actuator_delay", "actuator:elbow", (0.004,)),
+        Effect("sensor_bias", "sensor:elbow.position", (0.02,)),
+        Effect("joint_coulomb_friction", "joint:shoulder", (0.2,)),
     ]
     nominal = arm()[1]
     with Simulator(nominal, Measurement(**good), threads=1) as simulator:
         whole = simulator.follow(nominal.start, causes)
-        late = [Cause("sensor_delay", "sensor:elbow.position", (0.005,))]
+        late = [Effect("sensor_delay", "sensor:elbow.position", (0.005,))]
         first_of_late = simulator.follow(nominal.start, late)[1]
         expected = simulator.predict(nominal.start, late, simulator.measured)[0]
         states = simulator.measured.copy()

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from adr_service.causes import Cause
 from adr_service.criticism.evidence import fit
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.simulator import Simulator
-from adr_service.criticism.sources import emps
+from adr_service.effects.base import Effect
 from adr_service.errors import InvalidInput
+from benchmarks.sources import emps
 
 
 @pytest.mark.slow
@@ -35,7 +35,7 @@ def test_friction_is_found_and_then_that_it_differs_by_direction(datasets):
     assert found.verdict.residual.rest == "unknown"  # the screw rings
     # what the asymmetry is worth on the other record, in squared force
     pulses = emps.read(datasets / "emps" / "DATA_EMPS_PULSES.mat")
-    symmetric = [Cause(kind, "joint:axis", (1.0,)) for kind in list(causes)[:2]]
+    symmetric = [Effect(kind, "joint:axis", (1.0,)) for kind in list(causes)[:2]]
     simulator = found.final.simulator
     with Simulator(simulator.nominal, data, finer=simulator.finer) as again:
         before = fit(again, data.sensor_variance(), symmetric)
@@ -47,7 +47,7 @@ def squared_error(fitted, data):
     """Of a step's velocity, which is that of the force in other units."""
     nominal, finer = fitted.simulator.nominal, fitted.simulator.finer
     with Simulator(nominal, data, finer=finer) as simulator:
-        predicted = simulator.predict(fitted.parameters, fitted.causes, simulator.measured)
+        predicted = simulator.predict(fitted.parameters, fitted.effects, simulator.measured)
         return np.sum((predicted - simulator.measured[simulator.starts + 1])[:, 1] ** 2)
 
 

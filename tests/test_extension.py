@@ -6,32 +6,32 @@ import mujoco
 import numpy as np
 import pytest
 
-from adr_service.causes import Cause, domain_of, parse_domain
-from adr_service.computation import LocalStages
-from adr_service.criticism.simulator import Nominal
+from adr_service.criticism.nominal import Nominal
+from adr_service.effects.base import Effect, domain_of, parse_domain
 from adr_service.errors import InvalidInput
-from adr_service.runs import run
+from adr_service.programs import run
 from adr_service.simulation.batch import Simulations
 from adr_service.specs import RunSpec
+from adr_service.stages.local import LocalStages
 from adr_service.tasks.catalogue import get_task, source_of
 from tests.hidden import named_effects
 
 EFFECTS = {
     "arm": (
-        Cause("joint_spring", "joint:elbow", (3.0,)),
-        Cause("payload", "body:fore", (0.3,)),  # on top of a mass that is a parameter
-        Cause("joint_asymmetric_viscous_friction", "joint:shoulder", (0.5,)),
-        Cause("external_force", "body:fore", (1.0, 0.0, 2.0)),
-        Cause("body_mass", "body:upper", (0.5,)),  # of a body whose inertia scales with its mass
+        Effect("joint_spring", "joint:elbow", (3.0,)),
+        Effect("payload", "body:fore", (0.3,)),  # on top of a mass that is a parameter
+        Effect("joint_asymmetric_viscous_friction", "joint:shoulder", (0.5,)),
+        Effect("external_force", "body:fore", (1.0, 0.0, 2.0)),
+        Effect("body_mass", "body:upper", (0.5,)),  # of a body whose inertia scales with its mass
     ),
     "hopper": (
-        Cause("joint_coulomb_friction", "joint:leg_joint", (4.0,)),
-        Cause("gravity_tilt", "global", (0.05, 0.0)),
+        Effect("joint_coulomb_friction", "joint:leg_joint", (4.0,)),
+        Effect("gravity_tilt", "global", (0.05, 0.0)),
     ),
 }
 
 
-HEAVIER = (Cause("body_mass", "body:upper", (0.5,)),)  # alone: its inertia is a parameter's
+HEAVIER = (Effect("body_mass", "body:upper", (0.5,)),)  # alone: its inertia is a parameter's
 
 
 @pytest.mark.parametrize(("name", "causes"), [*EFFECTS.items(), ("arm", HEAVIER)])
@@ -95,16 +95,16 @@ def test_a_variant_names_no_effects_of_its_own():
 
 def test_what_a_robot_would_feel_in_its_observations_is_refused():
     source = source_of("humanoid", "vanilla")
-    push = (Cause("external_force", "body:torso", (5.0, 0.0, 0.0)),)
+    push = (Effect("external_force", "body:torso", (5.0, 0.0, 0.0)),)
     with pytest.raises(InvalidInput, match="observes its actuators"):
-        Simulations(get_task("humanoid"), replace(source, causes=push), 1)
+        Simulations(get_task("humanoid"), replace(source, effects=push), 1)
 
 
 def test_lengths_cannot_be_combined_with_effects():
     source = source_of("walker2d", "vanilla")
-    spring = (Cause("joint_spring", "joint:leg_joint", (1.0,)),)
+    spring = (Effect("joint_spring", "joint:leg_joint", (1.0,)),)
     with pytest.raises(InvalidInput, match="compiled anew for every draw"):
-        Simulations(get_task("walker2d"), replace(source, causes=spring), 1)
+        Simulations(get_task("walker2d"), replace(source, effects=spring), 1)
 
 
 @pytest.mark.parametrize(

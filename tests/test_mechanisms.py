@@ -4,16 +4,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from adr_service.causes import Cause
-from adr_service.criticism.blind import draw_case
 from adr_service.criticism.extension import extend
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.simulator import Nominal, Simulator
+from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.simulator import Simulator
+from adr_service.effects.base import Commands, Effect
+from adr_service.effects.catalogue import MECHANISMS, get_mechanism
+from adr_service.effects.models import element_of, unit_of
 from adr_service.errors import UnknownName
 from adr_service.parameters import ParameterSpace
-from adr_service.simulation.mechanism import Commands
-from adr_service.simulation.mechanisms import MECHANISMS, element_of, get_mechanism, unit_of
 from adr_service.tasks.catalogue import get_task, source_of
+from benchmarks.planted import draw_case
 
 COMMANDS = Commands(np.array([[1.0, 1.0, -0.5, 0.2, 0.0, 0.8]]), 0.01, 1.0)
 
@@ -48,9 +49,9 @@ def simulator(request):
 def test_zero_strength_is_nothing_and_what_is_written_out_predicts_the_same(kind, simulator):
     mechanism, start = get_mechanism(kind), simulator.nominal.start
     for place in mechanism.locations(simulator.base)[-2:]:
-        nothing = Cause(kind, place, (0.0,) * len(mechanism.strengths))
+        nothing = Effect(kind, place, (0.0,) * len(mechanism.strengths))
         typical = mechanism.typical(simulator.base, element_of(simulator.base, place))
-        cause = Cause(kind, place, tuple(typical))
+        cause = Effect(kind, place, tuple(typical))
         without = simulator.predict(start, [], simulator.measured)
         np.testing.assert_array_equal(
             simulator.predict(start, [nothing], simulator.measured), without
@@ -75,25 +76,23 @@ def test_places_are_named_and_unknown_ones_refused(simulator):
 
 def test_a_delay_of_whole_steps_shifts_commands_and_a_part_of_one_mixes_two():
     delay = get_mechanism("actuator_delay").command
+    np.testing.assert_allclose(delay(COMMANDS, np.array([0.02])), [[0.0, 0.0, 1.0, 1.0, -0.5, 0.2]])
     np.testing.assert_allclose(
-        delay(COMMANDS, 0, np.array([0.02])), [[0.0, 0.0, 1.0, 1.0, -0.5, 0.2]]
-    )
-    np.testing.assert_allclose(
-        delay(COMMANDS, 0, np.array([0.0025])), [[0.75, 1.0, -0.125, 0.025, 0.05, 0.6]]
+        delay(COMMANDS, np.array([0.0025])), [[0.75, 1.0, -0.125, 0.025, 0.05, 0.6]]
     )
 
 
 def test_a_lag_is_the_mean_of_the_exact_first_order_response():
     seconds, constant = np.linspace(0, 0.01, 10_001), 0.03
     exact = 1 - np.exp(-seconds / constant)  # of a step from rest
-    found = get_mechanism("actuator_lag").command(COMMANDS, 0, np.array([constant]))
+    found = get_mechanism("actuator_lag").command(COMMANDS, np.array([constant]))
     assert found[0, 0] == pytest.approx(np.trapezoid(exact, seconds) / 0.01, rel=1e-6)
 
 
 def test_a_deadband_and_a_saturation_cut_what_they_should():
-    told = get_mechanism("actuator_deadband").command(COMMANDS, 0, np.array([0.3]))
+    told = get_mechanism("actuator_deadband").command(COMMANDS, np.array([0.3]))
     np.testing.assert_allclose(told, [[0.7, 0.7, -0.2, 0.0, 0.0, 0.5]])
-    told = get_mechanism("actuator_saturation").command(COMMANDS, 0, np.array([0.4]))
+    told = get_mechanism("actuator_saturation").command(COMMANDS, np.array([0.4]))
     np.testing.assert_allclose(told, [[0.6, 0.6, -0.5, 0.2, 0.0, 0.6]])
 
 
@@ -101,7 +100,7 @@ def test_a_payload_is_a_point_mass_at_the_end_of_its_body():
     """The composite's inertia about the joint, by the parallel axis theorem."""
     nominal = Nominal.of_task(get_task("arm"), source_of("arm", "vanilla"))
     before = nominal.model(nominal.start)
-    after = nominal.model(nominal.start, [Cause("payload", "body:fore", (0.2,))])
+    after = nominal.model(nominal.start, [Effect("payload", "body:fore", (0.2,))])
 
     def about_joint(model):
         body = model.body("fore").id
@@ -138,7 +137,7 @@ def brakes(default):
 def test_a_brake_acts_one_way_whatever_the_defaults_are(default, damping):
     """v(t) = v exp(-|d| t / m) for one sign of v; implicit Euler to first order."""
     slide = brakes(default)
-    cause = Cause("joint_asymmetric_viscous_friction", "joint:x", (damping,))
+    cause = Effect("joint_asymmetric_viscous_friction", "joint:x", (damping,))
     after = slide.predict(np.empty(0), [cause], slide.measured)[:, 1]
     before = slide.measured[slide.starts, 1]
     braked = np.sign(before) == np.sign(damping)
@@ -149,15 +148,15 @@ def test_a_brake_acts_one_way_whatever_the_defaults_are(default, damping):
 def test_an_extended_model_can_be_criticised_again_and_a_zero_still_is_nothing():
     slide = brakes("")
     causes = [
-        Cause("joint_asymmetric_viscous_friction", "joint:x", (4.0,)),
-        Cause("external_force", "body:cart", (1.0, 0.0, 0.0)),
+        Effect("joint_asymmetric_viscous_friction", "joint:x", (4.0,)),
+        Effect("external_force", "body:cart", (1.0, 0.0, 0.0)),
     ]
     extended = extend(slide.nominal, np.empty(0), causes).nominal()
     again = Simulator(extended, slide.data, threads=1)
     assert not [p for m in MECHANISMS.values() for p in m.locations(again.base) if "adr_" in p]
     without = again.predict(np.empty(0), [], again.measured)
     for cause in causes:
-        nothing = Cause(cause.kind, cause.location, (0.0,) * len(cause.values))
+        nothing = Effect(cause.kind, cause.location, (0.0,) * len(cause.values))
         np.testing.assert_array_equal(
             again.predict(np.empty(0), [nothing], again.measured), without
         )
@@ -165,7 +164,7 @@ def test_an_extended_model_can_be_criticised_again_and_a_zero_still_is_nothing()
 
 def test_a_sensor_with_a_scale_shows_what_a_robot_without_it_does():
     slide = brakes("")
-    cause = Cause("sensor_scale", "sensor:x.velocity", (0.2,))
+    cause = Effect("sensor_scale", "sensor:x.velocity", (0.2,))
     shown = slide.measured * [1.0, 1.2]
     found = slide.predict(np.empty(0), [cause], shown)
     expected = slide.predict(np.empty(0), [], slide.measured)
@@ -186,6 +185,6 @@ def test_a_case_is_the_same_for_the_same_generator_and_starts_off_the_truth():
     task = get_task("arm")
     nominal = Nominal.of_task(task, source_of("arm", "vanilla"))
     one, other = (draw_case(task, nominal, np.random.default_rng(5), 0.3) for _ in range(2))
-    assert one.causes == other.causes
+    assert one.effects == other.effects
     np.testing.assert_array_equal(one.measurement.qpos, other.measurement.qpos)
     assert np.all(one.nominal.start != nominal.start)

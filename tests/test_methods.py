@@ -18,10 +18,7 @@ from adr_service.methods.sysid import Sysid, SysidSettings
 from adr_service.methods.udr import UdrSettings, random_bounds
 from adr_service.progress import silent
 from adr_service.randomness import stream
-from adr_service.search.cma_es import belief, strategy
 from adr_service.simulation.batch import Simulations
-from adr_service.simulation.emulator import Emulator
-from adr_service.simulation.replay import Replay
 from adr_service.simulation.rollout import run_episodes
 from adr_service.target import simulate_rollout
 from adr_service.tasks.catalogue import get_task, variants_of
@@ -232,54 +229,6 @@ class TestBayRn:
         assert first.next.to_json() == again.next.to_json()
 
 
-class TestEmulator:
-    data = recorded(PLANTED, waving_policy(), steps=40)
-    replay = Replay(ARM, SOURCE, data, 8, 1)
-
-    def fitted(self, share):
-        low, high = PLANTED / (1 + share), PLANTED * (1 + share)
-        return Emulator.fit(self.replay, low, high, stream("emulator"))
-
-    @pytest.mark.parametrize("share", [0.5, 0.1])
-    def test_its_error_is_what_fresh_simulations_show(self, share):
-        emulator = self.fitted(share)
-        draws = PLANTED * stream("fresh").uniform(1 / (1 + share), 1 + share, (50, 4))
-        missed = emulator.predict(draws) - self.replay.predict(draws)
-        found, said = np.sqrt(np.mean(missed**2)), np.sqrt(np.mean(emulator.error**2))
-        assert 0.2 < found / said < 5
-
-    def test_a_smaller_box_is_emulated_better(self):
-        wide, narrow = (np.sqrt(np.mean(self.fitted(s).error ** 2)) for s in (0.5, 0.05))
-        assert narrow < 1e-3 * wide  # a cubic's error falls with the fourth power: 1e-4
-
-    def test_a_window_that_diverges_is_uncertain_and_the_others_are_as_before(self):
-        class Broken:
-            targets = self.replay.targets
-
-            def predict(_, dynamics):
-                predictions = self.replay.predict(dynamics)
-                predictions[dynamics[:, 0] > PLANTED[0], 3] = np.nan
-                return predictions
-
-        low, high = PLANTED / 1.5, PLANTED * 1.5
-        whole = Emulator.fit(self.replay, low, high, stream("emulator"))
-        broken = Emulator.fit(Broken(), low, high, stream("emulator"))
-        assert whole.diverged == 0
-        assert 0 < broken.diverged < broken.simulated
-        assert np.all(np.isfinite(broken.error))
-        others = np.arange(len(self.replay.targets)) != 3
-        np.testing.assert_allclose(broken.error[others], whole.error[others])
-        assert broken.error[3].max() > 10 * whole.error[3].max()
-
-    def test_it_says_what_it_covers(self):
-        emulator = self.fitted(0.5)
-        assert np.all(emulator.share(PLANTED[None]) == 0)
-        inside = PLANTED * np.array([[0.9], [1.1]])
-        assert np.all(emulator.share(inside) < 1)
-        outside = PLANTED * np.array([1.0, 1.6, 1.0, 1.0])
-        assert (emulator.share(outside[None]) > 1).tolist() == [False, True, False, False]
-
-
 class TestDroid:
     @pytest.mark.parametrize(("noise", "tolerance"), [(0.0, 0.003), (0.003, 0.03)])
     def test_a_planted_truth_is_recovered(self, noise, tolerance):
@@ -297,16 +246,6 @@ class TestDroid:
         )
         assert isinstance(early.distribution, Gaussian)
         assert np.all(late.distribution.std < 0.1 * early.distribution.std)
-
-    def test_the_searchs_gaussian_is_what_it_samples_from(self):
-        es = strategy(np.full(3, 2.0), std=0.05, width=4.0, rng=stream("cma"))
-        for _ in range(5):
-            candidates = es.ask()
-            es.tell(candidates, [float(np.sum((x - 2.1) ** 2 * (1, 9, 25))) for x in candidates])
-        mean, covariance = belief(es)
-        sampled = np.array(es.ask(20_000))
-        np.testing.assert_allclose(sampled.mean(axis=0), mean, atol=0.003)
-        np.testing.assert_allclose(np.cov(sampled.T), covariance, rtol=0.1, atol=2e-4)
 
 
 class TestSysid:

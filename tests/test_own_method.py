@@ -11,8 +11,8 @@ PAGE = (ROOT / "docs/add-a-method.md").read_text()
 USE = """
 from adr_service.benchmark.comparison import Outcome, table
 from adr_service.benchmark.figures import draw
-from adr_service.computation import LocalStages
-from adr_service.runs import run
+from adr_service.stages.local import LocalStages
+from adr_service.programs import run
 from adr_service.specs import BenchmarkSpec
 
 spec = BenchmarkSpec.model_validate({

@@ -10,8 +10,8 @@ EXAMPLE = ROOT / "docs/examples/adr-pendulum"
 
 USE = """
 import gymnasium, numpy as np
-from adr_service.computation import LocalStages
-from adr_service.runs import run
+from adr_service.stages.local import LocalStages
+from adr_service.programs import run
 from adr_service.simulation.batch import Simulations
 from adr_service.specs import RunSpec
 from adr_service.tasks.base import State
@@ -65,7 +65,7 @@ def test_an_installed_task_is_simulated_and_runs_like_ours(installed):
     ("value", "message"),
     [
         ("nowhere:ENTRY", "cannot be loaded"),
-        ("adr_service.tasks.hopper:variants", "must name an adr_service.tasks.base.Entry"),
+        ("adr_service.tasks.hopper:Hopper", "must name an adr_service.tasks.base.Entry"),
         ("adr_pendulum:ENTRY", "a task of another name, 'pendulum'"),
     ],
 )

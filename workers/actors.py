@@ -18,10 +18,9 @@ import ray
 from ray.exceptions import RayError
 
 from adr_service.benchmark.cost import Execution
-from adr_service.computation import compute
 from adr_service.errors import AdrError, FailureCode
-from adr_service.progress import SoFar, StageCancelled
-from adr_service.stages import Stage, StageResult
+from adr_service.progress import Checkpoint, StageCancelled
+from adr_service.stages.base import AnyStage, StageResult, compute
 from adr_service.startup_time import preparation_seconds
 from workers.heartbeats import SignOfLife
 
@@ -59,7 +58,7 @@ Ending = Finished | Failed | Stopped
 class StageActor:
     """A process that computes stages, one after the other."""
 
-    def compute(self, stage: Stage, placed: Execution, board: Any) -> Ending:
+    def compute(self, stage: AnyStage, placed: Execution, board: Any) -> Ending:
         """Compute a stage, reporting at least every `SIGN_OF_LIFE_S`.
 
         `placed` is its execution as far as the dispatcher knows it.
@@ -107,7 +106,7 @@ class _Reporter:
     def __init__(self, digest: str, board: Any):
         self._digest, self._board = digest, board
         self._latest: tuple[float, dict[str, Any]] = (0.0, {})
-        self._so_far: SoFar | None = None
+        self._checkpoint: Checkpoint | None = None
         self._unwanted, self._done = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._report, daemon=True)
 
@@ -119,24 +118,24 @@ class _Reporter:
         self._done.set()
         self._thread.join()
 
-    def progress(self, fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
+    def progress(self, fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
         if self._unwanted.is_set():
             raise StageCancelled
-        self._latest = (fraction, facts)
-        if so_far is not None:
-            self._so_far = so_far
+        self._latest = (float(fraction), facts)
+        if checkpoint is not None:
+            self._checkpoint = checkpoint
 
     def _report(self) -> None:
-        reported: SoFar | None = None
+        reported: Checkpoint | None = None
         actor_id = str(ray.get_runtime_context().get_actor_id())
         while not self._done.is_set():
-            so_far = self._so_far
-            news = None if so_far is reported else so_far
+            checkpoint = self._checkpoint
+            news = None if checkpoint is reported else checkpoint
             sign = SignOfLife(self._digest, *self._latest, actor_id, os.getpid(), news)
             try:
                 if ray.get(self._board.report.remote(sign)):
                     self._unwanted.set()
-                reported = so_far
+                reported = checkpoint
             except RayError:
                 pass  # the board is starting again; the next sign reaches it
             self._done.wait(SIGN_OF_LIFE_S)

@@ -23,7 +23,7 @@ from ray.exceptions import RayError, RayTaskError
 
 from adr_service.benchmark.cost import Execution
 from adr_service.errors import AdrError, FailureCode, RunCancelled
-from adr_service.stages import Stage, StageResult
+from adr_service.stages.base import AnyStage, StageResult
 from workers.actors import Ending, Failed
 from workers.cluster import Cluster, ClusterUnavailable, RayOptions
 from workers.heartbeats import Heartbeats, patience_s
@@ -78,7 +78,7 @@ class Dispatcher:
         """Address of Ray's dashboard, once Ray has started."""
         return self._cluster.dashboard_url if self._ready.done() else None
 
-    def submit(self, stage: Stage, run_id: str) -> Future[StageResult]:
+    def submit(self, stage: AnyStage, run_id: str) -> Future[StageResult]:
         """Ask for a stage's result, for a run."""
         if self._stop.is_set():
             raise ClusterUnavailable("the dispatcher has stopped; restart the service")
@@ -224,8 +224,8 @@ class Dispatcher:
         signs, checkpoints = self._heartbeats.news()
         for sign in signs:
             self._jobs.hear(sign)
-        for digest, so_far in checkpoints.items():
-            self._jobs.note(digest, so_far)
+        for digest, checkpoint in checkpoints.items():
+            self._jobs.note(digest, checkpoint)
 
     def _end_the_silent(self) -> None:
         """Kill processes that hang, also before their first sign; they are lost like any other."""

@@ -18,7 +18,7 @@ import ray
 from ray.exceptions import RayError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from adr_service.progress import SoFar
+from adr_service.progress import Checkpoint
 
 log = logging.getLogger(__name__)
 SILENT_S = 60.0  # without a sign of life, which comes every second, a process hangs
@@ -36,10 +36,10 @@ class SignOfLife:
     facts: dict[str, Any]  # for people
     actor_id: str
     pid: int
-    so_far: SoFar | None = None  # only if it is new since the last sign
+    checkpoint: Checkpoint | None = None  # only if it is new since the last sign
 
 
-News = tuple[list[SignOfLife], dict[str, SoFar]]  # latest signs; checkpoints by digest
+News = tuple[list[SignOfLife], dict[str, Checkpoint]]  # latest signs; checkpoints by digest
 
 
 class Board:
@@ -47,20 +47,20 @@ class Board:
 
     def __init__(self) -> None:
         self._latest: dict[str, SignOfLife] = {}
-        self._so_far: dict[str, SoFar] = {}  # new since the last call of `news`
+        self._checkpoint: dict[str, Checkpoint] = {}  # new since the last call of `news`
         self._unwanted: set[str] = set()
 
     def report(self, sign: SignOfLife) -> bool:
         """Note a sign of life; True if no run wants the stage any more."""
-        self._latest[sign.digest] = replace(sign, so_far=None)
-        if sign.so_far is not None:
-            self._so_far[sign.digest] = sign.so_far
+        self._latest[sign.digest] = replace(sign, checkpoint=None)
+        if sign.checkpoint is not None:
+            self._checkpoint[sign.digest] = sign.checkpoint
         return sign.digest in self._unwanted
 
     def news(self) -> News:
         """The latest signs and checkpoints since the last call."""
-        news = list(self._latest.values()), self._so_far
-        self._latest, self._so_far = {}, {}
+        news = list(self._latest.values()), self._checkpoint
+        self._latest, self._checkpoint = {}, {}
         return news
 
     def set_unwanted(self, digest: str, unwanted: bool) -> None:

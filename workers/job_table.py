@@ -1,4 +1,4 @@
-"""What becomes of jobs: who waits for them, who is next, and how they end.
+"""The table of jobs: the runs that wait for each, the order, and how each ends.
 
     table = JobTable(results, heartbeats.set_unwanted)
     table.accept(stage, run_id, future)         # equal stages are one job
@@ -15,12 +15,12 @@ from collections.abc import Callable
 from concurrent.futures import Future
 
 from adr_service.errors import AdrError, FailureCode, StageFailed
-from adr_service.progress import SoFar
-from adr_service.stages import Stage, StageResult
+from adr_service.progress import Checkpoint
+from adr_service.stages.base import PRIORITY, AnyStage, StageResult
 from db.session import RETRY_S
 from workers.actors import Ending, Failed, Finished, Stopped
 from workers.heartbeats import SignOfLife
-from workers.jobs import PRIORITY, Activity, Job, Waiter, activity_of, ids_of
+from workers.jobs import Activity, Job, Waiter, activity_of, ids_of
 from workers.results import Refused, Results, Retries, Unavailable, attempted
 
 log = logging.getLogger(__name__)
@@ -57,7 +57,7 @@ class JobTable:
         shown = [activity_of(job, now) for job in sorted(mine, key=lambda job: job.number)]
         return sorted(shown, key=lambda activity: activity.state)  # "running" before "waiting"
 
-    def accept(self, stage: Stage, run_id: str, future: Future[StageResult]) -> None:
+    def accept(self, stage: AnyStage, run_id: str, future: Future[StageResult]) -> None:
         """Let a run have a stage's stored result, or wait for it."""
         waiter = Waiter(run_id, future)
         if (job := self._jobs.get(stage.digest)) is not None:
@@ -128,12 +128,12 @@ class JobTable:
         if (job := self._jobs.get(sign.digest)) is not None:
             job.sign, job.heard = sign, time.monotonic()
 
-    def note(self, digest: str, so_far: SoFar) -> None:
+    def note(self, digest: str, checkpoint: Checkpoint) -> None:
         """Store a training's checkpoint, if a run waits for it; its result does not need that."""
         job = self._jobs.get(digest)
         if job is not None and job.waiters:
             trouble = "the stage's checkpoint could not be stored"
-            attempted(trouble, job.ids, self._results.note, job.stage, so_far, job.run_ids)
+            attempted(trouble, job.ids, self._results.note, job.stage, checkpoint, job.run_ids)
 
     def end(self, job: Job, ending: Ending) -> None:
         """Store and hand over what an actor computed, or fail the stage."""
@@ -195,7 +195,7 @@ class JobTable:
         if job.lease is not None:
             self._drop(job.stage, job.ids)
 
-    def _drop(self, stage: Stage, ids: dict[str, str | int]) -> None:
+    def _drop(self, stage: AnyStage, ids: dict[str, str | int]) -> None:
         if stage.digest in self._jobs:  # a run asked for it again
             return
         trouble = "the claim of a stage without a result could not be dropped"
@@ -203,5 +203,5 @@ class JobTable:
             self.retries.add(lambda: self._drop(stage, ids))
 
 
-def _not_stored(stage: Stage, error: Exception) -> StageFailed:
+def _not_stored(stage: AnyStage, error: Exception) -> StageFailed:
     return StageFailed(stage.kind, FailureCode.NOT_STORED, f"the database refused: {error}")

@@ -11,14 +11,12 @@ from typing import Any
 
 from adr_service.errors import AdrError
 from adr_service.json_values import Wire
-from adr_service.stages import KINDS, Role, Stage, StageResult
+from adr_service.stages.base import PRIORITY, AnyStage, Role, StageResult
 from workers.actors import Finished
 from workers.heartbeats import SignOfLife
 from workers.pool import Actor
 
 _DEATH_SEEN_S = 20.0  # Ray needs 10 to 15 to notice that a node has died
-# light stages first: they are short, and trainings wait for them; robots' wait for no core
-PRIORITY: dict[Role, int] = {"target": 0, "inference": 1, "trainer": 2}
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,7 @@ class Waiter:
 class Job:
     """A stage that runs wait for, and its present attempt. Times are monotonic but for `asked`."""
 
-    stage: Stage
+    stage: AnyStage
     number: int  # order of the first requests
     started_by: str  # id of the run that asked first
     waiters: list[Waiter] = field(default_factory=list[Waiter])
@@ -55,7 +53,7 @@ class Job:
     @property
     def role(self) -> Role:
         """Role of the actors that can compute the stage."""
-        return KINDS[self.stage.kind].role
+        return self.stage.role
 
     @property
     def run_ids(self) -> list[str]:
@@ -129,6 +127,6 @@ def activity_of(job: Job, now: float) -> Activity:
     )
 
 
-def ids_of(stage: Stage, run_id: str) -> dict[str, str | int]:
+def ids_of(stage: AnyStage, run_id: str) -> dict[str, str | int]:
     """Names of a stage in the log."""
     return {"run": run_id, "stage": stage.digest, "kind": stage.kind}

@@ -26,10 +26,10 @@ from adr_service.events import (
     RunSucceeded,
     StageFinished,
 )
-from adr_service.runs import run
+from adr_service.programs import run
 from adr_service.specs import AnyRun, RunSpec
-from adr_service.stages import Stages
-from adr_service.target import episode_result
+from adr_service.stages.base import Stages
+from adr_service.stages.target_episode import read_episode
 from db import datasets as dataset_store
 from db import events as event_store
 from db import runs as run_store
@@ -132,15 +132,16 @@ class Orchestrator:
             self._recorder.submit(self._record_all, batch)
 
     def complete_task(self, id: str, lease: str, content: bytes) -> Visit:
-        """Accept a robot's episode, the `.npz` of `episode_result`, and let its run go on."""
+        """Accept a robot's episode, the `.npz` of `read_episode`, and let its run go on."""
         visit = visit_store.claimed_by(self._database, id, lease)  # before anything is unpacked
-        result = episode_result(visit.inputs, content)
+        episode = read_episode(visit.task, visit.inputs["transitions"], content)
         finished = StageFinished(kind=visit.kind, digest=visit.digest)
         done = visit_store.complete(
             self._database,
             id,
             lease,
-            result,
+            episode.to_stored(),
+            episode.transitions,
             self.clock.now(),
             lambda session: event_store.append_to_all(session, [visit.run_id], [finished]),
         )
@@ -170,6 +171,7 @@ class Orchestrator:
 
     @property
     def dashboard_url(self) -> str | None:
+        """Address of Ray's dashboard, once Ray has started."""
         return self._dispatcher.dashboard_url
 
     def activities(self, run_id: str | None = None) -> list[Activity]:

@@ -15,7 +15,7 @@ from typing import Any
 import ray
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from adr_service.stages import Role
+from adr_service.stages.base import Role
 from workers.actors import StageActor
 
 # roles of the actors that can compute a stage; the first is started if there is none

@@ -5,7 +5,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 
 from adr_service.errors import RunCancelled
 from adr_service.events import RunEvent
-from adr_service.stages import Stage, StageResult, events_of
+from adr_service.stages.base import R, Stage, StageResult, events_of
 from workers.cluster import ClusterUnavailable
 from workers.dispatcher import Dispatcher
 
@@ -19,9 +19,9 @@ class RayStages:
         self.run_id, self._dispatcher = run_id, dispatcher
         self.is_cancelled = is_cancelled
 
-    def all(self, stages: Sequence[Stage]) -> Generator[RunEvent, None, list[StageResult]]:
+    def all(self, stages: Sequence[Stage[R]]) -> Generator[RunEvent, None, list[R]]:
         futures = [self._dispatcher.submit(stage, self.run_id) for stage in stages]
-        waiting: dict[Future[StageResult], Stage] = dict(zip(futures, stages, strict=True))
+        waiting: dict[Future[StageResult], Stage[R]] = dict(zip(futures, stages, strict=True))
         while waiting:
             if self.is_cancelled():
                 raise RunCancelled("the run was asked to stop")
@@ -30,8 +30,9 @@ class RayStages:
             done, _ = wait(waiting, timeout=_POLL_S, return_when=FIRST_COMPLETED)
             for future in [f for f in futures if f in done]:
                 stage = waiting.pop(future)
-                yield from events_of(stage, future.result())  # or raises the stage's failure
-        return [future.result() for future in futures]
+                result = stage.read(future.result())  # or raises the stage's failure
+                yield from events_of(stage, result)
+        return [s.read(future.result()) for s, future in zip(stages, futures, strict=True)]
 
-    def run(self, stage: Stage) -> Generator[RunEvent, None, StageResult]:
+    def run(self, stage: Stage[R]) -> Generator[RunEvent, None, R]:
         return (yield from self.all([stage]))[0]

@@ -15,8 +15,8 @@ from typing import ParamSpec, Protocol, TypeVar
 
 from adr_service.benchmark.cost import Execution
 from adr_service.json_values import canonical_json
-from adr_service.progress import SoFar
-from adr_service.stages import KINDS, Stage, StageResult, events_of, learning_curve
+from adr_service.progress import Checkpoint
+from adr_service.stages.base import AnyStage, StageResult, events_of
 from db import stages as stage_store
 from db import visits as visit_store
 from db.errors import DatabaseUnavailable
@@ -30,26 +30,26 @@ _LEASE_S = 3600.0  # of the simulated target, which is watched by its signs of l
 
 
 class Results(Protocol):
-    """Where the dispatcher stores results. Every function may raise DatabaseUnavailable."""
+    """A store of results. Every function may raise DatabaseUnavailable."""
 
-    def find(self, stage: Stage, run_id: str) -> StageResult | None:
+    def find(self, stage: AnyStage, run_id: str) -> StageResult | None:
         """A stored result, to which this run refers from now on as well.
 
         Without one, a robot's stage is offered to robots.
         """
         ...
 
-    def begin(self, stage: Stage, run_id: str, worker: str) -> str | None:
+    def begin(self, stage: AnyStage, run_id: str, worker: str) -> str | None:
         """The lease under which a process begins a stage; None if it needs none."""
         ...
 
-    def drop(self, stage: Stage) -> None:
+    def drop(self, stage: AnyStage) -> None:
         """Forget the lease of a stage that led to no result and that no run wants any more."""
         ...
 
     def commit(
         self,
-        stage: Stage,
+        stage: AnyStage,
         result: StageResult,
         execution: Execution,
         lease: str | None,
@@ -61,8 +61,8 @@ class Results(Protocol):
         """
         ...
 
-    def note(self, stage: Stage, so_far: SoFar, run_ids: Sequence[str]) -> None:
-        """Store the learning curve and the best policy of a training that goes on."""
+    def note(self, stage: AnyStage, checkpoint: Checkpoint, run_ids: Sequence[str]) -> None:
+        """Store the checkpoint of a stage that goes on."""
         ...
 
 
@@ -72,28 +72,28 @@ class DatabaseResults:
     def __init__(self, database: Database):
         self._database = database
 
-    def find(self, stage: Stage, run_id: str) -> StageResult | None:
+    def find(self, stage: AnyStage, run_id: str) -> StageResult | None:
         with self._database.write("find_result") as session:
             result = stage_store.find_result(session, stage.digest)
             if result is not None:
-                append_to_all(session, [run_id], events_of(stage, result))
-            elif KINDS[stage.kind].role == "robot":
+                append_to_all(session, [run_id], events_of(stage, stage.read(result)))
+            elif stage.role == "robot":
                 visit_store.publish(session, stage, run_id, datetime.now(UTC))
             return result
 
-    def begin(self, stage: Stage, run_id: str, worker: str) -> str | None:
-        if KINDS[stage.kind].role != "target":
+    def begin(self, stage: AnyStage, run_id: str, worker: str) -> str | None:
+        if stage.role != "target":
             return None
         now = datetime.now(UTC)
         with self._database.write("claim_simulated") as session:
             return visit_store.claim_simulated(session, stage, run_id, worker, now, _LEASE_S)
 
-    def drop(self, stage: Stage) -> None:
+    def drop(self, stage: AnyStage) -> None:
         visit_store.drop_simulated(self._database, stage.digest)
 
     def commit(
         self,
-        stage: Stage,
+        stage: AnyStage,
         result: StageResult,
         execution: Execution,
         lease: str | None,
@@ -102,15 +102,15 @@ class DatabaseResults:
         document = canonical_json(stage.document)
         with self._database.write("commit_result") as session:
             stage_store.add_result(session, stage.digest, document, result, execution)
-            append_to_all(session, run_ids, events_of(stage, result))
+            append_to_all(session, run_ids, events_of(stage, stage.read(result)))
             if lease is not None:
                 visit_store.finish(session, stage.digest, lease)
 
-    def note(self, stage: Stage, so_far: SoFar, run_ids: Sequence[str]) -> None:
+    def note(self, stage: AnyStage, checkpoint: Checkpoint, run_ids: Sequence[str]) -> None:
         with self._database.write("note_checkpoint") as session:
-            steps = so_far.values["curve"][-1]["steps"]
-            stage_store.note_checkpoint(session, stage.digest, steps, so_far.blobs["policy"])
-            append_to_all(session, run_ids, learning_curve(stage.digest, so_far.values))
+            steps, content = checkpoint.steps, checkpoint.content
+            stage_store.note_checkpoint(session, stage.digest, steps, content)
+            append_to_all(session, run_ids, checkpoint.events)
 
 
 @dataclass(frozen=True)

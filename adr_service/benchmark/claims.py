@@ -20,7 +20,7 @@ from typing import Literal
 from adr_service.benchmark.comparison import Outcome, returns_of, table
 from adr_service.benchmark.statistics import Interval, difference, interval, mean
 from adr_service.json_values import canonical_json
-from adr_service.methods.references import PriorSettings
+from adr_service.methods.catalogue import methods
 from adr_service.randomness import stream
 from adr_service.specs import RunSpec, SimulatedTarget
 
@@ -29,7 +29,6 @@ _SOLVED = 0.95  # normalised target return
 _SAME = 0.1  # of a normalised return
 _POINT = 0.05  # standard deviation in [0, 4] below which a distribution is a point
 _DECISIVE: tuple[Verdict, ...] = ("contradicted", "not measured", "undecided")  # in this order
-_LEVELS = ("udr", "prior", "oracle")  # evaluated once
 _METHODS = ("udr", "bayrn", "simopt", "simopt_1", "droid", "dropo")
 _HARD = ("half_cheetah", "walker2d", "humanoid")
 _TASKS = ("hopper", *_HARD)
@@ -76,9 +75,7 @@ def _budget(spec: RunSpec) -> dict[str, object]:
 
 def _report(outcomes: Sequence[Outcome]) -> Report:
     spec, measured = outcomes[0].spec, Measured(outcomes)
-    plain = RunSpec.model_validate(
-        {"task": spec.task, "method": PriorSettings().name, "preset": spec.preset}
-    )
+    plain = RunSpec.model_validate({"task": spec.task, "method": "prior", "preset": spec.preset})
     usual, ours = _budget(plain), _budget(spec)
     findings = [claim.judge(measured) for claim in CLAIMS]
     return Report(spec.preset, {k: v for k, v in ours.items() if usual[k] != v}, findings)
@@ -123,7 +120,7 @@ class Measured:
         if cell.iteration is not None:
             return cell.iteration
         specs = [o.spec for found in self._cells.get(cell.key, {}).values() for o in found.values()]
-        return specs[0].iterations if specs and cell.method not in _LEVELS else 0
+        return specs[0].iterations if specs and not methods()[cell.method].is_level else 0
 
 
 @dataclass(frozen=True)

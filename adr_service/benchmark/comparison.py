@@ -11,13 +11,12 @@ import numpy as np
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.benchmark.statistics import improvement, interquartile_mean, interval, mean
+from adr_service.benchmark.truth import estimation_error, true_values
 from adr_service.distributions import Distribution, distribution_from_json
 from adr_service.events import IterationFinished
-from adr_service.methods.catalogue import is_inferring, methods
-from adr_service.methods.references import OracleSettings, PriorSettings
+from adr_service.methods.catalogue import methods
 from adr_service.randomness import stream
 from adr_service.specs import RunSpec, SimulatedTarget
-from adr_service.target import estimation_error, true_values
 from adr_service.tasks.catalogue import get_task, source_of
 
 
@@ -166,7 +165,7 @@ def estimates(outcomes: Sequence[Outcome]) -> list[ParameterEstimate]:
     found: list[ParameterEstimate] = []
     for outcome in outcomes:
         spec = outcome.spec
-        if not is_inferring(spec.method):
+        if not spec.method.infers:
             continue
         distribution, space = decode(outcome)[0], source_of(spec.task, spec.variant).space
         truth: Mapping[str, float] = {}
@@ -259,7 +258,7 @@ def _row(key: _Key, outcomes: Sequence[Outcome]) -> Row:
 
 
 def _error(outcome: Outcome) -> float | None:
-    if not _has_one_belief(outcome.spec):
+    if not outcome.spec.method.believes:
         return None
     if not isinstance(outcome.spec.target, SimulatedTarget):
         return None  # nobody knows the truth
@@ -267,13 +266,9 @@ def _error(outcome: Outcome) -> float | None:
 
 
 def _spread(outcome: Outcome) -> float | None:
-    if not _has_one_belief(outcome.spec):
+    if not outcome.spec.method.believes:
         return None
     return float(np.sqrt(np.mean(_normalised_std(outcome) ** 2)))
-
-
-def _has_one_belief(spec: RunSpec) -> bool:
-    return is_inferring(spec.method) or isinstance(spec.method, PriorSettings)
 
 
 def _normalised_std(outcome: Outcome) -> Vector:
@@ -285,7 +280,7 @@ def _normalised_std(outcome: Outcome) -> Vector:
 def decode(outcome: Outcome) -> list[Distribution]:
     """The distributions that the iteration's policies were trained on."""
     spec = outcome.spec
-    # the oracle is trained on the truth, whose space the vanilla source has
-    variant = "vanilla" if isinstance(spec.method, OracleSettings) else spec.variant
+    # the truth's own space is that of the vanilla source
+    variant = "vanilla" if spec.method.needs_truth else spec.variant
     space = source_of(spec.task, variant).space
     return [distribution_from_json(space, given) for given in outcome.iteration.distributions]

@@ -18,7 +18,7 @@ from adr_service.json_values import Wire
 
 @dataclass(frozen=True, kw_only=True)
 class Execution:
-    """How a stage's result came about. Times are in seconds since the epoch.
+    """Origin and cost of a stage's result. Times are in seconds since the epoch.
 
     None stands for a measurement that does not exist: a robot's episode takes no core.
     """

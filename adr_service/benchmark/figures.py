@@ -28,39 +28,17 @@ from adr_service.benchmark.comparison import (
     to_csv,
 )
 from adr_service.errors import InvalidInput, UnknownName
-from adr_service.methods.catalogue import is_inferring
+from adr_service.methods.catalogue import methods
 
 Format = Literal["svg", "png", "csv"]
 
-# Okabe and Ito's colours, told apart by colour-blind readers; one per method everywhere
-_COLOURS = {
-    "udr": "#E69F00",
-    "bayrn": "#999933",
-    "simopt": "#0072B2",
-    "simopt_1": "#56B4E9",
-    "droid": "#CC79A7",
-    "dropo": "#D55E00",
-    "sysid": "#000000",
-    "prior": "#666666",
-    "oracle": "#009E73",
-}
-_OTHER_COLOUR = "#882255"  # methods of installed packages
 _COLLECTOR_COLOURS = {"simopt": "#0072B2", "prior": "#666666", "random": "#E69F00"}
 _COLLECTOR_LABELS = {
     "simopt": "SimOpt's trajectories",
     "prior": "the prior's policy",
     "random": "random actions",
 }
-_LABELS = {
-    "udr": "UDR",
-    "bayrn": "BayRn",
-    "simopt": "SimOpt",
-    "simopt_1": "SimOpt-1",
-    "droid": "DROID",
-    "dropo": "DROPO",
-}
 _DRAWING = threading.Lock()  # Matplotlib's settings belong to the process; requests to threads
-_REFERENCES = ("udr", "prior", "oracle")  # no iterations: drawn as levels
 _MOST_NAMED = 8  # parameters in a legend
 
 
@@ -109,11 +87,11 @@ def _legend(axis: Axes) -> None:
 
 
 def _label(method: str) -> str:
-    return _LABELS.get(method, method)
+    return methods()[method].label or method
 
 
 def _colour(method: str) -> str:
-    return _COLOURS.get(method, _OTHER_COLOUR)
+    return methods()[method].colour
 
 
 def _iteration_axis(axis: Axes, last: int) -> None:
@@ -131,7 +109,7 @@ def _by_others(outcome: Outcome) -> bool:
 
 def _has_spread(outcome: Outcome) -> bool:
     """In the protocol; a point estimate (sysid) has none."""
-    inferred = bool(outcome.iteration.inferences) and is_inferring(outcome.spec.method)
+    inferred = bool(outcome.iteration.inferences) and outcome.spec.method.infers
     return inferred and outcome.spec.collector == "simopt" and bool(decode(outcome)[0].std.any())
 
 
@@ -160,7 +138,7 @@ def _returns_panel(axis: Axes, rows: Sequence[Row]) -> None:
     last = max(row.iteration for row in rows)
     for method in dict.fromkeys(row.method for row in rows):
         mine = [row for row in rows if row.method == method]
-        if method in _REFERENCES:
+        if methods()[method].is_level:
             mine, x, style = [mine[0]] * 2, [0.0, max(last, 1)], "--"
         else:
             x, style = [float(row.iteration) for row in mine], "o-"
@@ -352,7 +330,7 @@ FIGURES: Mapping[str, Kind] = {
     ),
     "parameters": Kind(
         "Inferred parameters against the truth",
-        lambda outcome: is_inferring(outcome.spec.method),
+        lambda outcome: outcome.spec.method.infers,
         ParameterEstimate,
         estimates,
         _parameters,

@@ -1,8 +1,8 @@
-"""A simulator with what it lacked: MJCF, and a list of effects for what MJCF cannot say.
+"""The simulator extended by the effects that it lacked: MJCF, and a list of all effects.
 
-extension = extend(nominal, parameters, causes)
+extension = extend(nominal, parameters, effects)
 extension.xml          # compiles to the fitted model, to the last digit, with its own step
-extension.effects      # all of them; those on commands and in sensors this package replays
+extension.to_json()    # all effects; this package replays those on commands and in sensors
 """
 
 import ctypes
@@ -16,10 +16,11 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Vector
-from adr_service.causes import Cause
-from adr_service.criticism.simulator import Nominal
+from adr_service.criticism.nominal import Nominal
+from adr_service.effects.base import Effect
+from adr_service.effects.catalogue import get_mechanism
+from adr_service.effects.models import with_effects
 from adr_service.parameters import ParameterSpace
-from adr_service.simulation.mechanisms import get_mechanism, with_causes
 
 _DIGITS = 17  # that tell every double apart
 
@@ -29,17 +30,16 @@ class Extension:
     """An extended model, as two files have it."""
 
     xml: str
-    causes: tuple[Cause, ...]
+    effects: tuple[Effect, ...]
 
     @property
-    def beside(self) -> list[Cause]:
-        """Those that the MJCF cannot say, in the order in which they act."""
-        return [cause for cause in self.causes if not _is_in_mjcf(cause)]
+    def beside(self) -> list[Effect]:
+        """Effects that MJCF cannot express, in the order in which they act."""
+        return [effect for effect in self.effects if not _is_in_mjcf(effect)]
 
-    @property
-    def effects(self) -> dict[str, Any]:
-        """All of them as JSON."""
-        listed = [asdict(cause) | {"in_mjcf": _is_in_mjcf(cause)} for cause in self.causes]
+    def to_json(self) -> dict[str, Any]:
+        """All effects, as `effects.json` has them."""
+        listed = [asdict(effect) | {"in_mjcf": _is_in_mjcf(effect)} for effect in self.effects]
         return {"version": 1, "effects": listed}
 
     def nominal(self) -> Nominal:
@@ -47,16 +47,16 @@ class Extension:
         return Nominal(self.xml, ParameterSpace(()), np.empty(0))
 
 
-def _is_in_mjcf(cause: Cause) -> bool:
-    return get_mechanism(cause.kind).change is not None
+def _is_in_mjcf(effect: Effect) -> bool:
+    return get_mechanism(effect.kind).change is not None
 
 
-def extend(nominal: Nominal, parameters: Vector, causes: Sequence[Cause]) -> Extension:
-    """The model with fitted parameters and causes, written out."""
+def extend(nominal: Nominal, parameters: Vector, effects: Sequence[Effect]) -> Extension:
+    """The model with fitted parameters and effects, written out."""
     spec = nominal.spec(parameters)
-    model = with_causes(spec, lambda model: nominal.write(model, parameters), causes)
+    model = with_effects(spec, lambda model: nominal.write(model, parameters), effects)
     spec.copy_back(model)
-    return Extension(written_out(spec), tuple(causes))
+    return Extension(written_out(spec), tuple(effects))
 
 
 def written_out(spec: mujoco.MjSpec) -> str:
@@ -67,7 +67,7 @@ def written_out(spec: mujoco.MjSpec) -> str:
 
 @contextmanager
 def _all_digits() -> Generator[None]:
-    """MuJoCo writes six digits; the function that changes it has no name in its Python module."""
+    """Let MuJoCo write more than six digits; its Python module lacks the function for it."""
     folder = Path(mujoco.__file__).parent
     library = ctypes.CDLL(str(next(folder.glob("libmujoco*"))))
     before = library._mjPRIVATE__get_xml_precision()

@@ -1,4 +1,4 @@
-"""The pictures of a criticism, as SVG texts by name; the same criticism gives the same bytes."""
+"""Figures of a criticism, as SVG texts by name; the same criticism gives the same bytes."""
 
 import io
 
@@ -12,7 +12,7 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.pipeline import Criticism
-from adr_service.simulation.mechanisms import unit_of
+from adr_service.effects.models import unit_of
 
 _BEFORE, _AFTER = "#D55E00", "#0072B2"  # Okabe and Ito
 _MOST_RANKED, _MOST_POINTS = 12, 1500
@@ -21,12 +21,12 @@ _FEATURES = ("position", "velocity", "direction", "command", "time", "contact")
 
 def draw_all(criticism: Criticism) -> dict[str, str]:
     """SVG by name; those of causes only where there are any."""
-    found = {"where": _draw(_where, criticism, 1.0), "ranking": _draw(_ranking, criticism, 1.2)}
+    figures = {"where": _draw(_where, criticism, 1.0), "ranking": _draw(_ranking, criticism, 1.2)}
     if criticism.verdict.gain is not None:
-        found["residual"] = _draw(_residual, criticism, 1.0)
-        found["horizons"] = _draw(_horizons, criticism, 0.8)
-        found["trace"] = _draw(_trace, criticism, 0.8)
-    return found
+        figures["residual"] = _draw(_residual, criticism, 1.0)
+        figures["horizons"] = _draw(_horizons, criticism, 0.8)
+        figures["trace"] = _draw(_trace, criticism, 0.8)
+    return figures
 
 
 def _draw(painter: object, criticism: Criticism, height: float) -> str:
@@ -40,7 +40,7 @@ def _draw(painter: object, criticism: Criticism, height: float) -> str:
 
 
 def _where(figure: Figure, criticism: Criticism) -> None:
-    """How much of each joint's misfit goes with what."""
+    """Share of each joint's misfit that goes with each quantity."""
     shares = np.array([_explained(criticism.baseline, d) for d in range(_width(criticism))])
     axes = figure.subplots()
     image = axes.imshow(100 * shares, cmap="magma_r", vmin=0, vmax=max(5.0, 100 * shares.max()))
@@ -111,7 +111,7 @@ def _trace(figure: Figure, criticism: Criticism) -> None:
     for ax, column, what in zip(axes, (dof, nv + dof), ("position", "velocity"), strict=True):
         ax.plot(trace.time, trace.measured[:, column], "k.", markersize=3, label="measured")
         ax.plot(trace.time, trace.without[:, column], color=_BEFORE, label="as it is")
-        ax.plot(trace.time, trace.with_causes[:, column], color=_AFTER, label="extended")
+        ax.plot(trace.time, trace.extended[:, column], color=_AFTER, label="extended")
         ax.set(xlabel="time [s]", ylabel=f"{what} [{_unit(criticism.baseline, dof, what)}]")
     axes[0].legend(frameon=False)
     figure.suptitle(f"{_joints(criticism)[dof]}: simulated from the first state on, without a look")
@@ -137,7 +137,7 @@ def _unexplained(fit: Fit) -> Matrix:
 
 
 def _against(fit: Fit, dof: int) -> dict[str, Vector]:
-    """(N,) what an error may depend on, at one joint."""
+    """(N,) quantities that an error may depend on, at one joint."""
     simulator, mask = fit.simulator, fit.linear.chain.mask
     rows = simulator.starts[fit.layout.index[mask]]
     nv = simulator.base.nv
@@ -147,11 +147,11 @@ def _against(fit: Fit, dof: int) -> dict[str, Vector]:
         if simulator.base.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
         and simulator.base.actuator_trnid[i, 0] == simulator.base.dof_jntid[dof]
     ]
-    told = simulator.data.ctrl[rows][:, drives].sum(axis=1)
+    commands = simulator.data.ctrl[rows][:, drives].sum(axis=1)
     return {
         f"position [{_unit(fit, dof, 'position')}]": fit.states[rows, dof],
         f"velocity [{_unit(fit, dof, 'velocity')}]": fit.states[rows, nv + dof],
-        "command": told,
+        "command": commands,
         "time [s]": simulator.data.time[rows],
     }
 

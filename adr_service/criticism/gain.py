@@ -1,12 +1,10 @@
-"""What an extension is worth on episodes that nothing was fitted to."""
+"""The worth of an extension on episodes that nothing was fitted to."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
-from adr_service.causes import Cause
 from adr_service.criticism.evidence import Fit, expected_errors, residuals_of
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.noise import Ascent, Chain, Noise, Whitener
@@ -17,6 +15,8 @@ _HORIZONS = (1, 5, 25)  # control steps
 _DRAWS = 1000
 _WEIGHINGS = 5
 
+_Residuals = tuple[Chain, Array3]  # (E, T, m) of one fit
+
 
 def measure_gain(
     before: Fit,
@@ -25,50 +25,69 @@ def measure_gain(
     rng: np.random.Generator,
     threads: int | None = None,
 ) -> Gain:
-    """Of one step, innovations: what a Kalman filter with the final noise did not see coming. Of
-    more steps, errors from measured states."""
+    """Errors of two fits on sealed episodes.
+
+    For one step, innovations: what a Kalman filter with the final noise did not see coming. For
+    more steps, errors from measured states.
+    """
     nominal, finer = before.simulator.nominal, before.simulator.finer
     with Simulator(nominal, sealed, threads, finer) as simulator:
-        scale = expected_errors(after)
         left = [residuals_of(fit, simulator) for fit in (before, after)]
-        errors = [
-            _errors(simulator, fit.parameters, fit.causes, max(_HORIZONS), scale)
-            for fit in (before, after)
-        ]
+        horizons = _horizons(simulator, before, after)
         trace = _trace(simulator, before, after)
-    used = [int(chain.mask.sum()) for chain, _ in left]
-    count = len(simulator.starts)
-    for one, other in zip(*errors, strict=True):  # what either cannot predict says nothing of both
-        one[np.isnan(other)], other[np.isnan(one)] = np.nan, np.nan
-    mask, measured = left[0][0].mask & left[1][0].mask, simulator.data.is_measured()
-    both = [(chain.where(mask), np.where(mask[..., None], r, 0.0)) for chain, r in left]
-    # an outlier is what neither of the two expects
-    weights = np.maximum(*(_weights(*each, after.noise) for each in both))
-    noise = replace(after.noise, weights=weights)
-    white = (Whitener.of(chain, noise).whiten(r[..., None])[..., 0] for chain, r in both)
-    without, with_causes = (np.sum(z[..., measured] ** 2, axis=(1, 2)) for z in white)
-    draws = rng.integers(len(without), size=(_DRAWS, len(without)))
-    removed = 1 - with_causes[draws].sum(axis=1) / without[draws].sum(axis=1)
-    low, high = np.quantile(removed, [0.025, 0.975]).tolist()
+    diverged = [len(simulator.starts) - int(chain.mask.sum()) for chain, _ in left]
+    without, with_effects, count = _innovations(left, after.noise, sealed.is_measured())
+    low, high = _interval(without, with_effects, rng)
     # noise alone leaves one per number, or less where outliers weigh less
-    noise_alone = min(float(mask.sum() * measured.sum()), float(with_causes.sum()))
-    explainable = without.sum() - noise_alone
-    horizons = {
-        steps: (_root_mean(errors[0][steps - 1]), _root_mean(errors[1][steps - 1]))
-        for steps in _HORIZONS
-        if np.isfinite(errors[0][steps - 1]).any()  # some episode is as long as that
-    }
+    explainable = without.sum() - min(float(count), float(with_effects.sum()))
+    removed = without.sum() - with_effects.sum()
     return Gain(
-        sse_removed=float(1 - with_causes.sum() / without.sum()),
+        sse_removed=float(1 - with_effects.sum() / without.sum()),
         low=low,
         high=high,
-        explainable_fraction=(
-            float((without.sum() - with_causes.sum()) / explainable) if explainable > 0 else None
-        ),
+        explainable_fraction=float(removed / explainable) if explainable > 0 else None,
         horizons=horizons,
-        diverged=(count - used[0], count - used[1]),
+        diverged=(diverged[0], diverged[1]),
         trace=trace,
     )
+
+
+def _innovations(
+    left: list[_Residuals], noise: Noise, measured: np.ndarray
+) -> tuple[Vector, Vector, int]:
+    """(E,) squared innovations by each of two fits, over transitions that both simulate, and how
+    many numbers these are."""
+    mask = left[0][0].mask & left[1][0].mask
+    both = [(chain.where(mask), np.where(mask[..., None], r, 0.0)) for chain, r in left]
+    # an outlier is what neither of the two expects
+    weights = np.maximum(*(_weights(*each, noise) for each in both))
+    noise = replace(noise, weights=weights)
+    white = (Whitener.of(chain, noise).whiten(r[..., None])[..., 0] for chain, r in both)
+    without, with_effects = (np.sum(z[..., measured] ** 2, axis=(1, 2)) for z in white)
+    return without, with_effects, int(mask.sum() * measured.sum())
+
+
+def _interval(
+    without: Vector, with_effects: Vector, rng: np.random.Generator
+) -> tuple[float, float]:
+    """95 % bootstrap interval, over episodes, of the share that is removed."""
+    draws = rng.integers(len(without), size=(_DRAWS, len(without)))
+    removed = 1 - with_effects[draws].sum(axis=1) / without[draws].sum(axis=1)
+    low, high = np.quantile(removed, [0.025, 0.975]).tolist()
+    return low, high
+
+
+def _horizons(simulator: Simulator, before: Fit, after: Fit) -> dict[int, tuple[float, float]]:
+    """Root mean square errors without and with, by control steps, in expected errors of a step."""
+    scale = expected_errors(after)
+    without, extended = (_errors(simulator, fit, max(_HORIZONS), scale) for fit in (before, after))
+    for one, other in zip(without, extended, strict=True):  # compare what both can predict
+        one[np.isnan(other)], other[np.isnan(one)] = np.nan, np.nan
+    return {
+        steps: (_root_mean(without[steps - 1]), _root_mean(extended[steps - 1]))
+        for steps in _HORIZONS
+        if np.isfinite(without[steps - 1]).any()  # some episode is as long as that
+    }
 
 
 def _root_mean(squares: Matrix) -> float:
@@ -79,15 +98,15 @@ def _trace(simulator: Simulator, before: Fit, after: Fit) -> Trace:
     """The longest episode, as far as the farthest horizon."""
     first, last = max(simulator.data.spans(), key=lambda span: span[1] - span[0])
     rows = slice(first, min(last, first + max(_HORIZONS) + 1))
-    without, with_causes = (
-        simulator.follow(fit.parameters, fit.causes)[rows] for fit in (before, after)
+    without, extended = (
+        simulator.follow(fit.parameters, fit.effects)[rows] for fit in (before, after)
     )
     time = simulator.data.time[rows] - simulator.data.time[first]
-    return Trace(time, simulator.measured[rows], without, with_causes)
+    return Trace(time, simulator.measured[rows], without, extended)
 
 
 def _weights(chain: Chain, residual: Array3, noise: Noise) -> Matrix:
-    """(E, T) of the t distribution, under the noise of other data."""
+    """(E, T) weights of the t distribution, under the noise of other data."""
     weights = np.ones(chain.mask.shape)
     for _ in range(_WEIGHINGS):
         whitener = Whitener.of(chain, replace(noise, weights=weights))
@@ -95,25 +114,19 @@ def _weights(chain: Chain, residual: Array3, noise: Noise) -> Matrix:
     return weights
 
 
-def _errors(
-    simulator: Simulator,
-    parameters: Vector,
-    causes: Sequence[Cause],
-    horizon: int,
-    scale: Vector,
-) -> list[Matrix]:
+def _errors(simulator: Simulator, fit: Fit, horizon: int, scale: Vector) -> list[Matrix]:
     """Squared errors (N, m) after 1 .. horizon control steps, in units of `scale`; NaN past the
     end of an episode, or where the simulation diverged."""
     starts, measured = simulator.starts, simulator.measured
     states, known = measured.copy(), np.ones(len(measured), dtype=np.bool_)
-    found: list[Matrix] = []
+    errors: list[Matrix] = []
     for _ in range(horizon):
         here = np.where(known[:, None], states, measured)
-        predicted = simulator.predict(parameters, causes, here)
+        predicted = simulator.predict(fit.parameters, fit.effects, here)
         error = ((predicted - measured[starts + 1]) / scale) ** 2
         error[~known[starts]] = np.nan
-        found.append(error)
+        errors.append(error)
         followed = known[starts] & np.all(np.isfinite(predicted), axis=1)
         states, known = measured.copy(), np.zeros(len(measured), dtype=np.bool_)
         states[starts[followed] + 1], known[starts[followed] + 1] = predicted[followed], True
-    return found
+    return errors

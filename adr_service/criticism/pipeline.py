@@ -1,62 +1,50 @@
 """From a measurement to a verdict: what the simulator gets wrong, and what it costs.
 
-    report = criticise(nominal, measurement, rng)
-    report.verdict.finding              # "cause"
-    report.extension.xml                # the simulator with the cause
+    criticism = criticise(nominal, measurement, rng)
+    criticism.verdict.conclusion        # "cause"
+    criticism.extension.xml             # the simulator with the cause
 
-Three quarters of the episodes tell causes apart, each judged by episodes that its fit has not
-seen; the last quarter is opened once, for the gain. Causes are named one after the other, and
-dropped again where the others make them superfluous.
+Three quarters of the episodes tell effects apart, each judged by episodes that its fit has not
+seen; the last quarter is opened once, for the gain.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
-from scipy import stats
 from scipy.special import expit
 from threadpoolctl import threadpool_limits
 
 from adr_service.arrays import Vector
-from adr_service.causes import Cause
-from adr_service.criticism.advice import remarks, separating_experiment
-from adr_service.criticism.decision import (
-    ALIKE,
-    THRESHOLD,
-    TIE,
-    Decision,
-    beats,
-    decide,
-    is_evidence,
-    is_unknown,
-)
-from adr_service.criticism.evidence import FINER, INTEGRATION, Fit, fit, refine, settled, smoothed
+from adr_service.criticism.compatibility import check_measurement
+from adr_service.criticism.decision import THRESHOLD, is_unknown
+from adr_service.criticism.evidence import Fit, fit, settled, smoothed
+from adr_service.criticism.experiments import separating_experiment
 from adr_service.criticism.extension import Extension, extend
+from adr_service.criticism.flexible_force import flexible_gains
 from adr_service.criticism.gain import measure_gain
+from adr_service.criticism.linearisation import FINER
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.readings import spread_causes
-from adr_service.criticism.scan import Candidate, Effects, location_of, scan
-from adr_service.criticism.simulator import Nominal, Simulator, check_measurement, is_first_order
-from adr_service.criticism.verdict import Estimate, Finding, NamedCause, Residual, Verdict
-from adr_service.criticism.yardstick import flexible_gains
+from adr_service.criticism.naming import Alike, name_effects, narrowed, pruned, slots, still_tied
+from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.remarks import on_commands, on_refuted
+from adr_service.criticism.responses import Responses
+from adr_service.criticism.scan import Candidate, scan
+from adr_service.criticism.sensor_spread import spread_causes
+from adr_service.criticism.simulator import Simulator, is_first_order
+from adr_service.criticism.summary import INTERVAL, alternative, named_cause, residual_of
+from adr_service.criticism.verdict import Conclusion, Gain, NamedCause, Verdict
+from adr_service.effects.base import Effect
 from adr_service.progress import Progress, silent
-from adr_service.simulation.mechanisms import get_mechanism, unit_of
 
 _SEALED = 4  # every fourth episode
-_REFINED, _CLOSE, _MOST_REFINED = 6, 0.9, 10  # the best, and all as good as that, but no more
-_GROUPS_REFINED = 2
-_OTHER_STARTS = (0.5, 2.0)  # times the strengths that were found
-_PROMISING = THRESHOLD / 4  # [nats] by the scan; refining finds little more
-_MOST_CAUSES = 5
-_INTERVAL = 0.95
 
 
 @dataclass(frozen=True)
 class Criticism:
-    """All that a report tells."""
+    """Everything that a report shows."""
 
     verdict: Verdict
     baseline: Fit
@@ -66,25 +54,25 @@ class Criticism:
 
 
 @dataclass(frozen=True)
-class _Weighed:
-    """A candidate as the newest cause of a fit, and the evidence for it."""
+class _Outcome:
+    """The effects that the evidence names, so far."""
 
-    causes: tuple[Cause, ...]  # as they were tried: one, or a group
-    fit: Fit
-    gains: Vector  # (E,) nats
+    named: list[Alike]
+    final: Fit  # with all of them
+    chance: float  # probability that the next one would be chance
+    gain: Gain | None  # on the sealed episodes; None: nothing is named
+    remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Judgement:
+    """Whether the named effects are the whole story."""
+
+    outcome: _Outcome
+    spread: list[NamedCause]  # sensors that have steps, or noise that the measurement hides
+    conclusion: Conclusion
     confidence: float
-
-    @property
-    def gain(self) -> float:
-        return float(self.gains.sum())
-
-    @property
-    def fair_gain(self) -> float:
-        """A group must beat the best single place by what counts as evidence."""
-        return self.gain - THRESHOLD * (len(self.causes) > 1)
-
-
-_Named = tuple[_Weighed, ...]  # the best candidate, and all that explain as much
+    flexible: Vector  # (E,) nats of a flexible force beside the named effects
 
 
 def criticise(
@@ -94,10 +82,10 @@ def criticise(
     progress: Progress = silent,
     threads: int | None = None,
 ) -> Criticism:
-    """What the data say of the simulator, on `threads` threads (None: all cores).
+    """The effects that a simulator lacks by a measurement, on `threads` threads (None: all cores).
 
     The threads simulate; linear algebra has one, because its last digits depend on how many. Raises
-    InvalidInput where the data do not fit the model, or are too few.
+    InvalidInput if the data do not fit the model, or are too few.
     """
     started = time.perf_counter()
     check_measurement(nominal, data)
@@ -108,51 +96,19 @@ def criticise(
         progress(0.02)
         baseline = smoothed(_best_step(nominal, learned, sensor, threads, simulators), sensor)
         progress(0.1)
-        effects = Effects(baseline)
-        first = scan(baseline, effects)
-        found, final, chance = _name(baseline, first, effects, sensor, rng, progress)
-        progress(0.8, causes=len(found))
-        found, final = _narrowed(*_pruned(found, final, sensor), sensor)
-        progress(0.9, causes=len(found))
-        gain = measure_gain(baseline, final, sealed, rng, threads) if found else None
-        is_refuted = gain is not None and gain.high < 0  # by the sealed episodes
-        notes = remarks(baseline.simulator.base, data)
-        if is_refuted:
-            notes = (*notes, _refuted(final.causes))
-            found, final, gain, chance = [], baseline, None, 0.5 + _INTERVAL / 2
-        whole = settled(final, sensor)
-        flexible = flexible_gains(whole, sensor)
-        confidence = _confidence(found, chance, flexible)
-        finding: Finding = "none"
-        if is_unknown(flexible, sum(named[0].gain for named in found)):
-            finding, found, final, gain = "unknown", [], baseline, None
-        found = _still_tied(found, final, sensor)
-        spread = spread_causes(whole, sensor)
-        experiments = [[separating_experiment(n[0].fit, o.fit) for o in n[1:]] for n in found]
-    if finding == "none" and (found or spread):
-        finding = "tie" if any(len(named) > 1 for named in found) else "cause"
-        confidence = confidence if found else spread[0].confidence
-    verdict = Verdict(
-        finding,
-        confidence=confidence,
-        causes=(
-            *(_named(final, at, named[0]) for at, named in zip(_slots(found), found, strict=True)),
-            *spread,
-        ),
-        tied=(
-            *(tuple(_alternative(other) for other in named[1:]) for named in found),
-            *(() for _ in spread),
-        ),
-        experiments=(*map(tuple, experiments[: len(found)]), *(() for _ in spread)),
-        residual=_residual(baseline, final, first, flexible),
-        remarks=notes,
-        gain=gain,
-        seconds=time.perf_counter() - started,
-    )
-    extension = None
-    if verdict.causes:
-        beside = [Cause(c.kind, c.location, (c.strengths[0].value,)) for c in spread]
-        extension = extend(nominal, final.parameters, [*final.causes, *beside])
+        responses = Responses(baseline)
+        first = scan(baseline, responses)
+        named, final, chance = name_effects(baseline, first, responses, sensor, rng, progress)
+        progress(0.8, causes=len(named))
+        named, final = narrowed(*pruned(named, final, sensor), sensor)
+        progress(0.9, causes=len(named))
+        outcome = _Outcome(named, final, chance, None, on_commands(baseline.simulator.base, data))
+        outcome = _opened(outcome, baseline, sealed, rng, threads)
+        judgement = _judged(outcome, baseline, sensor)
+        verdict = _verdict(judgement, baseline, first)
+    verdict = replace(verdict, seconds=time.perf_counter() - started)
+    final = judgement.outcome.final
+    extension = _extension(nominal, final, judgement.spread) if verdict.causes else None
     return Criticism(verdict, baseline, final, tuple(first), extension)
 
 
@@ -175,7 +131,7 @@ def _best_step(
     (or simulates more of them at all).
 
     The step of an integrator of first order may be the largest error of all, and would look like
-    inertia and friction; where the data were simulated with that very step, it is right.
+    inertia and friction; if the data were simulated with that very step, it is right.
     """
     steps = (1, FINER) if is_first_order(nominal.model(nominal.start)) else (1,)
     fits = [
@@ -185,254 +141,81 @@ def _best_step(
     return max(fits, key=lambda each: (each.linear.chain.mask.sum(), each.held_out.sum()))
 
 
-def _name(
+def _opened(
+    outcome: _Outcome,
     baseline: Fit,
-    candidates: Sequence[Candidate],
-    effects: Effects,
-    sensor: Vector,
+    sealed: Measurement,
     rng: np.random.Generator,
-    progress: Progress,
-) -> tuple[list[_Named], Fit, float]:
-    """Causes one after the other, each on its own evidence; the fit with all of them; and the
-    probability that the next one would be chance."""
-    found: list[_Named] = []
-    current, chance = baseline, 1.0
-    for count in range(_MOST_CAUSES):
-        done = 0.1 + 0.7 * count / _MOST_CAUSES
-        progress(done, causes=count)
-        if count > 0:
-            candidates = scan(current, effects)
-        decision, weighed = _weigh(current, candidates, sensor, rng, partial(progress, done))
-        chance = float(decision.confidence[-1])
-        if not decision.alike:
-            break
-        found.append(_simplest_first([weighed[number] for number in decision.alike]))
-        current = smoothed(_from_elsewhere(current, found[-1][0].fit, sensor), sensor)
-    return found, current, chance
+    threads: int | None,
+) -> _Outcome:
+    """The outcome with its gain on the sealed episodes, which may refute the effects."""
+    if not outcome.named:
+        return outcome
+    gain = measure_gain(baseline, outcome.final, sealed, rng, threads)
+    is_refuted = gain.high < 0
+    if not is_refuted:
+        return replace(outcome, gain=gain)
+    remarks = (*outcome.remarks, on_refuted(outcome.final.effects))
+    return _Outcome([], baseline, 0.5 + INTERVAL / 2, None, remarks)
 
 
-def _simplest_first(alike: Sequence[_Weighed]) -> _Named:
-    """Of those that nothing tells apart, one with the fewest strengths, then the best; without
-    those that are the same with a strength more."""
-    best = max(each.fair_gain for each in alike)
-    near = [each for each in alike if best - each.fair_gain < max(TIE, ALIKE * best)]
-    first = min(near, key=lambda each: (sum(len(c.values) for c in each.causes), -each.fair_gain))
-    named = {(cause.kind, cause.location) for cause in first.causes}
-    others = [each for each in alike if each is first or not named <= _included(each.causes)]
-    return (first, *(each for each in others if each is not first))
+def _judged(outcome: _Outcome, baseline: Fit, sensor: Vector) -> _Judgement:
+    """The outcome beside a flexible force, which may explain more than all named effects."""
+    whole = settled(outcome.final, sensor)
+    flexible = flexible_gains(whole, sensor)
+    confidence = _confidence(outcome.named, outcome.chance, flexible)
+    conclusion = Conclusion.NONE
+    if is_unknown(flexible, sum(alike[0].gain for alike in outcome.named)):
+        conclusion = Conclusion.UNKNOWN
+        outcome = replace(outcome, named=[], final=baseline, gain=None)
+    outcome = replace(outcome, named=still_tied(outcome.named, outcome.final, sensor))
+    spread = spread_causes(whole, sensor)
+    if conclusion == Conclusion.NONE and (outcome.named or spread):
+        is_tied = any(len(alike) > 1 for alike in outcome.named)
+        conclusion = Conclusion.TIE if is_tied else Conclusion.CAUSE
+        confidence = confidence if outcome.named else spread[0].confidence
+    return _Judgement(outcome, spread, conclusion, confidence, flexible)
 
 
-def _included(causes: Sequence[Cause]) -> set[tuple[str, str]]:
-    return {(get_mechanism(cause.kind).includes, cause.location) for cause in causes}
-
-
-def _from_elsewhere(current: Fit, found: Fit, sensor: Vector) -> Fit:
-    """A fit with more causes than another, or a better one from other strengths of theirs."""
-    known = len(current.causes)
-    newest = found.causes[known:]
-    starts = [
-        [replace(c, values=tuple(factor * v for v in c.values)) for c in newest]
-        for factor in _OTHER_STARTS
-    ]
-    others = (refine(current, [*current.causes, *start], sensor) for start in starts)
-    fits = [found, *(other for other in others if other is not None)]
-    return max(fits, key=lambda fit: fit.held_out.sum())
-
-
-def _weigh(
-    current: Fit,
-    candidates: Sequence[Candidate],
-    sensor: Vector,
-    rng: np.random.Generator,
-    alive: Callable[[], None],
-) -> tuple[Decision, list[_Weighed]]:
-    """The evidence for the best candidates, refined; `alive` is called before each."""
-    single = [c for c in candidates if len(c.causes) == 1 and c.gain > _PROMISING]
-    best = single[0].gain if single else 0.0
-    close = [c for c in single if c.gain > _CLOSE * best]
-    chosen = max(single[:_REFINED], close, key=len)[:_MOST_REFINED]
-    groups = [c for c in candidates if len(c.causes) > 1 and c.gain > best + THRESHOLD]
-    chosen += groups[:_GROUPS_REFINED]
-    without = settled(current, sensor).held_out
-    tried: list[tuple[tuple[Cause, ...], Fit | None]] = []
-    for candidate in chosen:
-        alive()
-        causes = [*current.causes, *candidate.causes]
-        tried.append((candidate.causes, refine(current, causes, sensor)))
-    weighed = [_Weighed(c, f, f.held_out - without, 0.0) for c, f in tried if f is not None]
-    fair = [each.gains + (each.fair_gain - each.gain) / len(without) for each in weighed]
-    decision = decide(np.reshape(fair, (len(weighed), len(without))), rng)
-    likely = decision.confidence[:-1].tolist()
-    return decision, [replace(w, confidence=p) for w, p in zip(weighed, likely, strict=True)]
-
-
-def _pruned(found: list[_Named], current: Fit, sensor: Vector) -> tuple[list[_Named], Fit]:
-    """Without the causes that the others make superfluous."""
-    while len(found) > 1:
-        everything = settled(current, sensor).held_out
-        shorter = [
-            refine(current, [*current.causes[: slot.start], *current.causes[slot.stop :]], sensor)
-            for slot in _slots(found)
-        ]
-        rests = {
-            number: rest
-            for number, rest in enumerate(shorter)
-            if rest is not None and not is_evidence(everything - rest.held_out)
-        }
-        if not rests:
-            break
-        least, rest = max(rests.items(), key=lambda entry: entry[1].held_out.sum())
-        found = [named for number, named in enumerate(found) if number != least]
-        current = smoothed(rest, sensor)
-    return found, current
-
-
-def _narrowed(found: Sequence[_Named], current: Fit, sensor: Vector) -> tuple[list[_Named], Fit]:
-    """With one place instead of a group that needs no other, now that all causes are known."""
-    narrowed = list(found)
-    for number, (group, *others) in enumerate(found):
-        slot = _slots(narrowed)[number]
-        if len(found) == 1 or len(group.causes) == 1:
-            continue
-        before, members, after = (
-            current.causes[part] for part in (slice(slot.start), slot, slice(slot.stop, None))
-        )
-        alone = max(members, key=lambda cause: _significance(current, cause))
-        rest = refine(current, [*before, alone, *after], sensor)
-        if rest is None or is_evidence(settled(current, sensor).held_out - rest.held_out):
-            continue
-        single = [
-            o for o in others if len(o.causes) == 1 and not _parts(o.causes) & _parts([alone])
-        ]
-        without = refine(current, [*before, *after], sensor)
-        gains = group.gains if without is None else rest.held_out - without.held_out
-        best = replace(group, causes=(alone,), fit=rest, gains=gains)
-        narrowed[number] = (best, *single)
-        current = smoothed(rest, sensor)
-    return narrowed, current
-
-
-def _significance(fit: Fit, cause: Cause) -> float:
-    """Of the first strength of one of a fit's causes, in standard deviations."""
-    before = fit.causes[: fit.causes.index(cause)]
-    column = len(fit.parameters) + INTEGRATION + sum(len(c.values) for c in before)
-    deviation = np.sqrt(fit.normal.change()[1][column, column])
-    return abs(cause.values[0]) / deviation if deviation > 0 else 0.0
-
-
-def _still_tied(found: list[_Named], final: Fit, sensor: Vector) -> list[_Named]:
-    """Without alternatives that do worse than what was named, now that all causes are known."""
-    if len(found) < 2:
-        return found
-    everything, left = settled(final, sensor).held_out, []
-    for slot, (best, *others) in zip(_slots(found), found, strict=True):
-        before, after = final.causes[: slot.start], final.causes[slot.stop :]
-        kept: list[_Weighed] = []
-        for other in others:
-            newest = other.fit.causes[len(other.fit.causes) - len(other.causes) :]
-            if _parts(newest) & _parts([*before, *after]):  # named elsewhere: no alternative here
-                continue
-            instead = refine(final, [*before, *newest, *after], sensor)
-            if instead is not None and not beats(everything - instead.held_out, best.gain):
-                kept.append(other)
-        left.append((best, *kept))
-    return left
-
-
-def _parts(causes: Sequence[Cause]) -> set[tuple[str, str]]:
-    return {(cause.kind, cause.location) for cause in causes}
-
-
-def _confidence(found: Sequence[_Named], chance: float, flexible: Vector) -> float:
-    """Of the whole verdict: that the first cause is among those named; of none; or of unknown.
+def _confidence(named: Sequence[Alike], chance: float, flexible: Vector) -> float:
+    """Probability of the whole verdict: that the first cause is among those named, that there is
+    none, or that it is unknown.
 
     `chance` is the probability that no candidate is real.
     """
-    if found:
-        return min(1.0, sum(each.confidence for each in found[0]))
+    if named:
+        return min(1.0, sum(each.confidence for each in named[0]))
     unknown = float(expit(flexible.sum() - THRESHOLD))
     return unknown if is_unknown(flexible, 0.0) else chance * (1 - unknown)
 
 
-def _refuted(causes: Sequence[Cause]) -> str:
-    names = ", ".join(f"{cause.kind} {cause.location}" for cause in causes)
-    return (
-        f"In three quarters of the episodes the data ask for {names}, but in the others, which "
-        "were opened last, predictions are worse with it; so it is not named. Do episodes differ "
-        "in something that is not recorded?"
+def _verdict(judgement: _Judgement, baseline: Fit, first: Sequence[Candidate]) -> Verdict:
+    """The verdict, but for the time that it took."""
+    outcome, spread = judgement.outcome, judgement.spread
+    named, final = outcome.named, outcome.final
+    at = zip(slots(named), named, strict=True)
+    return Verdict(
+        judgement.conclusion,
+        confidence=judgement.confidence,
+        causes=(*(named_cause(final, slot, alike[0]) for slot, alike in at), *spread),
+        tied=(
+            *(tuple(alternative(other) for other in alike[1:]) for alike in named),
+            *(() for _ in spread),
+        ),
+        experiments=(
+            *(
+                tuple(separating_experiment(alike[0].fit, other.fit) for other in alike[1:])
+                for alike in named
+            ),
+            *(() for _ in spread),
+        ),
+        residual=residual_of(baseline, final, first, judgement.flexible),
+        remarks=outcome.remarks,
+        gain=outcome.gain,
+        seconds=None,
     )
 
 
-def _slots(found: Sequence[_Named]) -> list[slice]:
-    """Where the causes of a fit belong to each that was named."""
-    ends = np.cumsum([len(named[0].causes) for named in found]).tolist()
-    return [slice(e - len(n[0].causes), e) for e, n in zip(ends, found, strict=True)]
-
-
-def _alternative(other: _Weighed) -> NamedCause:
-    """A cause with the strengths that it has in the place of the named one."""
-    count = len(other.fit.causes)
-    return _named(other.fit, slice(count - len(other.causes), count), other)
-
-
-def _named(fit: Fit, slot: slice, weighed: _Weighed) -> NamedCause:
-    """Some of a fit's causes with intervals, as one cause or a group."""
-    causes = fit.causes[slot]
-    first = len(fit.parameters) + INTEGRATION + sum(len(c.values) for c in fit.causes[: slot.start])
-    covariance = fit.normal.covariance()
-    freedom = max(len(fit.held_out) - len(covariance), 1)
-    reach = float(stats.t.ppf(0.5 + _INTERVAL / 2, freedom))
-    estimates: list[Estimate] = []
-    each = [
-        (c, *one)
-        for c in causes
-        for one in zip(get_mechanism(c.kind).strengths, c.values, strict=True)
-    ]
-    for where, (cause, strength, value) in enumerate(each, first):
-        unit = unit_of(fit.simulator.base, cause.location, strength.unit)
-        name = strength.name if len(causes) == 1 else f"{cause.name} {strength.name}"
-        if covariance[where, where] == 0:  # the data say nothing of it
-            estimates.append(Estimate(name, value, -np.inf, np.inf, unit))
-            continue
-        error = reach * float(np.sqrt(max(covariance[where, where], 0.0)))
-        low = max(value - error, strength.low)
-        estimates.append(Estimate(name, value, low, value + error, unit))
-    location, (gain, confidence) = location_of(causes), (weighed.gain, weighed.confidence)
-    return NamedCause(causes[0].kind, location, tuple(estimates), confidence, gain)
-
-
-def _residual(baseline: Fit, final: Fit, first: Sequence[Candidate], flexible: Vector) -> Residual:
-    """`flexible` (E,) nats are those of a flexible force over the final simulator."""
-    moved = {
-        name: (before, after)
-        for name, before, after in zip(
-            baseline.simulator.nominal.space.names,
-            baseline.parameters.tolist(),
-            final.parameters.tolist(),
-            strict=True,
-        )
-    }
-    reach = np.sqrt(2 * THRESHOLD)  # standard deviations that gain as much
-    base = final.simulator.base
-    detectable = {
-        f"{c.kind} {c.location}": (
-            float(reach * c.deviations[0]),
-            unit_of(base, c.location, get_mechanism(c.kind).strengths[0].unit),
-        )
-        for c in first
-        if len(c.causes) == 1 and np.isfinite(c.deviations[0])
-    }
-    space, used = final.simulator.nominal.space, int(final.linear.chain.mask.sum())
-    at_bound = (final.parameters <= space.feasible_low) | (final.parameters >= space.high)
-    return Residual(
-        noise=tuple(np.sqrt(final.noise.sensor).tolist()),
-        step=base.opt.timestep / final.simulator.finer,
-        own_step=base.opt.timestep,
-        unexplained_nats=float(flexible.sum()),
-        rest="unknown" if is_evidence(flexible) else "none",
-        moved=moved,
-        at_bound=tuple(n for n, is_at in zip(space.names, at_bound, strict=True) if is_at),
-        used=used,
-        diverged=int(final.layout.mask.sum()) - used,
-        detectable=detectable,
-    )
+def _extension(nominal: Nominal, final: Fit, spread: Sequence[NamedCause]) -> Extension:
+    beside = [Effect(c.kind, c.location, (c.strengths[0].value,)) for c in spread]
+    return extend(nominal, final.parameters, [*final.effects, *beside])

@@ -1,4 +1,4 @@
-"""The page that tells a criticism to somebody who never heard of its statistics."""
+"""A criticism as an HTML page, for readers who do not know its statistics."""
 
 import json
 from html import escape
@@ -7,8 +7,7 @@ from typing import Any
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.figures import draw_all
 from adr_service.criticism.pipeline import Criticism
-from adr_service.criticism.verdict import Gain, NamedCause, Residual, Verdict
-from adr_service.criticism.words import sure
+from adr_service.criticism.verdict import Conclusion, Gain, NamedCause, Residual, Verdict, sure
 
 FILES = ("verdict.json", "report.html", "extended.xml", "effects.json")
 _PAGE = """<!doctype html>
@@ -49,7 +48,7 @@ def files_of(criticism: Criticism, name: str) -> dict[str, bytes]:
     extension = criticism.extension
     texts = [json.dumps(criticism.verdict.to_json(), indent=1), report_page(criticism, name)]
     if extension is not None:
-        texts += [extension.xml, json.dumps(extension.effects, indent=1)]
+        texts += [extension.xml, json.dumps(extension.to_json(), indent=1)]
     return {file: text.encode() for file, text in zip(FILES, texts, strict=False)}
 
 
@@ -63,20 +62,24 @@ _EVIDENCE = (
 
 def _finding(verdict: Verdict) -> str:
     how_sure = sure(verdict.confidence)
-    match verdict.finding:
-        case "none":
+    match verdict.conclusion:
+        case Conclusion.NONE:
             return (
                 f"Nothing is missing that these data could show ({how_sure}). The table at the end "
                 "says how large an effect would have been seen."
             )
-        case "unknown":
+        case Conclusion.UNKNOWN:
             return (
                 f"Something is missing that is none of the effects we know ({how_sure}): a "
                 f"flexible force predicts {verdict.residual.unexplained_nats:.0f} nats better."
             )
-        case "cause" | "tie":
+        case Conclusion.CAUSE | Conclusion.TIE:
             names = "; ".join(_words(cause) for cause in verdict.causes)
-            tie = " Other causes explain as much; see below." if verdict.finding == "tie" else ""
+            tie = (
+                " Other causes explain as much; see below."
+                if verdict.conclusion == Conclusion.TIE
+                else ""
+            )
             rest = ""
             if verdict.residual.rest == "unknown":
                 rest = (

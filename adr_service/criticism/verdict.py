@@ -1,10 +1,11 @@
-"""What a criticism found: causes with their evidence, or none, or that none of ours explains it.
+"""The result of a criticism: causes with their evidence, or none, or none that we know.
 
 `Verdict.to_json` is the file `verdict.json`, version 1.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from math import isfinite
 from typing import Any, Literal
 
@@ -12,14 +13,22 @@ from adr_service.arrays import Matrix, Vector
 
 VERSION = 1
 _SEEN = 2.0  # expected errors of one step, on average over an experiment
-Finding = Literal["cause", "none", "unknown", "tie"]
+
+
+class Conclusion(StrEnum):
+    """The four ways in which a criticism ends."""
+
+    CAUSE = "cause"  # each missing effect has one best explanation
+    TIE = "tie"  # several effects explain one of them equally well
+    NONE = "none"  # nothing is missing that the data could show
+    UNKNOWN = "unknown"  # something is missing that is not in the catalogue
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A strength with its 95 % interval, unbounded where the data say nothing of it."""
+class StrengthInterval:
+    """A strength with its 95 % interval, unbounded if the data do not determine it."""
 
-    name: str  # of the strength, and in a group also of its place
+    name: str  # of the strength; in a group, after its place
     value: float
     low: float
     high: float
@@ -31,8 +40,8 @@ class Estimate:
 
     @property
     def interval(self) -> str:
-        """The interval in words."""
-        return f"{self.low:.4g} to {self.high:.4g}" if isfinite(self.high) else "cannot be told"
+        """Text of the interval."""
+        return f"{self.low:.4g} to {self.high:.4g}" if isfinite(self.high) else "not determined"
 
 
 @dataclass(frozen=True)
@@ -41,15 +50,15 @@ class NamedCause:
 
     kind: str
     location: str  # of a group `body:*`
-    strengths: tuple[Estimate, ...]  # in the mechanism's order; of a group place by place
+    strengths: tuple[StrengthInterval, ...]  # in the mechanism's order; of a group place by place
     confidence: float  # probability, among everything that was asked
-    gain: float  # nats by which episodes are predicted better that no fit has seen
+    gain: float  # [nats] log-likelihood of left-out episodes, with the cause minus without
 
     def to_json(self) -> dict[str, Any]:
         return {
             "kind": self.kind,
             "location": self.location,
-            "parameters": {estimate.name: estimate.to_json() for estimate in self.strengths},
+            "parameters": {each.name: each.to_json() for each in self.strengths},
             "confidence": self.confidence,
             "gain_nats": self.gain,
         }
@@ -57,7 +66,7 @@ class NamedCause:
 
 @dataclass(frozen=True)
 class Experiment:
-    """The best one we know, and how far it separates two simulators."""
+    """The best experiment of a list, and how far it separates two simulators."""
 
     description: str
     separation: float  # root mean square difference, in expected errors of one step
@@ -65,11 +74,12 @@ class Experiment:
 
     @property
     def is_worth_it(self) -> bool:
+        """True if it separates the two visibly, and further than the recording does."""
         return self.separation > max(_SEEN, self.recorded)
 
     @property
     def is_seen(self) -> bool:
-        """Whether anything that was tried or recorded separates the two at all."""
+        """True if anything tried or recorded separates the two visibly."""
         return max(self.separation, self.recorded) > _SEEN
 
     def to_json(self) -> dict[str, Any]:
@@ -83,17 +93,17 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Residual:
-    """What is left when all is said."""
+    """Everything that the named causes leave, and detection limits."""
 
     noise: tuple[float, ...]  # standard deviation of each sensor, in its unit
-    step: float  # [s] of the simulator, with which all this was judged
+    step: float  # [s] of the simulator that judged the data
     own_step: float  # [s] that its file has
     unexplained_nats: float  # what a flexible force would still gain
-    rest: Literal["none", "unknown"]  # whether that counts, beside what was named
+    rest: Literal["none", "unknown"]  # unknown: that is evidence, beside the named causes
     moved: dict[str, tuple[float, float]]  # parameter -> fitted without and with the causes
-    at_bound: tuple[str, ...]  # parameters that went as far as they may
+    at_bound: tuple[str, ...]  # parameters at the edge of their bounds
     used: int  # transitions
-    diverged: int  # transitions that could not be simulated, and were left out
+    diverged: int  # transitions whose simulation diverged; left out
     # "kind location" -> smallest first strength that would have been seen, and its unit
     detectable: dict[str, tuple[float, str]]
 
@@ -117,27 +127,26 @@ class Residual:
 
 @dataclass(frozen=True)
 class Trace:
-    """An episode that nothing was fitted to, simulated from its first state on; (T, m) each."""
+    """A sealed episode, simulated from its first state on; (T, m) each."""
 
     time: Vector  # (T,) [s]
     measured: Matrix
     without: Matrix
-    with_causes: Matrix
+    extended: Matrix
 
 
 @dataclass(frozen=True)
 class Gain:
-    """What the causes are worth on episodes that were opened once, at the end."""
+    """Errors on the sealed episodes, without the causes and with them."""
 
     sse_removed: float  # share of the squared innovations
     low: float  # 95 % bootstrap over episodes
     high: float
     explainable_fraction: float | None  # of what is beyond the final noise; None: nothing is
-    horizons: dict[
-        int, tuple[float, float]
-    ]  # control steps -> error without and with, in those units
+    # control steps -> error without and with, in expected errors of one step
+    horizons: dict[int, tuple[float, float]]
     diverged: tuple[int, int]  # transitions that cannot be simulated, without and with
-    trace: Trace  # for the eye alone
+    trace: Trace  # for the report's figure
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -155,21 +164,23 @@ class Gain:
 
 @dataclass(frozen=True)
 class Verdict:
-    finding: Finding
+    """The conclusion of a criticism with all that supports it."""
+
+    conclusion: Conclusion
     confidence: float
     causes: tuple[NamedCause, ...]
-    tied: tuple[tuple[NamedCause, ...], ...]  # what would explain a cause as well, cause by cause
-    # of each of those, what would tell it apart from the named one
+    tied: tuple[tuple[NamedCause, ...], ...]  # equally good alternatives, cause by cause
+    # for each alternative, the experiment that would tell it apart from the named cause
     experiments: tuple[tuple[Experiment, ...], ...]
     residual: Residual
     gain: Gain | None  # None: nothing was named that predictions would gain from
-    remarks: tuple[str, ...]  # on the data, in words
-    seconds: float | None  # by the clock; None of a stage, whose cost is kept beside it
+    remarks: tuple[str, ...]  # sentences on the data
+    seconds: float | None  # by the clock; None in a stage's result, which must repeat exactly
 
     def to_json(self) -> dict[str, Any]:
         return {
             "version": VERSION,
-            "verdict": self.finding,
+            "verdict": self.conclusion.value,
             "confidence": self.confidence,
             "causes": _all(self.causes),
             "tied": [_all(group) for group in self.tied],
@@ -183,3 +194,8 @@ class Verdict:
 
 def _all(causes: Sequence[NamedCause]) -> list[dict[str, Any]]:
     return [cause.to_json() for cause in causes]
+
+
+def sure(probability: float) -> str:
+    """Text for the confidence of a verdict, which is never complete."""
+    return f"{'more than 99.9' if probability > 0.999 else f'{100 * probability:.1f}'} % sure"

@@ -12,7 +12,7 @@ import numpy as np
 from adr_service.arrays import Mask, Matrix, Vector, frozen
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.tasks.assets import read
-from adr_service.tasks.base import State, Variant, benchmark_variants, freeze
+from adr_service.tasks.base import Entry, State, Variant, benchmark_variants, freeze
 
 _LINK_M = 0.5
 _MARK_M = (0.6, 0.4)  # x, z; as the site in the model
@@ -32,7 +32,7 @@ def _space() -> ParameterSpace:
     )
 
 
-def variants() -> Mapping[str, Variant]:
+def _variants() -> Mapping[str, Variant]:
     return benchmark_variants(
         _space(), _TRUTH, 1e-4, unmodeled=freeze(_space(), _TRUTH, ["upper_mass"])
     )
@@ -84,3 +84,6 @@ class Arm:
         upper, fore = state.qpos[:, 0], state.qpos.sum(axis=1)
         x = _LINK_M * (np.sin(upper) + np.sin(fore))
         return np.column_stack([x, -_LINK_M * (np.cos(upper) + np.cos(fore))])
+
+
+ENTRY = Entry(Arm(), _variants())

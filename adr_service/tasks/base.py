@@ -7,14 +7,16 @@ the truth is in the catalogue, which they may not import (a contract of `make li
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
-import mujoco
 import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector, frozen
-from adr_service.causes import Cause
+from adr_service.effects.base import Effect
 from adr_service.parameters import ParameterSpace
+
+if TYPE_CHECKING:  # MuJoCo takes a tenth of a second to import
+    import mujoco
 
 _UNMODELED_FACTOR = 0.8  # random-envs: what the unmodeled source gets wrong is 0.8 of the truth
 
@@ -33,7 +35,7 @@ class Source:
 
     space: ParameterSpace
     fixed: Mapping[str, float] = field(default_factory=dict[str, float])
-    causes: tuple[Cause, ...] = ()  # effects beyond what the task's file has
+    effects: tuple[Effect, ...] = ()  # beyond what the task's file has
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,6 @@ class Task(Protocol):
 class Reshapable(Protocol):
     """A task whose parameters include link lengths, at addresses `link:name.length`."""
 
-    def reshape(self, spec: mujoco.MjSpec, lengths: Mapping[str, float]) -> None:
+    def reshape(self, spec: "mujoco.MjSpec", lengths: Mapping[str, float]) -> None:
         """Give the model of `xml`, or one reshaped before, these lengths [m] of its links."""
         ...

@@ -13,7 +13,7 @@ import numpy as np
 from adr_service.arrays import Mask, Matrix, Vector, frozen
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.tasks.assets import read
-from adr_service.tasks.base import State, Variant, benchmark_variants, freeze
+from adr_service.tasks.base import Entry, State, Variant, benchmark_variants, freeze
 
 _TIMESTEP_S, _FRAME_SKIP = 0.003, 5
 _MASSES_KG = {  # by body, in the model's order
@@ -60,7 +60,7 @@ def _space() -> ParameterSpace:
     return ParameterSpace((*masses, *dampings))
 
 
-def variants() -> Mapping[str, Variant]:
+def _variants() -> Mapping[str, Variant]:
     truth = (*_MASSES_KG.values(), *_DAMPINGS.values())
     wrong = [f"{body}_mass" for body in ("torso", "lwaist", "pelvis", "right_thigh")]
     wrong += [f"abdomen_{axis}_damping" for axis in "zyx"]
@@ -133,3 +133,6 @@ def _with_unit_quaternion(qpos: Matrix) -> Matrix:
     unit = qpos.copy()
     unit[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
     return unit
+
+
+ENTRY = Entry(Humanoid(), _variants())

@@ -7,15 +7,18 @@ their links' lengths, and a link's inertia is that of its capsule at the drawn l
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector, frozen
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.tasks import planar
 from adr_service.tasks.assets import read
-from adr_service.tasks.base import State, Variant, benchmark_variants, freeze
+from adr_service.tasks.base import Entry, State, Variant, benchmark_variants, freeze
+
+if TYPE_CHECKING:  # MuJoCo takes a tenth of a second to import
+    import mujoco
 
 _TIMESTEP_S, _FRAME_SKIP = 0.002, 4
 _LEG = ("thigh", "leg", "foot")
@@ -43,7 +46,7 @@ def _space(bounds: Mapping[str, tuple[float, float, float]]) -> ParameterSpace:
     return ParameterSpace((*masses, *lengths, *frictions))
 
 
-def variants() -> Mapping[str, Variant]:
+def _variants() -> Mapping[str, Variant]:
     truth = (*_MASSES_KG, *_LENGTHS_M.values(), *_FRICTIONS.values())
     free = (0.15, 1.0, 0.1)
     # random-envs allows 0.1 m for the leg too, at which its capsule has no length
@@ -74,7 +77,7 @@ class Walker2d:
     def xml(self) -> str:
         return read("walker2d.xml")
 
-    def reshape(self, spec: mujoco.MjSpec, lengths: Mapping[str, float]) -> None:
+    def reshape(self, spec: "mujoco.MjSpec", lengths: Mapping[str, float]) -> None:
         """The root's frame stays at 1.25 m, so z is the height above the nominal standing pose."""
         torso, thigh, leg, foot = ({**_LENGTHS_M, **lengths}[link] for link in _LENGTHS_M)
         hip = thigh + leg - _ROOT_M  # in the torso's frame, as all below in their body's
@@ -108,7 +111,7 @@ class Walker2d:
         return ~((height > 0.8) & (height < 2.0) & (np.abs(angle) < 1.0))
 
 
-def _capsule(spec: mujoco.MjSpec, link: str, length: float, centre: list[float]) -> None:
+def _capsule(spec: "mujoco.MjSpec", link: str, length: float, centre: list[float]) -> None:
     """Give a link its capsule and the inertia that MuJoCo 2.1.0 derived from it; not the mass."""
     body, geom = spec.body(link), spec.geom(f"{link}_geom")
     radius = geom.size[0]
@@ -117,3 +120,6 @@ def _capsule(spec: mujoco.MjSpec, link: str, length: float, centre: list[float])
     mass = _DENSITY * np.pi * radius**2 * cylinder
     across = mass * (3 * radius**2 + cylinder**2) / 12
     body.ipos, body.inertia = centre, [across, across, mass * radius**2 / 2]
+
+
+ENTRY = Entry(Walker2d(), _variants())

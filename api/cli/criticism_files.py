@@ -9,9 +9,9 @@ import numpy as np
 
 from adr_service.criticism.extension import written_out
 from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import Criticism, criticise
 from adr_service.criticism.report import FILES, files_of
-from adr_service.criticism.simulator import Nominal
 from adr_service.errors import InvalidInput
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.progress import Progress

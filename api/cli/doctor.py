@@ -85,10 +85,10 @@ def _cores() -> Check:
 
 
 def _simulator() -> Iterator[Check]:
-    from adr_service.simulation.batch import compiled  # imports MuJoCo
-    from adr_service.simulation.contract import check as check_task
+    from adr_service.simulation.model import compiled  # imports MuJoCo
     from adr_service.simulation.rendering import Camera
     from adr_service.tasks.catalogue import catalogue
+    from adr_service.tasks.check import check_task
 
     try:
         for entry in catalogue().values():

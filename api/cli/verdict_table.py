@@ -5,7 +5,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from adr_service.criticism.words import sure
+from adr_service.criticism.verdict import sure
 from api.client import Json
 
 

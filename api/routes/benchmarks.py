@@ -3,7 +3,7 @@
 from fastapi import APIRouter, Response, status
 from pydantic import BaseModel, SkipValidation
 
-from adr_service.benchmark.protocol import Plan
+from adr_service.benchmark.plan import Plan
 from adr_service.specs import BenchmarkSpec, RunSpec
 from api.bodies import BenchmarkBody, ExtensionBody
 from api.routes.paging import Page, PageSize, PageToken, page_of

@@ -7,7 +7,7 @@ import anyio
 from fastapi import APIRouter, Query, Response, status
 from pydantic import BaseModel
 
-from adr_service.benchmark.protocol import Plan
+from adr_service.benchmark.plan import Plan
 from adr_service.events import RunState
 from adr_service.specs import RunSpec
 from api.bodies import RunBody

@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import Header
 from pydantic import BaseModel
 
-from adr_service.benchmark.protocol import Plan, plan
+from adr_service.benchmark.plan import Plan, plan
 from adr_service.json_values import sha256
 from adr_service.specs import AnyRun, BenchmarkSpec, RunSpec
 from api.service import Service

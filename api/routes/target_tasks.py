@@ -19,7 +19,7 @@ from api.routes.paging import Page, PageSize, PageToken, page_of
 from api.routes.polling import looks
 from api.service import ServiceDependency
 from api.uploads import LARGEST, NPZ, octets
-from db import visits as store
+from db import visits as visit_store
 from db.models import VisitState
 from db.visits import Visit
 
@@ -140,7 +140,7 @@ async def claim(
         if not await request.is_disconnected():
             return claim_view(task)
         assert task.lease is not None
-        release = partial(store.release, service.database, task.id, task.lease)
+        release = partial(visit_store.release, service.database, task.id, task.lease)
         await anyio.to_thread.run_sync(release)  # for a client that is still there
         break
     return Response(status_code=status.HTTP_204_NO_CONTENT)
@@ -156,7 +156,7 @@ def list_tasks(
     page_token: PageToken = 0,
 ) -> Page[TaskView]:
     """Visits to targets, in order."""
-    tasks = store.list_visits(
+    tasks = visit_store.list_visits(
         service.database,
         state=state,
         run_id=run_id,
@@ -170,13 +170,15 @@ def list_tasks(
 @router.get("/{task_id}")
 def get_task(task_id: str, service: ServiceDependency) -> TaskView:
     """State, claimant and progress of a task."""
-    return task_view(store.get_visit(service.database, task_id))
+    return task_view(visit_store.get_visit(service.database, task_id))
 
 
 @router.get("/{task_id}/policy", response_class=Response)
 def policy(task_id: str, service: ServiceDependency) -> Response:
     """Policy to act with, as safetensors; 404 if the task asks for random actions."""
-    return bytes_response(store.policy_of(service.database, task_id), f"{task_id}.safetensors")
+    return bytes_response(
+        visit_store.policy_of(service.database, task_id), f"{task_id}.safetensors"
+    )
 
 
 @router.post("/{task_id}/heartbeat")
@@ -185,7 +187,7 @@ def heartbeat(
 ) -> HeartbeatView:
     """Renew the lease; the answer has its new end, and whether to stop."""
     now, lease_s = service.orchestrator.clock.now(), service.settings.lease_s
-    task = store.heartbeat(service.database, task_id, body.lease, body.steps, now, lease_s)
+    task = visit_store.heartbeat(service.database, task_id, body.lease, body.steps, now, lease_s)
     assert task.expires_at is not None
     return HeartbeatView(lease_expires_at=task.expires_at, cancel_requested=task.is_unwanted)
 
@@ -204,7 +206,7 @@ def upload(
 @router.post("/{task_id}/release")
 def release(task_id: str, body: Annotated[Release, Body()], service: ServiceDependency) -> TaskView:
     """Give the task back for another claim."""
-    return task_view(store.release(service.database, task_id, body.lease))
+    return task_view(visit_store.release(service.database, task_id, body.lease))
 
 
 @router.post("/{task_id}/fail")

@@ -8,12 +8,12 @@ from sqlalchemy import text
 from sqlalchemy.exc import DBAPIError, IntegrityError
 
 from adr_service.events import RunState
-from adr_service.stages import Stage
 from db import results, runs, stages, visits
 from db.errors import DatabaseInUse
 from db.models import RunRow, VisitState
 from db.session import open_database
 from tests.db.rows import SPEC, count
+from tests.stages.examples import episode
 
 
 def test_a_reader_cannot_write(database):
@@ -105,7 +105,7 @@ def test_every_state_of_runs_and_visits_can_be_stored(database):
             row = session.get_one(RunRow, run.number)
             row.state, row.error_code = state, "x" if state == RunState.FAILED else None
             session.flush()
-    visit = Stage("target_episode", {"task": "arm", "run": run.id})
+    visit = episode(run.id)
     with database.write("test") as session:
         row = visits.publish(session, visit, run.id, datetime.now(UTC))
         for state in VisitState:

@@ -5,11 +5,12 @@ import json
 import numpy as np
 
 from adr_service.criticism.verdict import (
-    Estimate,
+    Conclusion,
     Experiment,
     Gain,
     NamedCause,
     Residual,
+    StrengthInterval,
     Trace,
     Verdict,
 )
@@ -67,11 +68,11 @@ EXPECTED = {
 
 
 def test_every_field_of_a_verdict_keeps_its_name_and_place():
-    density = Estimate("density", 1.2, 1.0, 1.4, "kg/m³")
-    speed = Estimate("speed x", 2.0, -np.inf, np.inf, "m/s")
+    density = StrengthInterval("density", 1.2, 1.0, 1.4, "kg/m³")
+    speed = StrengthInterval("speed x", 2.0, -np.inf, np.inf, "m/s")
     wind = NamedCause("wind", "global", (density, speed), confidence=0.7, gain=55.0)
     drag = NamedCause(
-        "fluid_drag", "global", (Estimate("density", 1.3, 1.1, 1.5, "kg/m³"),), 0.2, 54.0
+        "fluid_drag", "global", (StrengthInterval("density", 1.3, 1.1, 1.5, "kg/m³"),), 0.2, 54.0
     )
     residual = Residual(
         noise=(0.001, 0.01),
@@ -96,7 +97,7 @@ def test_every_field_of_a_verdict_keeps_its_name_and_place():
         trace=Trace(np.zeros(1), nothing, nothing, nothing),
     )
     verdict = Verdict(
-        finding="tie",
+        conclusion=Conclusion.TIE,
         confidence=0.9,
         causes=(wind,),
         tied=((drag,),),

@@ -3,20 +3,15 @@
 from datetime import UTC, datetime
 
 from adr_service.specs import RunSpec
-from adr_service.stages import Stage, StageResult
+from adr_service.stages.base import StageResult
 from db import visits
+from tests.stages.examples import episode
 
 SPEC = RunSpec.model_validate(
     {"task": "arm", "method": "simopt", "preset": "smoke", "target": {"kind": "external"}}
 )
 START = datetime(2026, 1, 1, tzinfo=UTC)
 LEASE_S = 60.0
-
-
-def episode(run_id, number=0, kind="target_episode"):
-    """The stage of an episode."""
-    inputs = {"task": "arm", "run": run_id, "purpose": "rollout", "number": number, "seed": 0}
-    return Stage(kind, {**inputs, "transitions": 10}, {"policy": b"weights"})
 
 
 def publish(database, run_id, number=0):
@@ -34,5 +29,5 @@ def complete(database, task, lease=None, content=b"data", now=START):
     """Upload an episode of ten transitions."""
     result = StageResult({"transitions": 10, "return": 1.0}, {"data": content})
     return visits.complete(
-        database, task.id, lease or task.lease, result, now, lambda session: None
+        database, task.id, lease or task.lease, result, 10, now, lambda session: None
     )

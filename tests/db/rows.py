@@ -11,12 +11,12 @@ from adr_service.benchmark.cost import Execution
 from adr_service.events import StageFinished
 from adr_service.json_values import canonical_json
 from adr_service.specs import BenchmarkSpec, RunSpec
-from adr_service.stages import Stage, StageResult
+from adr_service.stages.base import StageResult
 from adr_service.transitions import TransitionDataset
 from db import events, stages
+from tests.stages.examples import evaluation
 
 SPEC = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})
-STAGE = Stage("evaluate", {"x": 1})
 RESULT = StageResult({"returns": [0.1, 1 / 3]}, {"policy": b"\0bytes", "data": b""})
 EXECUTION = Execution(
     attempt=1,
@@ -33,6 +33,9 @@ EXECUTION = Execution(
 )
 # as of a robot's episode, which takes no core
 UNMEASURED = replace(EXECUTION, cpu=None, preparing=None, is_first=None, cores=None)
+
+
+STAGE = evaluation(1)
 
 
 def benchmark_spec(**changes):

@@ -10,12 +10,22 @@ from adr_service.events import (
     RunSucceeded,
     TrainingEvaluated,
 )
-from adr_service.stages import Stage, StageResult
+from adr_service.stages.base import StageResult
 from db import events, runs, stages
 from db.errors import (
     NotFound,
 )
-from tests.db.rows import EXECUTION, RESULT, SPEC, STAGE, UNMEASURED, commit, count, stored
+from tests.db.rows import (
+    EXECUTION,
+    RESULT,
+    SPEC,
+    STAGE,
+    UNMEASURED,
+    commit,
+    count,
+    stored,
+)
+from tests.stages.examples import evaluation
 
 
 def test_a_result_comes_back_to_the_last_digit(database):
@@ -43,14 +53,14 @@ def test_nothing_of_a_commit_stays_when_a_part_of_it_fails(database):
 def test_equal_bytes_are_stored_once(database):
     run = runs.create_run(database, SPEC)
     for x in (1, 2):
-        commit(database, Stage("evaluate", {"x": x}), StageResult({}, {"p": b"same"}), run.id)
+        commit(database(x), StageResult({}, {"p": b"same"}), run.id)
     assert count(database, "artifacts") == 1
 
 
 def test_deleting_a_run_frees_what_only_it_refers_to(database):
     first, second = (runs.create_run(database, SPEC) for _ in range(2))
     commit(database, STAGE, RESULT, first.id, second.id)
-    own = Stage("evaluate", {"x": 2})
+    own = evaluation(2)
     commit(database, own, StageResult({}, {"p": b"own"}), first.id)
     for run in (first, second):
         events.append_event(database, run.id, RunSucceeded())
@@ -87,7 +97,7 @@ def test_an_episode_that_took_no_core_has_seconds_and_is_not_measured(database):
 def test_the_timing_column_keeps_its_form(database):
     """Databases of earlier versions are read, and later rows look like theirs."""
     commit(database, STAGE, RESULT)
-    commit(database, Stage("evaluate", {"x": 2}), RESULT, execution=UNMEASURED)
+    commit(database(2), RESULT, execution=UNMEASURED)
     with database.read() as session:
         rows = session.execute(text("select timing from stages")).scalars().all()
     assert set(rows) == {

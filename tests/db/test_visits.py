@@ -28,6 +28,7 @@ from db.session import open_database
 from db.visits import LeaseLost
 from tests.db.leases import LEASE_S, SPEC, START, claim, complete, episode, publish
 from tests.db.rows import stored
+from tests.stages.examples import rollout
 
 
 @pytest.fixture
@@ -155,7 +156,7 @@ class TestLeases:
 
 class TestSimulated:
     def test_the_simulated_target_completes_under_a_lease_like_a_robot(self, database, run_id):
-        stage = episode(run_id, kind="target_rollout")
+        stage = rollout()
         with database.write("test") as session:
             first, second = (
                 visits.claim_simulated(session, stage, run_id, name, START, LEASE_S)
@@ -172,7 +173,7 @@ class TestSimulated:
     def test_no_robot_is_offered_it_and_a_claim_that_led_nowhere_is_forgotten(
         self, database, run_id
     ):
-        stage = episode(run_id, kind="target_rollout")
+        stage = rollout()
         with database.write("test") as session:
             visits.claim_simulated(session, stage, run_id, "actor", START, LEASE_S)
         assert claim(database, now=START + timedelta(days=1)) is None

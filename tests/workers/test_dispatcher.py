@@ -5,19 +5,21 @@ import re
 import signal
 import threading
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
 import pytest
 
-from adr_service.computation import compute
 from adr_service.errors import RunCancelled, StageFailed
-from adr_service.runs import run
+from adr_service.programs import run
 from adr_service.specs import RunSpec
-from adr_service.stages import Stage
+from adr_service.stages.base import compute
+from adr_service.stages.local import LocalStages
 from adr_service.training.policy import Policy
-from db.errors import DatabaseUnavailable
 from tests.service import until
+from tests.stages.examples import evaluation, training
+from tests.workers.stores import Store
 from workers.cluster import RayOptions
 from workers.dispatcher import Dispatcher
 from workers.ray_stages import RayStages
@@ -31,65 +33,9 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
 ]
 
-POINT = {"kind": "uniform", "low": [1.0, 0.7, 2.0, 1.0], "high": [1.0, 0.7, 2.0, 1.0]}
-
-
-def training(seed, **changes):
-    settings = RunSpec.model_validate(
-        {"task": "arm", "method": "prior", "preset": "smoke", "training": changes}
-    ).training
-    return Stage(
-        "train_policy",
-        {
-            "task": "arm",
-            "variant": "vanilla",
-            "seed": seed,
-            "distribution": POINT,
-            "training": settings.model_dump(),
-        },
-    )
-
 
 def long_training(seed):
     return training(seed, max_steps=10_000_000, evaluate_every=10_000_000)
-
-
-class Store:
-    """A memory in place of the database."""
-
-    def __init__(self):
-        self.results, self.commits, self.notes = {}, [], []
-        self.first = {}  # by digest: whether the stage was the first of its process
-        self.refusals = 0  # of the database, to come
-        self.dropped = []
-
-    def find(self, stage, run_id):
-        self.refuse()
-        return self.results.get(stage.digest)
-
-    def note(self, stage, so_far, run_ids):
-        self.notes.append((stage.digest, so_far, run_ids))
-
-    def begin(self, stage, run_id, worker):
-        return "lease"
-
-    def drop(self, stage):
-        self.dropped.append(stage.digest)
-        raise OSError("the file system is read-only")
-
-    def commit(self, stage, result, execution, lease, run_ids):
-        self.refuse()
-        if "run_unlucky" in run_ids:
-            raise OSError("no space left on device")
-        self.results[stage.digest] = result
-        self.first[stage.digest] = execution.is_first
-        attempt, started_by = execution.attempt, execution.started_by
-        self.commits.append((stage.digest, attempt, started_by, sorted(run_ids)))
-
-    def refuse(self):
-        if self.refusals > 0:
-            self.refusals -= 1
-            raise DatabaseUnavailable("the database cannot be used just now")
 
 
 @pytest.fixture(scope="module")
@@ -125,10 +71,10 @@ def test_a_training_reports_its_checkpoint_while_it_goes_on(started):
     finished = result.done()
     dispatcher.withdraw("run_watched")
     until(lambda: not running(dispatcher, "run_watched"))
-    _, so_far, run_ids = noted[0]
+    _, checkpoint, run_ids = noted[0]
     assert (finished, run_ids) == (False, ["run_watched"])
-    assert so_far.values["curve"][0]["steps"] == 1008  # of twelve environments
-    assert Policy.from_bytes(so_far.blobs["policy"]).action_low.tolist() == [-1, -1]
+    assert checkpoint.events[0].steps == 1008  # of twelve environments
+    assert Policy.from_bytes(checkpoint.content).action_low.tolist() == [-1, -1]
 
 
 def test_equal_stages_are_computed_once_for_all_who_ask(started):
@@ -156,10 +102,9 @@ def test_a_process_serves_one_run_after_the_other_and_ends_when_idle(started):
     future.result(60)
     assert re.fullmatch(r"adr:run_\w+:trainer:\d+", seen.actor)
     assert "run_after" not in seen.actor  # it bears the name of the run that it was started for
-    task = {"task": "arm", "variant": "vanilla"}
-    evaluation = Stage("evaluate", {**task, "episodes": 1, "seed": 0}, {"policy": policy})
-    dispatcher.submit(evaluation, "run_after").result(60)
-    assert [store.first[s.digest] for s in (stage, evaluation)] == [False, False]
+    evaluating = evaluation(policy=policy)
+    dispatcher.submit(evaluating, "run_after").result(60)
+    assert [store.executions[s.digest].is_first for s in (stage, evaluating)] == [False, False]
     until(lambda: not Path(f"/proc/{seen.pid}").exists())
 
 
@@ -245,12 +190,12 @@ def test_a_process_that_hangs_before_its_first_sign_of_life_is_lost_as_well(
 def workers(dispatcher):
     """Pids of processes that were started for actors of stages, however far they have come."""
     others = ("ray::Board", "ray::RuntimeEnvAgent", "ray::DashboardAgent")
-    found = []
+    pids = []
     for process in psutil.Process().children(recursive=True):
         with suppress(psutil.NoSuchProcess):
             if process.parent().name() == "raylet" and not process.name().startswith(others):
-                found.append(process.pid)
-    return found
+                pids.append(process.pid)
+    return pids
 
 
 @pytest.mark.slow
@@ -284,13 +229,13 @@ def test_a_process_lost_three_times_fails_the_stage(started):
 
 def test_a_stage_that_goes_wrong_says_how_and_is_not_remembered(started):
     dispatcher, store = started
-    stage = Stage("evaluate", {"task": "nothing"}, {"policy": b""})
+    stage = evaluation(policy=b"", task="nothing")
     with pytest.raises(StageFailed, match="there is no task 'nothing'") as failed:
         dispatcher.submit(stage, "run_wrong").result(60)
     assert failed.value.cause == "unknown_name"
     assert stage.digest not in store.results
-    defect = Stage("evaluate", {}, {})
-    with pytest.raises(StageFailed, match="KeyError") as failed:
+    defect = replace(training(90), training=None)
+    with pytest.raises(StageFailed, match="AttributeError") as failed:
         dispatcher.submit(defect, "run_wrong").result(60)
     assert failed.value.cause == "internal"
 
@@ -325,8 +270,6 @@ def test_a_stage_waits_for_a_database_that_cannot_be_used_just_now(started, seed
 
 def test_a_run_on_two_cores_has_the_same_events_as_in_this_process(started):
     """Events may come in another order where stages run at the same time."""
-    from adr_service.computation import LocalStages
-
     dispatcher, _ = started
     spec = RunSpec.model_validate({"task": "arm", "method": "udr", "preset": "smoke"})
     there = list(run(spec, RayStages("run_whole", dispatcher, lambda: False)))

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tests.test_training import TINY  # a training of a second
+from tests.training.test_sac import TINY  # a training of a second
 
 
 @pytest.mark.ray
@@ -39,7 +39,7 @@ def test_every_rate_and_seed_is_tried_and_the_best_comes_first():
         (("amr", "--rates", "0.1"), "task: there is no task 'amr'"),
     ],
 )
-def test_what_cannot_be_tried_is_refused(adr_here, arguments, message):
-    code, _, told = adr_here("tune", *arguments)
+def test_rates_that_cannot_be_tried_are_refused(adr_here, arguments, message):
+    code, _, errors = adr_here("tune", *arguments)
     assert code == 2
-    assert message in told.replace("\n", " ")
+    assert message in errors.replace("\n", " ")

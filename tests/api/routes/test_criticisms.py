@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from adr_service.causes import Cause
-from adr_service.computation import LocalStages
-from adr_service.criticism.blind import hide
 from adr_service.criticism.report import FILES
+from adr_service.effects.base import Effect
 from adr_service.events import CriticismFinished
-from adr_service.runs import run
+from adr_service.programs import run
 from adr_service.specs import CriticismSpec
+from adr_service.stages.local import LocalStages
 from api.cli import app
 from api.client import Refused
+from benchmarks.planted import hide
 from tests.hidden import arm, recorded
 from tests.recordings import recording
 from tests.service import RunningService, wait_until_finished
 
 pytestmark = pytest.mark.ray
-HIDDEN = Cause("joint_coulomb_friction", "joint:elbow", (0.15,))
+HIDDEN = Effect("joint_coulomb_friction", "joint:elbow", (0.15,))
 
 
 @pytest.fixture(scope="module")

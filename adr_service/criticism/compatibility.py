@@ -1,0 +1,65 @@
+"""Checks that a measurement and a model fit together, and that the criticism fits in memory."""
+
+import mujoco
+
+from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.nominal import Nominal
+from adr_service.effects.base import is_added
+from adr_service.errors import InvalidInput
+
+_MOST_STEPS = 500  # of the simulator between two rows
+_MOST_NUMBERS = 2e8  # of one array of a criticism: 1.6 GB
+
+
+def check_measurement(nominal: Nominal, data: Measurement) -> None:
+    """Raises InvalidInput if the data are too few, or do not belong to the simulator."""
+    data.check_usable()
+    data.check_velocities()
+    model = nominal.model(nominal.start)
+    check_columns(model, data)
+    steps = steps_between(data.period(), model.opt.timestep)
+    lengths = [last - first for first, last in data.spans()]
+    needed = max(len(lengths) * max(lengths) * model.nv, len(data.time) * steps) * model.nv
+    if needed > _MOST_NUMBERS:
+        raise InvalidInput(
+            f"{len(lengths)} episodes, the longest of {max(lengths)} rows, with {steps} steps of "
+            f"the model between rows, would take {needed:.2g} numbers at a time; accepted are "
+            f"{_MOST_NUMBERS:.2g} (give fewer rows, in episodes of about the same length)"
+        )
+
+
+def check_columns(model: mujoco.MjModel, data: Measurement) -> None:
+    """Raises InvalidInput unless the data have the model's whole state and all its commands."""
+    if model.nq != model.nv:
+        raise InvalidInput(
+            f"the model has {model.nq} positions for {model.nv} velocities: free and ball joints "
+            "cannot be criticised yet; accepted are slides and hinges"
+        )
+    beyond = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS) - 1 - 2 * model.nv
+    if beyond:
+        raise InvalidInput(
+            f"the model's state has {beyond} numbers besides positions and velocities, which "
+            "nobody measured; accepted are actuators without dynamics or delay (both are among "
+            "the causes), and springs that do not yield"
+        )
+    commanded = [i for i in range(model.nu) if not is_added(model.actuator(i).name)]
+    widths = {"qpos": model.nq, "qvel": model.nv, "ctrl": len(commanded)}
+    for name, width in widths.items():
+        if (given := getattr(data, name).shape[1]) != width:
+            raise InvalidInput(f"{name} has {given} columns; the model has {width}")
+
+
+def steps_between(period: float, timestep: float) -> int:
+    """Simulator steps between two rows; raises InvalidInput unless they are a whole number."""
+    steps = period / timestep
+    if round(steps) < 1 or abs(steps - round(steps)) > 1e-3 * steps:
+        raise InvalidInput(
+            f"rows are {period:g} s apart, which is no multiple of the model's step of "
+            f"{timestep:g} s"
+        )
+    if steps > _MOST_STEPS:
+        raise InvalidInput(
+            f"rows are {period:g} s apart, {round(steps)} of the model's steps; accepted are "
+            f"{_MOST_STEPS} at most (is `time` in seconds?)"
+        )
+    return round(steps)

@@ -1,0 +1,108 @@
+"""The simulator under criticism, which may be wrong: a model and its free parameters.
+
+nominal = Nominal.of_task(task, source)
+model = nominal.model(nominal.start, effects)       # a compiled MjModel
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from adr_service.arrays import Vector
+from adr_service.effects.base import Effect
+from adr_service.effects.models import make_inertias_explicit, with_effects
+from adr_service.errors import InvalidInput
+from adr_service.parameters import ParameterSpace
+from adr_service.simulation.model import link_of, read, resolve, write
+from adr_service.tasks.base import Reshapable, Source, Task
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """A model whose free parameters may be fitted before anything is called wrong."""
+
+    xml: str
+    space: ParameterSpace  # free parameters
+    start: Vector  # (d,) where the fit begins [SI]
+    fixed: Mapping[str, float] = field(default_factory=dict[str, float])  # address -> value
+    task: Task | None = None  # whose links can be reshaped, where lengths are parameters
+    folder: str = ""  # in which the model looks for meshes and textures; written out as well
+
+    @classmethod
+    def of_task(cls, task: Task, source: Source) -> "Nominal":
+        """A task's simulator as its file has it, with a source's parameters free, except link
+        lengths, which stay. Raises InvalidInput if the source has effects already."""
+        if source.effects:
+            raise InvalidInput(f"{task.name} is extended already; criticise it as its file has it")
+        free = [p.name for p in source.space.parameters if link_of(p.address) is None]
+        return cls.of_model(task.xml, source.space.subset(tuple(free)), source.fixed, task)
+
+    @classmethod
+    def of_model(
+        cls,
+        xml: str,
+        space: ParameterSpace,
+        fixed: Mapping[str, float] | None = None,
+        task: Task | None = None,
+        folder: str = "",
+    ) -> "Nominal":
+        """A model whose free parameters start at the values that its file has."""
+        whole = cls(xml, ParameterSpace(()), np.empty(0), fixed or {}, task, folder)
+        model = whole.model(whole.start)
+        start = [read(model, resolve(model, p.address)) for p in space.parameters]
+        for p, value in zip(space.parameters, start, strict=True):
+            if not p.feasible_low <= value <= p.high:
+                raise InvalidInput(
+                    f"the model has {value:g} for {p.name}, which is outside of its bounds: "
+                    f"{p.feasible_low:g} to {p.high:g}"
+                )
+        return cls(xml, space, np.array(start), fixed or {}, task, folder)
+
+    def model(self, values: Vector, effects: Sequence[Effect] = ()) -> mujoco.MjModel:
+        """The compiled model with parameters (d,) and effects."""
+        return with_effects(self.spec(values), lambda model: self.write(model, values), effects)
+
+    def spec(self, values: Vector) -> mujoco.MjSpec:
+        """The model's source, with names for all elements, reshaped if lengths are parameters."""
+        spec = self._read()
+        for kind in ("bodies", "joints", "geoms", "actuators"):
+            for number, element in enumerate(getattr(spec, kind)):
+                element.name = element.name or f"unnamed_{number}"  # an effect needs a place
+        make_inertias_explicit(spec)
+        if spec.compiler.settotalmass > 0:
+            raise InvalidInput(
+                "the model scales its masses by settotalmass, which no effect in a body survives; "
+                "write the masses out (MjSpec.to_xml does) and leave it away"
+            )
+        known = self.addressed(values)
+        lengths = {link: value for a, value in known.items() if (link := link_of(a)) is not None}
+        if lengths:
+            assert isinstance(self.task, Reshapable)
+            self.task.reshape(spec, lengths)
+        return spec
+
+    def _read(self) -> mujoco.MjSpec:
+        try:
+            spec = mujoco.MjSpec.from_string(self.xml)
+        except ValueError as error:
+            raise InvalidInput(f"MuJoCo cannot read the model: {error}") from error
+        if self.folder:
+            paths: Any = spec  # whose stub lacks these two
+            paths.meshdir = str(Path(self.folder) / paths.meshdir)
+            paths.texturedir = str(Path(self.folder) / paths.texturedir)
+        return spec
+
+    def addressed(self, values: Vector) -> dict[str, float]:
+        """All values that the simulator takes, by address."""
+        addresses = [parameter.address for parameter in self.space.parameters]
+        return {**self.fixed, **dict(zip(addresses, values.tolist(), strict=True))}
+
+    def write(self, model: mujoco.MjModel, values: Vector) -> None:
+        """Put parameters (d,) into a compiled model."""
+        for address, value in self.addressed(values).items():
+            if link_of(address) is None:
+                write(model, resolve(model, address), value)

@@ -1,0 +1,87 @@
+"""First-order responses of a fit's predictions to effects that it does not have.
+
+    response = Responses(baseline).of(effect)       # (E, T, m, strengths)
+
+Each effect is simulated once and serves all scans, also those of later fits.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from adr_service.arrays import Matrix
+from adr_service.criticism.evidence import Fit
+from adr_service.effects.base import Effect
+from adr_service.effects.catalogue import get_mechanism
+from adr_service.effects.models import element_of
+from adr_service.effects.signals import offset_of
+
+
+class Responses:
+    """Changes of a fit's predictions by effect.
+
+    An effect in a sensor or on a command is a combination of what is known of states and commands
+    already; any other effect is simulated once for each strength.
+    """
+
+    def __init__(self, fit: Fit):
+        self._fit, self._simulator = fit, fit.simulator
+        known = (fit.parameters, fit.effects, fit.states)
+        self._predicted = self._simulator.predict_quickly(*known)
+        self._rates = self._simulator.rates(*known)
+        self._commands = self._simulator.commands(fit.effects, self._simulator.steps)
+        self._to_commands: dict[int, Matrix] = {}
+        self._by_effect: dict[Effect, np.ndarray] = {}
+
+    def of(self, effect: Effect) -> np.ndarray:
+        """(E, T, m, strengths) change by each strength, one after the other."""
+        if effect not in self._by_effect:
+            mechanism = get_mechanism(effect.kind)
+            if mechanism.sensing is not None:
+                response = self._in_sensor(effect)
+            elif mechanism.command is not None:
+                response = self._on_command(effect)
+            else:
+                response = self._simulated(effect)
+            response[~self._fit.linear.chain.mask] = 0.0  # nothing is known there
+            self._by_effect[effect] = response
+        return self._by_effect[effect]
+
+    def _simulated(self, effect: Effect) -> np.ndarray:
+        fit, steps, sizes = self._fit, [self._predicted], np.array(effect.values)
+        for count in range(1, len(sizes) + 1):
+            values = np.where(np.arange(len(sizes)) < count, sizes, 0.0)
+            effects = (*fit.effects, replace(effect, values=tuple(values.tolist())))
+            steps.append(self._simulator.predict_quickly(fit.parameters, effects, fit.states))
+        return fit.layout.fold(np.diff(np.stack(steps, axis=2), axis=2))
+
+    def _in_sensor(self, effect: Effect) -> np.ndarray:
+        """The sensor shows something else before the step, and after it."""
+        simulator, fit = self._simulator, self._fit
+        column, before = offset_of(simulator.base, effect, fit.states, self._rates)
+        starts = fit.states[simulator.starts]
+        rates = (self._predicted - starts) / simulator.period
+        _, after = offset_of(simulator.base, effect, self._predicted, rates)
+        folded = fit.layout.fold(np.column_stack([before[simulator.starts], after]))
+        response = -fit.linear.chain.transition[..., column] * folded[..., :1]
+        response[..., column] += folded[..., 1]
+        return response[..., None]
+
+    def _on_command(self, effect: Effect) -> np.ndarray:
+        """The actuator obeys something else, on average over a control step."""
+        simulator, fit = self._simulator, self._fit
+        actuator = element_of(simulator.base, effect.location)
+        changed = simulator.commands((*fit.effects, effect), simulator.steps) - self._commands
+        change = changed[:, :, actuator].mean(axis=1)
+        return fit.layout.fold(self._to_command(actuator) * change[:, None])[..., None]
+
+    def _to_command(self, actuator: int) -> Matrix:
+        """(N, m) response to one unit of command, simulated once for all effects on it."""
+        if actuator not in self._to_commands:
+            fit, size = self._fit, 0.01 * self._simulator.largest_command(actuator)
+            known = (fit.parameters, fit.effects, fit.states)
+            without, more = (
+                self._simulator.predict_unclamped(*known, actuator, s) for s in (0.0, size)
+            )
+            self._to_commands[actuator] = (more - without) / size
+        return self._to_commands[actuator]

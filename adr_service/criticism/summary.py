@@ -1,0 +1,92 @@
+"""Numbers of a verdict, from the fits of a criticism."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from adr_service.arrays import Vector
+from adr_service.criticism.decision import THRESHOLD, is_evidence
+from adr_service.criticism.evidence import Fit
+from adr_service.criticism.naming import Weighed
+from adr_service.criticism.scan import Candidate, location_of
+from adr_service.criticism.verdict import NamedCause, Residual, StrengthInterval
+from adr_service.effects.catalogue import get_mechanism
+from adr_service.effects.models import unit_of
+
+INTERVAL = 0.95
+
+
+def alternative(other: Weighed) -> NamedCause:
+    """An equally good cause, with the strengths that it has in the named one's place."""
+    count = len(other.fit.effects)
+    return named_cause(other.fit, slice(count - len(other.effects), count), other)
+
+
+def named_cause(fit: Fit, slot: slice, weighed: Weighed) -> NamedCause:
+    """Some of a fit's effects with intervals, as one cause or a group."""
+    effects = fit.effects[slot]
+    intervals = _intervals(fit, slot)
+    return NamedCause(
+        effects[0].kind, location_of(effects), intervals, weighed.confidence, weighed.gain
+    )
+
+
+def _intervals(fit: Fit, slot: slice) -> tuple[StrengthInterval, ...]:
+    """Intervals of all strengths of some effects, by the sandwich estimate of their variance."""
+    effects = fit.effects[slot]
+    covariance = fit.normal.covariance()
+    freedom = max(len(fit.held_out) - len(covariance), 1)
+    reach = float(stats.t.ppf(0.5 + INTERVAL / 2, freedom))
+    variances = np.diagonal(covariance)[fit.columns_of(slot)].tolist()
+    intervals: list[StrengthInterval] = []
+    for effect in effects:
+        for strength, value in zip(
+            get_mechanism(effect.kind).strengths, effect.values, strict=True
+        ):
+            variance = variances[len(intervals)]
+            error = reach * float(np.sqrt(max(variance, 0.0)))
+            bounds = (max(value - error, strength.low), value + error)
+            unit = unit_of(fit.simulator.base, effect.location, strength.unit)
+            name = strength.name if len(effects) == 1 else f"{effect.name} {strength.name}"
+            low, high = bounds if variance != 0 else (-np.inf, np.inf)  # zero: not identifiable
+            intervals.append(StrengthInterval(name, value, low, high, unit))
+    return tuple(intervals)
+
+
+def residual_of(
+    baseline: Fit, final: Fit, first: Sequence[Candidate], flexible: Vector
+) -> Residual:
+    """What the final fit leaves, where `flexible` (E,) nats are those of a flexible force over it.
+
+    `first`: candidates of the first scan, for detection limits.
+    """
+    simulator, space = final.simulator, final.simulator.nominal.space
+    used = int(final.linear.chain.mask.sum())
+    at_bound = (final.parameters <= space.feasible_low) | (final.parameters >= space.high)
+    fitted = zip(baseline.parameters.tolist(), final.parameters.tolist(), strict=True)
+    return Residual(
+        noise=tuple(np.sqrt(final.noise.sensor).tolist()),
+        step=simulator.base.opt.timestep / simulator.finer,
+        own_step=simulator.base.opt.timestep,
+        unexplained_nats=float(flexible.sum()),
+        rest="unknown" if is_evidence(flexible) else "none",
+        moved=dict(zip(space.names, fitted, strict=True)),
+        at_bound=tuple(n for n, is_at in zip(space.names, at_bound, strict=True) if is_at),
+        used=used,
+        diverged=int(final.layout.mask.sum()) - used,
+        detectable=_detectable(final, first),
+    )
+
+
+def _detectable(final: Fit, first: Sequence[Candidate]) -> dict[str, tuple[float, str]]:
+    """Smallest first strength of each effect that would have been evidence, and its unit."""
+    reach = np.sqrt(2 * THRESHOLD)  # standard deviations that gain as much
+    return {
+        f"{c.kind} {c.location}": (
+            float(reach * c.deviations[0]),
+            unit_of(final.simulator.base, c.location, get_mechanism(c.kind).strengths[0].unit),
+        )
+        for c in first
+        if len(c.effects) == 1 and np.isfinite(c.deviations[0])
+    }

@@ -1,0 +1,161 @@
+"""Effects at actuators: on their force, and on commands on their way to them."""
+
+import mujoco
+import numpy as np
+
+from adr_service.arrays import Matrix, Vector
+from adr_service.effects.base import Commands, Mechanism, Strength
+
+
+def drives(model: mujoco.MjModel, joint: int) -> list[int]:
+    """Actuators on a joint."""
+    on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    return np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == joint)).tolist()
+
+
+def largest_force(model: mujoco.MjModel, actuator: int) -> float:
+    """Largest force of an actuator, after its gear."""
+    gain = abs(model.actuator_gear[actuator, 0] * model.actuator_gainprm[actuator, 0])
+    return float(gain * _largest_command(model, actuator))
+
+
+def _largest_command(model: mujoco.MjModel, actuator: int) -> float:
+    """Bound of an actuator's command in units of control; one if it has no limit."""
+    limited = bool(model.actuator_ctrllimited[actuator])
+    return float(np.abs(model.actuator_ctrlrange[actuator]).max()) if limited else 1.0
+
+
+def add_passive(
+    spec: mujoco.MjSpec, name: str, target: str, transmission: mujoco.mjtTrn
+) -> mujoco.MjsActuator:
+    """Add an actuator whose force is a bias alone, whatever the model's defaults are."""
+    actuator = spec.add_actuator(name=name, target=target)
+    actuator.trntype = transmission
+    actuator.dyntype, actuator.actdim = mujoco.mjtDyn.mjDYN_NONE, 0
+    actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.gainprm, actuator.biasprm = (
+        np.zeros_like(actuator.gainprm),
+        np.zeros_like(actuator.biasprm),
+    )
+    for limited in ("ctrllimited", "forcelimited", "actlimited"):
+        setattr(actuator, limited, mujoco.mjtLimited.mjLIMITED_FALSE)
+    actuator.nsample = 0
+    return actuator
+
+
+def _gain(model: mujoco.MjModel, actuator: int, values: Vector) -> None:
+    model.actuator_gainprm[actuator] *= 1 + values[0]
+    model.actuator_biasprm[actuator] *= 1 + values[0]
+
+
+GAIN = Mechanism(
+    "actuator_gain",
+    "actuator",
+    (Strength("relative change", "1", low=-1.0),),
+    typical=lambda model, actuator: (0.02,),
+    change=_gain,
+)
+
+
+def _add_bias(spec: mujoco.MjSpec, actuator: str) -> None:
+    drive = spec.actuator(actuator)
+    if drive.biastype == mujoco.mjtBias.mjBIAS_NONE:
+        drive.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        drive.biasprm = np.zeros_like(drive.biasprm)
+
+
+def _bias(model: mujoco.MjModel, actuator: int, values: Vector) -> None:
+    model.actuator_biasprm[actuator, 0] += values[0] / model.actuator_gear[actuator, 0]
+
+
+def _turns_a_joint(model: mujoco.MjModel, actuator: int) -> bool:
+    on_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+    return bool(on_joint and model.actuator_gear[actuator, 0] != 0)
+
+
+BIAS = Mechanism(
+    "actuator_bias",
+    "actuator",
+    (Strength("force", "N m"),),
+    typical=lambda model, actuator: (0.01 * largest_force(model, actuator),),
+    change=_bias,
+    prepare=_add_bias,
+    applies=_turns_a_joint,
+)
+
+
+def _delay(commands: Commands, values: Vector) -> Matrix:
+    """Late commands, averaged over each simulator step; zero before an episode."""
+    steps = values[0] / commands.timestep
+    whole = int(steps)
+    part, before = steps - whole, np.zeros((len(commands.values), whole + 1))
+    known = np.concatenate([before, commands.values], axis=1)
+    count = commands.values.shape[1]
+    return (1 - part) * known[:, 1 : count + 1] + part * known[:, :count]
+
+
+DELAY = Mechanism(
+    "actuator_delay",
+    "actuator",
+    (Strength("delay", "s", low=0.0),),
+    typical=lambda model, actuator: (0.5 * model.opt.timestep,),
+    command=_delay,
+)
+
+
+def _lag(commands: Commands, values: Vector) -> Matrix:
+    """First order, exact for commands that hold during a simulator step; at rest at first."""
+    if values[0] <= 0:
+        return commands.values
+    keep = np.exp(-commands.timestep / values[0])
+    # the actuator's mean during a step, from its state at the step's start
+    weight = values[0] / commands.timestep * (1 - keep)
+    output, state = np.empty_like(commands.values), np.zeros(len(commands.values))
+    for step, command in enumerate(commands.values.T):
+        output[:, step] = command + (state - command) * weight
+        state = command + (state - command) * keep
+    return output
+
+
+LAG = Mechanism(
+    "actuator_lag",
+    "actuator",
+    (Strength("time constant", "s", low=0.0),),
+    typical=lambda model, actuator: (model.opt.timestep,),
+    command=_lag,
+)
+
+
+def _deadband(commands: Commands, values: Vector) -> Matrix:
+    given = commands.values
+    return np.sign(given) * np.maximum(np.abs(given) - values[0], 0.0)
+
+
+DEADBAND = Mechanism(
+    "actuator_deadband",
+    "actuator",
+    (Strength("half width", "control", low=0.0),),
+    typical=lambda model, actuator: (0.03 * _largest_command(model, actuator),),
+    command=_deadband,
+    sizes=(0.3, 1.0, 4.0),
+)
+
+
+def _saturation(commands: Commands, values: Vector) -> Matrix:
+    most = commands.largest - values[0]
+    return np.clip(commands.values, -most, most)
+
+
+def _is_limited(model: mujoco.MjModel, actuator: int) -> bool:
+    return bool(model.actuator_ctrllimited[actuator])
+
+
+SATURATION = Mechanism(
+    "actuator_saturation",
+    "actuator",
+    (Strength("lost range", "control", low=0.0),),
+    typical=lambda model, actuator: (0.1 * _largest_command(model, actuator),),
+    command=_saturation,
+    applies=_is_limited,
+    sizes=(0.3, 1.0, 4.0),
+)

@@ -1,0 +1,196 @@
+"""One physical effect at one place, and the mechanisms that effects are instances of.
+
+    effect = Effect("joint_coulomb_friction", "joint:leg_joint", (2.0,))
+    domain = domain_of("vanilla", [effect])      # vanilla@[{"kind": …}]
+
+A *mechanism* is a kind of effect: `joints.py` and its neighbours have one after the other, each
+under the functions that it needs, and `catalogue.py` collects them. A *domain* is the name of a
+task's variant with effects beyond its own.
+"""
+
+from __future__ import annotations  # the types of MuJoCo are not imported
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+
+import numpy as np
+from pydantic import AllowInfNan, ConfigDict, Field, GetCoreSchemaHandler, Strict
+from pydantic_core import CoreSchema, core_schema
+
+from adr_service.arrays import Matrix, Vector
+from adr_service.errors import InvalidInput
+from adr_service.json_values import canonical_json, refuse_unknown_fields
+
+if TYPE_CHECKING:  # MuJoCo takes a while to import, and nothing here runs it
+    import mujoco
+
+ADDED = "adr_"  # opens the name of every element that a mechanism adds to a model
+SENSOR_SIZE = 0.005  # [rad, m, rad/s or m/s] typical size of a sensor's error
+_SEPARATOR = "@"
+_Text = Annotated[str, Strict(), Field(max_length=1000)]
+_Number = Annotated[float, Strict(), AllowInfNan(False)]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One physical effect at one place, with its strengths."""
+
+    # the constructor checks nothing, because a fit may try strengths that make no sense; a field of
+    # a pydantic model checks its JSON
+
+    kind: _Text
+    location: Annotated[_Text, Field(description="as joint:elbow, or global")]
+    values: Annotated[
+        tuple[_Number, ...],
+        Field(min_length=1, max_length=100, description="strengths in the mechanism's order"),
+    ]
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        names = [field.name for field in fields(cls)]
+        return core_schema.no_info_before_validator_function(
+            lambda given: refuse_unknown_fields(given, names), handler(source)
+        )
+
+    @property
+    def name(self) -> str:
+        """Name of the element at the location, without its kind."""
+        return self.location.partition(":")[2]
+
+
+def domain_of(variant: str, effects: Sequence[Effect]) -> str:
+    """The variant with these effects, or the bare variant if there are none."""
+    listed = canonical_json([asdict(effect) for effect in effects])
+    return variant + _SEPARATOR + listed if effects else variant
+
+
+def parse_domain(domain: str) -> tuple[str, tuple[Effect, ...]]:
+    """The variant and the effects of a domain."""
+    variant, _, listed = domain.partition(_SEPARATOR)
+    values = json.loads(listed) if listed else []
+    return variant, tuple(Effect(v["kind"], v["location"], tuple(v["values"])) for v in values)
+
+
+Place = Literal["joint", "actuator", "body", "geom", "sensor", "global"]
+# numbers of elements are MuJoCo's; of a sensor, its column in the states
+Change: TypeAlias = "Callable[[mujoco.MjModel, int, Vector], None]"
+Prepare: TypeAlias = "Callable[[mujoco.MjSpec, str], None]"
+Typical: TypeAlias = "Callable[[mujoco.MjModel, int], tuple[float, ...]]"
+Applies: TypeAlias = "Callable[[mujoco.MjModel, int], bool]"
+Column: TypeAlias = "Callable[[mujoco.MjModel, int], int]"
+
+
+@dataclass(frozen=True)
+class Strength:
+    """One parameter of a mechanism, which has no effect at zero."""
+
+    name: str
+    unit: str  # on a hinge, "of the sensor" for its own
+    low: float = -np.inf  # smallest value that makes sense
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Commands to one actuator, at every simulator step of every recorded episode."""
+
+    values: Matrix  # (episodes, T) in units of control; after an episode's end, its last
+    timestep: float  # [s]
+    largest: float  # bound of what the actuator obeys
+
+
+Command = Callable[[Commands, Vector], Matrix]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """States of a robot at n moments, and the column that one sensor shows of them."""
+
+    states: Matrix  # (n, 2 nv) positions, then velocities
+    rates: Matrix  # (n, 2 nv) of change [1/s]; zero unless some sensor effect uses rates
+    column: int
+
+
+Offset = Callable[[Motion, Vector], Vector]
+Record = Callable[[Matrix, Vector, float], Matrix]
+
+
+def _own_column(model: mujoco.MjModel, sensor: int) -> int:
+    return sensor
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """Difference between the readings of one sensor and the truth."""
+
+    offset: Offset  # (n,) reading minus truth, by the true motion
+    # readings (episodes, rows) of whole true episodes at a period [s], without approximation;
+    # None: readings spread, but none moves on average
+    record: Record | None
+    offset_shown: Offset | None = None  # `offset` by the motion as sensors show it, if it differs
+    column: Column = _own_column  # of the states, by the element at the effect's place
+    uses_rates: bool = False
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """A kind of effect; exactly one of `change`, `command` and `sensing` says how it acts."""
+
+    kind: str
+    place: Place
+    strengths: tuple[Strength, ...]
+    typical: Typical  # sizes of the strengths that a sensible simulator might lack
+    change: Change | None = None  # of the compiled model
+    prepare: Prepare | None = None  # adds the elements that `change` needs, at zero strength
+    command: Command | None = None  # what the actuator obeys instead
+    sensing: Sensing | None = None
+    applies: Applies = lambda model, element: True  # True if it makes sense at a place
+    sizes: tuple[float, ...] = (1.0,)  # times typical, for effects that are not in proportion
+    has_sides: bool = False  # True if more and less of it are effects of their own
+    includes: str = ""  # kind that it equals while its last strengths are zero
+
+    def __post_init__(self) -> None:
+        ways = [name for name in ("change", "command", "sensing") if getattr(self, name)]
+        if len(ways) != 1:
+            raise InvalidInput(
+                f"mechanism {self.kind} has {' and '.join(ways) or 'nothing'}; give it exactly "
+                "one of change, command and sensing"
+            )
+
+    @property
+    def only_spreads(self) -> bool:
+        """True if it moves nothing on average, so that only the readings' spread shows it."""
+        return self.sensing is not None and self.sensing.record is None
+
+    def locations(self, model: mujoco.MjModel) -> list[str]:
+        """Places of a model that may have the effect."""
+        if self.place == "global":
+            return ["global"]
+        if self.place == "sensor":
+            return [f"sensor:{name}" for name in sensors(model)]
+        count = {
+            "joint": model.njnt,
+            "actuator": model.nu,
+            "body": model.nbody,
+            "geom": model.ngeom,
+        }
+        first = 1 if self.place == "body" else 0  # the world is no body
+        return [
+            f"{self.place}:{getattr(model, self.place)(i).name}"
+            for i in range(first, count[self.place])
+            if self.applies(model, i) and not is_added(getattr(model, self.place)(i).name)
+        ]
+
+
+def sensors(model: mujoco.MjModel) -> list[str]:
+    """Names of the measured columns: positions, then velocities, by joint."""
+    names = [model.joint(int(model.dof_jntid[dof])).name for dof in range(model.nv)]
+    return [f"{n}.position" for n in names] + [f"{n}.velocity" for n in names]
+
+
+def is_added(name: str) -> bool:
+    """True if a mechanism added the element; nobody commands such an actuator."""
+    return name.startswith(ADDED)

@@ -1,0 +1,111 @@
+"""Effects in bodies: their mass, where it is, and what they carry."""
+
+import mujoco
+import numpy as np
+
+from adr_service.arrays import Vector
+from adr_service.effects.base import SENSOR_SIZE, Mechanism, Strength
+
+_GRAVITY = 9.81  # [m/s²] for typical sizes alone
+
+
+def weight(model: mujoco.MjModel) -> float:
+    """Weight of the whole robot on Earth [N]."""
+    return float(_GRAVITY * model.body_mass.sum())
+
+
+def has_mass(model: mujoco.MjModel, body: int) -> bool:
+    """True if a body has any mass."""
+    return bool(model.body_mass[body] > 0)
+
+
+def _fiftieth_of_mass(model: mujoco.MjModel, body: int) -> tuple[float, ...]:
+    return (0.02 * float(model.body_mass[body]),)
+
+
+def _mass(model: mujoco.MjModel, body: int, values: Vector) -> None:
+    model.body_mass[body] += values[0]
+
+
+MASS = Mechanism(
+    "body_mass",
+    "body",
+    (Strength("mass", "kg"),),
+    typical=_fiftieth_of_mass,
+    change=_mass,
+    applies=has_mass,
+)
+
+
+def _com(model: mujoco.MjModel, body: int, values: Vector) -> None:
+    model.body_ipos[body] += values
+
+
+CENTRE_OF_MASS = Mechanism(
+    "body_com",
+    "body",
+    (Strength("x", "m"), Strength("y", "m"), Strength("z", "m")),
+    typical=lambda model, body: (SENSOR_SIZE,) * 3,
+    change=_com,
+    applies=has_mass,
+)
+
+
+def _inertia(model: mujoco.MjModel, body: int, values: Vector) -> None:
+    model.body_inertia[body] *= 1 + values[0]
+
+
+INERTIA = Mechanism(
+    "body_inertia",
+    "body",
+    (Strength("relative change", "1", low=-1.0),),
+    typical=lambda model, body: (0.05,),
+    change=_inertia,
+    applies=has_mass,
+)
+
+
+def _payload(model: mujoco.MjModel, body: int, values: Vector) -> None:
+    """A point mass at the end of the body that is farthest from its joint."""
+    mass, at = values[0], _far_end(model, body)
+    if mass == 0:
+        return
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
+    frame = rotation.reshape(3, 3)
+    own, offset = model.body_mass[body], at - model.body_ipos[body]
+    tensor = frame @ np.diag(model.body_inertia[body]) @ frame.T
+    reduced = own * mass / (own + mass)  # about the common centre of mass
+    tensor += reduced * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    model.body_mass[body] = own + mass
+    model.body_ipos[body] += mass / (own + mass) * offset
+    quaternion, moments = np.empty(4), np.empty(3)
+    mujoco.mju_eig3(moments, np.empty(9), quaternion, tensor.ravel())
+    model.body_inertia[body], model.body_iquat[body] = moments, quaternion
+
+
+def _far_end(model: mujoco.MjModel, body: int) -> Vector:
+    """(3,) in the body's frame: the end of its geoms farthest from its origin."""
+    ends = [model.body_ipos[body]]
+    first = int(model.body_geomadr[body])
+    for geom in range(first, first + int(model.body_geomnum[body])):
+        centre, halves = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:].copy()
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE:
+            halves[2] = model.geom_size[geom, 1]  # without the cap
+        longest = int(np.argmax(halves))
+        for side in (-1.0, 1.0):
+            end = np.empty(3)
+            along = centre + side * halves[longest] * np.eye(3)[longest]
+            mujoco.mju_rotVecQuat(end, along, model.geom_quat[geom])
+            ends.append(model.geom_pos[geom] + end)
+    return max(ends, key=lambda end: float(end @ end))
+
+
+PAYLOAD = Mechanism(
+    "payload",
+    "body",
+    (Strength("mass", "kg", low=0.0),),
+    typical=_fiftieth_of_mass,
+    change=_payload,
+    applies=has_mass,
+)

@@ -1,0 +1,204 @@
+"""Effects at joints: friction, springs, inertia of the drive, play. First degree of freedom."""
+
+import mujoco
+import numpy as np
+
+from adr_service.arrays import Matrix, Vector
+from adr_service.effects.actuators import add_passive, drives, largest_force
+from adr_service.effects.base import (
+    ADDED,
+    SENSOR_SIZE,
+    Mechanism,
+    Motion,
+    Sensing,
+    Strength,
+)
+from adr_service.effects.bodies import weight
+
+BRAKE, RELEASE = f"{ADDED}brake_", f"{ADDED}release_"  # actuators, by joint
+_UNLIMITED = 1e10
+
+
+def _dof(model: mujoco.MjModel, joint: int) -> int:
+    return int(model.jnt_dofadr[joint])
+
+
+def _is_driven(model: mujoco.MjModel, joint: int) -> bool:
+    return bool(drives(model, joint))
+
+
+def _torque(model: mujoco.MjModel, joint: int) -> float:
+    """A hundredth of the largest force of a joint's actuators, or of the robot's weight."""
+    largest = sum(largest_force(model, i) for i in drives(model, joint))
+    return 0.01 * largest or 0.01 * weight(model)
+
+
+def _one_torque(model: mujoco.MjModel, joint: int) -> tuple[float, ...]:
+    return (_torque(model, joint),)
+
+
+def _add_limited(spec: mujoco.MjSpec, name: str, joint: str) -> None:
+    """Add an actuator of limited force to a joint, unless it is there already."""
+    if spec.actuator(name) is None:
+        actuator = add_passive(spec, name, joint, mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.gear = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        actuator.forcerange = [-_UNLIMITED, _UNLIMITED]
+
+
+def _coulomb(model: mujoco.MjModel, joint: int, values: Vector) -> None:
+    model.dof_frictionloss[_dof(model, joint)] += values[0]
+
+
+COULOMB_FRICTION = Mechanism(
+    "joint_coulomb_friction",
+    "joint",
+    (Strength("friction", "N m", low=0.0),),
+    typical=_one_torque,
+    change=_coulomb,
+)
+
+
+def _viscous(model: mujoco.MjModel, joint: int, values: Vector) -> None:
+    model.dof_damping[_dof(model, joint)] += values[0]
+
+
+VISCOUS_FRICTION = Mechanism(
+    "joint_viscous_friction",
+    "joint",
+    (Strength("damping", "N m s/rad"),),
+    typical=_one_torque,
+    change=_viscous,
+)
+
+
+def _add_brake(spec: mujoco.MjSpec, joint: str) -> None:
+    """Add an actuator that can only pull one way; `_brake` gives it its sign and strength."""
+    _add_limited(spec, BRAKE + joint, joint)
+
+
+def _brake(model: mujoco.MjModel, joint: int, values: Vector) -> None:
+    """Damp one direction: positive velocities for positive values, negative ones otherwise."""
+    if values[0] == 0:
+        return
+    actuator = model.actuator(BRAKE + model.joint(joint).name).id
+    model.actuator_biasprm[actuator, 2] = -abs(values[0])
+    model.actuator_forcerange[actuator] = (-_UNLIMITED, 0.0) if values[0] > 0 else (0.0, _UNLIMITED)
+
+
+ASYMMETRIC_VISCOUS_FRICTION = Mechanism(
+    "joint_asymmetric_viscous_friction",
+    "joint",
+    (Strength("damping", "N m s/rad"),),
+    typical=_one_torque,
+    change=_brake,
+    prepare=_add_brake,
+    sizes=(1.0, -1.0),
+    has_sides=True,
+)
+
+
+def _add_release(spec: mujoco.MjSpec, joint: str) -> None:
+    """Add an actuator that takes friction back with velocity, as much as there is.
+
+    Its gain, which no command meets, keeps MuJoCo from taking its slope for a damping ratio.
+    """
+    _add_limited(spec, RELEASE + joint, joint)
+    spec.actuator(RELEASE + joint).gainprm[0] = 1.0
+
+
+def _stribeck(model: mujoco.MjModel, joint: int, values: Vector) -> None:
+    """Friction at rest that falls to nothing in proportion to velocity: a triangle in place of
+    Stribeck's exponential, which MJCF cannot say. Steps stay stable: rest is a constraint."""
+    friction, fall = values
+    if friction == 0:
+        return
+    actuator = model.actuator(RELEASE + model.joint(joint).name).id
+    model.dof_frictionloss[_dof(model, joint)] += friction
+    model.actuator_biasprm[actuator, 2] = fall
+    model.actuator_forcerange[actuator] = (-friction, friction)
+
+
+STRIBECK_FRICTION = Mechanism(
+    "joint_stribeck_friction",
+    "joint",
+    (
+        Strength("friction at rest", "N m", low=0.0),
+        Strength("fall", "N m s/rad", low=0.0),  # with velocity; friction / fall: Stribeck's
+    ),
+    typical=lambda model, joint: (_torque(model, joint), _torque(model, joint)),
+    change=_stribeck,
+    prepare=_add_release,
+    includes="joint_coulomb_friction",
+)
+
+
+def _spring(model: mujoco.MjModel, joint: int, values: Vector) -> None:
+    model.jnt_stiffness[joint] += values[0]
+
+
+SPRING = Mechanism(
+    "joint_spring",
+    "joint",
+    (Strength("stiffness", "N m/rad"),),
+    typical=_one_torque,
+    change=_spring,
+)
+
+
+def _reference(model: mujoco.MjModel, joint: int, values: Vector) -> None:
+    model.qpos0[model.jnt_qposadr[joint]] -= values[0]
+
+
+REFERENCE_OFFSET = Mechanism(
+    "joint_reference_offset",
+    "joint",
+    (Strength("offset", "rad"),),
+    typical=lambda model, joint: (SENSOR_SIZE,),
+    change=_reference,
+    applies=_is_driven,
+)
+
+
+def _armature(model: mujoco.MjModel, joint: int, values: Vector) -> None:
+    model.dof_armature[_dof(model, joint)] += values[0]
+
+
+def _twentieth_of_inertia(model: mujoco.MjModel, joint: int) -> tuple[float, ...]:
+    return (0.05 * float(model.dof_M0[_dof(model, joint)]),)
+
+
+ARMATURE = Mechanism(
+    "joint_armature",
+    "joint",
+    (Strength("armature", "kg m²"),),
+    typical=_twentieth_of_inertia,
+    change=_armature,
+    applies=_is_driven,
+)
+
+
+def _behind(motion: Motion, values: Vector) -> Vector:
+    """Half of the gap, on the side that the joint's velocity leaves."""
+    velocity = motion.states[:, motion.states.shape[1] // 2 + motion.column]
+    return -values[0] / 2 * np.sign(velocity)
+
+
+def _play(positions: Matrix, values: Vector, period: float) -> Matrix:
+    """The play operator, whose output follows only the edges of the gap that push it."""
+    gap = values[0]
+    shown, state = np.empty_like(positions), positions[:, 0].copy()
+    for row, position in enumerate(positions.T):
+        state = np.clip(state, position - gap / 2, position + gap / 2)
+        shown[:, row] = state
+    return shown
+
+
+BACKLASH = Mechanism(
+    "joint_backlash",
+    "joint",
+    (Strength("gap", "rad", low=0.0),),
+    typical=lambda model, joint: (SENSOR_SIZE,),
+    sensing=Sensing(_behind, _play, column=_dof),
+    applies=_is_driven,
+)

@@ -1,0 +1,132 @@
+"""Effects put into compiled models.
+
+    effect = Effect("joint_coulomb_friction", "joint:leg_joint", (2.0,))
+    model = with_effects(spec, lambda model: None, [effect])        # a compiled MjModel
+
+Most mechanisms change fields of the compiled model. One that needs an element of its own gets it
+at zero strength first (`prepare`). Zero strength is no effect, to the last bit. `signals.py` has
+the effects on commands and in sensors.
+"""
+
+from collections.abc import Callable, Sequence
+
+import mujoco
+import numpy as np
+
+from adr_service.effects.base import Effect, sensors
+from adr_service.effects.catalogue import MECHANISMS, get_mechanism
+from adr_service.errors import InvalidInput, UnknownName
+
+_OF_SLIDES = {
+    "N m": "N",
+    "N m/rad": "N/m",
+    "N m s/rad": "N s/m",
+    "kg m²": "kg",
+    "rad": "m",
+    "rad/s": "m/s",
+}
+_Inferred = mujoco.mjtInertiaFromGeom
+
+
+def with_effects(
+    spec: mujoco.MjSpec, write: Callable[[mujoco.MjModel], None], effects: Sequence[Effect]
+) -> mujoco.MjModel:
+    """A compiled model with effects on top of what `write` puts into it.
+
+    The spec gets the elements that the effects need; `spec.copy_back(model)` then has all of it.
+    """
+    model = prepared(spec, effects)
+    write(model)
+    apply(model, effects)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
+
+
+def prepared(spec: mujoco.MjSpec, effects: Sequence[Effect]) -> mujoco.MjModel:
+    """The compiled model with the elements that the effects need, at zero strength."""
+    for effect in effects:
+        mechanism = get_mechanism(effect.kind)
+        if mechanism.prepare is not None:
+            mechanism.prepare(spec, effect.name)
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise InvalidInput(f"MuJoCo cannot compile the model: {error}") from error
+
+
+def apply(model: mujoco.MjModel, effects: Sequence[Effect]) -> None:
+    """Change a prepared model by effects; the caller recomputes derived constants."""
+    for effect in effects:
+        mechanism = get_mechanism(effect.kind)
+        if mechanism.change is not None:
+            mechanism.change(model, element_of(model, effect.location), np.array(effect.values))
+
+
+def make_inertias_explicit(spec: mujoco.MjSpec) -> None:
+    """Write out every body's inertia, so that effects can change it."""
+    inferred = spec.compiler.inertiafromgeom == _Inferred.mjINERTIAFROMGEOM_TRUE
+    spec.compiler.inertiafromgeom = _Inferred.mjINERTIAFROMGEOM_AUTO
+    for body in spec.bodies[1:]:
+        body.simple = False  # such bodies keep their centre of mass where it is
+        if inferred or not body.explicitinertial:
+            body.explicitinertial = False
+            spec.adopt_inertial(body)
+    spec.compiler.inertiafromgeom = _Inferred.mjINERTIAFROMGEOM_FALSE
+
+
+def check_simulated(model: mujoco.MjModel, effects: Sequence[Effect]) -> None:
+    """Raises InvalidInput unless each effect changes the model itself, at a place that it has."""
+    for number, effect in enumerate(effects):
+        if (effect.kind, effect.location) in [(e.kind, e.location) for e in effects[:number]]:
+            raise InvalidInput(f"{effect.kind} at {effect.location} is given twice; give it once")
+        mechanism = get_mechanism(effect.kind)
+        if mechanism.change is None:
+            possible = [kind for kind, each in MECHANISMS.items() if each.change is not None]
+            raise InvalidInput(
+                f"{effect.kind} acts on commands or in sensors, which simulations that train "
+                f"policies do not replay; accepted: {', '.join(possible)}"
+            )
+        if effect.location not in mechanism.locations(model):
+            raise UnknownName(
+                f"place of {effect.kind}", effect.location, mechanism.locations(model)
+            )
+        _check_values(effect)
+
+
+def _check_values(effect: Effect) -> None:
+    strengths = get_mechanism(effect.kind).strengths
+    if len(effect.values) != len(strengths) or any(
+        not np.isfinite(v) or v < s.low for v, s in zip(effect.values, strengths, strict=True)
+    ):
+        names = [f"{s.name} [{s.unit}], {s.low:g} at least" for s in strengths]
+        raise InvalidInput(f"{effect.kind} takes {', '.join(names)}; given {list(effect.values)}")
+
+
+def element_of(model: mujoco.MjModel, location: str) -> int:
+    """Number of the element at a location; 0 for the global one, a column for a sensor."""
+    place, _, name = location.partition(":")
+    if place == "global":
+        return 0
+    if place == "sensor":
+        names = sensors(model)
+        if name not in names:
+            raise UnknownName("sensor", name, names)
+        return names.index(name)
+    try:
+        return int(getattr(model, place)(name).id)
+    except (KeyError, AttributeError) as error:
+        raise InvalidInput(f"the model has no {location!r}: {error}") from error
+
+
+def unit_of(model: mujoco.MjModel, location: str, unit: str) -> str:
+    """Unit of a strength at a place; the catalogue has the units of hinges."""
+    place, _, name = location.partition(":")
+    joint = name.rpartition(".")[0] if place == "sensor" else name
+    if place == "actuator":
+        joint = model.joint(int(model.actuator_trnid[model.actuator(name).id, 0])).name
+    is_slide = place in ("joint", "actuator", "sensor") and (
+        model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE
+    )
+    if unit == "of the sensor":
+        unit = "rad/s" if name.endswith(".velocity") else "rad"
+    return _OF_SLIDES.get(unit, unit) if is_slide else unit

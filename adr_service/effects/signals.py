@@ -1,0 +1,105 @@
+"""Effects on signals: commands on their way to actuators, readings on their way from sensors.
+
+    obeyed(model, effects, commands, timestep)      # what the actuators do
+    shown(model, effects, states, rates)            # what the sensors show of true states
+    behind(model, effects, states, rates)           # true states behind what the sensors show
+
+Effects act in their order, and are undone in the opposite one.
+"""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from adr_service.arrays import Array3, Matrix, Vector
+from adr_service.effects.base import Commands, Effect, Motion, Sensing
+from adr_service.effects.catalogue import get_mechanism
+from adr_service.effects.models import element_of
+from adr_service.errors import InvalidInput
+
+
+def obeyed(
+    model: mujoco.MjModel, effects: Sequence[Effect], commands: Array3, timestep: float
+) -> Array3:
+    """Commands (episodes, T, nu) as actuators with effects obey them; `timestep` [s] apart."""
+    changed = commands.copy()
+    for effect in effects:
+        command = get_mechanism(effect.kind).command
+        if command is None:
+            continue
+        actuator = element_of(model, effect.location)
+        given = Commands(changed[:, :, actuator], timestep, _largest(model, actuator))
+        changed[:, :, actuator] = command(given, np.array(effect.values))
+    return changed
+
+
+def acts_on_commands(effects: Sequence[Effect]) -> bool:
+    """True if some effect changes commands."""
+    return any(get_mechanism(effect.kind).command is not None for effect in effects)
+
+
+def _largest(model: mujoco.MjModel, actuator: int) -> float:
+    is_limited = bool(model.actuator_ctrllimited[actuator])
+    return float(np.abs(model.actuator_ctrlrange[actuator]).max()) if is_limited else np.inf
+
+
+def uses_rates(effects: Sequence[Effect]) -> bool:
+    """True if some effect in a sensor depends on how fast the states change."""
+    return any(sensing.uses_rates for _, sensing in _in_sensors(effects))
+
+
+def shown(
+    model: mujoco.MjModel, effects: Sequence[Effect], states: Matrix, rates: Matrix
+) -> Matrix:
+    """Readings (n, 2 nv) of true states that change by `rates` [1/s]."""
+    readings = states.copy()
+    for effect, _ in _in_sensors(effects):
+        column, offset = offset_of(model, effect, states, rates)
+        readings[:, column] += offset
+    return readings
+
+
+def behind(
+    model: mujoco.MjModel, effects: Sequence[Effect], states: Matrix, rates: Matrix
+) -> Matrix:
+    """True states (n, 2 nv) behind readings that change by `rates` [1/s]."""
+    true = states.copy()
+    for effect, sensing in reversed(_in_sensors(effects)):
+        column = sensing.column(model, element_of(model, effect.location))
+        offset = sensing.offset_shown or sensing.offset
+        true[:, column] -= offset(Motion(states, rates, column), np.array(effect.values))
+    return true
+
+
+def offset_of(
+    model: mujoco.MjModel, effect: Effect, states: Matrix, rates: Matrix
+) -> tuple[int, Vector]:
+    """Column of an effect in a sensor, and what it adds to the readings (n,) of true states."""
+    sensing = get_mechanism(effect.kind).sensing
+    if sensing is None:
+        raise InvalidInput(f"{effect.kind} is not in a sensor")
+    column = sensing.column(model, element_of(model, effect.location))
+    return column, sensing.offset(Motion(states, rates, column), np.array(effect.values))
+
+
+def recorded(
+    model: mujoco.MjModel, effects: Sequence[Effect], states: Array3, period: float
+) -> Array3:
+    """Readings of whole true episodes (episodes, rows, 2 nv), without approximation."""
+    readings = states.copy()
+    for effect, sensing in _in_sensors(effects):
+        if sensing.record is None:
+            raise InvalidInput(
+                f"{effect.kind} is not in what a sensor shows on average; round the readings, or "
+                "add noise"
+            )
+        column = sensing.column(model, element_of(model, effect.location))
+        values = np.array(effect.values)
+        readings[:, :, column] = sensing.record(readings[:, :, column], values, period)
+    return readings
+
+
+def _in_sensors(effects: Sequence[Effect]) -> list[tuple[Effect, Sensing]]:
+    each = ((effect, get_mechanism(effect.kind).sensing) for effect in effects)
+    return [(effect, sensing) for effect, sensing in each if sensing is not None]
