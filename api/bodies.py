@@ -52,5 +52,5 @@ def _validated(kind: type[S], given: Any) -> S:
     try:
         return kind.model_validate(given)
     except ValidationError as error:
-        found = error.errors()
-        raise RequestValidationError([{**e, "loc": ("body", *e["loc"])} for e in found]) from error
+        errors = [{**each, "loc": ("body", *each["loc"])} for each in error.errors()]
+        raise RequestValidationError(errors) from error

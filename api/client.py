@@ -2,7 +2,9 @@
 
 with AdrClient() as client:
     benchmark = client.submit_benchmark({"tasks": ["arm"], "methods": ["simopt"]})
-    client.results(benchmark["links"]["results"])
+    for seen in client.watch(benchmark["id"]):
+        print(seen["states"])
+    client.results(benchmark["id"])["rows"]
 """
 
 import os

@@ -1,6 +1,6 @@
 """Connections: a limit on their number, and on the time that a client may keep one waiting.
 
-    uvicorn.run(app, http=bounded(connections_allowed(settings.max_connections)))
+    server = uvicorn.Config(app, http=bounded(connections_allowed(settings.max_connections)))
 
 A connection takes a descriptor (an open file) of the process, and Ray and the database need
 descriptors too. So connections are limited. Beyond the limit, the connection that has been idle for

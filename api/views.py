@@ -1,4 +1,4 @@
-"""Runs, benchmarks and datasets as the API answers them: domain values with their links."""
+"""Runs and benchmarks as the API answers them: domain values with their links."""
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
@@ -10,7 +10,6 @@ from adr_service.specs import BenchmarkSpec, CriticismSpec, RunSpec
 from api.service import Service
 from db import benchmarks as benchmark_store
 from db.benchmarks import BenchmarkRecord
-from db.datasets import DatasetRecord
 from db.runs import RunRecord
 from workers.jobs import Activity
 
@@ -30,15 +29,8 @@ class RunView(BaseModel):
     updated_at: datetime
     error: RunError | None
     progress: list[Activity]
-    spec: SkipValidation[
-        RunSpec | CriticismSpec
-    ]  # it is valid, and checking a benchmark takes a while
-    links: dict[str, str]
-
-
-class DatasetView(DatasetRecord):
-    """A stored recording, with its links."""
-
+    # it is valid, and checking a benchmark takes a while
+    spec: SkipValidation[RunSpec | CriticismSpec]
     links: dict[str, str]
 
 
@@ -72,7 +64,7 @@ def run_view(service: Service, record: RunRecord) -> RunView:
         created_at=record.created_at,
         updated_at=record.updated_at,
         error=error,
-        progress=activities,
+        progress=list(activities),
         spec=record.spec,
         links=_run_links(record),
     )
@@ -121,8 +113,3 @@ def _summary(record: BenchmarkRecord, states: Mapping[str, int]) -> BenchmarkSum
             "cost": f"{here}/cost",
         },
     )
-
-
-def dataset_view(record: DatasetRecord) -> DatasetView:
-    here = f"/v1/datasets/{record.id}"
-    return DatasetView(**dict(record), links={"self": here, "content": f"{here}/content"})

@@ -8,7 +8,7 @@ from pydantic import Field
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from adr_service.criticism.measurements import Measurement, is_measurement
+from adr_service.criticism.measurements import Measurement
 from adr_service.json_values import Wire
 from adr_service.transitions import TransitionDataset, dataset_id
 from db.errors import NotFound, NotPossible
@@ -33,12 +33,11 @@ class DatasetRecord(Wire):
     origin: str
 
 
-def store_dataset(database: Database, content: bytes) -> tuple[DatasetRecord, bool]:
-    """Store an `.npz` of transitions, or a measurement; True if it is new.
-
-    Raises InvalidInput if the content is neither.
-    """
-    described, id = _described(content), dataset_id(content)
+def store_dataset(
+    database: Database, content: bytes, data: TransitionDataset | Measurement
+) -> tuple[DatasetRecord, bool]:
+    """Store an `.npz`, given with the data that were parsed from it; True if it is new."""
+    described, id = _described(data), dataset_id(content)
     with database.write("store_dataset") as session:
         known = session.scalar(select(DatasetRow).where(DatasetRow.id == id))
         if known is not None:
@@ -54,11 +53,10 @@ def store_dataset(database: Database, content: bytes) -> tuple[DatasetRecord, bo
         return _record(row), True
 
 
-def _described(content: bytes) -> dict[str, Any]:
-    """The columns of a dataset's row that its content determines."""
-    if is_measurement(content):
-        return _of_measurement(Measurement.from_npz(content))
-    data = TransitionDataset.from_npz(content)
+def _described(data: TransitionDataset | Measurement) -> dict[str, Any]:
+    """The columns of a dataset's row that its data determine."""
+    if isinstance(data, Measurement):
+        return _of_measurement(data)
     return {
         "transitions": len(data),
         "episodes": data.episode_count,

@@ -2,7 +2,7 @@
 
     table = JobTable(results, heartbeats.set_unwanted)
     table.accept(stage, run_id, future)         # equal stages are one job
-    for job in table.ready(): …                 # to be placed on a core: begin, then end or lose
+    for job in table.ready(): ...               # to be placed on a core: begin, then end or lose
 
 A process that is lost means another attempt, three at most. Nothing here asks Ray, and all but
 `activities` runs on the dispatcher's thread.

@@ -1,7 +1,7 @@
 """The folder of a local Ray cluster's sockets, logs and token, which nobody else can enter.
 
     sessions = Sessions(data_dir)       # SessionsInUse if another service has it
-    ray.init(_temp_dir=str(sessions.path), …)
+    ray.init(_temp_dir=str(sessions.path))
 
 By default Ray uses a folder under the shared temporary one, and lets everybody write there: another
 user could put sockets in the place of Ray's.

@@ -8,10 +8,21 @@ from api.routes.downloads import bytes_response
 from api.routes.paging import Page, PageSize, PageToken, page_of
 from api.service import ServiceDependency
 from api.uploads import LARGEST, NPZ, Upload, octets
-from api.views import DatasetView, dataset_view
 from db import datasets as store
+from db.datasets import DatasetRecord
 
 router = APIRouter(prefix="/v1/datasets", tags=["datasets"])
+
+
+class DatasetView(DatasetRecord):
+    """A stored recording, with its links."""
+
+    links: dict[str, str]
+
+
+def dataset_view(record: DatasetRecord) -> DatasetView:
+    here = f"/v1/datasets/{record.id}"
+    return DatasetView(**dict(record), links={"self": here, "content": f"{here}/content"})
 
 
 @router.post(
@@ -33,7 +44,7 @@ def upload(
     if task is not None:
         parsed.check_task(task)
     service.check_disk()
-    record, is_new = store.store_dataset(service.database, content)
+    record, is_new = store.store_dataset(service.database, content, parsed.data)
     if not is_new:
         response.status_code = status.HTTP_200_OK
     response.headers["Location"] = f"/v1/datasets/{record.id}"

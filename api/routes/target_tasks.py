@@ -6,7 +6,7 @@ lease of the claim. Once the lease is lost, the service refuses them with 409 an
 
 from datetime import datetime
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated
 
 import anyio
 from fastapi import APIRouter, Body, Depends, Header, Query, Request, Response, status
@@ -20,6 +20,7 @@ from api.routes.polling import looks
 from api.service import ServiceDependency
 from api.uploads import LARGEST, NPZ, octets
 from db import visits as visit_store
+from db.models import VisitState
 from db.visits import Visit
 
 router = APIRouter(prefix="/v1/target_tasks", tags=["target tasks"])
@@ -39,7 +40,7 @@ class TaskView(BaseModel):
     seed: int
     has_policy: bool  # else random actions
     external: bool
-    state: str
+    state: VisitState
     attempt: int
     worker: str | None
     steps: int
@@ -148,7 +149,7 @@ async def claim(
 @router.get("")
 def list_tasks(
     service: ServiceDependency,
-    state: Literal["pending", "claimed", "done", "failed", "withdrawn"] | None = None,
+    state: VisitState | None = None,
     run_id: str | None = None,
     external: Annotated[bool | None, Query(description="for robots, not simulated")] = None,
     page_size: PageSize = 100,

@@ -13,12 +13,9 @@ from pathlib import Path
 import httpx2
 import psutil
 import pytest
-from fastapi import FastAPI
 
-from api.guard import Guard
 from api.page import router as page_router
-from api.settings import Settings
-from tests.service import free_port, start_service, until
+from tests.service import free_port, start_service
 
 pytestmark = pytest.mark.ray
 ROOT = Path(__file__).parents[2]
@@ -178,15 +175,6 @@ def test_more_requests_than_the_rate_wait(http):
     assert {int(answer.headers["Retry-After"]) for answer in refused} == {1}
     assert refused[0].headers["Content-Type"] == "application/problem+json"
     time.sleep(1)  # as Retry-After says, for the tests to come
-
-
-def test_a_wall_clock_that_is_set_back_keeps_nobody_out(monkeypatch):
-    guard = Guard(FastAPI(), Settings(rate="2/second"))
-    assert until(lambda: guard._too_many("192.0.2.1"))
-    hour_ago = time.time() - 3600
-    monkeypatch.setattr("limits.storage.memory.time.time", lambda: hour_ago)
-    assert until(lambda: guard._too_many("192.0.2.1"))
-    until(lambda: guard._too_many("192.0.2.1") is None, 5)
 
 
 def test_more_runs_than_may_wait_are_refused(http):

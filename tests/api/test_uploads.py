@@ -12,10 +12,17 @@ import httpx2
 import numpy as np
 import pytest
 
+from adr_service.criticism.measurements import Measurement
+from adr_service.errors import InvalidInput, UnknownName
 from adr_service.npz import write_arrays
+from adr_service.specs import CriticismSpec, RunSpec
+from adr_service.transitions import TransitionDataset, dataset_id
+from api.uploads import Upload, check_dataset
+from benchmarks.planted import hide
+from tests.hidden import arm, recorded
 from tests.recordings import recording
 
-pytestmark = pytest.mark.ray
+ray = pytest.mark.ray
 MEMORY_MB = 700  # that the service may grow by at its peak: an .npz of 256 MB, and copies of it
 OCTETS = {"Content-Type": "application/octet-stream"}
 GOOD = recording("arm", 50, [1.2, 0.6, 2.0, 1.0]).to_arrays()
@@ -173,12 +180,14 @@ def claimed(service):
     service.client.cancel(run)
 
 
+@ray
 def test_the_corpus_is_large_and_the_recording_it_changes_is_good(http):
     assert len(CORPUS) >= 40
     good = http.post("/v1/datasets?task=arm", content=GOOD_NPZ, headers=OCTETS)
     assert good.status_code in (200, 201)
 
 
+@ray
 @pytest.mark.parametrize("kind", CORPUS)
 def test_a_hostile_upload_is_a_problem_and_leaves_nothing(service, http, claimed, kind):
     before, peak = (rows(service.data_dir), files(service.data_dir)), peak_mb(service.process.pid)
@@ -200,6 +209,7 @@ def test_a_hostile_upload_is_a_problem_and_leaves_nothing(service, http, claimed
     assert not Path("/tmp/adr-was-here").exists()  # noqa: S108
 
 
+@ray
 def test_a_body_beyond_the_cap_is_not_even_read(service, http):
     peak = peak_mb(service.process.pid)
     response = http.post("/v1/datasets", content=b"P" * 70_000_000, headers=OCTETS)
@@ -208,7 +218,46 @@ def test_a_body_beyond_the_cap_is_not_even_read(service, http):
     assert peak_mb(service.process.pid) - peak < 150
 
 
+@ray
 def test_a_form_and_other_types_are_refused(http):
     for given in ("multipart/form-data; boundary=x", "application/json", "text/xml"):
         response = http.post("/v1/datasets", content=GOOD_NPZ, headers={"Content-Type": given})
         assert response.status_code in (400, 415), given
+
+
+@pytest.fixture
+def measured():
+    """The `.npz` of a measurement of an arm: states and commands."""
+    task, nominal = arm()
+    data = hide(task, nominal, np.random.default_rng(0), []).episodes(range(12))
+    np.savez(file := io.BytesIO(), **recorded(data))
+    return file.getvalue()
+
+
+def test_an_upload_is_a_recording_or_a_measurement(measured):
+    assert isinstance(Upload.parse(GOOD_NPZ).data, TransitionDataset)
+    assert isinstance(Upload.parse(measured).data, Measurement)
+    assert Upload.parse(measured).content is measured
+
+
+def test_an_upload_is_of_one_robot_alone(measured):
+    for content in (GOOD_NPZ, measured):
+        upload = Upload.parse(content)
+        upload.check_task("arm")
+        with pytest.raises(InvalidInput):
+            upload.check_task("hopper")
+        with pytest.raises(UnknownName, match="did you mean 'arm'"):
+            upload.check_task("amr")
+
+
+def test_a_run_learns_from_recordings_and_a_criticism_from_measurements(measured):
+    learn = {"task": "arm", "method": "droid", "preset": "smoke"}
+    recording_of = {"kind": "recorded", "dataset": dataset_id(GOOD_NPZ)}
+    run = RunSpec.model_validate({**learn, "target": recording_of})
+    criticism = CriticismSpec(task="arm", dataset=dataset_id(measured))
+    check_dataset(run, GOOD_NPZ)
+    check_dataset(criticism, measured)
+    with pytest.raises(InvalidInput, match="is a measurement of states and commands"):
+        check_dataset(run, measured)
+    with pytest.raises(InvalidInput, match="is not a measurement of states and commands"):
+        check_dataset(criticism, GOOD_NPZ)

@@ -4,6 +4,7 @@ import pytest
 
 from adr_service.events import RunFailed
 from adr_service.specs import RunSpec
+from adr_service.transitions import TransitionDataset
 from db import datasets, events, runs
 from db.errors import NotFound, NotPossible
 from tests.db.rows import a_recording, count
@@ -11,16 +12,18 @@ from tests.db.rows import a_recording, count
 
 def test_equal_bytes_are_one_dataset(database):
     content = a_recording()
-    record, is_new = datasets.store_dataset(database, content)
+    data = TransitionDataset.from_npz(content)
+    record, is_new = datasets.store_dataset(database, content, data)
     assert is_new
-    assert datasets.store_dataset(database, content) == (record, False)
+    assert datasets.store_dataset(database, content, data) == (record, False)
     assert datasets.load_dataset(database, record.id) == (record, content)
     assert (record.transitions, record.episodes, record.actions) == (4, 2, 2)
     assert datasets.list_datasets(database) == [record]
 
 
 def test_a_dataset_that_a_run_learns_from_cannot_be_deleted(database):
-    record, _ = datasets.store_dataset(database, a_recording())
+    content = a_recording()
+    record, _ = datasets.store_dataset(database, content, TransitionDataset.from_npz(content))
     target = {"kind": "recorded", "dataset": record.id}
     spec = {"task": "arm", "method": "droid", "preset": "smoke", "target": target}
     run = runs.create_run(database, RunSpec.model_validate(spec))

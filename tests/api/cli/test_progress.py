@@ -31,7 +31,7 @@ def test_a_stage_that_two_runs_share_is_counted_once():
     assert headline({"runs": [run, run]}) == "0/2 runs done; now simopt/0 infer 50%"
 
 
-def test_a_failed_run_is_named_with_its_error():
+def test_a_failed_run_has_its_reason_and_a_remedy():
     seen = {"runs": [a_run("a", "succeeded"), a_run("b", "failed", error="the motor is hot")]}
     assert headline(seen) == "1/2 runs done, others failed"
     remedy = FailureCode.TARGET_FAILED.remedy

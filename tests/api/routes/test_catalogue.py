@@ -40,5 +40,5 @@ def test_the_catalogue_lists_tasks_methods_and_presets(http):
 
 
 def test_tasks_hide_the_true_parameters(http):
-    """What simulated targets hide is nowhere in the catalogue."""
+    """The catalogue has no hidden value of a simulated target."""
     assert "3.534" not in http.get("/v1/tasks").text
