@@ -37,7 +37,7 @@ def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[Run
 def _propose(
     spec: RunSpec, stages: Stages, boxes: Sequence[Uniform], returns: Sequence[float]
 ) -> Generator[RunEvent, None, tuple[Proposed, str]]:
-    """What the returns suggest, and the digest of the stage that says so."""
+    """The proposal after these returns, and the digest of its stage."""
     stage = Propose(
         **source_inputs(spec),
         **identity_of(spec.method),

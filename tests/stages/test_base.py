@@ -12,6 +12,9 @@ from adr_service.parameters import ParameterSpace
 from adr_service.stages.base import Belief, Cost, Machine, Result, Role, Stage, StageResult, compute
 from adr_service.stages.local import LocalStages
 from adr_service.tasks.catalogue import source_of
+from db import runs
+from tests.db.rows import EXECUTION, SPEC
+from workers.results import DatabaseResults
 
 
 class Dice(Result):
@@ -78,6 +81,15 @@ def test_a_kind_of_stage_needs_its_file_alone_to_run():
 
 def test_a_kind_of_stage_needs_its_file_alone_to_be_priced():
     assert STAGE.cost(ThisMachine()).seconds > 0
+
+
+def test_a_kind_of_stage_needs_its_file_alone_to_be_stored(file_database):
+    results, run_id = DatabaseResults(file_database), runs.create_run(file_database, SPEC).id
+    result = compute(STAGE)
+    results.commit(STAGE, result, EXECUTION, None, [run_id])
+    found = results.find(STAGE, run_id)
+    assert found == result
+    assert STAGE.read(found).picture == b"dots"
 
 
 def test_random_numbers_come_from_the_digest():
