@@ -24,7 +24,7 @@ def runs():
 
     @app.post("/broken")
     def broken(spec: RunBody) -> None:
-        raise ZeroDivisionError("\ud800 in the message")
+        raise ZeroDivisionError("a secret in the message")
 
     @app.post("/numbers")
     def numbers(values: list[int]) -> None: ...
