@@ -1,8 +1,8 @@
 """Adaptive domain randomization: tasks, methods, and the benchmark protocol.
 
-from adr_service.computation import LocalStages
-from adr_service.runs import run
+from adr_service.programs import run
 from adr_service.specs import RunSpec
+from adr_service.stages.local import LocalStages
 
 spec = RunSpec.model_validate({"task": "arm", "method": "simopt", "preset": "smoke"})
 for event in run(spec, LocalStages()):
@@ -11,6 +11,6 @@ for event in run(spec, LocalStages()):
 
 __version__ = "0.1.0"
 
-from adr_service.tasks.gymnasium_ids import register
+from adr_service.tasks.gymnasium_ids import register_with_gymnasium
 
-register()
+register_with_gymnasium()

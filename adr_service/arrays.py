@@ -1,5 +1,6 @@
-"""Names for the array roles used everywhere; shapes stand where an array is made."""
+"""Names of array roles; shapes are stated where an array is made."""
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,3 +18,9 @@ def frozen(values: Any) -> NDArray[np.float64]:
     array = np.array(values, dtype=np.float64, order="C")
     array.flags.writeable = False
     return array
+
+
+def spans(episodes: Indices) -> list[tuple[int, int]]:
+    """Half-open row ranges of the episodes, from the episode id of every row (N,)."""
+    edges = [0, *(np.flatnonzero(np.diff(episodes)) + 1).tolist(), len(episodes)]
+    return [(first, last) for first, last in pairwise(edges) if last > first]

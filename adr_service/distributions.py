@@ -1,9 +1,9 @@
-"""Beliefs over a parameter space: what ADR methods infer and what policies are trained on.
+"""Distributions over a parameter space: methods infer them, policies are trained on them.
 
     belief = Gaussian.prior(space)              # the paper's N(2, I) in [0, 4]
     draws = belief.sample(12, rng)       # .values (12, d) in SI units, .adjusted
 
-Draws are always feasible. How many had to be moved to make them so is part of the answer.
+Draws are always feasible. `Draws.adjusted` counts those that were moved to make them so.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from scipy import stats
 
 from adr_service.arrays import Matrix, Vector, frozen
 from adr_service.errors import InfeasibleDistribution, InvalidInput, UnknownName
@@ -20,14 +19,14 @@ from adr_service.parameters import ParameterSpace
 
 @dataclass(frozen=True)
 class Draws:
-    """Samples of a distribution, and how many of them are not plain draws of it."""
+    """Samples of a distribution, and how many of them were moved onto a bound."""
 
     values: Matrix  # (n, d), SI units, feasible
-    adjusted: int  # draws with at least one coordinate moved onto a bound
+    adjusted: int  # rows with at least one coordinate moved onto a bound
 
 
 class Distribution(Protocol):
-    """A belief over the parameters of a space, all of it in SI units unless said."""
+    """A distribution over the parameters of a space, in SI units unless stated otherwise."""
 
     @property
     def space(self) -> ParameterSpace: ...
@@ -42,7 +41,7 @@ class Distribution(Protocol):
 
 @dataclass(frozen=True)
 class Uniform:
-    """Independent uniform intervals; a zero-width interval is a known value."""
+    """Independent uniform intervals; an interval of zero width is a known value."""
 
     space: ParameterSpace
     low: Vector  # (d,)
@@ -69,7 +68,7 @@ class Uniform:
 
     @property
     def std(self) -> Vector:
-        return (self.high - self.low) / np.sqrt(12)
+        return (self.high - self.low) / np.sqrt(12)  # of a uniform interval
 
     def sample(self, n: int, rng: np.random.Generator) -> Draws:
         return Draws(frozen(rng.uniform(self.low, self.high, (n, len(self.space)))), 0)
@@ -77,7 +76,7 @@ class Uniform:
     def log_prob(self, values: Matrix) -> Vector:
         inside = np.all((values >= self.low) & (values <= self.high), axis=1)
         width = self.high - self.low
-        with np.errstate(divide="ignore"):  # a point has infinite density where it stands
+        with np.errstate(divide="ignore"):  # a point has infinite density at its values
             return np.where(inside, -np.sum(np.log(width)), -np.inf)
 
     def to_json(self) -> dict[str, Any]:
@@ -88,7 +87,7 @@ class Uniform:
 class Gaussian:
     """A full Gaussian over the coordinates in [0, 4], its draws clipped to the search box.
 
-    The clipping is the benchmark's own (random-envs `fullgaussian`); `Draws.adjusted` counts it.
+    The benchmark clips too (random-envs `fullgaussian`); `Draws.adjusted` counts clipped draws.
     """
 
     space: ParameterSpace
@@ -106,7 +105,7 @@ class Gaussian:
 
     @classmethod
     def prior(cls, space: ParameterSpace) -> "Gaussian":
-        """The paper's conservative start N(2, I)."""
+        """The prior N(2, I) in [0, 4] coordinates (Tiboni et al., Sec. 3.2)."""
         d = len(space)
         return cls(space, np.full(d, space.WIDTH / 2), np.eye(d))
 
@@ -125,10 +124,13 @@ class Gaussian:
         return Draws(frozen(self.space.denormalise(inside)), adjusted)
 
     def log_prob(self, values: Matrix) -> Vector:
-        """Density of the unclipped Gaussian, per SI unit."""
+        """Log density of the unclipped Gaussian, per SI unit."""
+        from scipy import stats
+
         x, mean = self.space.normalise(values), self.location
         cov: Any = self.covariance  # annotated as a number in SciPy
         density = np.atleast_1d(stats.multivariate_normal.logpdf(x, mean, cov, allow_singular=True))
+        # p(value) = p(x) |dx / dvalue|
         return density - np.sum(np.log(self._scale))
 
     def to_json(self) -> dict[str, Any]:
@@ -140,6 +142,7 @@ class Gaussian:
 
     @property
     def _scale(self) -> Vector:
+        """SI units per normalised coordinate, (d,)."""
         return (self.space.high - self.space.low) / self.space.WIDTH
 
 
@@ -147,8 +150,9 @@ class Gaussian:
 class TruncatedGaussian:
     """Independent normals cut at two standard deviations and at the feasible bound.
 
-    DROPO, Sec. IV (random-envs `truncnorm`). Draws below the feasible bound are excluded by
-    inversion, not redrawn three times and clamped, so none is ever adjusted.
+    DROPO (Tiboni et al., arXiv 2201.08434), Sec. IV; random-envs `truncnorm`. Random-envs redraws
+    infeasible values three times and then clamps them; here the inverse of the distribution
+    function excludes them, so no draw is adjusted.
     """
 
     space: ParameterSpace
@@ -171,11 +175,15 @@ class TruncatedGaussian:
         return Draws(frozen(self.quantile(rng.random((n, len(self.space))))), 0)
 
     def quantile(self, levels: Matrix) -> Matrix:
-        """Values (n, d) at `levels` (n, d) in [0, 1): common random numbers for a search."""
+        """Values (n, d) at probabilities `levels` (n, d) in [0, 1), as common random numbers."""
+        from scipy import stats
+
         low, high = self._limits
         return self.mean + self.std * stats.truncnorm.ppf(levels, low, high)
 
     def log_prob(self, values: Matrix) -> Vector:
+        from scipy import stats
+
         low, high = self._limits
         return np.sum(stats.truncnorm.logpdf(values, low, high, self.mean, self.std), axis=1)
 
@@ -188,22 +196,23 @@ class TruncatedGaussian:
 
     @property
     def _limits(self) -> tuple[Vector, Vector]:
+        """Lower and upper cut, (d,) each, in standard deviations from the mean."""
         feasible = (self.space.feasible_low - self.mean) / self.std
         return np.maximum(-self.CUT, feasible), np.full(len(self.space), self.CUT)
 
 
 def distribution_from_json(space: ParameterSpace, document: dict[str, Any]) -> Distribution:
-    """The distribution that `to_json` wrote."""
+    """The distribution of a document that `to_json` made."""
     kind = str(document.get("kind"))
-    if kind not in _KINDS:
-        raise UnknownName("distribution kind", kind, _KINDS)
-    create, fields = _KINDS[kind]
+    if kind not in KINDS:
+        raise UnknownName("distribution kind", kind, KINDS)
+    create, fields = KINDS[kind]
     if missing := [name for name in fields if name not in document]:
         raise InvalidInput(f"a {kind} distribution needs {', '.join(fields)}; not given: {missing}")
     return create(space, *(document[name] for name in fields))
 
 
-_KINDS: dict[str, tuple[Callable[..., Distribution], tuple[str, str]]] = {
+KINDS: dict[str, tuple[Callable[..., Distribution], tuple[str, str]]] = {
     "uniform": (Uniform, ("low", "high")),
     "gaussian": (Gaussian, ("location", "covariance")),
     "truncated_gaussian": (TruncatedGaussian, ("mean", "std")),

@@ -1,36 +1,108 @@
-"""Everything this project raises on purpose.
+"""Errors that this project raises on purpose, and the reasons for which a run can fail.
 
 AdrError
-├── InvalidInput          what was given cannot be used; says what can
-│   └── UnknownName       no member of that name; nearest match and the list
+├── InvalidInput          the input cannot be used; the message says which input can
+│   └── UnknownName       no member has that name; nearest match and the list
 ├── InfeasibleDistribution  no draw of the distribution can be simulated
-├── BudgetExceeded        the target was asked for more than the spec allows
+├── BudgetExceeded        a method asked the target for more than the spec allows
 ├── StageFailed           a stage ended without a result, after its attempts
-└── RunCancelled          somebody asked the run to stop
+└── RunCancelled          a user asked the run to stop
 """
 
 import difflib
 from collections.abc import Iterable
+from enum import StrEnum
+from typing import Self
 
 _LONGEST = 100  # characters of a wrong name that a message repeats
 
 
-class AdrError(Exception):
-    """Base of all errors raised on purpose; `code` is what machines read."""
+class FailureCode(StrEnum):
+    """Reasons for which a run fails, as `run.error.code` names them; with a remedy each."""
 
-    code = "error"
+    meaning: str
+    remedy: str
+
+    def __new__(cls, code: str, meaning: str, remedy: str) -> Self:
+        member = str.__new__(cls, code)
+        member._value_, member.meaning, member.remedy = code, meaning, remedy
+        return member
+
+    WORKER_LOST = (
+        "worker_lost",
+        "The process that computed a stage died, or hung, in each of three attempts.",
+        "Look for a lack of memory on the nodes (`dmesg`, Ray's dashboard), then resume the run.",
+    )
+    TARGET_FAILED = (
+        "target_failed",
+        "A robot's client reported that no robot can do an episode.",
+        "Do what the message asks for at the robot, then resume the run.",
+    )
+    NOT_STORED = (
+        "not_stored",
+        "The database refused a stage's result, or to look it up.",
+        "Look for the cause in the service's log and with `adr db check`, then resume the run.",
+    )
+    INVALID_INPUT = (
+        "invalid_input",
+        "The run's spec, dataset or a robot's recording cannot be used.",
+        "Submit a new run with the input that the message accepts.",
+    )
+    UNKNOWN_NAME = (
+        "unknown_name",
+        "The run names a task, method or parameter that is not installed.",
+        "Install the package that has it where the service and its workers run, then resume "
+        "the run.",
+    )
+    INFEASIBLE_DISTRIBUTION = (
+        "infeasible_distribution",
+        "No draw of an inferred distribution can be simulated.",
+        "Submit a new run with more transitions or another seed, or check the recording's units.",
+    )
+    BUDGET_EXCEEDED = (
+        "budget_exceeded",
+        "The method asked for more target data than the spec allows.",
+        "Submit a new run with a larger budget, or correct the method.",
+    )
+    NOT_FOUND = (
+        "not_found",
+        "A dataset that the run learns from is not in the database.",
+        "Upload the dataset again, then resume the run.",
+    )
+    DATABASE_DAMAGED = (
+        "database_damaged",
+        "The database's file is damaged where the run reads it.",
+        "Stop the service and restore a backup with `adr db restore`, then resume the run.",
+    )
+    INTERNAL = (
+        "internal",
+        "A defect of the service, or of a user's own task or method.",
+        "Read the traceback in the message or in the service's log; correct or report the defect, "
+        "then resume the run.",
+    )
+
+
+def remedy_of(code: str) -> str | None:
+    """The remedy for a failed run; None for a code of a user's own error class."""
+    return FailureCode(code).remedy if code in FailureCode.__members__.values() else None
+
+
+class AdrError(Exception):
+    """Base of all errors raised on purpose; `code` is for machines, the message for people."""
+
+    code: str = "error"
 
 
 class InvalidInput(AdrError):
-    """What was given cannot be used."""
+    """The input cannot be used."""
 
-    code = "invalid_input"
+    code = FailureCode.INVALID_INPUT
 
 
 class UnknownName(InvalidInput, LookupError):
     """A name that its catalogue does not have."""
 
-    code = "unknown_name"
+    code = FailureCode.UNKNOWN_NAME
 
     def __init__(self, kind: str, given: str, accepted: Iterable[str]):
         names = list(accepted)
@@ -43,13 +115,13 @@ class UnknownName(InvalidInput, LookupError):
 class InfeasibleDistribution(AdrError):
     """A distribution none of whose draws can be simulated."""
 
-    code = "infeasible_distribution"
+    code = FailureCode.INFEASIBLE_DISTRIBUTION
 
 
 class BudgetExceeded(AdrError):
-    """The target domain was asked for more data than the spec allows."""
+    """A method asked the target for more data than the spec allows."""
 
-    code = "budget_exceeded"
+    code = FailureCode.BUDGET_EXCEEDED
 
     def __init__(self, what: str, used: int, asked: int, allowed: int):
         super().__init__(
@@ -68,6 +140,6 @@ class StageFailed(AdrError):
 
 
 class RunCancelled(AdrError):
-    """Somebody asked the run to stop; finished stages are kept."""
+    """A user asked the run to stop, or the service stops; finished stages are kept."""
 
     code = "cancelled"

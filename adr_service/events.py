@@ -1,4 +1,4 @@
-"""What happens in a run, as values with a deterministic key: written once, replayed freely.
+"""Events of a run: values with a deterministic key, written once and replayed freely.
 
 Science events (`stage_finished`, `training_evaluated`, `iteration_finished`) come from the
 program and repeat when it runs again, so their key is what they speak of. Lifecycle events carry
@@ -6,14 +6,36 @@ the number of times the run was (re)submitted. A run's state is the fold of its 
 """
 
 from collections.abc import Iterable
+from enum import StrEnum
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter
 
 from adr_service.json_values import Wire
 
-RunState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
-FINISHED: frozenset[RunState] = frozenset({"succeeded", "failed", "cancelled"})
+
+class RunState(StrEnum):
+    """State of a run: the fold of its events."""
+
+    QUEUED = "queued"  # it waits for its first stage, or for the service to go on with it
+    RUNNING = "running"  # its program asks for stages
+    SUCCEEDED = "succeeded"  # its program ran to its end
+    FAILED = "failed"  # an error ended it; it can be resumed
+    CANCELLED = "cancelled"  # a user stopped it; it can be resumed
+
+    @property
+    def is_finished(self) -> bool:
+        """True if nothing more happens to the run unless a user resumes it."""
+        return self in FINISHED
+
+    @property
+    def is_resumable(self) -> bool:
+        """True if a user can queue the run again."""
+        return self in RESUMABLE
+
+
+RESUMABLE = frozenset({RunState.FAILED, RunState.CANCELLED})
+FINISHED = RESUMABLE | {RunState.SUCCEEDED}
 
 
 class StageFinished(Wire):
@@ -29,7 +51,7 @@ class StageFinished(Wire):
 
 
 class TrainingEvaluated(Wire):
-    """A point of a policy's learning curve: its return on the source after so many steps."""
+    """A point of a policy's learning curve: its return on the source after `steps` steps."""
 
     type: Literal["training_evaluated"] = "training_evaluated"
     digest: str = Field(description="of the training's stage")
@@ -83,6 +105,8 @@ class CriticismFinished(Wire):
 
 
 class RunQueued(Wire):
+    """A user submitted the run, or resumed it."""
+
     type: Literal["run_queued"] = "run_queued"
     submission: int
 
@@ -92,6 +116,8 @@ class RunQueued(Wire):
 
 
 class RunStarted(Wire):
+    """The service began to iterate the run's program."""
+
     type: Literal["run_started"] = "run_started"
     submission: int
 
@@ -101,6 +127,8 @@ class RunStarted(Wire):
 
 
 class RunSucceeded(Wire):
+    """The run's program came to its end."""
+
     type: Literal["run_succeeded"] = "run_succeeded"
 
     @property
@@ -109,7 +137,7 @@ class RunSucceeded(Wire):
 
 
 class RunFailed(Wire):
-    """`code` is what machines read, `message` what people do."""
+    """An error ended the run: `code` for machines (see `FailureCode`), `message` for people."""
 
     type: Literal["run_failed"] = "run_failed"
     submission: int
@@ -122,6 +150,8 @@ class RunFailed(Wire):
 
 
 class RunStopped(Wire):
+    """A user's request to cancel ended the run."""
+
     type: Literal["run_stopped"] = "run_stopped"
     submission: int
 
@@ -146,28 +176,30 @@ _ADAPTER: TypeAdapter[RunEvent] = TypeAdapter(RunEvent)
 
 
 def event_from_json(text: str) -> RunEvent:
+    """Parse an event as `model_dump_json` writes it."""
     return _ADAPTER.validate_json(text)
 
 
 def state_after(events: Iterable[RunEvent]) -> RunState:
     """The state of a run with these events, in order."""
-    state: RunState = "queued"
+    state = RunState.QUEUED
     for event in events:
         state = next_state(state, event)
     return state
 
 
 def next_state(state: RunState, event: RunEvent) -> RunState:
+    """The state of a run in `state` after one more event; science events leave it."""
     match event:
         case RunQueued():
-            return "queued"
+            return RunState.QUEUED
         case RunStarted():
-            return "running"
+            return RunState.RUNNING
         case RunSucceeded():
-            return "succeeded"
+            return RunState.SUCCEEDED
         case RunFailed():
-            return "failed"
+            return RunState.FAILED
         case RunStopped():
-            return "cancelled"
+            return RunState.CANCELLED
         case _:
             return state

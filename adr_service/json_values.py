@@ -1,4 +1,4 @@
-"""The base of everything that crosses the network or enters a digest: frozen, strict, finite."""
+"""JSON values that cross the network or enter a digest: frozen, strict and finite."""
 
 import hashlib
 import json
@@ -10,11 +10,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from adr_service.errors import UnknownName
 
-# what moves a terminal's cursor, ends lines, or turns the direction of writing
+# characters that move a terminal's cursor, end lines or turn the direction of writing
 _CONTROL = r"\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069"
 _NOT_IN_A_LINE = re.compile(rf"[{_CONTROL}\t\n]")
 _NOT_IN_TEXT = re.compile(rf"[{_CONTROL}]")
-# others' words, which stand in logs and on terminals
+# texts of users, which appear in logs and on terminals
 Line = Annotated[str, Field(pattern=rf"^[^{_CONTROL}\t\n]*$")]
 Paragraphs = Annotated[str, Field(pattern=rf"^[^{_CONTROL}]*$")]
 
@@ -25,12 +25,12 @@ def is_a_line(text: str) -> bool:
 
 
 def printable(text: str) -> str:
-    """The text with escapes in the place of control characters, but for line ends and tabs."""
-    return _NOT_IN_TEXT.sub(lambda found: ascii(found[0])[1:-1], text)
+    """The text with control characters escaped, except line ends and tabs."""
+    return _NOT_IN_TEXT.sub(lambda match: ascii(match[0])[1:-1], text)
 
 
 class Wire(BaseModel):
-    """A value with a JSON form; unknown fields, wrong types, NaN and infinity are refused."""
+    """A value with a JSON form that refuses unknown fields, wrong types, NaN and infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -53,7 +53,7 @@ def refuse_unknown_fields(given: Any, fields: Collection[str]) -> Any:
 
 
 def canonical_json(value: Any) -> str:
-    """The one text of a JSON value: sorted keys, no spaces, shortest exact floats."""
+    """The canonical text of a JSON value: sorted keys, no spaces, shortest exact floats."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
@@ -62,6 +62,9 @@ def sha256(content: bytes) -> str:
 
 
 def explain(error: ValidationError, whole: str) -> str:
-    """What is wrong where, in a line; `whole` names what has no field of its own."""
-    told = "; ".join(f"{'.'.join(map(str, e['loc'])) or whole}: {e['msg']}" for e in error.errors())
-    return told.replace("Value error, ", "")
+    """All errors of a validation with their places, in one line.
+
+    `whole` names the place of an error that concerns no single field.
+    """
+    errors = [f"{'.'.join(map(str, e['loc'])) or whole}: {e['msg']}" for e in error.errors()]
+    return "; ".join(errors).replace("Value error, ", "")

@@ -1,4 +1,4 @@
-"""`.npz` files, which anybody may have written: checked by their headers, then loaded.
+"""`.npz` files from untrusted sources: checked by their headers, then loaded.
 
 arrays = read_arrays(content, ["time", "qpos"])     # InvalidInput says what is wrong
 """
@@ -21,10 +21,10 @@ from adr_service.json_values import is_a_line
 _MOST_NUMBERS = 2**25  # of all arrays together: 256 MB as float64
 _MOST_TEXTS = 10_000
 _MOST_PACKED = 200  # times as long as the file
-_ALWAYS_UNPACKED = 8_000_000  # bytes, however small the file
+_ALWAYS_UNPACKED = 8_000_000  # bytes that even the smallest file may unpack to
 _WIDEST = 8  # bytes of a number
 _KINDS = "biufU"  # booleans, integers, floats, texts; never objects
-_BROKEN = (  # what a damaged or contrived file makes its readers raise
+_BROKEN = (  # raised by the readers of a damaged or malicious file
     zipfile.BadZipFile,
     zlib.error,
     lzma.LZMAError,
@@ -42,9 +42,10 @@ _BROKEN = (  # what a damaged or contrived file makes its readers raise
 def read_arrays(
     content: bytes, accepted: Sequence[str], longest: int | None = None
 ) -> dict[str, np.ndarray]:
-    """The arrays of an `.npz` with these names at most, none with more than `longest` rows.
+    """The arrays of an `.npz`, by name; all names must be `accepted` ones.
 
-    Never runs code from it, nor unpacks more than its headers say.
+    No array may have more than `longest` rows. Runs no code from the file, and unpacks no more
+    than its headers announce.
     """
     if not content.startswith(b"PK"):  # a zip file may hide behind something else
         raise InvalidInput("not a readable .npz: it does not begin as one")
@@ -52,12 +53,7 @@ def read_arrays(
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()
             _check_names([member.filename for member in members], accepted)
-            unpacked = sum(member.file_size for member in members)
-            if unpacked > max(_ALWAYS_UNPACKED, _MOST_PACKED * len(content)):
-                raise InvalidInput(
-                    f"the .npz of {len(content)} bytes would unpack to {unpacked}; accepted are "
-                    f"{_MOST_PACKED} times as many, as recordings of real machines never are"
-                )
+            _check_size(members, len(content))
             numbers = sum(_check_header(archive, member, longest) for member in members)
             if numbers > _MOST_NUMBERS:
                 raise InvalidInput(
@@ -69,7 +65,7 @@ def read_arrays(
 
 
 def write_arrays(arrays: Mapping[str, ArrayLike]) -> bytes:
-    """An `.npz` of these arrays; the same arrays always give the same bytes."""
+    """The bytes of an `.npz` of these arrays; the same arrays always give the same bytes."""
     buffer = io.BytesIO()
     # np.savez has names for its own arguments
     np.savez(buffer, **dict(arrays))  # pyright: ignore[reportArgumentType]
@@ -77,7 +73,7 @@ def write_arrays(arrays: Mapping[str, ArrayLike]) -> bytes:
 
 
 def names_in(content: bytes) -> list[str]:
-    """The names of an `.npz`'s arrays; none where it cannot be read."""
+    """The names of an `.npz`'s arrays; an empty list if it cannot be read."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist()]
@@ -93,8 +89,18 @@ def _check_names(names: Sequence[str], accepted: Sequence[str]) -> None:
         raise InvalidInput(f"the .npz has a member twice: {', '.join(sorted(names))}")
 
 
+def _check_size(members: Sequence[zipfile.ZipInfo], packed: int) -> None:
+    """Refuse a file that would unpack to many times its own size."""
+    unpacked = sum(member.file_size for member in members)
+    if unpacked > max(_ALWAYS_UNPACKED, _MOST_PACKED * packed):
+        raise InvalidInput(
+            f"the .npz of {packed} bytes would unpack to {unpacked}; accepted are "
+            f"{_MOST_PACKED} times as many, which recordings of real machines never reach"
+        )
+
+
 def _check_header(archive: zipfile.ZipFile, member: zipfile.ZipInfo, longest: int | None) -> int:
-    """How many numbers the array has."""
+    """Check an array's header, and return how many numbers the array has."""
     with archive.open(member) as file:
         version = npy.read_magic(file)
         read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
@@ -111,7 +117,7 @@ def _check_header(archive: zipfile.ZipFile, member: zipfile.ZipInfo, longest: in
             raise InvalidInput(f"{member.filename} holds {count} texts; accepted: {_MOST_TEXTS}")
         if file.tell() + count * dtype.itemsize != member.file_size:
             raise InvalidInput(f"{member.filename} is not as long as its shape {shape} says")
-    # a text takes as many numbers' room as it has characters
+    # a character takes the room of a number
     return count * (dtype.itemsize // 4 if dtype.kind == "U" else 1)
 
 

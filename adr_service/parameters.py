@@ -1,9 +1,9 @@
-"""The unknowns of a simulator: named, addressed, bounded, in order.
+"""The unknown parameters of a simulator: named, addressed, bounded and ordered.
 
     space = ParameterSpace((Parameter("torso_mass", "body:torso.mass", "kg", 0.5, 10.0, 0.1),))
     x = space.normalise(values)      # the only rescaling in the project: SI <-> [0, 4]
 
-Parameters are data: an address says where a value goes in the model, no closure does.
+Parameters are data: an address names the value's place in the model, so they pickle and are JSON.
 """
 
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ from adr_service.errors import InvalidInput, UnknownName
 
 @dataclass(frozen=True)
 class Parameter:
-    """One scalar of the simulator that may be unknown, in the unit it is simulated in.
+    """One scalar of the simulator that may be unknown, in SI units.
 
-    `low` and `high` bound the search for the distribution's mean; `feasible_low` is the
-    smallest value that can be simulated, which single draws must respect.
+    `low` and `high` bound the search for the distribution's mean. `feasible_low` is the
+    smallest value that can be simulated; no draw is below it.
     """
 
     name: str
-    address: str  # where it lands in the model, "body:thigh.mass"
+    address: str  # place in the model, "body:thigh.mass" (simulation/model.py)
     unit: str
     low: float
     high: float

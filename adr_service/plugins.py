@@ -1,4 +1,4 @@
-"""What installed packages add: the entry points of our groups, and what they name."""
+"""Extensions by installed packages: the entry points of our groups."""
 
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -13,7 +13,7 @@ def installed(group: str) -> list[EntryPoint]:
 
 
 def load(point: EntryPoint) -> Any:
-    """What an entry point names."""
+    """Import the object that an entry point names."""
     try:
         return point.load()
     # a foreign module may raise anything while it is imported
@@ -21,9 +21,9 @@ def load(point: EntryPoint) -> Any:
         raise InvalidInput(f"{origin(point)} cannot be loaded: {error!r}") from error
 
 
-@cache  # asked for every stage; reading what is installed takes milliseconds
+@cache  # called for every stage; reading all installed packages takes milliseconds
 def package_of(group: str, name: str) -> str | None:
-    """Name and version of the package that adds `name` to a group; None for our own."""
+    """Name and version of the package that adds `name` to a group; None for our own members."""
     for point in installed(group):
         if point.name == name and point.dist is not None:
             return f"{point.dist.name} {point.dist.version}"
@@ -31,6 +31,6 @@ def package_of(group: str, name: str) -> str | None:
 
 
 def origin(point: EntryPoint) -> str:
-    """An entry point in words, for errors."""
+    """Description of an entry point for error messages."""
     package = f" of the package {point.dist.name}" if point.dist else ""
     return f"entry point {point.name!r} = {point.value!r}{package} (group {point.group})"

@@ -1,4 +1,4 @@
-"""Named budgets, from seconds to weeks. What a spec does not say, its preset does.
+"""Named budgets, from seconds to weeks: defaults for all fields that a spec leaves out.
 
 - `smoke`: hundreds of steps, for tests. Its numbers mean nothing.
 - `demo`: minutes, for the task `arm`: policies of 40,000 steps.
@@ -65,7 +65,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "transitions": 200,
             "evaluation_episodes": 50,
             "training": {
-                # by a few trainings on Hopper, docs/training.md; of the time, nearly all is updates
+                # by a few trainings on Hopper (docs/training.md); updates take nearly all time
                 "max_steps": 120_000,
                 "gradient_steps": 12,
                 "learning_rate": 0.001,

@@ -1,15 +1,18 @@
-"""How long computations say that they live, and learn that nobody wants them any more."""
+"""Progress of computations, and the cancelling of those that no run waits for any more."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from adr_service.events import RunEvent
+
 
 @dataclass(frozen=True)
-class SoFar:
-    """The best that a computation has until now, in the form of its result."""
+class Checkpoint:
+    """The best that a computation has so far, kept in case its process is lost."""
 
-    values: dict[str, Any]
-    blobs: dict[str, bytes]
+    steps: int  # of the computation; of two checkpoints the one with more steps is kept
+    content: bytes
+    events: tuple[RunEvent, ...]  # for the record of the runs that wait
 
 
 class StageCancelled(Exception):
@@ -19,17 +22,19 @@ class StageCancelled(Exception):
 class Progress(Protocol):
     """Called often from inside a stage; must be cheap. May raise `StageCancelled`."""
 
-    def __call__(self, fraction: float, so_far: SoFar | None = None, **facts: Any) -> None: ...
+    def __call__(
+        self, fraction: float, checkpoint: Checkpoint | None = None, **facts: Any
+    ) -> None: ...
 
 
 def part_of(progress: Progress, done: int, parts: int) -> Progress:
-    """Progress of the next of `parts` equal parts, of which `done` are behind."""
+    """Progress of one of `parts` equal parts, after `done` finished ones."""
 
-    def report(fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
-        progress((done + fraction) / parts, so_far=so_far, **facts)
+    def report(fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
+        progress((done + fraction) / parts, checkpoint=checkpoint, **facts)
 
     return report
 
 
-def silent(fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
-    """The progress nobody looks at."""
+def silent(fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
+    """A progress callback that does nothing."""

@@ -1,4 +1,4 @@
-"""Named random streams: the same names give the same numbers, in any order, on any machine.
+"""Named random streams: the same names give the same numbers, in any order and on any machine.
 
     rng = stream(stage.digest, "exploration")
 
@@ -11,7 +11,7 @@ import numpy as np
 
 
 def stream(*names: str | int) -> np.random.Generator:
-    """An independent generator for the path `names`."""
+    """The generator of a path of names, independent of all other paths' generators."""
     path = "\x1f".join(str(name) for name in names)
     words = np.frombuffer(hashlib.sha256(path.encode()).digest(), dtype=np.uint32)
     return np.random.default_rng(np.random.SeedSequence(words.tolist()))

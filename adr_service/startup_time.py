@@ -1,10 +1,10 @@
-"""Seconds this process has spent on getting ready to compute: imports and compilations.
+"""Seconds that this process has spent on imports and compilations before it could compute.
 
     with preparing():
         import torch
 
-Imports are paid once per process, compilations once per training: reports of what stages cost
-name them apart. JAX's tracing, which is nested, is not counted.
+Imports happen once per process and compilations once per training, so cost reports list them
+apart from computing. JAX's tracing, which is nested, is not counted.
 """
 
 import time
@@ -16,6 +16,7 @@ _seconds = 0.0
 
 @contextmanager
 def preparing() -> Generator[None]:
+    """Count the time of the block as preparation."""
     started = time.perf_counter()
     try:
         yield
@@ -24,10 +25,10 @@ def preparing() -> Generator[None]:
 
 
 def add_preparation(seconds: float) -> None:
-    global _seconds  # noqa: PLW0603 - of the process, as what it counts is
+    global _seconds  # noqa: PLW0603 - the count belongs to the process
     _seconds += seconds
 
 
 def preparation_seconds() -> float:
-    """All of it since the process began."""
+    """Seconds of preparation since the process began."""
     return _seconds

@@ -2,42 +2,51 @@
 
     target = open_target(spec, stages)
     visit = yield from target.rollout(policy, iteration=0)     # counted
-    found = yield from target.evaluate([policy])               # counted apart, for no method
+    evaluations = yield from target.evaluate([policy])         # counted apart, for no method
 
-No method reads a task's hidden truth: it acts behind this door. Simulated targets live here
-too: `simulate_rollout` and `simulate_evaluation` are what the target stages compute. What a robot
-did arrives as an `.npz` and is checked by `episode_result`.
+No method reads a task's hidden truth: it acts behind this door.
 """
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
-import numpy as np
-
-from adr_service.arrays import Matrix, Vector
-from adr_service.distributions import Uniform
 from adr_service.errors import BudgetExceeded, InvalidInput
 from adr_service.events import RunEvent
-from adr_service.npz import read_arrays
-from adr_service.simulation.batch import Simulations, control_period
 from adr_service.simulation.replay import check_recorded
-from adr_service.simulation.rollout import Act, Episodes, run_episodes
 from adr_service.specs import ExternalTarget, RecordedTarget, RunSpec
-from adr_service.stages import Stage, StageResult, Stages
-from adr_service.tasks.base import Task
-from adr_service.tasks.catalogue import get_task, hidden_of, identity_of, variant_of
-from adr_service.training.policy import Policy
+from adr_service.stages.base import Stage, Stages
+from adr_service.stages.evaluate import Evaluate, TargetEvaluation
+from adr_service.stages.target_episode import RobotEpisode, TargetEpisode
+from adr_service.stages.target_return import EpisodeReturn, TargetReturn
+from adr_service.stages.target_rollout import Rollout, TargetRollout
+from adr_service.tasks.catalogue import get_task, identity_of
 from adr_service.transitions import TransitionDataset, dataset_id
+
+Evaluations = Generator[RunEvent, None, list[TargetEvaluation]]
 
 
 @dataclass(frozen=True)
 class Visit:
-    """One metered rollout: what the target showed of one policy."""
+    """One metered rollout of one policy on the target."""
 
     policy: bytes | None  # None: random actions
     data: bytes  # a TransitionDataset as .npz
     transitions: int
+
+
+class Door(Protocol):
+    """Stages by which a run visits its target."""
+
+    def rollout(
+        self, policy: bytes | None, iteration: int
+    ) -> Stage[Rollout] | Stage[RobotEpisode]: ...
+
+    def full_episode(
+        self, policy: bytes, iteration: int
+    ) -> Stage[EpisodeReturn] | Stage[RobotEpisode]: ...
+
+    def evaluate(self, policies: Sequence[bytes], stages: Stages) -> Evaluations: ...
 
 
 class Target:
@@ -46,21 +55,21 @@ class Target:
     The budget is the spec's rollouts, each of at most the spec's transitions.
     """
 
-    def __init__(self, spec: RunSpec, stages: Stages):
-        self._spec, self._stages = spec, stages
+    def __init__(self, spec: RunSpec, stages: Stages, door: Door):
+        self._spec, self._stages, self._door = spec, stages, door
         self.rollouts = 0
         self.transitions = 0
 
     def rollout(self, policy: bytes | None, iteration: int) -> Generator[RunEvent, None, Visit]:
         """One trajectory of `policy`, or of random actions, of at most the spec's transitions."""
-        spec = self._spec
-        if self.rollouts + 1 > spec.iterations:
-            raise BudgetExceeded("target rollouts", self.rollouts, 1, spec.iterations)
-        result = yield from self._stages.run(self._rollout(policy, iteration))
-        taken = int(result.values["transitions"])
+        allowed = self._spec.iterations
+        if self.rollouts + 1 > allowed:
+            raise BudgetExceeded("target rollouts", self.rollouts, 1, allowed)
+        stage: Stage[Any] = self._door.rollout(policy, iteration)
+        rollout = yield from self._stages.run(stage)
         self.rollouts += 1
-        self.transitions += taken
-        return Visit(policy, result.blobs["data"], taken)
+        self.transitions += rollout.transitions
+        return Visit(policy, rollout.data, rollout.transitions)
 
     def returns(
         self, policies: Sequence[bytes], iteration: int
@@ -69,123 +78,94 @@ class Target:
 
         Metered as rollouts are, beyond the spec's, because UDR's policies come on top.
         """
-        results = yield from self._stages.all([self._return(p, iteration) for p in policies])
-        self.rollouts += len(results)
-        self.transitions += sum(int(result.values["transitions"]) for result in results)
-        return [float(result.values["return"]) for result in results]
+        stages: list[Stage[Any]] = [self._door.full_episode(p, iteration) for p in policies]
+        episodes = yield from self._stages.all(stages)
+        self.rollouts += len(episodes)
+        self.transitions += sum(episode.transitions for episode in episodes)
+        return [episode.earned for episode in episodes]
 
-    def evaluate(
-        self, policies: Sequence[bytes]
-    ) -> Generator[RunEvent, None, list[dict[str, Any]]]:
-        """What the evaluation stage found of each policy. No method may see it."""
-        spec = self._spec
-        results = yield from self._stages.all(
-            [
-                Stage(
-                    "evaluate",
-                    {
-                        **identity_of(spec.task),
-                        "variant": spec.target_domain,
-                        "episodes": spec.evaluation_episodes,
-                        "seed": spec.seed,
-                    },
-                    {"policy": policy},
-                )
-                for policy in policies
-            ]
+    def evaluate(self, policies: Sequence[bytes]) -> Evaluations:
+        """Final episodes of each policy. No method may see them."""
+        return (yield from self._door.evaluate(policies, self._stages))
+
+
+class SimulatedDoor:
+    """Visits to the simulated target, shared by all runs that ask for the same ones."""
+
+    def __init__(self, spec: RunSpec):
+        self._spec = spec
+        self._where: dict[str, Any] = {
+            **identity_of(spec.task),
+            "variant": spec.target_domain,
+            "seed": spec.seed,
+        }
+
+    def rollout(self, policy: bytes | None, iteration: int) -> Stage[Rollout]:
+        transitions = self._spec.transitions
+        return TargetRollout(
+            **self._where, transitions=transitions, iteration=iteration, policy=policy
         )
-        return [result.values for result in results]
 
-    def _rollout(self, policy: bytes | None, iteration: int) -> Stage:
-        inputs = {
-            **identity_of(self._spec.task),
-            "variant": self._spec.target_domain,
-            "transitions": self._spec.transitions,
-            "iteration": iteration,
-            "seed": self._spec.seed,
-        }
-        return Stage("target_rollout", inputs, {} if policy is None else {"policy": policy})
+    def full_episode(self, policy: bytes, iteration: int) -> Stage[EpisodeReturn]:
+        return TargetReturn(**self._where, iteration=iteration, policy=policy)
 
-    def _return(self, policy: bytes, iteration: int) -> Stage:
-        inputs = {
-            **identity_of(self._spec.task),
-            "variant": self._spec.target_domain,
-            "iteration": iteration,
-            "seed": self._spec.seed,
-        }
-        return Stage("target_return", inputs, {"policy": policy})
+    def evaluate(self, policies: Sequence[bytes], stages: Stages) -> Evaluations:
+        episodes = self._spec.evaluation_episodes
+        asked = [Evaluate(**self._where, episodes=episodes, policy=policy) for policy in policies]
+        return (yield from stages.all(asked))
 
 
-class RobotTarget(Target):
-    """A target outside: each visit is an episode that a robot's client takes as a task.
+class RobotsDoor:
+    """Visits to a target outside: each is an episode that a robot's client takes as a task."""
 
-    Episodes are of one run: robots do not repeat themselves.
-    """
+    def __init__(self, spec: RunSpec, run_id: str):
+        self._spec, self._horizon = spec, get_task(spec.task).horizon
+        self._where: dict[str, Any] = {**identity_of(spec.task), "run": run_id, "seed": spec.seed}
 
-    def evaluate(
-        self, policies: Sequence[bytes]
-    ) -> Generator[RunEvent, None, list[dict[str, Any]]]:
+    def rollout(self, policy: bytes | None, iteration: int) -> Stage[RobotEpisode]:
+        transitions = self._spec.transitions
+        return TargetEpisode(
+            **self._where,
+            purpose="rollout",
+            number=iteration,
+            transitions=transitions,
+            policy=policy,
+        )
+
+    def full_episode(self, policy: bytes, iteration: int) -> Stage[RobotEpisode]:
+        return TargetEpisode(
+            **self._where,
+            purpose="return",
+            number=iteration,
+            transitions=self._horizon,
+            policy=policy,
+        )
+
+    def evaluate(self, policies: Sequence[bytes], stages: Stages) -> Evaluations:
         count = self._spec.evaluation_episodes
-        asked = [self._full("evaluation", i, policy) for policy in policies for i in range(count)]
-        results = yield from self._stages.all(asked)
-        returns = [result.values["return"] for result in results]
-        each = [returns[first : first + count] for first in range(0, len(returns), count)]
-        return [{"returns": episodes, "diverged_episodes": 0} for episodes in each]
-
-    def _rollout(self, policy: bytes | None, iteration: int) -> Stage:
-        return self._episode("rollout", iteration, policy, self._spec.transitions)
-
-    def _return(self, policy: bytes, iteration: int) -> Stage:
-        return self._full("return", iteration, policy)
-
-    def _full(self, purpose: str, number: int, policy: bytes) -> Stage:
-        return self._episode(purpose, number, policy, get_task(self._spec.task).horizon)
-
-    def _episode(self, purpose: str, number: int, policy: bytes | None, transitions: int) -> Stage:
-        inputs = {
-            **identity_of(self._spec.task),
-            "run": self._stages.run_id,
-            "purpose": purpose,  # "rollout", of which fewer transitions are as good; else a return
-            "number": number,
-            "transitions": transitions,
-            "seed": self._spec.seed,
-        }
-        return Stage("target_episode", inputs, {} if policy is None else {"policy": policy})
-
-
-_MOST_COLUMNS = 1_000  # of observations
+        asked = [
+            TargetEpisode(
+                **self._where,
+                purpose="evaluation",
+                number=number,
+                transitions=self._horizon,
+                policy=policy,
+            )
+            for policy in policies
+            for number in range(count)
+        ]
+        episodes = yield from stages.all(asked)
+        earned = [episode.earned for episode in episodes]
+        each = [earned[first : first + count] for first in range(0, len(earned), count)]
+        return [TargetEvaluation(returns=returns, diverged_episodes=0) for returns in each]
 
 
 def open_target(spec: RunSpec, stages: Stages) -> Target:
     """The target that a spec names, simulated or outside."""
-    return (RobotTarget if isinstance(spec.target, ExternalTarget) else Target)(spec, stages)
-
-
-def episode_result(inputs: Mapping[str, Any], content: bytes) -> StageResult:
-    """What a robot's episode is worth as the result of a `target_episode`.
-
-    `content` is the `.npz` of a TransitionDataset with `rewards` (N,). Raises InvalidInput where
-    it is not of the task, is not one episode, or is longer than was asked for.
-    """
-    # a name for each column takes rows too
-    longest = max(inputs["transitions"], _MOST_COLUMNS)
-    fields = read_arrays(content, (*TransitionDataset.ARRAYS, "rewards"), longest)
-    rewards = fields.pop("rewards", None)
-    data = TransitionDataset.from_arrays(fields)
-    check_recorded(get_task(inputs["task"]), data)
-    if data.episode_count != 1:
-        raise InvalidInput(f"a task is one episode; the data have {data.episode_count}")
-    if len(data) > inputs["transitions"]:
-        raise InvalidInput(
-            f"the task asks for {inputs['transitions']} transitions at most; given {len(data)}"
-        )
-    if rewards is None or rewards.dtype.kind not in "iuf" or rewards.shape != (len(data),):
-        given = "nothing" if rewards is None else f"{rewards.dtype} {rewards.shape}"
-        raise InvalidInput(f"rewards must be ({len(data)},) numbers; given {given}")
-    earned = float(np.sum(rewards, dtype=np.float64))
-    if not np.isfinite(earned):
-        raise InvalidInput("rewards must be finite, and their sum")
-    return StageResult({"transitions": len(data), "return": earned}, {"data": data.to_npz()})
+    is_outside = isinstance(spec.target, ExternalTarget)
+    return Target(
+        spec, stages, RobotsDoor(spec, stages.run_id) if is_outside else SimulatedDoor(spec)
+    )
 
 
 class Recording:
@@ -210,79 +190,7 @@ class Recording:
         self.data = data.to_npz()
         self.rollouts, self.transitions = data.episode_count, len(data)
 
-    def evaluate(
-        self, policies: Sequence[bytes]
-    ) -> Generator[RunEvent, None, list[dict[str, Any]]]:
+    def evaluate(self, policies: Sequence[bytes]) -> Evaluations:
+        """Nothing: nobody can act on a recording."""
         yield from ()
         return []
-
-
-def truth_as_distribution(task_name: str, variant: str) -> Uniform:
-    """Certainty about the truth, in the target's own space: what the oracle is trained on."""
-    hidden = hidden_of(task_name, variant)
-    return Uniform.point(hidden.source.space, hidden.values)
-
-
-def estimation_error(task_name: str, variant: str, mean: Vector) -> float:
-    """Root-mean-square distance of an estimate's mean from the truth, in [0, 4] coordinates.
-
-    For reports alone. Over the parameters of the variant's source space.
-    """
-    pair = variant_of(task_name, variant)
-    space, truth = pair.source.space, pair.truth
-    return float(np.sqrt(np.mean((space.normalise(mean) - space.normalise(truth)) ** 2)))
-
-
-def true_values(task_name: str, variant: str) -> dict[str, float]:
-    """The hidden truth by parameter name. For reports alone."""
-    hidden = hidden_of(task_name, variant)
-    return dict(zip(hidden.source.space.names, hidden.values.tolist(), strict=True))
-
-
-def simulate_rollout(
-    task: Task, variant: str, act: Act, transitions: int, rng: np.random.Generator
-) -> TransitionDataset:
-    """One episode of `act` on the simulated target, clipped to `transitions`.
-
-    Where the simulation diverges, the recording ends before that step.
-    """
-    episode = _episodes(task, variant, act, 1, transitions, rng)
-    length = int(episode.lengths[0]) - int(episode.diverged[0])
-    if length == 0:
-        raise InvalidInput(f"the simulated target {task.name} diverged at its first step")
-    observations = episode.observations[0, : length + 1]
-    return TransitionDataset(
-        observations=observations[:-1],
-        actions=episode.actions[0, :length],
-        next_observations=observations[1:],
-        episodes=np.zeros(length, dtype=np.int64),
-        dt=control_period(task),
-        columns=task.columns[: task.measured],
-        origin=f"simulated target {task.name} {variant}",
-    )
-
-
-def simulate_evaluation(
-    task: Task, variant: str, policy: Policy, episodes: int, rng: np.random.Generator
-) -> Episodes:
-    """Full episodes of the policy on the simulated target."""
-    return _episodes(task, variant, policy.act, episodes, task.horizon, rng)
-
-
-def random_actions(task: Task, rng: np.random.Generator) -> Act:
-    """Actions (n, a) uniform within the task's bounds, whatever is observed."""
-    low, high = task.action_low, task.action_high
-    return lambda observations: rng.uniform(low, high, (len(observations), len(low)))
-
-
-def _episodes(
-    task: Task, variant: str, act: Act, n: int, steps: int, rng: np.random.Generator
-) -> Episodes:
-    hidden = hidden_of(task.name, variant)
-    simulations = Simulations(task, hidden.source, n)
-    simulations.set_dynamics(np.tile(hidden.values, (n, 1)))
-    deviation, width = np.sqrt(hidden.noise_variance), task.measured
-    noise: Callable[[], Matrix] | None = None
-    if deviation > 0:
-        noise = lambda: deviation * rng.standard_normal((n, width))  # noqa: E731
-    return run_episodes(task, simulations, act, task.initial(n, rng), steps, noise)

@@ -1,19 +1,18 @@
-"""Recorded behaviour of a target: transitions of episodes, read-only and finite.
+"""Recordings of a target: transitions of episodes, read-only and finite.
 
     data = TransitionDataset.from_npz(path.read_bytes())
-    starts = data.windows(1)        # rows from which one step stays inside its episode
+    starts = data.windows(1)        # first rows of windows of one step
 
 The `.npz` keys are DROPO's (`observations`, `next_observations`, `actions`, `terminals`), and `dt`.
 """
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from adr_service.arrays import Indices, Matrix, frozen
+from adr_service.arrays import Indices, Matrix, frozen, spans
 from adr_service.errors import InvalidInput
 from adr_service.json_values import sha256
 from adr_service.npz import read_arrays, write_arrays
@@ -33,39 +32,18 @@ class TransitionDataset:
     episodes: Indices  # (N,) non-decreasing episode ids
     dt: float  # control period [s]
     columns: tuple[str, ...]  # observation columns with their units, "thigh_angle [rad]"
-    origin: str  # where the data comes from, in words
+    origin: str  # source of the data, in words
 
     ARRAYS = (*_NEEDED, *_OPTIONAL)  # of an `.npz`, by name
 
     def __post_init__(self) -> None:
         for name in ("observations", "actions", "next_observations"):
-            values = frozen(getattr(self, name))
-            object.__setattr__(self, name, values)
-            if values.ndim != 2:
-                raise InvalidInput(f"{name} must be a matrix; its shape is {values.shape}")
-            if not np.all(np.isfinite(values)):
-                row, column = np.argwhere(~np.isfinite(values))[0]
-                raise InvalidInput(f"{name} is not finite at row {row}, column {column}")
+            object.__setattr__(self, name, _finite_matrix(name, getattr(self, name)))
         episodes = np.array(self.episodes, dtype=np.int64)
         episodes.flags.writeable = False
         object.__setattr__(self, "episodes", episodes)
-        rows = {len(self.observations), len(self.actions), len(self.next_observations)}
-        rows.add(len(episodes))
-        if len(rows) != 1 or self.observations.shape != self.next_observations.shape:
-            raise InvalidInput(
-                f"arrays must have one row per transition; given observations "
-                f"{self.observations.shape}, actions {self.actions.shape}, next_observations "
-                f"{self.next_observations.shape}, episodes {episodes.shape}"
-            )
-        if not len(episodes):
-            raise InvalidInput("a recording has at least one transition; this has none")
-        if np.any(np.diff(episodes) < 0):
-            raise InvalidInput("episode ids must not decrease from row to row")
-        if self.episode_count > MOST_EPISODES:
-            raise InvalidInput(
-                f"a recording has {MOST_EPISODES:,} episodes at most; this has "
-                f"{self.episode_count:,}"
-            )
+        self._check_rows()
+        self._check_episodes()
         if len(self.columns) != self.observations.shape[1]:
             raise InvalidInput(
                 f"{len(self.columns)} column names for {self.observations.shape[1]} columns"
@@ -73,13 +51,34 @@ class TransitionDataset:
         if not 0 < self.dt < np.inf:
             raise InvalidInput(f"the control period must be positive; given {self.dt} s")
 
+    def _check_rows(self) -> None:
+        arrays = (self.observations, self.actions, self.next_observations, self.episodes)
+        rows = {len(array) for array in arrays}
+        if len(rows) != 1 or self.observations.shape != self.next_observations.shape:
+            raise InvalidInput(
+                f"arrays must have one row per transition; given observations "
+                f"{self.observations.shape}, actions {self.actions.shape}, next_observations "
+                f"{self.next_observations.shape}, episodes {self.episodes.shape}"
+            )
+
+    def _check_episodes(self) -> None:
+        if not len(self.episodes):
+            raise InvalidInput("a recording has at least one transition; this has none")
+        if np.any(np.diff(self.episodes) < 0):
+            raise InvalidInput("episode ids must not decrease from row to row")
+        if self.episode_count > MOST_EPISODES:
+            raise InvalidInput(
+                f"a recording has {MOST_EPISODES:,} episodes at most; this has "
+                f"{self.episode_count:,}"
+            )
+
     def __len__(self) -> int:
         return len(self.observations)
 
     def __repr__(self) -> str:
         s, a = self.observations.shape[1], self.actions.shape[1]
-        count = len(np.unique(self.episodes))
-        return f"TransitionDataset({len(self)} transitions, {count} episodes, s={s}, a={a})"
+        counts = f"{len(self)} transitions, {self.episode_count} episodes"
+        return f"TransitionDataset({counts}, s={s}, a={a})"
 
     @property
     def episode_count(self) -> int:
@@ -88,26 +87,28 @@ class TransitionDataset:
     def windows(self, length: int) -> Indices:
         """First rows of consecutive, non-overlapping windows that stay inside an episode."""
         starts = [
-            row for first, last in self._spans() for row in range(first, last - length + 1, length)
+            row
+            for first, last in spans(self.episodes)
+            for row in range(first, last - length + 1, length)
         ]
         return np.array(starts, dtype=np.int64)
 
     def split(self) -> list["TransitionDataset"]:
         """One dataset per episode, in order."""
-        return [self._rows(slice(first, last)) for first, last in self._spans()]
+        return [self._rows(slice(first, last)) for first, last in spans(self.episodes)]
 
     def first_episodes(self, count: int) -> "TransitionDataset":
-        """The first `count` (at least one) episodes, or all where there are fewer."""
-        return self.first(self._spans()[:count][-1][1])
+        """The first `count` (at least one) episodes, or all if there are fewer."""
+        return self.first(spans(self.episodes)[:count][-1][1])
 
     def first(self, rows: int) -> "TransitionDataset":
-        """The first `rows` (at least one) transitions, or all where there are fewer."""
+        """The first `rows` (at least one) transitions, or all if there are fewer."""
         if rows < 1:
-            raise InvalidInput(f"at least one row is needed; asked for {rows}")
+            raise InvalidInput(f"rows must be at least 1; given {rows}")
         return self._rows(slice(rows))
 
     def to_npz(self) -> bytes:
-        """Bytes that `from_npz` reads; the same data always gives the same bytes."""
+        """Bytes for `from_npz`; the same data always gives the same bytes."""
         return write_arrays(self.to_arrays())
 
     def to_arrays(self) -> dict[str, np.ndarray]:
@@ -125,22 +126,13 @@ class TransitionDataset:
 
     @classmethod
     def from_npz(cls, content: bytes) -> "TransitionDataset":
-        """The data in an `.npz`; where it has no `episodes`, `terminals` mark their ends."""
+        """The data in an `.npz`; without `episodes`, `terminals` mark the ends of episodes."""
         return cls.from_arrays(read_arrays(content, cls.ARRAYS))
 
     @classmethod
     def from_arrays(cls, fields: Mapping[str, np.ndarray]) -> "TransitionDataset":
         """The data in the arrays of an `.npz`, by name."""
-        missing = [name for name in _NEEDED if name not in fields]
-        if not fields.keys() & {"episodes", "terminals"}:
-            missing.append("episodes (or terminals)")
-        if missing:
-            raise InvalidInput(f"the .npz lacks {missing}; it has {sorted(fields)}")
-        for name in _NEEDED:
-            if fields[name].dtype.kind not in "iuf":
-                raise InvalidInput(f"{name} must hold numbers; given {fields[name].dtype}")
-        if fields["dt"].ndim != 0:
-            raise InvalidInput(f"dt must be one number; its shape is {fields['dt'].shape}")
+        _check_fields(fields)
         width = fields["observations"].shape[-1] if fields["observations"].ndim else 0
         return cls(
             observations=fields["observations"],
@@ -158,7 +150,7 @@ class TransitionDataset:
     ) -> "TransitionDataset":
         """The data in DROPO's own files, PREFIX_observations.npy and so on.
 
-        Read from a trusted folder: unlike `from_npz`, not for uploads.
+        For files in a trusted folder; `from_npz` is for uploads.
         """
         names = ("observations", "actions", "nextobservations", "terminals")
         try:
@@ -179,7 +171,7 @@ class TransitionDataset:
     def concatenate(cls, parts: Sequence["TransitionDataset"]) -> "TransitionDataset":
         """The parts one after the other; episodes are renumbered so that none merge."""
         if not parts:
-            raise InvalidInput("cannot concatenate no data")
+            raise InvalidInput("at least one part is needed to concatenate; given none")
         offset, episodes = 0, []
         for part in parts:
             _, ids = np.unique(part.episodes, return_inverse=True)
@@ -195,11 +187,6 @@ class TransitionDataset:
             origin="; ".join(dict.fromkeys(p.origin for p in parts)),
         )
 
-    def _spans(self) -> list[tuple[int, int]]:
-        """Half-open row ranges of the episodes."""
-        edges = [0, *(np.flatnonzero(np.diff(self.episodes)) + 1).tolist(), len(self)]
-        return [(a, b) for a, b in itertools.pairwise(edges) if b > a]
-
     def _rows(self, rows: slice) -> "TransitionDataset":
         return TransitionDataset(
             self.observations[rows],
@@ -213,13 +200,37 @@ class TransitionDataset:
 
 
 def dataset_id(content: bytes) -> str:
-    """The name of a stored recording: equal bytes have equal names."""
+    """The name of a stored recording, made from the hash of its bytes."""
     return f"data_{sha256(content)[:16]}"
 
 
 def unnamed(width: int) -> np.ndarray:
-    """The column names of data that have none of their own."""
+    """The column names of data without names, (width,)."""
     return np.array([f"observation_{i}" for i in range(width)], dtype=str)
+
+
+def _finite_matrix(name: str, values: np.ndarray) -> Matrix:
+    matrix = frozen(values)
+    if matrix.ndim != 2:
+        raise InvalidInput(f"{name} must be a matrix; its shape is {matrix.shape}")
+    if not np.all(np.isfinite(matrix)):
+        row, column = np.argwhere(~np.isfinite(matrix))[0]
+        raise InvalidInput(f"{name} is not finite at row {row}, column {column}")
+    return matrix
+
+
+def _check_fields(fields: Mapping[str, np.ndarray]) -> None:
+    """Raise InvalidInput if an array of an `.npz` is missing or of the wrong kind."""
+    missing = [name for name in _NEEDED if name not in fields]
+    if not fields.keys() & {"episodes", "terminals"}:
+        missing.append("episodes (or terminals)")
+    if missing:
+        raise InvalidInput(f"the .npz lacks {missing}; it has {sorted(fields)}")
+    for name in _NEEDED:
+        if fields[name].dtype.kind not in "iuf":
+            raise InvalidInput(f"{name} must hold numbers; given {fields[name].dtype}")
+    if fields["dt"].ndim != 0:
+        raise InvalidInput(f"dt must be one number; its shape is {fields['dt'].shape}")
 
 
 def _episodes(fields: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -1,7 +1,8 @@
-"""Specs in bodies, validated beside the event loop: a benchmark's takes as long as all its runs'.
+"""Specs in bodies, validated on threads.
 
-FastAPI validates bodies on the event loop, where everybody else would wait. Here it hands them on
-as they came, with the same description in the API's reference, to functions on threads.
+FastAPI validates bodies on the event loop, and all other requests wait meanwhile; a benchmark takes
+as long as all its runs. Here FastAPI passes bodies unread to functions on threads. Their
+description in the API's reference stays the same.
 """
 
 from typing import Annotated, Any, TypeVar
@@ -51,5 +52,5 @@ def _validated(kind: type[S], given: Any) -> S:
     try:
         return kind.model_validate(given)
     except ValidationError as error:
-        found = error.errors()
-        raise RequestValidationError([{**e, "loc": ("body", *e["loc"])} for e in found]) from error
+        errors = [{**each, "loc": ("body", *each["loc"])} for each in error.errors()]
+        raise RequestValidationError(errors) from error

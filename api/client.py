@@ -2,9 +2,12 @@
 
 with AdrClient() as client:
     benchmark = client.submit_benchmark({"tasks": ["arm"], "methods": ["simopt"]})
-    client.results(benchmark["links"]["results"])
+    for seen in client.watch(benchmark["id"]):
+        print(seen["states"])
+    client.results(benchmark["id"])["rows"]
 """
 
+import os
 import time
 from collections.abc import Iterator, Sequence
 from types import TracebackType
@@ -37,7 +40,7 @@ class Unreachable(AdrError):
 
 
 class AdrClient:
-    """A connection to a running service. All answers are the service's JSON."""
+    """A connection to a running service. It returns the service's JSON."""
 
     def __init__(self, url: str = DEFAULT_URL, token: str = "", timeout_s: float = 60.0):
         headers = {"Authorization": f"Bearer {token}"} if token else {}
@@ -62,11 +65,11 @@ class AdrClient:
         return self._json("POST", "/v1/benchmarks", json=spec, params=_dry(dry_run))
 
     def submit_criticism(self, spec: Json) -> Json:
-        """Ask what an uploaded measurement says of a task's simulator."""
+        """Criticise a task's simulator with an uploaded measurement."""
         return self._json("POST", "/v1/criticisms", json=spec)
 
     def criticism(self, run_id: str) -> Json:
-        """How a criticism stands, and its verdict as soon as there is one."""
+        """State of a criticism, and its verdict once there is one."""
         return self._json("GET", f"/v1/criticisms/{run_id}")
 
     def criticism_file(self, run_id: str, name: str) -> bytes:
@@ -78,7 +81,7 @@ class AdrClient:
         return self._json("POST", f"{_path(benchmark_id)}/extend", json=extension)
 
     def upload(self, content: bytes, task: str | None = None) -> Json:
-        """Store a recording; with `task`, also check that it is of it."""
+        """Store a recording; with `task`, also check that it is of that task."""
         return self._json(
             "POST",
             "/v1/datasets",
@@ -96,7 +99,7 @@ class AdrClient:
         return self._pages(f"/v1/{collection}", "page_token", **filters)
 
     def cost(self, id: str) -> Json:
-        """What a run or a benchmark has cost so far."""
+        """Cost of a run or a benchmark so far."""
         return self._json("GET", f"{_path(id)}/cost")
 
     def get_events(self, run_id: str) -> list[Json]:
@@ -110,7 +113,7 @@ class AdrClient:
         return self._json("POST", f"{_path(id)}/resume")
 
     def delete(self, id: str) -> None:
-        """Delete a finished run or benchmark and what only it refers to, or a dataset."""
+        """Delete a dataset, or a finished run or benchmark and what only that refers to."""
         self._request("DELETE", _path(id))
 
     def results(self, id: str) -> Json:
@@ -128,12 +131,12 @@ class AdrClient:
         return list(self._json("GET", f"{_path(id)}/figures"))
 
     def claims(self, benchmark_id: str | None = None) -> list[Json]:
-        """What the paper claims against a benchmark, or against everything."""
+        """The paper's claims, compared with a benchmark or with all runs."""
         at = "/v1/claims" if benchmark_id is None else f"{_path(benchmark_id)}/claims"
         return list(self._json("GET", at))
 
     def distribution(self, run_id: str) -> Json:
-        """What the run's latest policy was trained on."""
+        """Training distribution of the run's latest policy."""
         return self._json("GET", f"{_path(run_id)}/distribution")
 
     def policy(self, run_id: str) -> bytes:
@@ -141,18 +144,18 @@ class AdrClient:
         return self.content(f"{_path(run_id)}/policy")
 
     def claim_task(self, worker: str, tasks: Sequence[str], wait_s: float = 20.0) -> Json | None:
-        """An episode for a robot, and its lease; None where there is none after `wait_s`."""
+        """An episode for a robot, and its lease; None if there is none within `wait_s`."""
         given = {"worker": worker, "tasks": list(tasks), "wait_s": wait_s}
         response = self._request("POST", "/v1/target_tasks/claim", json=given)
         return None if response.status_code == 204 else response.json()
 
     def heartbeat(self, task_id: str, lease: str, steps: int) -> Json:
-        """Say that an episode goes on; the answer has `cancel_requested`."""
+        """Renew the lease of an episode; the answer has `cancel_requested`."""
         given = {"lease": lease, "steps": steps}
         return self._json("POST", f"/v1/target_tasks/{task_id}/heartbeat", json=given)
 
     def complete_task(self, task_id: str, lease: str, trajectory: bytes) -> Json:
-        """Upload what happened, an `.npz`."""
+        """Upload the trajectory, an `.npz`."""
         return self._json(
             "PUT",
             f"/v1/target_tasks/{task_id}/trajectory",
@@ -164,19 +167,19 @@ class AdrClient:
         return self._json("POST", f"/v1/target_tasks/{task_id}/release", json={"lease": lease})
 
     def fail_task(self, task_id: str, lease: str, message: str) -> Json:
-        """Say that no robot can do this; the run fails."""
+        """Report that no robot can do the task; its run fails."""
         given = {"lease": lease, "message": message}
         return self._json("POST", f"/v1/target_tasks/{task_id}/fail", json=given)
 
     def tasks(self) -> list[Json]:
-        """What there is to train for, with columns, bounds and periods."""
+        """All tasks, with columns, bounds and control periods."""
         return list(self._json("GET", "/v1/tasks"))
 
     def ready(self) -> Json:
         return self._json("GET", "/readyz")
 
     def watch(self, id: str) -> Iterator[Json]:
-        """The run or benchmark again and again, until it has finished."""
+        """Yield a run or a benchmark every second until it has finished."""
         while True:
             seen = self.get(id)
             yield seen
@@ -205,7 +208,7 @@ class AdrClient:
         except httpx2.TimeoutException as error:
             raise Unreachable(
                 f"the service at {self.url} did not answer in time ({type(error).__name__}); "
-                "it may still do what it was asked for"
+                "it may still carry out the request"
             ) from error
         except httpx2.TransportError as error:
             raise Unreachable(
@@ -217,14 +220,20 @@ class AdrClient:
             after = float(wait) if wait is not None and wait.isdigit() else None
             if after is None and response.status_code in _OF_A_PROXY:
                 raise Unreachable(
-                    f"what answers at {self.url} is not the service: "
+                    f"the server at {self.url} is not the service: "
                     f"{response.status_code} {response.reason_phrase}"
                 )
             raise Refused(response.status_code, _explain(response), after)
         return response
 
 
+def connect(url: str = DEFAULT_URL, timeout_s: float = 60.0) -> AdrClient:
+    """Return a client with the token in ADR_TOKEN, if there is one."""
+    return AdrClient(url, os.environ.get("ADR_TOKEN", ""), timeout_s)
+
+
 def is_finished(seen: Json) -> bool:
+    """True if a run, or every run of a benchmark, has ended."""
     if "is_finished" in seen:
         return bool(seen["is_finished"])
     return seen["state"] in {"succeeded", "failed", "cancelled"}

@@ -1,10 +1,11 @@
-"""Connections: how many there may be at once, and how long a client may keep one waiting.
+"""Connections: a limit on their number, and on the time that a client may keep one waiting.
 
-    uvicorn.run(app, http=bounded(connections_allowed(settings.max_connections)))
+    server = uvicorn.Config(app, http=bounded(connections_allowed(settings.max_connections)))
 
-A connection takes a descriptor (an open file) of the process, and Ray and the database need theirs.
-So connections are limited. Beyond the limit the one that has been idle for longest is closed, and
-where none is idle the new one is refused with 503. Uvicorn itself waits for a request for ever.
+A connection takes a descriptor (an open file) of the process, and Ray and the database need
+descriptors too. So connections are limited. Beyond the limit, the connection that has been idle for
+longest is closed; if none is idle, the new one is refused with 503. Uvicorn by itself waits for a
+request for ever.
 """
 
 import asyncio
@@ -23,14 +24,14 @@ _KEPT = 512  # descriptors for Ray, the database, logs and files
 _MOST = 1_000  # connections, however many descriptors there are
 _RAISED_TO = 65_536  # descriptors, where the system lets us have as many
 _SECONDS = {"head": 20.0, "body": 600.0}  # for the headers of a request, and for all of its body
-_STALLED_S = 60.0  # in which a client reads some of its answer
+_STALLED_S = 60.0  # in which a client must read some of its answer
 _REFUSAL = (
     b"HTTP/1.1 %s\r\nContent-Length: 0\r\nRetry-After: 5\r\nConnection: close\r\n\r\n"  # no app yet
 )
 
 
 def connections_allowed(given: int | None = None) -> int:
-    """Number of connections to accept: the given one, or as many as the descriptors allow."""
+    """Return the number of connections to accept: the given one, or as the descriptors allow."""
     possible = max(_descriptors() - _KEPT, _KEPT // 8)
     if given is not None and given > possible:
         log.warning(
@@ -43,7 +44,7 @@ def connections_allowed(given: int | None = None) -> int:
 
 
 def _descriptors() -> int:
-    """The number of descriptors that this process may have, raised as far as that goes."""
+    """Raise this process's limit on descriptors as far as possible, and return it."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     unlimited = resource.RLIM_INFINITY
     wanted = _RAISED_TO if hard == unlimited else min(hard, _RAISED_TO)
@@ -59,7 +60,7 @@ def bounded(most: int) -> type[asyncio.Protocol]:
 
 
 class _Bounded(H11Protocol):
-    """Adds two clocks to uvicorn's protocol: for what the client sends, and for what it reads."""
+    """Adds two clocks to uvicorn's protocol: one for requests sent, one for answers read."""
 
     def __init__(self, most: int, turns: Iterator[int], *given: Any, **named: Any):
         super().__init__(*given, **named)
@@ -68,8 +69,8 @@ class _Bounded(H11Protocol):
         self._owed = ""
         self._clock: asyncio.TimerHandle | None = None
         self._reading: asyncio.TimerHandle | None = None
-        self._reads = 0  # times that the client was seen to have read
-        self._seen = (0, 0)  # these, and the bytes that it had not read, at the last look
+        self._reads = 0  # times that the client has read something
+        self._seen = (0, 0)  # reads and unread bytes at the last look
 
     @property
     def is_idle(self) -> bool:
@@ -81,11 +82,11 @@ class _Bounded(H11Protocol):
         if len(self.connections) > self._most:
             others = [c for c in self.connections if isinstance(c, _Bounded) and c is not self]
             idle = [c for c in others if c.is_idle and not c.transport.is_closing()]
-            # first who has never asked for anything
+            # first a connection that has never sent a request
             victim = min(idle, key=lambda c: (c.cycle is not None, c._turn), default=self)  # pyright: ignore[reportUnnecessaryComparison]
             if victim.cycle is None:  # pyright: ignore[reportUnnecessaryComparison]
                 victim.refuse(b"503 Service Unavailable")
-            else:  # it had its answers, and would take this for the next one
+            else:  # it had its answers, and would take a refusal for the next one
                 victim.close()
 
     def data_received(self, data: bytes) -> None:
@@ -114,17 +115,17 @@ class _Bounded(H11Protocol):
         self._reads += 1
 
     def refuse(self, status: bytes) -> None:
-        """Close an idle connection, with the reason for a client that waits for an answer."""
+        """Close an idle connection, with a reason for a client that waits for an answer."""
         self.transport.write(_REFUSAL % status)
         self.close()
 
     def close(self) -> None:
-        """Close the connection once the client has read its answers, if it does read them."""
+        """Close the connection once the client has read its answers, or has stopped reading."""
         self.transport.close()
         self._watch_reader()
 
     def _watch_reader(self) -> None:
-        """Look every `_STALLED_S` whether the client reads, while it has something to read."""
+        """Check every `_STALLED_S` that the client reads, while it has something to read."""
         unread = self.transport.get_write_buffer_size()
         if self._reading is None and (unread or self.transport.is_closing()):
             self._seen = (self._reads, unread)
@@ -139,7 +140,7 @@ class _Bounded(H11Protocol):
             self._watch_reader()
 
     def _watch(self) -> None:
-        """Time the headers or the body that the client has not sent yet."""
+        """Start a clock for the headers or the body that the client has not sent yet."""
         if self.conn.their_state is h11.SEND_BODY:  # perhaps answered already
             owed = "body"
         elif not self.is_idle:

@@ -29,12 +29,12 @@ _STATUS = {
     "disk_full": 507,
 }
 _RETRY_AFTER_S = 5
-_LONGEST = 200  # characters of what was given that a problem repeats
+_LONGEST = 200  # characters of a given value that a problem repeats
 _MOST_ERRORS = 50  # of fields, in one problem
 
 
 class Problem(BaseModel):
-    """What was refused, and why (RFC 9457)."""
+    """A refusal and its reason (RFC 9457)."""
 
     type: str
     title: str
@@ -44,6 +44,7 @@ class Problem(BaseModel):
 
 
 def install(app: FastAPI) -> None:
+    """Make an application answer every error as a problem document."""
     app.add_exception_handler(AdrError, _adr_error)
     app.add_exception_handler(RequestValidationError, _validation_error)
     app.add_exception_handler(HTTPException, _http_error)
@@ -51,6 +52,7 @@ def install(app: FastAPI) -> None:
 
 
 def problem(status: int, code: str, detail: str, **more: Any) -> JSONResponse:
+    """Return a problem document; `more` are members beside the standard ones."""
     body = {
         "type": f"/problems/{code}",
         "title": code.replace("_", " "),
@@ -71,17 +73,30 @@ async def _adr_error(request: Request, error: Exception) -> JSONResponse:
 
 async def _validation_error(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, RequestValidationError)
-    errors = [
-        {
-            "pointer": _shorten("/" + "/".join(str(part) for part in found["loc"])),
-            "detail": _whole(found["msg"].removeprefix("Value error, ")),
-            "given": "nothing" if found["type"] == "missing" else _shorten(repr(found["input"])),
-        }
-        for found in error.errors()[:_MOST_ERRORS]
-    ]
+    errors = [_field_error(each, error, request) for each in error.errors()[:_MOST_ERRORS]]
     more = len(error.errors()) - len(errors)
     detail = "the request is not valid" + (f"; {more} more errors are left out" if more else "")
     return problem(422, "invalid_input", detail, errors=errors)
+
+
+def _field_error(each: Any, error: RequestValidationError, request: Request) -> dict[str, str]:
+    """Return the pointer to a field, the reason of its refusal, and the given value."""
+    if each["type"] == "json_invalid":
+        reason, position = each["ctx"]["error"], each["loc"][-1]
+        detail = f"the body must be JSON: {reason}, at character {position}"
+        return {"pointer": "/body", "detail": detail, "given": _shorten(repr(error.body))}
+    if each["loc"] == ("body",) and isinstance(each["input"], bytes):
+        given = request.headers.get("Content-Type")
+        return {
+            "pointer": "/body",
+            "detail": "the body must be JSON, with the header 'Content-Type: application/json'",
+            "given": "no Content-Type" if given is None else _shorten(f"Content-Type: {given}"),
+        }
+    return {
+        "pointer": _shorten("/" + "/".join(str(part) for part in each["loc"])),
+        "detail": _whole(each["msg"].removeprefix("Value error, ")),
+        "given": "nothing" if each["type"] == "missing" else _shorten(repr(each["input"])),
+    }
 
 
 async def _http_error(request: Request, error: Exception) -> JSONResponse:
@@ -94,7 +109,7 @@ async def _http_error(request: Request, error: Exception) -> JSONResponse:
 
 
 def _methods_of(request: Request) -> set[str]:
-    """What may be done with the path of a request; Starlette knows one route at a time."""
+    """Return the methods that a path accepts; Starlette looks at one route at a time."""
     routers: Sequence[APIRouter] = request.app.state.routers
     routes = [route for router in routers for route in router.routes if isinstance(route, Route)]
     matching = [route for route in routes if route.matches(request.scope)[0] is not Match.NONE]
@@ -108,7 +123,7 @@ async def _defect(request: Request, error: Exception) -> JSONResponse:
 
 
 def _whole(text: str) -> str:
-    """Text without half characters (lone surrogates), which no answer can have."""
+    """Return text without half characters (lone surrogates), which UTF-8 cannot encode."""
     return text.encode(errors="backslashreplace").decode()
 
 

@@ -1,4 +1,4 @@
-"""ETag and If-None-Match for everything that is read: who polls gets 304 while nothing changes."""
+"""ETag and If-None-Match for answers to GET: polling gets 304 while nothing changes."""
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -7,7 +7,7 @@ from adr_service.json_values import sha256
 
 
 class Etags:
-    """Plain ASGI; answers to GET that are whole get a tag, streams pass."""
+    """Adds a tag to whole answers to GET; streams pass unchanged. Plain ASGI."""
 
     def __init__(self, app: ASGIApp):
         self._app = app

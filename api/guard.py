@@ -77,8 +77,8 @@ class Guard:
         return problem(400, "unknown_host", detail)
 
     def _too_many(self, client: str) -> Response | None:
-        # the library's windows follow the wall clock, which may be set back by hours: each of ours,
-        # of a steady clock, is a key of its own there
+        # the library's windows follow the wall clock, which may be set back by hours: so each
+        # window of a steady clock is a key of its own there
         window = self._rate.get_expiry()
         number, passed = divmod(time.monotonic(), window)
         if self._limiter.hit(self._rate, client, f"{number:.0f}"):
@@ -105,7 +105,7 @@ class Guard:
 
 
 class _Answer:
-    """Adds what every answer says, and tells why a body was too large."""
+    """Adds the headers of every answer, and explains a refusal of a large body."""
 
     def __init__(self, scope: Scope, receive: Receive, send: Send):
         self._scope, self._receive, self._send = scope, receive, send
@@ -148,7 +148,7 @@ def _from_elsewhere(headers: Headers, method: str) -> Response | None:
 
 
 def _hosts(settings: Settings) -> set[str] | None:
-    """Names that requests may call the service by; None: any, where a token guards it."""
+    """Accepted names of the service; None: any, if it listens for everyone with a token."""
     given = {name.strip() for name in settings.allowed_hosts.split(",") if name.strip()}
     if not given and settings.host in _EVERY_ADDRESS:
         return None
@@ -162,7 +162,7 @@ def _without_port(host: str) -> str:
 
 
 def _token(headers: Headers, method: str) -> bytes:
-    """The token of a request; as a password only for reading, since browsers resend those."""
+    """Return the token of a request. Browsers resend passwords, so those only allow reading."""
     kind, _, value = headers.get("authorization", "").partition(" ")
     if kind.lower() == "bearer":
         return value.encode("latin-1")  # as it was sent

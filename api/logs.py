@@ -1,7 +1,7 @@
-"""What the service says of itself while it runs: lines for people, or JSON for machines.
+"""The service's log: lines for people, or JSON for machines.
 
-Records of a run's thread have its `run`; of a stage that begins, finishes, is lost or fails,
-`run`, `stage`, `kind` and `attempt`.
+Records of a run's thread have its `run`. Records of a stage that begins, finishes, is lost or fails
+have `run`, `stage`, `kind` and `attempt`.
 """
 
 import io
@@ -45,11 +45,11 @@ def configure(log_format: LogFormat) -> None:
         structlog.stdlib.ProcessorFormatter(foreign_pre_chain=known, processors=form)
     )
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
-    logging.getLogger("alembic").setLevel(logging.WARNING)  # it tells of models in memory as well
+    logging.getLogger("alembic").setLevel(logging.WARNING)  # it also reports models in memory
 
 
 def _trace(output: TextIO, error: structlog.typing.ExcInfo) -> None:
-    """A plain traceback (others print secrets' values), whose message begins no line either."""
+    """Write a plain traceback: others print values of secrets. Its message is indented."""
     plain = io.StringIO()
     structlog.dev.plain_traceback(plain, error)
     output.write(_indented(plain.getvalue()))
@@ -62,7 +62,7 @@ def _indented(text: str) -> str:
 def _as_one_record(
     logger: structlog.typing.WrappedLogger, name: str, event: structlog.typing.EventDict
 ) -> structlog.typing.EventDict:
-    """Others' words cannot begin a line of their own, nor steer the terminal that shows them."""
+    """Indent text that others wrote, so that it begins no line and controls no terminal."""
     for key, value in event.items():
         if isinstance(value, str):
             event[key] = _indented(value)
@@ -72,7 +72,7 @@ def _as_one_record(
 def _without_others(
     logger: structlog.typing.WrappedLogger, name: str, event: structlog.typing.EventDict
 ) -> structlog.typing.EventDict:
-    """What uvicorn and Ray add to records for handlers of their own."""
+    """Remove fields that uvicorn and Ray add for their own handlers."""
     for key in ("color_message", "_ray_timestamp_ns"):
         event.pop(key, None)
     return event

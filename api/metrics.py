@@ -1,11 +1,12 @@
-"""/metrics for Prometheus: what waits, what runs, how fast, and how long the database takes.
+"""/metrics for Prometheus: counts of runs, stages and visits, their speed, and the database's.
 
-Counted when it is asked for, from the database and the dispatcher; nothing is kept in between.
+Each request counts them anew, from the database and the dispatcher.
 """
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import datetime
 
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
@@ -13,6 +14,8 @@ from prometheus_client.registry import Collector
 
 from api.service import Service
 from db import counts as store
+from db.counts import Counts
+from workers.jobs import Activity
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
@@ -30,42 +33,10 @@ class _Now(Collector):
 
     def collect(self) -> Iterable[Metric]:
         now, began = self._service.orchestrator.clock.now(), time.perf_counter()
-        counted = store.count(self._service.database)
+        counts = store.count(self._service.database)
         read_s = time.perf_counter() - began
-        activities = self._service.orchestrator.activities()
-        steps = [(float(a.facts["steps"]), a.seconds) for a in activities if "steps" in a.facts]
-        yield _gauge(
-            "adr_runs", "Runs by state.", ["state"], {(s,): n for s, n in counted.runs.items()}
-        )
-        yield _gauge(
-            "adr_stages_stored",
-            "Stages with a result.",
-            ["kind"],
-            {(kind,): n for kind, n in counted.stages.items()},
-        )
-        yield _gauge(
-            "adr_stages",
-            "Stages that wait or run, by kind.",
-            ["kind", "state"],
-            Counter((activity.kind, activity.state) for activity in activities),
-        )
-        yield GaugeMetricFamily(
-            "adr_environment_steps_per_second",
-            "Of the trainings that go on, each since it began.",
-            sum(done / seconds for done, seconds in steps if seconds > 0),
-        )
-        yield _gauge(
-            "adr_target_tasks",
-            "Visits to targets by state and claimant.",
-            ["state", "of"],
-            {(s, "robots" if e else "simulated"): n for (s, e), n in counted.tasks.items()},
-        )
-        yield _gauge(
-            "adr_lease_age_seconds",
-            "Since a robot claimed its task.",
-            ["task", "worker"],
-            {(id, worker): (now - at).total_seconds() for id, worker, at in counted.claims},
-        )
+        yield from _counted(counts, now)
+        yield from _working(self._service.orchestrator.activities())
         yield GaugeMetricFamily("adr_cores", "Of the cluster.", self._service.orchestrator.cores)
         yield GaugeMetricFamily(
             "adr_database_read_seconds", "How long counting all this took.", read_s
@@ -75,10 +46,39 @@ class _Now(Collector):
         )
 
 
+def _counted(counts: Counts, now: datetime) -> Iterator[Metric]:
+    """Yield metrics of the rows in the database."""
+    runs = {(state,): number for state, number in counts.runs.items()}
+    yield _gauge("adr_runs", "Runs by state.", ["state"], runs)
+    stages = {(kind,): number for kind, number in counts.stages.items()}
+    yield _gauge("adr_stages_stored", "Stages with a result.", ["kind"], stages)
+    visits = {
+        (state, "robots" if external else "simulated"): number
+        for (state, external), number in counts.visits.items()
+    }
+    text = "Visits to targets by state and claimant."
+    yield _gauge("adr_target_tasks", text, ["state", "of"], visits)
+    ages = {(id, worker): (now - at).total_seconds() for id, worker, at in counts.claims}
+    text = "Since a robot claimed its task."
+    yield _gauge("adr_lease_age_seconds", text, ["task", "worker"], ages)
+
+
+def _working(activities: Sequence[Activity]) -> Iterator[Metric]:
+    """Yield metrics of the stages that wait or run."""
+    states = Counter((activity.kind, activity.state) for activity in activities)
+    yield _gauge("adr_stages", "Stages that wait or run, by kind.", ["kind", "state"], states)
+    steps = [(float(a.facts["steps"]), a.seconds) for a in activities if "steps" in a.facts]
+    yield GaugeMetricFamily(
+        "adr_environment_steps_per_second",
+        "Of the trainings that go on, each since it began.",
+        sum(done / seconds for done, seconds in steps if seconds > 0),
+    )
+
+
 def _gauge(
     name: str, text: str, labels: Sequence[str], values: Mapping[tuple[str, ...], float]
 ) -> Metric:
-    """Numbers by the values of their labels."""
+    """Return a gauge from numbers by the values of their labels."""
     gauge = GaugeMetricFamily(name, text, labels=labels)
     for key, value in values.items():
         gauge.add_metric(key, value)

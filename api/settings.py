@@ -22,7 +22,7 @@ _SHORTEST_TOKEN = 16
 
 
 class Settings(BaseSettings):
-    """Where the service keeps its data, listens, and computes."""
+    """The service's data folder, address, cluster and limits."""
 
     model_config = SettingsConfigDict(env_prefix="ADR_", frozen=True, extra="ignore")
 
@@ -73,7 +73,7 @@ class Settings(BaseSettings):
         if self.robot_token and self.robot_token == self.token:
             raise ValueError("ADR_ROBOT_TOKEN must not be ADR_TOKEN: robots could do everything")
         if self.robot_token and not self.token:
-            raise ValueError("ADR_ROBOT_TOKEN is of no use without ADR_TOKEN: everyone is let in")
+            raise ValueError("ADR_ROBOT_TOKEN has no effect without ADR_TOKEN: everyone has access")
         return self
 
     @field_validator("rate")
@@ -94,15 +94,15 @@ class Settings(BaseSettings):
 
 
 def read_settings(**given: Any) -> Settings:
-    """Settings from the environment, and what is given here over it."""
+    """Return settings from the environment; `given` ones replace those. Raises InvalidInput."""
     try:
         return Settings(**given)
     except ValidationError as error:
-        raise InvalidInput(_told(error)) from error
+        raise InvalidInput(_explained(error)) from error
 
 
-def _told(error: ValidationError) -> str:
-    """What is wrong with which variable; never the value of a secret."""
+def _explained(error: ValidationError) -> str:
+    """Name each invalid variable, the reason and the given value, unless that is a secret."""
     return "; ".join(
         f"{'ADR_' + str(e['loc'][0]).upper() + ': ' if e['loc'] else ''}"
         f"{e['msg'].removeprefix('Value error, ')}"
@@ -112,5 +112,5 @@ def _told(error: ValidationError) -> str:
 
 
 def _is_secret(location: tuple[int | str, ...]) -> bool:
-    """The whole has secrets in it as well."""
+    """True for a secret, and for all settings together, which contain secrets."""
     return not location or Settings.model_fields[str(location[0])].annotation is SecretStr

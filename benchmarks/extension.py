@@ -20,13 +20,13 @@ import numpy as np
 
 from adr_service.arrays import Matrix
 from adr_service.benchmark.statistics import difference, interval, mean
-from adr_service.computation import LocalStages
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
 from adr_service.effects.base import Effect
 from adr_service.events import IterationFinished
-from adr_service.runs import run
+from adr_service.programs import run
 from adr_service.specs import RunSpec
+from adr_service.stages.local import LocalStages
 from adr_service.tasks.catalogue import get_task, source_of
 from benchmarks.planted import hide
 

@@ -45,8 +45,8 @@ from adr_service.events import (
     TrainingEvaluated,
 )
 from adr_service.json_values import sha256
+from adr_service.programs.references import truth_of
 from adr_service.specs import BenchmarkSpec, RunSpec
-from adr_service.target import truth_as_distribution
 from adr_service.tasks.catalogue import source_of
 from api.client import AdrClient, Unreachable
 from db.session import open_database
@@ -143,15 +143,15 @@ def fill(path: Path, count: int) -> tuple[list[str], list[str]]:
 def story(spec: RunSpec) -> list[tuple[str, str, str]]:
     """(key, type, body) of the events of a finished run."""
     rng = np.random.default_rng(spec.seed)
-    policies = 10 if spec.method.name == "udr" else 1
-    iterations = 1 if spec.method.name in ("udr", "prior", "oracle") else spec.iterations + 1
+    policies = getattr(spec.method, "policies", 1)
+    iterations = 1 if spec.method.is_level else spec.iterations + 1
     events: list[RunEvent] = [RunQueued(submission=1), RunStarted(submission=1)]
     space = source_of(spec.task, spec.variant).space
     belief = Gaussian.prior(space).to_json()
-    if spec.method.name in ("udr", "bayrn"):
+    if not spec.method.believes:
         belief = Uniform(space, space.low, space.high).to_json()
-    if spec.method.name == "oracle":
-        belief = truth_as_distribution(spec.task, spec.variant).to_json()
+    if spec.method.needs_truth:
+        belief = truth_of(spec.task, spec.variant).to_json()
     for iteration in range(iterations):
         digest = sha256(f"{spec.method.name} {spec.seed} {iteration}".encode())
         events.append(StageFinished(kind="train_policy", digest=digest))

@@ -15,13 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
+from adr_service.benchmark.truth import estimation_error
 from adr_service.methods.base import Evidence, Problem
 from adr_service.methods.dropo import Dropo, DropoSettings
 from adr_service.methods.simopt import SimOpt, SimOptSettings
 from adr_service.methods.sysid import Sysid, SysidSettings
 from adr_service.progress import silent
 from adr_service.randomness import stream
-from adr_service.target import estimation_error, simulate_rollout
+from adr_service.simulation.target import simulate_rollout
 from adr_service.tasks.catalogue import get_task, variants_of
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset

@@ -20,10 +20,11 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from adr_service.computation import compute
-from adr_service.progress import SoFar
-from adr_service.runs import oracle_training
+from adr_service.events import TrainingEvaluated
+from adr_service.programs.references import truth_training
+from adr_service.progress import Checkpoint
 from adr_service.specs import RunSpec
+from adr_service.stages.base import compute
 from adr_service.tasks.catalogue import get_task
 from workers.cluster import worker_environment
 
@@ -83,13 +84,15 @@ def train(seed: str, task: str, preset: str, *changes: str) -> None:
     spec = RunSpec.model_validate({**given, "training": training})
     started, cpu = time.perf_counter(), time.process_time()
 
-    def progress(fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
-        if so_far is not None:
-            point = so_far.values["curve"][-1]
-            seconds = time.perf_counter() - started
-            print(f"seed {seed}: {seconds:.0f} s, {point}", file=sys.stderr, flush=True)
+    def progress(fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
+        if checkpoint is not None:
+            point = checkpoint.events[-1]
+            assert isinstance(point, TrainingEvaluated)
+            seconds, earned = time.perf_counter() - started, point.mean_return
+            line = f"seed {seed}: {seconds:.0f} s, {point.steps} steps, return {earned:.1f}"
+            print(line, file=sys.stderr, flush=True)
 
-    values = compute(oracle_training(spec), progress).values
+    values = compute(truth_training(spec), progress).values
     report = {
         "seed": int(seed),
         "seconds": time.perf_counter() - started,

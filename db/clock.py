@@ -14,9 +14,9 @@ def _wall() -> datetime:
 
 
 class SteadyClock:
-    """UTC time that advances evenly while this process lives, also where the wall clock is set.
+    """UTC time that advances evenly while this process lives, even if the wall clock is set.
 
-    It starts at the wall clock's time, which is all that two processes have in common.
+    It starts at the wall clock's time, the only clock that two processes share.
     """
 
     def __init__(
@@ -28,4 +28,5 @@ class SteadyClock:
         self._began, self._since = wall(), steady()
 
     def now(self) -> datetime:
+        """The time, in UTC."""
         return self._began + timedelta(seconds=self._steady() - self._since)

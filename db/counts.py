@@ -1,38 +1,41 @@
-"""How much there is of everything, for those who watch; one transaction."""
+"""Numbers of runs, stages and visits, for monitoring; one transaction."""
 
 from dataclasses import dataclass
 from datetime import datetime
 
 from sqlalchemy import func, select
 
-from db.models import RunRow, StageRow, TargetTaskRow
+from db.models import RunRow, StageRow, TargetTaskRow, VisitState
 from db.session import Database
 
 
 @dataclass(frozen=True)
 class Counts:
+    """Numbers of rows at one moment."""
+
     runs: dict[str, int]  # by state
     stages: dict[str, int]  # that have a result, by kind
-    tasks: dict[tuple[str, bool], int]  # by state, and whether for robots
-    claims: list[tuple[str, str, datetime]]  # of robots: task, worker, since
+    visits: dict[tuple[str, bool], int]  # by state, and True for robots
+    claims: list[tuple[str, str, datetime]]  # of robots: visit, worker, since
 
 
 def count(database: Database) -> Counts:
-    task = TargetTaskRow
+    """Count everything that the monitoring page shows."""
+    visit = TargetTaskRow
     with database.read() as session:
         runs = session.execute(select(RunRow.state, func.count()).group_by(RunRow.state))
         stages = session.execute(select(StageRow.kind, func.count()).group_by(StageRow.kind))
-        tasks = session.execute(
-            select(task.state, task.external, func.count()).group_by(task.state, task.external)
+        visits = session.execute(
+            select(visit.state, visit.external, func.count()).group_by(visit.state, visit.external)
         )
         claims = session.execute(
-            select(task.id, task.worker, task.claimed_at).where(
-                task.external, task.state == "claimed"
+            select(visit.id, visit.worker, visit.claimed_at).where(
+                visit.external, visit.state == VisitState.CLAIMED
             )
         )
         return Counts(
-            dict(runs.tuples().all()),
-            dict(stages.tuples().all()),
-            {(state, external): number for state, external, number in tasks},
+            dict(runs.all()),
+            dict(stages.all()),
+            {(state, external): number for state, external, number in visits},
             [(id, str(worker), since) for id, worker, since in claims if since is not None],
         )

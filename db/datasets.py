@@ -1,41 +1,43 @@
 """Uploaded recordings; one function per transaction."""
 
 import json
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+from pydantic import Field
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from adr_service.criticism.measurements import Measurement, is_measurement
+from adr_service.criticism.measurements import Measurement
+from adr_service.json_values import Wire
 from adr_service.transitions import TransitionDataset, dataset_id
 from db.errors import NotFound, NotPossible
 from db.models import ArtifactRow, DatasetRow, RunRow
+from db.references import delete_unreferenced
 from db.session import Database
-from db.stages import add_artifact, delete_unreferenced
+from db.stages import add_artifact
 
 
-@dataclass(frozen=True)
-class DatasetRecord:
-    number: int
+class DatasetRecord(Wire):
+    """A stored recording."""
+
+    number: int = Field(exclude=True)  # order of upload
     id: str
     sha256: str
     created_at: datetime
     transitions: int
     episodes: int
-    actions: int
-    dt: float
+    actions: int  # their dimension
+    dt: float  # control period [s]
     columns: list[str]
     origin: str
 
 
-def store_dataset(database: Database, content: bytes) -> tuple[DatasetRecord, bool]:
-    """Store an `.npz` of transitions, or a measurement, and say whether it is new.
-
-    Raises InvalidInput where it is neither.
-    """
-    described, id = _described(content), dataset_id(content)
+def store_dataset(
+    database: Database, content: bytes, data: TransitionDataset | Measurement
+) -> tuple[DatasetRecord, bool]:
+    """Store an `.npz`, given with the data that were parsed from it; True if it is new."""
+    described, id = _described(data), dataset_id(content)
     with database.write("store_dataset") as session:
         known = session.scalar(select(DatasetRow).where(DatasetRow.id == id))
         if known is not None:
@@ -51,21 +53,10 @@ def store_dataset(database: Database, content: bytes) -> tuple[DatasetRecord, bo
         return _record(row), True
 
 
-def _described(content: bytes) -> dict[str, Any]:
-    """What is said of a dataset, by column of its table."""
-    if is_measurement(content):
-        data = Measurement.from_npz(content)
-        episodes = len(data.spans())
-        parts = (("qpos", data.qpos), ("qvel", data.qvel))
-        return {
-            "transitions": len(data.time) - episodes,
-            "episodes": episodes,
-            "actions": data.ctrl.shape[1],
-            "dt": data.period(),
-            "columns": json.dumps([f"{name}_{i}" for name, v in parts for i in range(v.shape[1])]),
-            "origin": "measurement",
-        }
-    data = TransitionDataset.from_npz(content)
+def _described(data: TransitionDataset | Measurement) -> dict[str, Any]:
+    """The columns of a dataset's row that its data determine."""
+    if isinstance(data, Measurement):
+        return _of_measurement(data)
     return {
         "transitions": len(data),
         "episodes": data.episode_count,
@@ -76,16 +67,29 @@ def _described(content: bytes) -> dict[str, Any]:
     }
 
 
+def _of_measurement(data: Measurement) -> dict[str, Any]:
+    episodes = len(data.spans())
+    parts = (("qpos", data.qpos), ("qvel", data.qvel))
+    return {
+        "transitions": len(data.time) - episodes,
+        "episodes": episodes,
+        "actions": data.ctrl.shape[1],
+        "dt": data.period(),
+        "columns": json.dumps([f"{name}_{i}" for name, v in parts for i in range(v.shape[1])]),
+        "origin": "measurement",
+    }
+
+
 def describe_dataset(database: Database, id: str) -> DatasetRecord:
-    """A dataset without its bytes."""
+    """A dataset without its bytes. Raises NotFound."""
     with database.read() as session:
-        return _record(get_dataset(session, id))
+        return _record(dataset_row(session, id))
 
 
 def load_dataset(database: Database, id: str) -> tuple[DatasetRecord, bytes]:
-    """A dataset and its `.npz`."""
+    """A dataset and its `.npz`. Raises NotFound."""
     with database.read() as session:
-        row = get_dataset(session, id)
+        row = dataset_row(session, id)
         artifact = session.get_one(ArtifactRow, row.sha256)
         return _record(row), artifact.content
 
@@ -99,9 +103,9 @@ def list_datasets(database: Database, *, after: int = 0, limit: int = 100) -> li
 
 
 def delete_dataset(database: Database, id: str) -> None:
-    """Delete a dataset from which no run learns."""
+    """Delete a dataset. Raises NotFound, and NotPossible if a run learns from it."""
     with database.write("delete_dataset") as session:
-        row = get_dataset(session, id)
+        row = dataset_row(session, id)
         run = session.scalar(select(RunRow.id).where(RunRow.dataset_id == id).limit(1))
         if run is not None:
             raise NotPossible(f"run {run} learns from {id}; delete the run first")
@@ -110,8 +114,8 @@ def delete_dataset(database: Database, id: str) -> None:
         delete_unreferenced(session)
 
 
-def get_dataset(session: Session, id: str) -> DatasetRow:
-    """A dataset's row, inside a transaction."""
+def dataset_row(session: Session, id: str) -> DatasetRow:
+    """A dataset's row, inside a transaction. Raises NotFound."""
     row = session.scalar(select(DatasetRow).where(DatasetRow.id == id))
     if row is None:
         raise NotFound("dataset", id)
@@ -119,15 +123,5 @@ def get_dataset(session: Session, id: str) -> DatasetRow:
 
 
 def _record(row: DatasetRow) -> DatasetRecord:
-    return DatasetRecord(
-        row.number,
-        row.id,
-        row.sha256,
-        row.created_at,
-        row.transitions,
-        row.episodes,
-        row.actions,
-        row.dt,
-        json.loads(row.columns),
-        row.origin,
-    )
+    own = {name: getattr(row, name) for name in DatasetRecord.model_fields}
+    return DatasetRecord(**{**own, "columns": json.loads(row.columns)})

@@ -1,19 +1,19 @@
-"""What the database refuses."""
+"""Errors of the database, each with its code."""
 
-from adr_service.errors import AdrError
+from adr_service.errors import AdrError, FailureCode
 
 
 class NotFound(AdrError):
-    """There is no such thing in the database."""
+    """The database has no such run, benchmark, dataset or target task."""
 
-    code = "not_found"
+    code = FailureCode.NOT_FOUND
 
     def __init__(self, kind: str, given: str):
         super().__init__(f"there is no {kind} {given!r}")
 
 
 class NotPossible(AdrError):
-    """The thing exists, but its state does not allow this."""
+    """The run, benchmark or dataset exists, but its state does not allow the request."""
 
     code = "conflict"
 
@@ -25,21 +25,21 @@ class DatabaseNewer(AdrError):
 
 
 class DatabaseUnavailable(AdrError):
-    """The database cannot be used just now; what was asked for may be asked for again."""
+    """The database cannot be used just now; the same request may succeed later."""
 
     code = "database_unavailable"
 
 
 class DatabaseGone(DatabaseUnavailable):
-    """The database's files are not there any more."""
+    """The database's files were deleted or replaced."""
 
     code = "database_gone"
 
 
 class DatabaseDamaged(AdrError):
-    """The database's file has something wrong; a backup helps."""
+    """The database's file is damaged; a backup must be restored."""
 
-    code = "database_damaged"
+    code = FailureCode.DATABASE_DAMAGED
 
 
 class DatabaseInUse(DatabaseUnavailable):
@@ -49,6 +49,6 @@ class DatabaseInUse(DatabaseUnavailable):
 
 
 class DiskFull(DatabaseUnavailable):
-    """Nothing can be stored before somebody frees the disk."""
+    """The disk is full; nothing can be stored until a user frees some space."""
 
     code = "disk_full"

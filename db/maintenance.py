@@ -1,6 +1,6 @@
 """Looking after a database file. All but `restore` works beside a service, and writes nothing.
 
-check(path)                     # what is damaged, a line each; nothing: []
+check(path)                     # the damage, a line each; [] for a sound file
 unfinished(path)                # tables that an unfinished upgrade left over or did not make
 backup(path, copy)
 restore(path, copy)             # with the database's lock held
@@ -22,7 +22,7 @@ from db.schema import differences, head
 
 
 def revision_of(path: Path) -> str | None:
-    """Which tables the file has; None: none yet."""
+    """Revision of the file's tables; None if it has none yet."""
     with _reader(path) as connection:
         if not connection.execute(
             "select 1 from sqlite_master where name = 'alembic_version'"
@@ -34,21 +34,21 @@ def revision_of(path: Path) -> str | None:
 
 def check(path: Path) -> list[str]:
     """List the damage to the file, its references, artifacts and tables, a line each."""
-    found: list[str] = []
+    damage: list[str] = []
     with _reader(path) as connection:
         connection.text_factory = lambda text: text.decode(errors="replace")
         try:
-            told = [str(line) for (line,) in connection.execute("pragma integrity_check")]
-            found += [] if told == ["ok"] else told
+            lines = [str(line) for (line,) in connection.execute("pragma integrity_check")]
+            damage += [] if lines == ["ok"] else lines
             for table, row, parent, _ in connection.execute("pragma foreign_key_check"):
-                found.append(f"row {row} of {table} refers to a row of {parent} that is not there")
+                damage.append(f"row {row} of {table} refers to a row of {parent} that is not there")
             for key, content in connection.execute("select sha256, content from artifacts"):
                 if sha256(content) != key:
-                    found.append(f"artifact {key} has other bytes than its name says")
+                    damage.append(f"artifact {key} has other bytes than its name says")
         except sqlite3.DatabaseError as error:
-            found.append(f"it cannot be read to its end: {error}")
-            return found
-    return found or (unfinished(path) if revision_of(path) == head() else [])
+            damage.append(f"it cannot be read to its end: {error}")
+            return damage
+    return damage or (unfinished(path) if revision_of(path) == head() else [])
 
 
 def unfinished(path: Path) -> list[str]:
@@ -60,7 +60,7 @@ def unfinished(path: Path) -> list[str]:
 
 
 def counts(path: Path) -> dict[str, int]:
-    """How many rows there are of what users know."""
+    """Numbers of rows in the tables that users know."""
     known = ("benchmarks", "runs", "events", "stages", "artifacts", "datasets")
     with _reader(path) as connection:
         there = {name for (name,) in connection.execute("select name from sqlite_master")}
@@ -72,7 +72,10 @@ def counts(path: Path) -> dict[str, int]:
 
 
 def backup(path: Path, copy: Path) -> None:
-    """Copy the file as it is at one moment; the copy is complete, or is not there."""
+    """Copy the file as it is at one moment; the copy is complete or is not there.
+
+    Raises InvalidInput if `copy` exists or cannot be written.
+    """
     if copy.exists():
         raise InvalidInput(f"{copy} is there already; a backup overwrites nothing")
     part = copy.with_name(f"{copy.name}.part")
@@ -89,9 +92,10 @@ def backup(path: Path, copy: Path) -> None:
 
 
 def restore(path: Path, copy: Path) -> Path | None:
-    """Put a backup in the place of the database, which must be locked; where the old file went.
+    """Put a backup in the place of the database, which must be locked.
 
-    What was there is kept beside it; None: there was nothing.
+    Return the path beside it where the old file is kept; None if there was none. Raises
+    InvalidInput if the backup is damaged or cannot be copied.
     """
     if wrong := check(copy):
         raise InvalidInput("\n".join([f"{copy} is damaged itself, and was not restored", *wrong]))

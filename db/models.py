@@ -1,6 +1,8 @@
 """The tables. Constraints forbid rows that could not have happened."""
 
+from collections.abc import Iterable
 from datetime import UTC, datetime
+from enum import StrEnum
 
 from sqlalchemy import (
     CheckConstraint,
@@ -17,8 +19,31 @@ from sqlalchemy.engine import Dialect
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.types import TypeDecorator
 
-STATES = "'queued', 'running', 'succeeded', 'failed', 'cancelled'"
-TASK_STATES = "'pending', 'claimed', 'done', 'failed', 'withdrawn'"
+from adr_service.events import RunState
+
+
+class VisitState(StrEnum):
+    """State of a visit to a target (`target_tasks.state`)."""
+
+    PENDING = "pending"  # any claimant may have it
+    CLAIMED = "claimed"  # a claimant has it under a lease
+    DONE = "done"  # its stage has a result
+    FAILED = "failed"  # a robot's client reported that no robot can do it
+    WITHDRAWN = "withdrawn"  # its run has ended without it
+
+    @property
+    def is_finished(self) -> bool:
+        """True if nobody may claim or complete the visit, unless its run asks for it again."""
+        return self not in OPEN_VISIT
+
+
+OPEN_VISIT = (VisitState.PENDING, VisitState.CLAIMED)
+
+
+def _one_of(states: Iterable[StrEnum]) -> str:
+    """The SQL condition that the column `state` has one of these values."""
+    values = ", ".join(f"'{state.value}'" for state in states)
+    return f"state IN ({values})"
 
 
 class Utc(TypeDecorator[datetime]):
@@ -37,6 +62,8 @@ class Utc(TypeDecorator[datetime]):
 
 
 class Base(DeclarativeBase):
+    """The tables, with names for all their constraints."""
+
     metadata = MetaData(
         naming_convention={
             "ix": "ix_%(table_name)s_%(column_0_N_name)s",
@@ -64,7 +91,7 @@ class RunRow(Base):
 
     __tablename__ = "runs"
     __table_args__ = (
-        CheckConstraint(f"state IN ({STATES})", name="state"),
+        CheckConstraint(_one_of(RunState), name="state"),
         CheckConstraint("submission >= 1", name="submission"),
         CheckConstraint("(state = 'failed') = (error_code IS NOT NULL)", name="error_iff_failed"),
         Index(None, "state"),
@@ -113,7 +140,7 @@ class StageRow(Base):
 
     digest: Mapped[str] = mapped_column(String(64), primary_key=True)
     kind: Mapped[str] = mapped_column(String(40))
-    document: Mapped[str] = mapped_column(Text)  # what was digested
+    document: Mapped[str] = mapped_column(Text)  # canonical JSON that the digest is of
     result: Mapped[str] = mapped_column(Text)  # its JSON values
     attempt: Mapped[int]
     started_by: Mapped[str] = mapped_column(String(40))  # run id; the run may be deleted since
@@ -161,15 +188,15 @@ class DatasetRow(Base):
 
 
 class TargetTaskRow(Base):
-    """A stage that visits the target, and who has it: a robot's client, or the simulated target.
+    """A stage's visit to the target, and its claimant: a robot's client or the simulated target.
 
-    While it is claimed it has a lease, whose token the claimant shows with everything that it
-    says; another claim has another token. Done: the stage has a result, of that lease.
+    While it is claimed it has a lease, whose token the claimant sends with every request; another
+    claim has another token. Once it is done, the stage has the result of the last lease.
     """
 
     __tablename__ = "target_tasks"
     __table_args__ = (
-        CheckConstraint(f"state IN ({TASK_STATES})", name="state"),
+        CheckConstraint(_one_of(VisitState), name="state"),
         CheckConstraint("(state = 'claimed') = (expires_at IS NOT NULL)", name="lease_iff_claimed"),
         CheckConstraint("(state = 'failed') = (error IS NOT NULL)", name="error_iff_failed"),
         CheckConstraint("attempt >= 0 AND steps >= 0", name="counts"),
@@ -179,17 +206,17 @@ class TargetTaskRow(Base):
     number: Mapped[int] = mapped_column(primary_key=True)  # order of publication
     id: Mapped[str] = mapped_column(String(40), unique=True)
     digest: Mapped[str] = mapped_column(String(64), unique=True)  # of the stage
-    document: Mapped[str] = mapped_column(Text)  # what was digested
+    document: Mapped[str] = mapped_column(Text)  # canonical JSON that the digest is of
     run_id: Mapped[str] = mapped_column(String(40), index=True)  # it may be deleted since
     task: Mapped[str] = mapped_column(String(80))
     external: Mapped[bool]  # for robots; else the simulated target's
     state: Mapped[str] = mapped_column(String(20))
     attempt: Mapped[int]  # number of claims
-    worker: Mapped[str | None] = mapped_column(String(80))  # who claimed it last
+    worker: Mapped[str | None] = mapped_column(String(80))  # the last claimant
     lease: Mapped[str | None] = mapped_column(String(64))  # token of the last claim
     claimed_at: Mapped[datetime | None] = mapped_column(Utc)
     expires_at: Mapped[datetime | None] = mapped_column(Utc)
-    steps: Mapped[int]  # of the episode so far, as the claimant says
+    steps: Mapped[int]  # of the episode so far, as its claimant reports
     policy_sha256: Mapped[str | None] = mapped_column(ForeignKey("artifacts.sha256"), index=True)
     error: Mapped[str | None] = mapped_column(Text)
     created_at: Mapped[datetime] = mapped_column(Utc)
@@ -201,18 +228,18 @@ class ResultsRow(Base):
     __tablename__ = "results"
 
     id: Mapped[str] = mapped_column(String(40), primary_key=True)
-    version: Mapped[str] = mapped_column(String(64))  # of what it was computed from
+    version: Mapped[str] = mapped_column(String(64))  # digest of the rows it was computed from
     body: Mapped[str] = mapped_column(Text)
 
 
 class RequestRow(Base):
-    """A request that made something, by the key that its client gave it."""
+    """A request that created a run or a benchmark, by its Idempotency-Key."""
 
     __tablename__ = "requests"
 
     key: Mapped[str] = mapped_column(String(200), primary_key=True)
     request: Mapped[str] = mapped_column(String(64))  # SHA-256
-    made: Mapped[str] = mapped_column(String(40))  # id; it may be deleted since
+    made: Mapped[str] = mapped_column(String(40))  # id of what it created; it may be deleted since
     created_at: Mapped[datetime] = mapped_column(Utc, index=True)
 
 

@@ -1,4 +1,4 @@
-"""Requests that may come twice: the same Idempotency-Key makes one thing (IETF draft 06)."""
+"""Requests that may come twice: an Idempotency-Key creates one thing (IETF draft 06)."""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -14,8 +14,10 @@ _KEPT = timedelta(hours=24)
 
 @dataclass(frozen=True)
 class RequestKey:
+    """An Idempotency-Key and the request that came with it."""
+
     key: str  # the client's
-    request: str  # SHA-256 of what was asked for
+    request: str  # SHA-256 of the request
 
 
 class Replayed(Exception):
@@ -23,17 +25,18 @@ class Replayed(Exception):
 
     def __init__(self, id: str):
         super().__init__(id)
-        self.id = id  # of what was made then
+        self.id = id  # of what it created
 
 
 class KeyReused(InvalidInput):
-    """The same key with another request."""
+    """A client sent the same key with another request."""
 
 
 def once(session: Session, key: RequestKey | None, id: str) -> None:
-    """Let a request make `id` in this transaction, unless its key has made something.
+    """Note that a request created `id`, inside the transaction that does.
 
-    Raises Replayed, or KeyReused where that was another request; both undo the transaction.
+    Raises Replayed if its key has created something before, or KeyReused if that was another
+    request; both undo the transaction.
     """
     if key is None:
         return

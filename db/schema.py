@@ -2,10 +2,10 @@
 
     config = alembic_config(url)
     differences(connection, "0005")        # [] where an SQLite file has the tables of a revision
-    clear_leftovers(connection, "0003")    # what an upgrade to a later one left behind
+    clear_leftovers(connection, "0003")    # leftovers of an upgrade to a later one
 
 Up to revision 0004, SQLite stored every statement of a migration by itself, so a process that died
-in between left tables that no start could get past. Since then an upgrade is one transaction.
+in between left tables that made every later start fail. Since then an upgrade is one transaction.
 """
 
 from dataclasses import dataclass
@@ -24,6 +24,7 @@ _RESTORE = "restore the copy that was made before it (*.bak, beside the database
 
 
 def alembic_config(url: str) -> Config:
+    """Alembic's settings for the database at `url`."""
     config = Config()
     config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
     config.set_main_option("sqlalchemy.url", url.replace("%", "%%"))
@@ -53,13 +54,13 @@ class Schema:
 def differences(connection: Connection, revision: str | None) -> list[str]:
     """List what the tables lack of a revision, and tables of later revisions, a line each.
 
-    Tables that no revision has are somebody else's, and pass.
+    Tables that no revision has are ignored: they belong to somebody else.
     """
     if revision is not None and revision not in revisions():
         return [f"revision {revision} is of a later version of the service"]
     there, expected = _schema(inspect(connection)), _schema_of(revision)
     known = _schema_of("head")
-    # a table that is not there lacks its columns and indexes as well, which goes without saying
+    # columns and indexes of a missing table are not listed
     lacking = [f"the table {name} is missing" for name in sorted(expected.tables - there.tables)]
     for kind in ("columns", "indexes"):
         missing = getattr(expected, kind) - getattr(there, kind)
@@ -76,9 +77,9 @@ def differences(connection: Connection, revision: str | None) -> list[str]:
 
 
 def clear_leftovers(connection: Connection, revision: str | None) -> None:
-    """Drop what an upgrade that was cut short left behind in SQLite, in the open transaction.
+    """Drop the leftovers of an upgrade of SQLite that was cut short, in the open transaction.
 
-    Nothing with rows is dropped: DatabaseDamaged says what is there.
+    No table with rows is dropped: raises DatabaseDamaged with its name.
     """
     there, expected = _schema(inspect(connection)), _schema_of(revision)
     known = _schema_of("head")

@@ -1,4 +1,9 @@
-"""One database, one writer: sessions, transactions, and the way to the present tables."""
+"""One database, one writer: sessions, transactions, and the upgrade of its tables.
+
+database = open_database("sqlite:////data/adr.sqlite")
+with database.write("create_run") as session: …
+with database.read() as session: …
+"""
 
 import logging
 from collections.abc import Generator
@@ -13,22 +18,24 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from sqlalchemy.orm import Session
 
-from db.backends import BUSY_TIMEOUT_MS, backend_of, check_log
+from db.backends import BUSY_TIMEOUT_MS, Backend, parse_url
 from db.errors import DatabaseDamaged, DatabaseNewer, DatabaseUnavailable
 from db.failpoints import failpoint
+from db.postgresql import Postgresql
 from db.schema import alembic_config, head, revisions
+from db.sqlite import Sqlite, check_log
 
 log = logging.getLogger(__name__)
-RETRY_S = 1.0  # after which what was DatabaseUnavailable is worth another try
+RETRY_S = 1.0  # after which a request that met DatabaseUnavailable is worth another try
 CHUNK = 10_000  # of a query's variables, of which SQLite has 32,766
 
 
 class Database:
     """Sessions on one database. Open it once, in the process that owns it.
 
-    Both kinds raise DatabaseUnavailable where another process holds the database for longer than
-    seconds, the disk fails or is full, or the server is gone. Nothing of the transaction is stored
-    then; but where a server went away before it could answer a commit, all of it may be.
+    Both kinds of session raise DatabaseUnavailable if another process holds the database for longer
+    than seconds, the disk fails or is full, or the server is gone. Nothing of the transaction is
+    stored then; but if a server went away before it could answer a commit, all of it may be.
     """
 
     def __init__(self, url: str):
@@ -62,6 +69,7 @@ class Database:
 
     @contextmanager
     def read(self) -> Generator[Session]:
+        """A transaction that sees one moment and cannot write."""
         with self._translated(), Session(self._backend.reader) as session:
             yield session
 
@@ -70,10 +78,10 @@ class Database:
         try:
             yield
         except DBAPIError as error:
-            if (told := self._backend.explain(error)) is None:
+            if (explained := self._backend.explain(error)) is None:
                 raise
-            raise told from error
-        except UnicodeDecodeError as error:  # text that is none, which no constraint lets in
+            raise explained from error
+        except UnicodeDecodeError as error:  # bytes that no constraint lets in
             raise DatabaseDamaged(
                 f"the database is damaged ({error}): `adr db check` says where, and `adr db "
                 "restore` puts a backup in its place"
@@ -82,19 +90,19 @@ class Database:
             raise DatabaseUnavailable("too much is read from the database just now") from error
 
     def reclaim(self) -> bool:
-        """Give a portion of what deletions left free back to the disk; False where it was all."""
+        """Give a portion of freed space back to the disk; False if no space is left to give."""
         with self.write("reclaim") as session:
             return self._backend.reclaim(session.connection())
 
     def revision(self) -> str | None:
-        """Which tables there are; None: none yet."""
+        """Revision of the tables; None if there are none yet."""
         with self.read() as session:
             return MigrationContext.configure(session.connection()).get_current_revision()
 
     def upgrade(self) -> None:
-        """Bring the tables to what this version knows, in one transaction.
+        """Bring the tables to this version's revision, in one transaction.
 
-        Raises DatabaseNewer where they are ahead.
+        Raises DatabaseNewer if they are ahead.
         """
         config = alembic_config(self.url)
         now, newest = self.revision(), head()
@@ -124,6 +132,7 @@ class Database:
         failpoint("upgrade:after")
 
     def close(self) -> None:
+        """Close all connections, and let another service have the database."""
         self._backend.reader.dispose()
         self._backend.writer.dispose()
         self._backend.unlock()
@@ -136,7 +145,7 @@ def _pass_migration(*, step: MigrationInfo, **_: Any) -> None:
 def open_database(url: str) -> Database:
     """The database at `url`, created or upgraded to the present tables, and locked.
 
-    Before an upgrade an SQLite file is copied to another beside it. Raises DatabaseNewer where a
+    Before an upgrade an SQLite file is copied to another beside it. Raises DatabaseNewer if a
     later version of the service has written it.
     """
     check_log(url)
@@ -147,3 +156,10 @@ def open_database(url: str) -> Database:
         database.close()
         raise
     return database
+
+
+def backend_of(url: str) -> Backend:
+    """The kind of database that a URL names. Raises InvalidInput for other kinds."""
+    if parse_url(url).drivername == "postgresql+psycopg":
+        return Postgresql(url)
+    return Sqlite(url)

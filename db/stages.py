@@ -1,17 +1,15 @@
-"""Results of stages and their artifacts; one function per transaction."""
+"""Results of stages, their artifacts and checkpoints, and how each result came about."""
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from typing import Any
 
-from sqlalchemy import delete, exists, select
+from sqlalchemy import Row, Select, delete, exists, select
 from sqlalchemy.orm import Session
 
-from adr_service.benchmark.utilisation import Timing
+from adr_service.benchmark.cost import Execution
 from adr_service.json_values import canonical_json, sha256
-from adr_service.stages import StageResult
+from adr_service.stages.base import StageResult
 from db.models import (
     ArtifactRow,
     CheckpointRow,
@@ -27,18 +25,12 @@ _OWNERS = (
     *(StageArtifactRow.sha256, DatasetRow.sha256, CheckpointRow.sha256),
     TargetTaskRow.policy_sha256,
 )
-_UNUSED = [~exists().where(owner == ArtifactRow.sha256) for owner in _OWNERS]  # that nothing has
+_UNUSED = [~exists().where(owner == ArtifactRow.sha256) for owner in _OWNERS]
+_TIMING = ("asked", "placed", "began", "ended", "cpu", "preparing", "is_first", "cores")
+_MEASURED = StageRow.timing.is_not(None)
+_STORED_LATE_S = 3600.0  # a result is stored at most so long after it was computed
 
-
-@dataclass(frozen=True)
-class Execution:
-    """How a result came about; kept beside it, not part of it."""
-
-    attempt: int
-    started_by: str  # run id
-    seconds: float
-    timing: Timing | None  # None: it was not computed here
-    provenance: dict[str, Any]  # package versions, CPU
+_ExecutionRow = Row[str, str, int, str, str | None, str]
 
 
 def find_result(session: Session, digest: str) -> StageResult | None:
@@ -59,25 +51,11 @@ def add_result(
 ) -> None:
     """Store a stage's result and its artifacts, once; inside a transaction.
 
-    `document` is the canonical JSON of what was digested. A result that is there already stays;
+    `document` is the canonical JSON that `digest` is of. A result that is there already stays;
     results of a digest are equal by construction.
     """
     if session.get(StageRow, digest) is None:
-        timing = execution.timing
-        session.add(
-            StageRow(
-                digest=digest,
-                kind=json.loads(document)["kind"],
-                document=document,
-                result=canonical_json(result.values),
-                attempt=execution.attempt,
-                started_by=execution.started_by,
-                seconds=execution.seconds,
-                timing=None if timing is None else canonical_json(asdict(timing)),
-                provenance=canonical_json(execution.provenance),
-                created_at=datetime.now(UTC),
-            )
-        )
+        session.add(_row(digest, document, result, execution))
         session.flush()
         for name, content in result.blobs.items():
             key = add_artifact(session, content)
@@ -87,9 +65,10 @@ def add_result(
 
 
 def note_checkpoint(session: Session, digest: str, steps: int, policy: bytes) -> None:
-    """Keep the best policy so far of a training, in the place of the one before.
+    """Store the best policy so far of a training, in place of the one before.
 
-    A training that was lost and starts again knows less for a while than what is kept.
+    Inside a transaction. A training that was lost and starts again is for a while behind the
+    checkpoint, which then stays.
     """
     row = session.get(CheckpointRow, digest)
     if session.get(StageRow, digest) is not None or (row is not None and row.steps >= steps):
@@ -100,39 +79,40 @@ def note_checkpoint(session: Session, digest: str, steps: int, policy: bytes) ->
     session.flush()
 
 
-def timings_between(database: Database, first: float, last: float) -> list[Timing]:
-    """Of all stages that were computed at some time between `first` and `last`, for any run.
-
-    A result is stored soon after it was computed, and an hour is soon.
-    """
-    late, early = (datetime.fromtimestamp(at, UTC) for at in (last + 3600, first))
+def executions_between(database: Database, first: float, last: float) -> list[Execution]:
+    """Measured executions, for any run, that overlap the time from `first` to `last`."""
+    early, late = (datetime.fromtimestamp(at, UTC) for at in (first, last + _STORED_LATE_S))
+    query = _executions().where(StageRow.created_at >= early, StageRow.created_at <= late)
     with database.read() as session:
-        rows = session.scalars(
-            select(StageRow.timing)
-            .where(StageRow.timing.is_not(None))
-            .where(StageRow.created_at >= early, StageRow.created_at <= late)
-        )
-        found = [Timing(**json.loads(row)) for row in rows if row is not None]
-    return [timing for timing in found if timing.placed < last and timing.ended > first]
+        executions = [_execution(row) for row in session.execute(query)]
+    return [e for e in executions if e.placed < last and e.ended > first]
 
 
-def timings_of(database: Database, run_ids: Sequence[str]) -> list[tuple[str, Timing]]:
-    """(kind, timing) of the stages that the runs have results of, in order of their beginning."""
-    found: dict[str, tuple[str, Timing]] = {}
+def executions_of(database: Database, run_ids: Sequence[str]) -> list[tuple[str, Execution]]:
+    """Pairs (stage kind, execution) of the runs' measured stages, in order of their beginning."""
+    query = _executions().join(EventRow, EventRow.key == "stage_finished:" + StageRow.digest)
+    executions: dict[str, tuple[str, Execution]] = {}
     with database.read() as session:
         for first in range(0, len(run_ids), CHUNK):
-            rows = session.execute(
-                select(StageRow.digest, StageRow.kind, StageRow.timing)
-                .join(EventRow, EventRow.key == "stage_finished:" + StageRow.digest)
-                .where(EventRow.run_id.in_(run_ids[first : first + CHUNK]))
-                .where(StageRow.timing.is_not(None))
-            )
-            found |= {row.digest: (row.kind, Timing(**json.loads(row.timing))) for row in rows}
-    return sorted(found.values(), key=lambda item: item[1].began)
+            mine = EventRow.run_id.in_(run_ids[first : first + CHUNK])
+            rows = session.execute(query.where(mine))
+            executions |= {row.digest: (row.kind, _execution(row)) for row in rows}
+    return sorted(executions.values(), key=lambda item: item[1].began)
+
+
+def seconds_of(database: Database, digests: Sequence[str]) -> dict[str, float]:
+    """The time that stages took to compute, by digest, of those that have a result."""
+    seconds: dict[str, float] = {}
+    with database.read() as session:
+        for first in range(0, len(digests), CHUNK):
+            chunk = StageRow.digest.in_(digests[first : first + CHUNK])
+            rows = session.execute(select(StageRow.digest, StageRow.seconds).where(chunk))
+            seconds |= {row.digest: row.seconds for row in rows}
+    return seconds
 
 
 def policy_of_training(database: Database, digest: str) -> bytes | None:
-    """The policy of a training: the best so far, where it has not finished."""
+    """The policy of a training; its checkpoint while it has no result."""
     with database.read() as session:
         result = find_result(session, digest)
         if result is not None:
@@ -142,14 +122,6 @@ def policy_of_training(database: Database, digest: str) -> bytes | None:
         return row.content if row else None
 
 
-def _drop_checkpoint(session: Session, digest: str) -> None:
-    row = session.get(CheckpointRow, digest)
-    if row is not None:
-        session.delete(row)
-        session.flush()
-        session.execute(delete(ArtifactRow).where(ArtifactRow.sha256 == row.sha256, *_UNUSED))
-
-
 def artifact(database: Database, digest: str) -> bytes | None:
     """The bytes with this SHA-256."""
     with database.read() as session:
@@ -157,23 +129,8 @@ def artifact(database: Database, digest: str) -> bytes | None:
         return None if row is None else row.content
 
 
-def delete_unreferenced(session: Session) -> None:
-    """Delete stages that no run's events mention, what is left of target tasks without a stage,
-    then artifacts that nothing has."""
-    mentioned = exists().where(EventRow.key == "stage_finished:" + StageRow.digest)
-    session.execute(delete(StageRow).where(~mentioned))
-    evaluated = exists().where(
-        EventRow.key.startswith("training_evaluated:" + CheckpointRow.digest + ":")
-    )
-    session.execute(delete(CheckpointRow).where(~evaluated))
-    has_result = exists().where(StageRow.digest == TargetTaskRow.digest)
-    is_wanted = TargetTaskRow.state.in_(("pending", "claimed"))
-    session.execute(delete(TargetTaskRow).where(~has_result, ~is_wanted))
-    session.execute(delete(ArtifactRow).where(*_UNUSED))
-
-
 def add_artifact(session: Session, content: bytes) -> str:
-    """Store bytes, once; their SHA-256."""
+    """Store bytes, once, and return their SHA-256; inside a transaction."""
     key = sha256(content)
     if session.get(ArtifactRow, key) is None:
         session.add(ArtifactRow(sha256=key, size=len(content), content=content))
@@ -181,12 +138,63 @@ def add_artifact(session: Session, content: bytes) -> str:
     return key
 
 
-def seconds_of(database: Database, digests: Sequence[str]) -> dict[str, float]:
-    """How long stages took to compute, of those that have a result."""
-    found: dict[str, float] = {}
-    with database.read() as session:
-        for first in range(0, len(digests), CHUNK):
-            chunk = StageRow.digest.in_(digests[first : first + CHUNK])
-            rows = session.execute(select(StageRow.digest, StageRow.seconds).where(chunk))
-            found |= {row.digest: row.seconds for row in rows}
-    return found
+def has_blobs(session: Session, digest: str, blobs: dict[str, bytes]) -> bool:
+    """True if a stage's stored result has exactly these binary parts; inside a transaction."""
+    columns = select(StageArtifactRow.name, StageArtifactRow.sha256)
+    stored = session.execute(columns.where(StageArtifactRow.digest == digest))
+    return {row.name: row.sha256 for row in stored} == {
+        name: sha256(content) for name, content in blobs.items()
+    }
+
+
+def delete_unmentioned(session: Session) -> None:
+    """Delete results and checkpoints that no run's events mention; inside a transaction."""
+    mentioned = exists().where(EventRow.key == "stage_finished:" + StageRow.digest)
+    session.execute(delete(StageRow).where(~mentioned))
+    evaluated = exists().where(
+        EventRow.key.startswith("training_evaluated:" + CheckpointRow.digest + ":")
+    )
+    session.execute(delete(CheckpointRow).where(~evaluated))
+
+
+def delete_unused_artifacts(session: Session) -> None:
+    """Delete bytes that no stage, checkpoint, dataset or visit has; inside a transaction."""
+    session.execute(delete(ArtifactRow).where(*_UNUSED))
+
+
+def _row(digest: str, document: str, result: StageResult, execution: Execution) -> StageRow:
+    timing = {name: getattr(execution, name) for name in _TIMING}
+    return StageRow(
+        digest=digest,
+        kind=json.loads(document)["kind"],
+        document=document,
+        result=canonical_json(result.values),
+        attempt=execution.attempt,
+        started_by=execution.started_by,
+        seconds=execution.seconds,
+        timing=canonical_json(timing) if execution.is_measured else None,
+        provenance=canonical_json(execution.provenance),
+        created_at=datetime.now(UTC),
+    )
+
+
+def _executions() -> Select[str, str, int, str, str | None, str]:
+    return select(
+        *(StageRow.digest, StageRow.kind, StageRow.attempt, StageRow.started_by),
+        *(StageRow.timing, StageRow.provenance),
+    ).where(_MEASURED)
+
+
+def _execution(row: _ExecutionRow) -> Execution:
+    timing, provenance = json.loads(row.timing or "{}"), json.loads(row.provenance)
+    return Execution(
+        attempt=row.attempt, started_by=row.started_by, provenance=provenance, **timing
+    )
+
+
+def _drop_checkpoint(session: Session, digest: str) -> None:
+    row = session.get(CheckpointRow, digest)
+    if row is not None:
+        session.delete(row)
+        session.flush()
+        session.execute(delete(ArtifactRow).where(ArtifactRow.sha256 == row.sha256, *_UNUSED))

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from adr_service.transitions import TransitionDataset
-from api import cli
+from api.cli import main
+from api.cli.terminal import console
 from db.session import Database, open_database
 from tests.postgresql import Server, start_server
 from tests.recordings import load_hopper
@@ -68,12 +69,12 @@ def adr_here(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[..., tuple[int, str, str]]:
     """Runs `adr` with these arguments in this process: exit status, output and errors."""
-    monkeypatch.setattr(cli.console, "width", 200)
+    monkeypatch.setattr(console, "width", 200)
 
     def run(*arguments: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["adr", *arguments])
         with pytest.raises(SystemExit) as end:
-            cli.main()
+            main()
         return end.value.code or 0, *capsys.readouterr()
 
     return run

@@ -15,12 +15,12 @@ def install(source, folder):
     subprocess.run(command, check=True, timeout=200)
 
 
-def add_entry_point(folder, group, value):
-    """A package in a folder that has nothing but the entry point `broken` of a group."""
+def add_entry_point(folder, group, value, name="broken"):
+    """A package in a folder that has nothing but one entry point of a group."""
     about = folder / "broken-1.0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(f"[{group}]\nbroken = {value}\n")
+    (about / "entry_points.txt").write_text(f"[{group}]\n{name} = {value}\n")
 
 
 def python(code, *folders):

@@ -1,4 +1,4 @@
-"""MuJoCo without our engine: one model compiled and written by hand, for tests to compare with."""
+"""Plain MuJoCo for comparison: one model, compiled and written without our engine."""
 
 import mujoco
 import numpy as np

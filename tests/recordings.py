@@ -1,11 +1,11 @@
-"""Recordings to learn from: published ones, read where they lie, and our own."""
+"""Recordings for tests: published ones and our own."""
 
 from pathlib import Path
 
 import numpy as np
 
 from adr_service.simulation.batch import Simulations, control_period
-from adr_service.simulation.rollout import run_episodes
+from adr_service.simulation.rollout import random_actions, run_episodes
 from adr_service.tasks.catalogue import get_task, hidden_of
 from adr_service.transitions import TransitionDataset
 
@@ -23,11 +23,15 @@ def load_hopper(folder: Path, prefix: str) -> TransitionDataset:
 
 
 def recording(name, steps, values=None):
-    """An episode of small random actions, at the truth where no other `values` are given."""
+    """An episode of small random actions, at the truth or at other `values`."""
     task, hidden, rng = get_task(name), hidden_of(name, "vanilla"), np.random.default_rng(0)
     simulations = Simulations(task, hidden.source, 1)
     simulations.set_dynamics(np.array(hidden.values if values is None else values)[None])
-    act = lambda o: 0.2 * rng.uniform(task.action_low, task.action_high)[None]  # noqa: E731
+    random = random_actions(task, rng)
+
+    def act(observations):
+        return 0.2 * random(observations)
+
     episode = run_episodes(task, simulations, act, task.initial(1, rng), steps)
     n = int(episode.lengths[0])
     seen = episode.observations[0]

@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from adr_service.computation import LocalStages
 from adr_service.criticism.nominal import Nominal
 from adr_service.effects.base import Effect, domain_of
 from adr_service.errors import InvalidInput
-from adr_service.runs import run
+from adr_service.programs import run
 from adr_service.simulation.batch import Simulations
 from adr_service.specs import RunSpec
+from adr_service.stages.local import LocalStages
 from adr_service.tasks.catalogue import get_task, source_of
 from tests.hidden import named_effects
 

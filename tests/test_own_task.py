@@ -1,4 +1,4 @@
-"""The example package of docs/own-task.md, installed and used as a user would."""
+"""The example package of docs/own-task.md, installed and used."""
 
 import subprocess
 
@@ -10,8 +10,8 @@ EXAMPLE = ROOT / "docs/examples/adr-pendulum"
 
 USE = """
 import gymnasium, numpy as np
-from adr_service.computation import LocalStages
-from adr_service.runs import run
+from adr_service.stages.local import LocalStages
+from adr_service.programs import run
 from adr_service.simulation.batch import Simulations
 from adr_service.specs import RunSpec
 from adr_service.tasks.base import State
@@ -55,7 +55,7 @@ def installed(tmp_path_factory):
     return folder
 
 
-def test_an_installed_task_is_simulated_and_runs_like_ours(installed):
+def test_an_installed_task_is_simulated_and_runs(installed):
     done = python(USE, installed)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "fine"
@@ -65,11 +65,11 @@ def test_an_installed_task_is_simulated_and_runs_like_ours(installed):
     ("value", "message"),
     [
         ("nowhere:ENTRY", "cannot be loaded"),
-        ("adr_service.tasks.hopper:variants", "must name an adr_service.tasks.base.Entry"),
+        ("adr_service.tasks.hopper:Hopper", "must name an adr_service.tasks.base.Entry"),
         ("adr_pendulum:ENTRY", "a task of another name, 'pendulum'"),
     ],
 )
-def test_an_entry_point_that_leads_wrong_is_named(installed, tmp_path, value, message):
+def test_a_broken_entry_point_is_named_with_its_error(installed, tmp_path, value, message):
     add_entry_point(tmp_path, "adr_service.tasks", value)
     code = "from adr_service.tasks.catalogue import get_task; get_task('arm')"
     done = python(code, tmp_path, installed)

@@ -31,7 +31,7 @@ def test_npz_gives_the_same_data_and_the_same_bytes_back():
     assert copy.to_npz() == data.to_npz()
 
 
-def test_terminals_mark_the_last_row_of_each_episode():
+def test_a_written_file_marks_the_last_row_of_each_episode():
     with np.load(io.BytesIO(dataset().to_npz())) as arrays:
         assert arrays["terminals"].tolist() == [False, False, True, False, True]
 
@@ -80,7 +80,7 @@ def test_a_value_that_is_not_finite_is_refused_with_its_place():
     ],
     ids=["rows", "width", "order", "columns", "dt", "rank"],
 )
-def test_data_that_does_not_fit_together_is_refused(changes):
+def test_arrays_that_do_not_fit_together_are_refused(changes):
     with pytest.raises(InvalidInput):
         dataset(**changes)
 
@@ -128,7 +128,7 @@ def test_a_file_that_is_no_recording_is_refused_with_the_reason(changes, message
         TransitionDataset.from_npz(npz(**changes))
 
 
-def test_terminals_mark_the_ends_of_episodes():
+def test_episodes_are_read_from_the_ends_that_terminals_mark():
     terminals = np.array([False, True, False, False])
     data = TransitionDataset.from_npz(npz(episodes=None, terminals=terminals))
     assert data.episodes.tolist() == [0, 0, 1, 1]

@@ -1,4 +1,4 @@
-"""What runs inside Ray's processes: stages, and their sign of life.
+"""Ray's processes: they compute stages and report signs of life.
 
 Nothing here opens a database or draws an unnamed random number. An ending is a value
 (`Finished`, `Failed`, `Stopped`), so that an exception from Ray always means a lost process.
@@ -10,19 +10,19 @@ import platform
 import threading
 import time
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import ray
 from ray.exceptions import RayError
 
-from adr_service.computation import compute
-from adr_service.errors import AdrError
-from adr_service.progress import SoFar, StageCancelled
-from adr_service.stages import Stage, StageResult
+from adr_service.benchmark.cost import Execution
+from adr_service.errors import AdrError, FailureCode
+from adr_service.progress import Checkpoint, StageCancelled
+from adr_service.stages.base import AnyStage, StageResult, compute
 from adr_service.startup_time import preparation_seconds
-from workers.board import SignOfLife
+from workers.heartbeats import SignOfLife
 
 SIGN_OF_LIFE_S = 1.0
 _PROVENANCE_PACKAGES = (
@@ -33,20 +33,10 @@ _PROVENANCE_PACKAGES = (
 
 @dataclass(frozen=True)
 class Finished:
+    """The stage has a result."""
+
     result: StageResult
-    work: "Work"
-    provenance: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Work:
-    """What a process did for a stage; see `Timing`."""
-
-    began: float
-    ended: float
-    cpu: float
-    preparing: float
-    is_first: bool
+    execution: Execution  # with what the process measured
 
 
 @dataclass(frozen=True)
@@ -59,7 +49,7 @@ class Failed:
 
 @dataclass(frozen=True)
 class Stopped:
-    """Nobody wanted the result any more."""
+    """No run wanted the result any more."""
 
 
 Ending = Finished | Failed | Stopped
@@ -68,29 +58,27 @@ Ending = Finished | Failed | Stopped
 class StageActor:
     """A process that computes stages, one after the other."""
 
-    def compute(self, stage: Stage, board: Any) -> Ending:
-        return compute_with_signs_of_life(stage, board)
+    def compute(self, stage: AnyStage, placed: Execution, board: Any) -> Ending:
+        """Compute a stage, reporting at least every `SIGN_OF_LIFE_S`.
 
-
-def compute_with_signs_of_life(stage: Stage, board: Any) -> Ending:
-    """Compute a stage, reporting at least every `SIGN_OF_LIFE_S`."""
-    reporter, clock = _Reporter(stage.digest, board), _Clock()
-    try:
-        with reporter:
-            result = compute(stage, reporter.progress)
-    except StageCancelled:
-        return Stopped()
-    except AdrError as error:
-        return Failed(error.code, str(error))
-    except Exception as error:  # noqa: BLE001 - a defect must reach the run as its failure
-        trace = "".join(traceback.format_exception(error)[-4:])
-        return Failed("internal", f"{type(error).__name__}: {error}\n{trace}")
-    work = clock.read()
-    return Finished(result, work, _provenance())
+        `placed` is its execution as far as the dispatcher knows it.
+        """
+        reporter, clock = _Reporter(stage.digest, board), _Clock()
+        try:
+            with reporter:
+                result = compute(stage, reporter.progress)
+        except StageCancelled:
+            return Stopped()
+        except AdrError as error:
+            return Failed(error.code, str(error))
+        except Exception as error:  # noqa: BLE001 - a defect must reach the run as its failure
+            trace = "".join(traceback.format_exception(error)[-4:])
+            return Failed(FailureCode.INTERNAL, f"{type(error).__name__}: {error}\n{trace}")
+        return Finished(result, replace(clock.measured(placed), provenance=_provenance()))
 
 
 class _Clock:
-    """Started when a stage is begun."""
+    """Measures one stage, from the moment at which it is made."""
 
     _stages = 0  # that this process has begun
 
@@ -100,8 +88,10 @@ class _Clock:
         self._began, self._preparing = time.time(), preparation_seconds()
         self._cpu = time.process_time()
 
-    def read(self) -> Work:
-        return Work(
+    def measured(self, placed: Execution) -> Execution:
+        """The execution with what this process has measured until now."""
+        return replace(
+            placed,
             began=self._began,
             ended=time.time(),
             cpu=time.process_time() - self._cpu,
@@ -116,7 +106,7 @@ class _Reporter:
     def __init__(self, digest: str, board: Any):
         self._digest, self._board = digest, board
         self._latest: tuple[float, dict[str, Any]] = (0.0, {})
-        self._so_far: SoFar | None = None
+        self._checkpoint: Checkpoint | None = None
         self._unwanted, self._done = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._report, daemon=True)
 
@@ -128,24 +118,24 @@ class _Reporter:
         self._done.set()
         self._thread.join()
 
-    def progress(self, fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
+    def progress(self, fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
         if self._unwanted.is_set():
             raise StageCancelled
-        self._latest = (fraction, facts)
-        if so_far is not None:
-            self._so_far = so_far
+        self._latest = (float(fraction), facts)
+        if checkpoint is not None:
+            self._checkpoint = checkpoint
 
     def _report(self) -> None:
-        told: SoFar | None = None
+        reported: Checkpoint | None = None
         actor_id = str(ray.get_runtime_context().get_actor_id())
         while not self._done.is_set():
-            so_far = self._so_far
-            news = None if so_far is told else so_far
+            checkpoint = self._checkpoint
+            news = None if checkpoint is reported else checkpoint
             sign = SignOfLife(self._digest, *self._latest, actor_id, os.getpid(), news)
             try:
                 if ray.get(self._board.report.remote(sign)):
                     self._unwanted.set()
-                told = so_far
+                reported = checkpoint
             except RayError:
                 pass  # the board is starting again; the next sign reaches it
             self._done.wait(SIGN_OF_LIFE_S)

@@ -29,7 +29,7 @@ class ClusterUnavailable(AdrError):
 
 @dataclass(frozen=True)
 class RayOptions:
-    """How to start or join a cluster."""
+    """Settings with which to start or join a cluster."""
 
     address: str = "local"  # "local" starts one; else an address, or "auto"
     cpus: int | None = None  # of a local cluster; None: all
@@ -78,8 +78,8 @@ class Cluster:
     def is_alive(self) -> bool:
         """True while the GCS and the raylet of a local cluster live; always, of a joined one.
 
-        This looks at the processes: a question to a dead GCS (Ray's control process) blocks, and
-        after a minute Ray ends this process.
+        It looks at the processes: a call to a dead GCS (Ray's control process) blocks, and after a
+        minute Ray ends this process.
         """
         try:
             return all(
@@ -109,14 +109,14 @@ class Cluster:
 
 
 def _processes_of_ray() -> list[psutil.Process]:
-    """The GCS and the raylet that this process has started; ClusterUnavailable without both."""
-    found: dict[str, psutil.Process] = {}
+    """The GCS and the raylet that this process has started. Raises ClusterUnavailable."""
+    processes: dict[str, psutil.Process] = {}
     for child in psutil.Process().children():
         with suppress(psutil.NoSuchProcess):
-            found[child.name()] = child
-    if missing := _OURS - found.keys():
+            processes[child.name()] = child
+    if missing := _OURS - processes.keys():
         raise ClusterUnavailable(f"Ray did not start: there is no {', '.join(sorted(missing))}")
-    return [found[name] for name in sorted(_OURS)]
+    return [processes[name] for name in sorted(_OURS)]
 
 
 def worker_environment(compile_cache: Path) -> dict[str, str]:

@@ -1,18 +1,23 @@
 """Keeps every unfinished run going: one thread per run, iterating its program.
 
+    orchestrator = Orchestrator(database, RayOptions(cpus=2))
+    orchestrator.start()                 # and go on with every unfinished run
+    orchestrator.submit(record)
+    orchestrator.close()                 # the runs go on when a service starts again
+
 Resuming is running the program again; finished stages answer at once from the database. So a
 service that starts simply runs whatever is unfinished, whether it was stopped or killed.
 """
 
 import logging
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 from structlog.contextvars import bound_contextvars
 
-from adr_service.errors import AdrError, RunCancelled, StageFailed
+from adr_service.errors import AdrError, FailureCode, RunCancelled, StageFailed
 from adr_service.events import (
     RunEvent,
     RunFailed,
@@ -21,26 +26,37 @@ from adr_service.events import (
     RunSucceeded,
     StageFinished,
 )
-from adr_service.runs import run
-from adr_service.specs import RunSpec
-from adr_service.target import episode_result
+from adr_service.programs import run
+from adr_service.specs import AnyRun, RunSpec
+from adr_service.stages.base import Stages
+from adr_service.stages.target_episode import read_episode
 from db import datasets as dataset_store
+from db import events as event_store
 from db import runs as run_store
-from db import target_tasks as task_store
+from db import visits as visit_store
 from db.clock import SteadyClock
 from db.errors import DatabaseUnavailable
 from db.runs import RunRecord
 from db.session import RETRY_S, Database
-from db.target_tasks import TargetTask
+from db.visits import Visit
 from workers.cluster import ClusterUnavailable, RayOptions
-from workers.dispatcher import Activity, Dispatcher
-from workers.ledger import DatabaseLedger, append_to_all
-from workers.stages import RayStages
+from workers.dispatcher import Dispatcher
+from workers.jobs import Activity
+from workers.ray_stages import RayStages
+from workers.results import DatabaseResults
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 RUNS_AT_ONCE = 64  # threads that mostly wait; the cores are shared out by the dispatcher
 _EXTERNAL_AT_ONCE = 1000  # they wait for robots, for days if need be
+
+
+class Program(Protocol):
+    """The events of a run, computed by `stages`; `recording` is the `.npz` that it learns from."""
+
+    def __call__(
+        self, spec: AnyRun, stages: Stages, recording: bytes | None, /
+    ) -> Iterator[RunEvent]: ...
 
 
 class _Live(NamedTuple):
@@ -53,9 +69,9 @@ class _Live(NamedTuple):
 class Orchestrator:
     """Runs the runs of one database on one cluster."""
 
-    def __init__(self, database: Database, options: RayOptions):
-        self._database = database
-        self._dispatcher = Dispatcher(options, DatabaseLedger(database))
+    def __init__(self, database: Database, options: RayOptions, program: Program = run):
+        self._database, self._program = database, program
+        self._dispatcher = Dispatcher(options, DatabaseResults(database))
         self._ours = ThreadPoolExecutor(RUNS_AT_ONCE, thread_name_prefix="run")
         self._external = ThreadPoolExecutor(_EXTERNAL_AT_ONCE, thread_name_prefix="external")
         self._recorder = ThreadPoolExecutor(1, thread_name_prefix="record")
@@ -67,11 +83,11 @@ class Orchestrator:
     def start(self) -> None:
         """Start Ray, and go on with every unfinished run."""
         self._dispatcher.start()
-        task_store.drop_simulated(self._database)  # who had claimed them died with the service
+        visit_store.drop_simulated(self._database)  # their claimants died with the service
         self.adopt()
 
     def close(self) -> None:
-        """Stop without a trace in the runs: they go on when the service starts again."""
+        """Stop without an event in the runs: they go on when the service starts again."""
         self._closing.set()
         pools = (self._ours, self._external, self._recorder)
         for pool in pools:  # nothing that waits for a thread begins any more
@@ -81,12 +97,12 @@ class Orchestrator:
             pool.shutdown()
 
     def adopt(self) -> None:
-        """Submit stored runs that nobody has: those of an earlier service, or of a lost answer."""
+        """Submit stored runs without a thread: those of an earlier service, or of a lost answer."""
         for record in run_store.unfinished_runs(self._database):
             self.submit(record)
 
     def submit(self, record: RunRecord) -> None:
-        """Run a stored run, unless that goes on; it may have begun before."""
+        """Give a stored run its thread, unless it has one; the run may have begun before."""
         spec = record.spec
         is_external = isinstance(spec, RunSpec) and spec.target.kind == "external"
         pool = self._external if is_external else self._ours
@@ -109,53 +125,57 @@ class Orchestrator:
                     unstarted.append((record.id, RunStopped(submission=record.submission)))
         batches = run_store.batches(unstarted)
         try:
-            run_store.append_events(self._database, next(batches, ()))
+            event_store.append_events(self._database, next(batches, ()))
         except DatabaseUnavailable:
             batches = run_store.batches(unstarted)
-        for batch in batches:  # nobody who asks should have to wait for them
+        for batch in batches:  # the caller should not have to wait for them
             self._recorder.submit(self._record_all, batch)
 
-    def complete_task(self, id: str, lease: str, content: bytes) -> TargetTask:
-        """Accept a robot's episode, the `.npz` of `episode_result`, and let its run go on."""
-        task = task_store.claimed_by(self._database, id, lease)  # before anything is unpacked
-        result = episode_result(task.inputs, content)
-        told = [StageFinished(kind="target_episode", digest=task.digest)]
-        done = task_store.complete(
+    def complete_task(self, id: str, lease: str, content: bytes) -> Visit:
+        """Accept a robot's episode, the `.npz` of `read_episode`, and let its run go on."""
+        visit = visit_store.claimed_by(self._database, id, lease)  # before anything is unpacked
+        episode = read_episode(visit.task, visit.inputs["transitions"], content)
+        finished = StageFinished(kind=visit.kind, digest=visit.digest)
+        done = visit_store.complete(
             self._database,
             id,
             lease,
-            result,
+            episode.to_stored(),
+            episode.transitions,
             self.clock.now(),
-            lambda session: append_to_all(session, [task.run_id], told),
+            lambda session: event_store.append_to_all(session, [visit.run_id], [finished]),
         )
         self._dispatcher.arrived(done.digest)
         return done
 
-    def fail_task(self, id: str, lease: str, message: str) -> TargetTask:
-        """No robot can do this task; its run fails."""
-        failed = task_store.fail(self._database, id, lease, message)
+    def fail_task(self, id: str, lease: str, message: str) -> Visit:
+        """Fail a visit that no robot can do; its run fails with the message."""
+        failed = visit_store.fail(self._database, id, lease, message)
         self._dispatcher.refused(failed.digest, message)
         return failed
 
     @property
     def is_alive(self) -> bool:
+        """True if runs can go on."""
         return self._dispatcher.is_alive
 
     @property
     def silent_s(self) -> float:
-        """For how long the dispatcher has waited for Ray, or for the database to write."""
+        """Seconds for which the dispatcher has waited for Ray, or for the database to write."""
         return self._dispatcher.silent_s
 
     @property
     def cores(self) -> int:
+        """Cores of the whole cluster, as last seen."""
         return self._dispatcher.cores
 
     @property
     def dashboard_url(self) -> str | None:
+        """Address of Ray's dashboard, once Ray has started."""
         return self._dispatcher.dashboard_url
 
     def activities(self, run_id: str | None = None) -> list[Activity]:
-        """What is in the works, for a run or for all."""
+        """Stages that a run waits for, or all runs."""
         return self._dispatcher.activities(run_id)
 
     def _run(self, record: RunRecord, flag: threading.Event) -> None:
@@ -170,55 +190,63 @@ class Orchestrator:
                     del self._live[_key(record)]
 
     def _guard(self, record: RunRecord, flag: threading.Event) -> None:
-        """Iterate a run's program to an end that is on record, whatever happens."""
+        """Bring a run to an end that is on its record, whatever happens in between."""
         if self._closing.is_set():
             return  # it has not begun, and will when the service starts again
-        try:
-            now = self._when_possible(lambda: run_store.get_run(self._database, record.id))
-            if now.is_finished or now.submission != record.submission:
-                return  # it has ended since the record was read
-            self._record(record, RunStarted(submission=record.submission))
-            if now.cancel_requested:  # perhaps before there was a flag
-                flag.set()
-            stages = RayStages(
-                record.id, self._dispatcher, lambda: flag.is_set() or self._closing.is_set()
-            )
-            for event in run(record.spec, stages, self._recording(record)):
-                self._record(record, event)
-            ending: RunEvent = RunSucceeded()
-        except RunCancelled:
-            ending = RunStopped(submission=record.submission)
-        except StageFailed as error:
-            ending = _failure(record, error.cause, str(error))
-        except ClusterUnavailable:
-            if not self._closing.is_set():
-                log.exception("run %s waits for the service to be restarted", record.id)
-            return
-        except AdrError as error:
-            ending = _failure(record, error.code, str(error))
-        except Exception as error:  # the last place that can put a defect on the run's record
-            log.exception("run %s failed", record.id)
-            ending = _failure(record, "internal", f"{type(error).__name__}: {error}")
-        if self._closing.is_set() and not isinstance(ending, RunSucceeded):
-            return  # the service stops, not the run: it goes on when the service starts again
+        ending = self._ending(record, flag)
+        if ending is None or (self._closing.is_set() and not isinstance(ending, RunSucceeded)):
+            return  # it goes on when the service starts again
         self._dispatcher.withdraw(record.id)
         self._record(record, ending)
         level = logging.WARNING if isinstance(ending, RunFailed) else logging.INFO
         log.log(level, "run ended: %s", getattr(ending, "message", ending.type))
 
+    def _ending(self, record: RunRecord, flag: threading.Event) -> RunEvent | None:
+        """Iterate a run's program; the event that ends the run, or None if it has no end yet."""
+        try:
+            return RunSucceeded() if self._iterate(record, flag) else None
+        except RunCancelled:
+            return RunStopped(submission=record.submission)
+        except StageFailed as error:
+            return _failure(record, error.cause, str(error))
+        except ClusterUnavailable:
+            if not self._closing.is_set():
+                log.exception("run %s waits for the service to be restarted", record.id)
+            return None
+        except AdrError as error:
+            return _failure(record, error.code, str(error))
+        except Exception as error:  # the last place that can put a defect on the run's record
+            log.exception("run %s failed", record.id)
+            return _failure(record, FailureCode.INTERNAL, f"{type(error).__name__}: {error}")
+
+    def _iterate(self, record: RunRecord, flag: threading.Event) -> bool:
+        """Iterate a run's program to its end; False if the run has ended since it was read."""
+        now = self._when_possible(lambda: run_store.get_run(self._database, record.id))
+        if now.is_finished or now.submission != record.submission:
+            return False
+        self._record(record, RunStarted(submission=record.submission))
+        if now.cancel_requested:  # perhaps before there was a flag
+            flag.set()
+        stages = RayStages(
+            record.id, self._dispatcher, lambda: flag.is_set() or self._closing.is_set()
+        )
+        for event in self._program(record.spec, stages, self._recording(record)):
+            self._record(record, event)
+        return True
+
     def _record(self, record: RunRecord, event: RunEvent) -> None:
-        self._when_possible(lambda: run_store.append_event(self._database, record.id, event))
+        self._when_possible(lambda: event_store.append_event(self._database, record.id, event))
 
     def _record_all(self, events: Sequence[tuple[str, RunEvent]]) -> None:
         try:
-            self._when_possible(lambda: run_store.append_events(self._database, events))
+            self._when_possible(lambda: event_store.append_events(self._database, events))
         except RunCancelled:
             pass  # the service stops; when it starts again, these runs stop first
         except Exception:  # those of other batches are recorded all the same
             log.exception("the end of cancelled runs is not on their record")
 
     def _when_possible(self, action: Callable[[], T]) -> T:
-        """What needs the database, once that can be used; RunCancelled where the service stops."""
+        """Call `action` until the database can be used; RunCancelled if the service stops."""
         while True:
             try:
                 return action()
@@ -239,5 +267,5 @@ def _key(record: RunRecord) -> tuple[str, int]:
 
 
 def _failure(record: RunRecord, code: str, message: str) -> RunFailed:
-    told = message.replace("\0", "\\0")  # which PostgreSQL cannot store
-    return RunFailed(submission=record.submission, code=code, message=told)
+    text = message.replace("\0", "\\0")  # PostgreSQL cannot store a NUL
+    return RunFailed(submission=record.submission, code=code, message=text)

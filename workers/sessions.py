@@ -1,10 +1,10 @@
 """The folder of a local Ray cluster's sockets, logs and token, which nobody else can enter.
 
-    sessions = Sessions(data_dir)       # SessionsInUse where another service has it
-    ray.init(_temp_dir=str(sessions.path), …)
+    sessions = Sessions(data_dir)       # SessionsInUse if another service has it
+    ray.init(_temp_dir=str(sessions.path))
 
-By itself Ray uses a folder under the shared temporary one, and lets everybody write there: another
-user could put sockets of his own in the place of Ray's.
+By default Ray uses a folder under the shared temporary one, and lets everybody write there: another
+user could put sockets in the place of Ray's.
 """
 
 import atexit
@@ -36,9 +36,9 @@ class SessionsInUse(AdrError):
 
 
 class Sessions:
-    """The sessions of one service; none of an earlier one are left.
+    """The sessions of one service; those of an earlier service are removed.
 
-    `folder` is the service's own; None: one that goes with this process.
+    `folder` is the service's own; None stands for a temporary one, deleted at exit.
     """
 
     def __init__(self, folder: Path | None):

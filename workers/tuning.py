@@ -1,4 +1,4 @@
-"""Ray Tune: which learning rate trains a task's policies best.
+"""Ray Tune: the search for the learning rate that trains a task's policies best.
 
     spec = RunSpec.model_validate({"task": "hopper", "method": "oracle", "preset": "paper"})
     trials = tune(spec, rates=[3e-4, 1e-3], seeds=[0, 1], options=RayOptions())
@@ -6,7 +6,7 @@
 Every trial is a training on the task's own ground truth (the oracle's), with one learning rate
 and one seed. Trials that fall behind are stopped early (asynchronous successive halving, Li et
 al. 2020): of three at the same step count, the best goes on. A search of its own, apart from the
-service: what it finds becomes a task's default in the code, or a spec's `training`.
+service: its best rate becomes a task's default in the code, or a spec's `training`.
 """
 
 import contextlib
@@ -21,12 +21,14 @@ from typing import Any
 from ray import tune as ray_tune
 from ray.tune.schedulers import ASHAScheduler
 
-from adr_service.computation import compute
 from adr_service.errors import InvalidInput
-from adr_service.progress import SoFar
-from adr_service.runs import oracle_training
+from adr_service.events import RunEvent, TrainingEvaluated
+from adr_service.programs.references import truth_training
+from adr_service.progress import Checkpoint
 from adr_service.specs import RunSpec
+from adr_service.stages.base import compute
 from adr_service.tasks.catalogue import get_task
+from adr_service.training.settings import TrainingSettings
 from workers.cluster import Cluster, RayOptions
 
 _HALVING = 3
@@ -38,7 +40,7 @@ class Trial:
 
     learning_rate: float
     seed: int
-    steps: int  # that it was given
+    steps: int  # that it trained
     best_return: float | None  # of its evaluations; None where it failed
     reached_threshold: bool
     stopped_early: bool  # it had fallen behind
@@ -49,57 +51,70 @@ def tune(
     spec: RunSpec, rates: Sequence[float], seeds: Sequence[int], options: RayOptions
 ) -> list[Trial]:
     """One trial for every rate and seed, the best first; as many at once as there are cores."""
-    training = spec.training
     if not rates or not all(math.isfinite(rate) and rate > 0 for rate in rates):
         raise InvalidInput(f"learning rates must be positive; given {list(rates)}")
-    grid = ray_tune.grid_search
-    space = {"learning_rate": grid(sorted(set(rates))), "seed": grid(sorted(set(seeds)))}
-    scheduler = ASHAScheduler(
-        time_attr="steps",
-        max_t=training.max_steps,
-        grace_period=min(
-            training.max_steps, max(training.evaluate_every, training.max_steps // _HALVING**2)
-        ),
-        reduction_factor=_HALVING,
-    )
     cluster = Cluster(options)
     cluster.start()
     try:
         with tempfile.TemporaryDirectory() as folder:
-            tuner = ray_tune.Tuner(
-                ray_tune.with_parameters(_train, spec=spec),
-                param_space=space,
-                tune_config=ray_tune.TuneConfig(
-                    metric="mean_return", mode="max", scheduler=scheduler
-                ),
-                run_config=ray_tune.RunConfig(storage_path=Path(folder).as_uri(), verbose=0),
-            )
+            tuner = _tuner(spec, rates, seeds, folder)
             with contextlib.redirect_stdout(sys.stderr):  # Tune announces itself
                 results = tuner.fit()
-            found = [_trial(spec, result) for result in results]
+            trials = [_trial(spec, result) for result in results]
     finally:
         cluster.close()
-    return sorted(found, key=_rank)
+    return sorted(trials, key=_rank)
+
+
+def _tuner(
+    spec: RunSpec, rates: Sequence[float], seeds: Sequence[int], folder: str
+) -> ray_tune.Tuner:
+    grid = ray_tune.grid_search
+    return ray_tune.Tuner(
+        ray_tune.with_parameters(_train, spec=spec),
+        param_space={
+            "learning_rate": grid(sorted(set(rates))),
+            "seed": grid(sorted(set(seeds))),
+        },
+        tune_config=ray_tune.TuneConfig(
+            metric="mean_return", mode="max", scheduler=_halving(spec.training)
+        ),
+        run_config=ray_tune.RunConfig(storage_path=Path(folder).as_uri(), verbose=0),
+    )
+
+
+def _halving(training: TrainingSettings) -> ASHAScheduler:
+    """Asynchronous successive halving, that lets each trial be evaluated at least once."""
+    most = training.max_steps
+    return ASHAScheduler(
+        time_attr="steps",
+        max_t=most,
+        grace_period=min(most, max(training.evaluate_every, most // _HALVING**2)),
+        reduction_factor=_HALVING,
+    )
 
 
 def _train(config: dict[str, Any], spec: RunSpec) -> None:
     """A trial, in a process of its own; reports every evaluation."""
 
-    def report(curve: list[dict[str, Any]]) -> None:
-        best = max(point["mean_return"] for point in curve)
-        ray_tune.report({**curve[-1], "best_return": best})
+    def report(curve: Sequence[RunEvent]) -> None:
+        points = [point for point in curve if isinstance(point, TrainingEvaluated)]
+        best = max(point.mean_return for point in points)
+        latest = points[-1].model_dump(include={"steps", "mean_return", "standard_error"})
+        ray_tune.report({**latest, "best_return": best})
 
-    def progress(fraction: float, so_far: SoFar | None = None, **facts: Any) -> None:
-        if so_far is not None:
-            report(so_far.values["curve"])
+    def progress(fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
+        if checkpoint is not None:
+            report(checkpoint.events)
 
     training = spec.training.model_copy(update={"learning_rate": config["learning_rate"]})
-    given = spec.model_copy(update={"seed": config["seed"], "training": training})
-    report(compute(oracle_training(given), progress).values["curve"])
+    trial = spec.model_copy(update={"seed": config["seed"], "training": training})
+    stage = truth_training(trial)
+    report(stage.events(stage.read(compute(stage, progress))))
 
 
 def _rank(trial: Trial) -> tuple[bool, float]:
-    """Who reached the threshold, soonest first; the others by their return; the failed."""
+    """Sort key: trials that reached the threshold, soonest first; others by return; failed ones."""
     if trial.best_return is None:
         return (True, math.inf)
     return (

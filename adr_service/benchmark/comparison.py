@@ -1,4 +1,4 @@
-"""The result tables: methods side by side, from the events of their runs."""
+"""Result tables: methods side by side, from the events of their runs."""
 
 import csv
 import io
@@ -11,13 +11,12 @@ import numpy as np
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.benchmark.statistics import improvement, interquartile_mean, interval, mean
+from adr_service.benchmark.truth import estimation_error, true_values
 from adr_service.distributions import Distribution, distribution_from_json
 from adr_service.events import IterationFinished
-from adr_service.methods.catalogue import is_inferring, methods
-from adr_service.methods.references import OracleSettings, PriorSettings
+from adr_service.methods.catalogue import methods
 from adr_service.randomness import stream
 from adr_service.specs import RunSpec, SimulatedTarget
-from adr_service.target import estimation_error, true_values
 from adr_service.tasks.catalogue import get_task, source_of
 
 
@@ -27,7 +26,7 @@ class Outcome:
 
     spec: RunSpec
     iteration: IterationFinished
-    inference_seconds: float | None = None  # of computing, where that is known
+    inference_seconds: float | None = None  # of computing, if known
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class Row:
     task: str
     variant: str
     method: str
-    collector: str  # whose actions an offline method saw
+    collector: str  # the policy that acted while an offline method's data were recorded
     iteration: int
     normalised_return: float
     low: float  # of the 95 % interval over seeds, policies and episodes
@@ -51,9 +50,9 @@ class Row:
     seeds: int
     policies: int
     episodes: int
-    target_rollouts: int  # per seed, what the method could learn from
+    target_rollouts: int  # per seed, for the method to learn from
     target_transitions: float  # per seed, mean
-    estimation_error: float | None  # RMS of the mean from the truth in [0, 4], where both are
+    estimation_error: float | None  # RMS distance of the mean from the truth in [0, 4], if known
     posterior_std: float | None  # RMS over the parameters in [0, 4]; the prior's is 1
     reached_threshold: float  # share of policies that did, on their source distribution
 
@@ -73,12 +72,12 @@ class ParameterEstimate:
     mean: float
     std: float
     normalised_std: float  # in [0, 4] coordinates; the prior's is 1
-    truth: float | None  # None where the target is not simulated
+    truth: float | None  # None if the target is not simulated
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What one inference cost, mean over seeds."""
+    """Cost of one inference, mean over seeds."""
 
     task: str
     variant: str
@@ -87,7 +86,7 @@ class Cost:
     iteration: int
     seeds: int
     inference_steps: float  # simulated control steps
-    inference_seconds: float | None  # on one core; None where it was not measured
+    inference_seconds: float | None  # on one core; None if not measured
 
 
 def table(outcomes: Sequence[Outcome]) -> list[Row]:
@@ -97,7 +96,7 @@ def table(outcomes: Sequence[Outcome]) -> list[Row]:
 
 
 def costs(outcomes: Sequence[Outcome]) -> list[Cost]:
-    """What the inferences cost, in the table's order."""
+    """Costs of the inferences, in the table's order."""
     inferred = [outcome for outcome in outcomes if outcome.iteration.inferences]
     return [
         Cost(
@@ -112,7 +111,7 @@ def costs(outcomes: Sequence[Outcome]) -> list[Cost]:
 
 @dataclass(frozen=True)
 class Comparison:
-    """How often a policy of one method earns more on the target than one of another."""
+    """Probability that a policy of one method earns more on the target than one of another."""
 
     task: str
     variant: str
@@ -125,72 +124,66 @@ class Comparison:
 
 
 def comparisons(outcomes: Sequence[Outcome]) -> list[Comparison]:
-    """Every pair of methods on a task's variant, each after its last common iteration."""
-    latest: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
-    for outcome in (outcome for outcome in outcomes if outcome.iteration.returns):
-        spec = outcome.spec
-        columns = latest.setdefault((spec.task, spec.variant), {})
-        kept = columns.setdefault(outcome.spec.column, [])
-        newest = max((o.iteration.iteration for o in kept), default=-1)
-        if outcome.iteration.iteration > newest:
-            kept.clear()
-        if outcome.iteration.iteration >= newest:
-            kept.append(outcome)
-    found: list[Comparison] = []
+    """Every pair of methods on a task's variant, each after its last iteration."""
     order = list(methods())
-    for (task, variant), columns in sorted(latest.items()):
-        named = sorted(columns, key=lambda name: (order.index(name.split()[0]), name))
-        for one, other in combinations(named, 2):
+    compared: list[Comparison] = []
+    for (task, variant), columns in sorted(_latest(outcomes).items()):
+        names = sorted(columns, key=lambda name: (order.index(name.split()[0]), name))
+        for one, other in combinations(names, 2):
             a, b = (
                 returns_of(sorted(columns[name], key=lambda o: o.spec.seed))
                 for name in (one, other)
             )
             chance = improvement(a, b, stream("improvement"))
-            found.append(
-                Comparison(
-                    task,
-                    variant,
-                    one,
-                    other,
-                    chance.value,
-                    chance.low,
-                    chance.high,
-                    min(len(a), len(b)),
-                )
-            )
-    return found
+            bounds = (chance.value, chance.low, chance.high)
+            compared.append(Comparison(task, variant, one, other, *bounds, min(len(a), len(b))))
+    return compared
+
+
+def _latest(outcomes: Sequence[Outcome]) -> dict[tuple[str, str], dict[str, list[Outcome]]]:
+    """Evaluated outcomes of each column's last iteration, by task and variant, then by column."""
+    latest: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
+    for outcome in (outcome for outcome in outcomes if outcome.iteration.returns):
+        spec = outcome.spec
+        columns = latest.setdefault((spec.task, spec.variant), {})
+        kept = columns.setdefault(spec.column, [])
+        newest = max((o.iteration.iteration for o in kept), default=-1)
+        if outcome.iteration.iteration > newest:
+            kept.clear()
+        if outcome.iteration.iteration >= newest:
+            kept.append(outcome)
+    return latest
 
 
 def estimates(outcomes: Sequence[Outcome]) -> list[ParameterEstimate]:
     """Beliefs of the methods that infer one distribution, parameter by parameter."""
-    found: list[ParameterEstimate] = []
-    for outcome in outcomes:
-        spec = outcome.spec
-        if not is_inferring(spec.method):
-            continue
-        distribution, space = decode(outcome)[0], source_of(spec.task, spec.variant).space
-        truth: Mapping[str, float] = {}
-        if isinstance(spec.target, SimulatedTarget):
-            truth = true_values(spec.task, spec.variant)
-        normalised = _normalised_std(outcome)
-        found.extend(
-            ParameterEstimate(
-                spec.task,
-                spec.variant,
-                spec.method.name,
-                spec.collector,
-                spec.seed,
-                outcome.iteration.iteration,
-                parameter.name,
-                parameter.unit,
-                float(distribution.mean[i]),
-                float(distribution.std[i]),
-                float(normalised[i]),
-                truth.get(parameter.name),
-            )
-            for i, parameter in enumerate(space.parameters)
+    inferred = [outcome for outcome in outcomes if outcome.spec.method.infers]
+    return [estimate for outcome in inferred for estimate in _estimates(outcome)]
+
+
+def _estimates(outcome: Outcome) -> list[ParameterEstimate]:
+    spec, distribution = outcome.spec, decode(outcome)[0]
+    truth: Mapping[str, float] = {}
+    if isinstance(spec.target, SimulatedTarget):
+        truth = true_values(spec.task, spec.variant)
+    normalised = _normalised_std(outcome)
+    return [
+        ParameterEstimate(
+            task=spec.task,
+            variant=spec.variant,
+            method=spec.method.name,
+            collector=spec.collector,
+            seed=spec.seed,
+            iteration=outcome.iteration.iteration,
+            parameter=parameter.name,
+            unit=parameter.unit,
+            mean=float(distribution.mean[i]),
+            std=float(distribution.std[i]),
+            normalised_std=float(normalised[i]),
+            truth=truth.get(parameter.name),
         )
-    return found
+        for i, parameter in enumerate(distribution.space.parameters)
+    ]
 
 
 def to_csv(rows: Sequence[Any], row_type: type = Row) -> str:
@@ -213,7 +206,7 @@ _Key = tuple[str, str, str, str, int]  # task, variant, method, collector, itera
 
 
 def _grouped(outcomes: Sequence[Outcome]) -> dict[_Key, list[Outcome]]:
-    """Outcomes that differ in their seeds alone, by seed; methods as catalogued."""
+    """Outcomes grouped by all but their seed, in order of seeds; methods as catalogued."""
     groups: dict[_Key, list[Outcome]] = {}
     for outcome in sorted(outcomes, key=lambda o: o.spec.seed):
         spec, iteration = outcome.spec, outcome.iteration.iteration
@@ -231,7 +224,7 @@ def _mean(values: Sequence[float | None]) -> float | None:
 def _row(key: _Key, outcomes: Sequence[Outcome]) -> Row:
     task, variant, method, collector, iteration = key
     returns = returns_of(outcomes)
-    # equal data, equal intervals
+    # the same stream for all rows, so that equal data have equal intervals
     average = interval(returns, mean, stream("interval"))
     middle = interval(returns, interquartile_mean, stream("interval"))
     reached = [flag for o in outcomes for flag in o.iteration.reached_threshold]
@@ -259,21 +252,17 @@ def _row(key: _Key, outcomes: Sequence[Outcome]) -> Row:
 
 
 def _error(outcome: Outcome) -> float | None:
-    if not _has_one_belief(outcome.spec):
+    if not outcome.spec.method.believes:
         return None
     if not isinstance(outcome.spec.target, SimulatedTarget):
-        return None  # nobody knows the truth
+        return None  # the truth is unknown
     return estimation_error(outcome.spec.task, outcome.spec.variant, decode(outcome)[0].mean)
 
 
 def _spread(outcome: Outcome) -> float | None:
-    if not _has_one_belief(outcome.spec):
+    if not outcome.spec.method.believes:
         return None
     return float(np.sqrt(np.mean(_normalised_std(outcome) ** 2)))
-
-
-def _has_one_belief(spec: RunSpec) -> bool:
-    return is_inferring(spec.method) or isinstance(spec.method, PriorSettings)
 
 
 def _normalised_std(outcome: Outcome) -> Vector:
@@ -285,7 +274,7 @@ def _normalised_std(outcome: Outcome) -> Vector:
 def decode(outcome: Outcome) -> list[Distribution]:
     """The distributions that the iteration's policies were trained on."""
     spec = outcome.spec
-    # the oracle is trained on the truth, whose space the vanilla source has
-    variant = "vanilla" if isinstance(spec.method, OracleSettings) else spec.variant
+    # the truth's own space is that of the vanilla source
+    variant = "vanilla" if spec.method.needs_truth else spec.variant
     space = source_of(spec.task, variant).space
     return [distribution_from_json(space, given) for given in outcome.iteration.distributions]

@@ -1,8 +1,8 @@
-"""How sure an aggregate of returns is: intervals over seeds, policies and episodes.
+"""Aggregates of returns with bootstrap intervals over seeds, policies and episodes.
 
 The interquartile mean and the probability of improvement are those of Agarwal et al., "Deep
-Reinforcement Learning at the Edge of the Statistical Precipice", arXiv 2108.13264; our own,
-because rliable does not import beside current pandas.
+Reinforcement Learning at the Edge of the Statistical Precipice", arXiv 2108.13264, Sec. 4. We
+compute them ourselves, because their library rliable does not import beside current pandas.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,12 +29,13 @@ class Interval:
 
 
 def mean(scores: Matrix) -> Vector:
-    """Means over the last axis: of policies' mean returns (..., n)."""
+    """Means of policies' mean returns (..., n) over the last axis."""
     return scores.mean(axis=-1)
 
 
 def interquartile_mean(scores: Matrix) -> Vector:
-    """Means of the middle half over the last axis; with fewer than four, of all."""
+    """Means of the middle half of scores (..., n) over the last axis; of all if n < 4."""
+    # Agarwal et al., Sec. 4.3: the 25 % trimmed mean
     return np.asarray(trim_mean(scores, 0.25, axis=-1))
 
 
@@ -43,14 +44,13 @@ def interval(
 ) -> Interval:
     """An aggregate of the policies' mean returns, with its interval.
 
-    Each seed is a (policies, episodes) array, all of the same number of policies. The bootstrap
-    resamples seeds, then policies, then episodes, so that the interval covers repeating the whole
+    Each seed is a (policies, episodes) array, all with the same number of policies. The bootstrap
+    resamples seeds, then policies, then episodes, so the interval covers repetitions of the whole
     experiment. With few seeds it is too short (three seeds have ten distinct resamples): report
     their number with it.
     """
-    scores = _resampled(seeds, rng)
-    found = np.concatenate([returns.mean(axis=1) for returns in seeds])
-    return _between(float(aggregate(found)), aggregate(scores.reshape(_RESAMPLES, -1)))
+    resampled = aggregate(_resampled(seeds, rng).reshape(_RESAMPLES, -1))
+    return _percentile_interval(float(aggregate(_policy_means(seeds))), resampled)
 
 
 def improvement(
@@ -59,30 +59,33 @@ def improvement(
     """The probability that a policy of `one` earns more than one of `other`, ties counted half."""
 
     def wins(a: Matrix, b: Matrix) -> Vector:
+        # Agarwal et al., Sec. 4.3: P(X > Y) = mean of S(x, y), S = 1, 1/2, 0 for x >, =, < y
         difference = np.sign(a[..., :, None] - b[..., None, :])
         return (difference.mean(axis=(-2, -1)) + 1) / 2
 
-    found = [np.concatenate([r.mean(axis=1) for r in seeds]) for seeds in (one, other)]
-    drawn = [_resampled(seeds, rng).reshape(_RESAMPLES, -1) for seeds in (one, other)]
-    return _between(float(wins(*found)), wins(*drawn))
+    means = [_policy_means(seeds) for seeds in (one, other)]
+    resampled = [_resampled(seeds, rng).reshape(_RESAMPLES, -1) for seeds in (one, other)]
+    return _percentile_interval(float(wins(*means)), wins(*resampled))
 
 
 def difference(
     ones: Sequence[Sequence[Matrix]], others: Sequence[Sequence[Matrix]], rng: np.random.Generator
 ) -> Interval:
-    """How much more one method earns than another: mean returns, averaged over cells.
+    """The difference of two methods' mean returns, averaged over cells.
 
-    A cell is a task's variant, with its seeds; both methods have the same ones.
+    A cell is a task's variant with its seeds; both methods have the same cells.
     """
-    found = [
-        np.mean([np.concatenate([r.mean(axis=1) for r in seeds]).mean() for seeds in cells])
-        for cells in (ones, others)
-    ]
-    drawn = [
+    means = [np.mean([_policy_means(seeds).mean() for seeds in cells]) for cells in (ones, others)]
+    resampled = [
         np.mean([_resampled(seeds, rng).mean(axis=(1, 2)) for seeds in cells], axis=0)
         for cells in (ones, others)
     ]
-    return _between(float(found[0] - found[1]), drawn[0] - drawn[1])
+    return _percentile_interval(float(means[0] - means[1]), resampled[0] - resampled[1])
+
+
+def _policy_means(seeds: Sequence[Matrix]) -> Vector:
+    """The mean return of every policy of all seeds, (seeds * policies,)."""
+    return np.concatenate([returns.mean(axis=1) for returns in seeds])
 
 
 def _resampled(seeds: Sequence[Matrix], rng: np.random.Generator) -> Matrix:
@@ -93,7 +96,7 @@ def _resampled(seeds: Sequence[Matrix], rng: np.random.Generator) -> Matrix:
         raise InvalidInput(f"seeds differ in policies: {[len(returns) for returns in seeds]}")
     count, policies = len(seeds), len(seeds[0])
     scores = np.empty((_RESAMPLES, count, policies))
-    # seed by seed and chunk by chunk, because all draws at once may not fit into memory
+    # seed by seed and in chunks, because all draws at once may not fit into memory
     for place in range(count):
         chosen = rng.integers(count, size=_RESAMPLES)
         for index, returns in enumerate(seeds):
@@ -111,7 +114,8 @@ def _resampled_policies(returns: Matrix, count: int, rng: np.random.Generator) -
     return returns[rows, columns].mean(axis=2)
 
 
-def _between(value: float, resampled: Vector) -> Interval:
+def _percentile_interval(value: float, resampled: Vector) -> Interval:
+    """The percentile bootstrap interval (Efron and Tibshirani 1993, ch. 13)."""
     tail = 100 * (1 - _LEVEL) / 2
     low, high = np.percentile(resampled, [tail, 100 - tail])
     return Interval(value, float(low), float(high))

@@ -9,13 +9,12 @@ degrees of freedom, in SI units.
 
 import csv
 import io
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adr_service.arrays import Indices, Mask, Matrix, Vector, frozen
+from adr_service.arrays import Indices, Mask, Matrix, Vector, frozen, spans
 from adr_service.errors import InvalidInput
 from adr_service.npz import names_in, read_arrays
 from adr_service.transitions import MOST_EPISODES
@@ -96,8 +95,7 @@ class Measurement:
 
     def spans(self) -> list[tuple[int, int]]:
         """Half-open row ranges of the episodes."""
-        edges = [0, *(np.flatnonzero(np.diff(self.episode)) + 1).tolist(), len(self.time)]
-        return [(a, b) for a, b in itertools.pairwise(edges)]
+        return spans(self.episode)
 
     def episodes(self, chosen: Sequence[int]) -> "Measurement":
         """The episodes at these positions, in order."""

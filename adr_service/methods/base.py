@@ -1,16 +1,18 @@
-"""What an ADR method is: evidence about the target in, a distribution to train on out.
+"""Interfaces of ADR methods, which turn evidence about the target into a distribution to train on.
 
-Methods never train a policy and never touch the target. An `OfflineMethod` turns recorded
-transitions into an estimate; an `OnlineMethod` is asked for a distribution, and told what the
-policy trained on it did on the target. State is a JSON value, so that a run can stop and go on.
+A method never trains a policy and never touches the target. An `OfflineMethod` fits an estimate
+to recorded transitions. An `OnlineMethod` proposes a distribution (`ask`) and learns from the
+trajectories of a policy that was trained on it (`tell`). The caller keeps its state, a JSON value,
+so that a run can stop and go on.
 
-A method's settings are its entry in the catalogue: they know how to make the method, and what it
-will cost (docs/add-a-method.md).
+The settings of a method are its entry in the catalogue. They hold all that differs between
+methods: the program that runs the method, the data it learns from, the cost of an inference, and
+its name and colour in figures (docs/add-a-method.md).
 """
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, ClassVar, Literal, Protocol, Self, cast
 
 import numpy as np
 
@@ -24,7 +26,7 @@ from adr_service.transitions import TransitionDataset
 
 @dataclass(frozen=True)
 class Problem:
-    """What a method may simulate: the task, and its source with the unknowns."""
+    """The simulator that a method may use: a task, and a source with unknown parameters."""
 
     task: Task
     source: Source
@@ -32,7 +34,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the target showed of one policy."""
+    """Transitions that one policy recorded on the target."""
 
     policy: Policy
     data: TransitionDataset
@@ -40,7 +42,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Estimate:
-    """An inferred distribution, what it cost, and what a reader should know of it."""
+    """An inferred distribution, the cost of inferring it, and diagnostics for a reader."""
 
     distribution: Distribution
     simulated_steps: int  # control steps
@@ -49,7 +51,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Update:
-    """A new state of an online method, what it cost, and what a reader should know of it."""
+    """A new state of an online method, the cost of computing it, and diagnostics for a reader."""
 
     state: dict[str, Any]  # JSON
     simulated_steps: int  # control steps
@@ -57,16 +59,22 @@ class Update:
 
 
 class OfflineMethod(Protocol):
+    """A method that learns once, from recorded transitions."""
+
     def fit(
         self,
         problem: Problem,
         data: TransitionDataset,
         rng: np.random.Generator,
         progress: Progress,
-    ) -> Estimate: ...
+    ) -> Estimate:
+        """Fit a distribution to recorded transitions; all random numbers come from `rng`."""
+        ...
 
 
 class OnlineMethod(Protocol):
+    """A method that learns from the policies trained on its own distributions."""
+
     def start(self, problem: Problem) -> dict[str, Any]:
         """The state before any evidence."""
         ...
@@ -83,35 +91,93 @@ class OnlineMethod(Protocol):
         rng: np.random.Generator,
         progress: Progress,
     ) -> Update:
-        """The state after `evidence` of a policy trained on what `ask` gave."""
+        """The state after `evidence` of a policy trained on the distribution of `ask`."""
         ...
+
+
+Data = Literal["nothing", "returns", "visits", "recordings"]
 
 
 class MethodSettings(Wire):
     """Settings of a method."""
 
-    name: Any  # the method's: a `Literal` in each class, which `str` could not become
+    name: Any  # of the method: a `Literal` in each class, which could not narrow a `str`
+
+    program: ClassVar[str]  # module with the function `run` for runs of the method
+    learns_from: ClassVar[Data]  # returns, visits by its own policies, or recordings of others
+    grid: ClassVar["Grid | None"] = None  # setting that is tried with several values
+    believes: ClassVar[bool] = False  # each answer is one distribution, an estimate
+    needs_truth: ClassVar[bool] = False  # trains on the hidden truth, in the target's own space
+    is_reference: ClassVar[bool] = False  # part of every benchmark, to compare with
+    is_level: ClassVar[bool] = False  # evaluated once, without iterations
+    collects: ClassVar[bool] = False  # its visits are the data of offline methods by default
+    label: ClassVar[str] = ""  # in figures; empty: the name
+    # in figures; ours are Okabe and Ito's colours, which colour-blind readers can distinguish
+    colour: ClassVar[str] = "#882255"
+
+    @property
+    def infers(self) -> bool:
+        """True if the method infers distributions from transitions of the target."""
+        return self.learns_from in ("visits", "recordings")
+
+    @property
+    def each(self) -> "list[Self]":
+        """These settings once per value of the grid's list, each with that one value."""
+        if self.grid is None:
+            return [self]
+        setting: Any = getattr(self, self.grid.field)
+        values = cast(list[Any], setting) if isinstance(setting, list) else [setting]
+        return [self.model_copy(update={self.grid.field: value}) for value in values]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A setting that may have several values, tried side by side; the best answer counts.
+
+    An answer is best if `criterion` is smallest among its diagnostics.
+    """
+
+    field: str  # of the settings
+    criterion: str
 
 
 class OfflineSettings(MethodSettings):
     """Settings of a method that learns from recorded transitions."""
 
+    program: ClassVar[str] = "adr_service.programs.offline"
+    learns_from: ClassVar[Data] = "recordings"
+    believes: ClassVar[bool] = True
+
     @abstractmethod
-    def create(self) -> OfflineMethod: ...
+    def create(self) -> OfflineMethod:
+        """The method with these settings."""
+        ...
 
     @abstractmethod
     def planned_steps(self, parameters: int, transitions: int) -> int:
-        """Control steps that one inference from so many transitions simulates, about."""
+        """Control steps that one inference simulates, about.
+
+        The source has `parameters` unknowns; the data have `transitions`.
+        """
         ...
 
 
 class OnlineSettings(MethodSettings):
-    """Settings of a method that is told what the policy of its last distribution did."""
+    """Settings of a method that learns from visits of the policy of its last distribution."""
+
+    program: ClassVar[str] = "adr_service.programs.online"
+    learns_from: ClassVar[Data] = "visits"
+    believes: ClassVar[bool] = True
 
     @abstractmethod
-    def create(self) -> OnlineMethod: ...
+    def create(self) -> OnlineMethod:
+        """The method with these settings."""
+        ...
 
     @abstractmethod
     def planned_steps(self, parameters: int, transitions: int) -> int:
-        """Control steps that one inference from so many transitions simulates, at most."""
+        """Control steps that one inference simulates, at most.
+
+        The source has `parameters` unknowns; the evidence has `transitions`.
+        """
         ...

@@ -2,25 +2,28 @@
 
 Muratore et al.: "Data-efficient Domain Randomization with Bayesian Optimization", arXiv
 2003.02471, as the benchmark adapts it (Tiboni et al., Sec. 3.2): uniform source distributions,
-a Gaussian process that starts from UDR's policies and their target returns and nothing else, and
-one more policy per iteration. It looks at returns alone, never at transitions.
+a Gaussian process that starts from the returns of UDR's policies, and one more policy per
+iteration. BayRn uses target returns alone, never transitions.
 
-What the benchmark does not state, and is chosen here: Matern-5/2 with a length scale per
-coordinate; expected improvement (in logarithms, for its numerics); bounds as position and width,
-so that every point of the cube is a valid distribution and none has two names; one full target
-episode per policy; the policy reported at an iteration is the one, of all so far, with the
-highest posterior mean.
+The benchmark does not state these choices:
+- The kernel is Matern-5/2 with one length scale per coordinate, as BoTorch's default was in 2021.
+- The acquisition is expected improvement, one of SimuRLacra's three, in logarithms for its
+  numerics.
+- Bounds are encoded as position and width. So every point of the unit cube is a valid
+  distribution, and no distribution has two encodings.
+- Each policy earns its return in one full target episode.
+- The policy reported at an iteration is the one, of all so far, with the highest posterior mean.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.distributions import Uniform
-from adr_service.methods.base import MethodSettings
+from adr_service.methods.base import Data, MethodSettings
 from adr_service.parameters import ParameterSpace
 from adr_service.startup_time import preparing
 
@@ -29,40 +32,49 @@ class BayRnSettings(MethodSettings):
     name: Literal["bayrn"] = "bayrn"
     initial: int = Field(10, ge=2, le=1000, description="policies of UDR to start from")
 
+    program: ClassVar[str] = "adr_service.programs.bayesian"
+    learns_from: ClassVar[Data] = "returns"
+    label: ClassVar[str] = "BayRn"
+    colour: ClassVar[str] = "#999933"
+
 
 @dataclass(frozen=True)
 class Proposal:
-    """What the returns so far suggest."""
+    """The next distribution to try, and the best one so far."""
 
     next: Uniform  # to train on next
-    best: int  # index of the distribution whose policy is believed best
-    means: Vector  # (n,) posterior means of those so far
+    best: int  # index of the distribution with the highest posterior mean
+    means: Vector  # (n,) posterior mean return of each distribution so far
 
 
 def propose(boxes: list[Uniform], returns: Vector, rng: np.random.Generator) -> Proposal:
-    """Where to look after `boxes` earned `returns` (n,) on the target."""
-    # importing BoTorch takes seconds: only who optimises pays
+    """The proposal after policies trained on `boxes` earned `returns` (n,) on the target."""
+    # BoTorch takes seconds to import, which only an optimisation should cost
     with preparing():
         from adr_service.search.bayesian import Surrogate
 
     points = np.array([encode(box) for box in boxes])
-    surrogate = Surrogate(points, returns, rng)
+    surrogate = Surrogate(points, returns, rng)  # J(phi) ~ GP, return over distribution (Sec. 3.2)
     means = surrogate.mean(points)
-    return Proposal(decode(boxes[0].space, surrogate.propose()), int(np.argmax(means)), means)
+    following = decode(boxes[0].space, surrogate.propose())  # argmax of the acquisition
+    return Proposal(following, best=int(np.argmax(means)), means=means)
 
 
 def encode(box: Uniform) -> Vector:
-    """Bounds as (2d,) in [0, 1]: where the interval stands in its room, then how wide it is."""
+    """A box as (2d,) in [0, 1]: positions, then widths.
+
+    width = (b - a) / (high - low), position = (a - low) / (high - low - (b - a)) for bounds [a, b].
+    """
     low, high = box.space.low, box.space.high
     width = (box.high - box.low) / (high - low)
     room = (high - low) - (box.high - box.low)
     with np.errstate(invalid="ignore", divide="ignore"):
-        position = np.where(room > 0, (box.low - low) / room, 0.5)
+        position = np.where(room > 0, (box.low - low) / room, 0.5)  # a whole interval has no room
     return np.concatenate([position, width])
 
 
 def decode(space: ParameterSpace, point: Matrix) -> Uniform:
-    """The inverse of `encode`, for every point of the cube."""
+    """The box of a point (2d,) in [0, 1], the inverse of `encode`."""
     position, width = np.split(np.asarray(point), 2)
     ranges = space.high - space.low
     low = space.low + position * (1 - width) * ranges

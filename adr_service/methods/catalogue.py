@@ -1,85 +1,90 @@
-"""The catalogue of methods: the settings class of each is its entry.
+"""The catalogue of methods, in which each method's settings class is its entry.
 
-Ours, and those of installed packages: an entry point of the group `adr_service.methods` names a
-settings class (docs/add-a-method.md).
+It collects the settings classes in the modules of this package, and those that installed packages
+name by an entry point of the group `adr_service.methods` (docs/add-a-method.md).
 """
 
 import inspect
-from collections.abc import Mapping
+import pkgutil
+from collections.abc import Iterator, Mapping
 from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING, Annotated, Any, Union, get_args
 
-from pydantic import Field, TypeAdapter
+from pydantic import Field
 
+import adr_service.methods
 from adr_service.errors import InvalidInput
-from adr_service.methods.base import MethodSettings, OfflineSettings, OnlineSettings
-from adr_service.methods.bayrn import BayRnSettings
-from adr_service.methods.droid import DroidSettings
-from adr_service.methods.dropo import DropoSettings
-from adr_service.methods.references import OracleSettings, PriorSettings
-from adr_service.methods.simopt import SimOpt1Settings, SimOptSettings
-from adr_service.methods.sysid import SysidSettings
-from adr_service.methods.udr import UdrSettings
+from adr_service.methods.base import Data, MethodSettings, OfflineSettings, OnlineSettings
 from adr_service.plugins import installed, load, origin, package_of
 
 GROUP = "adr_service.methods"
-BUILT_IN: tuple[type[MethodSettings], ...] = (
-    UdrSettings,
-    BayRnSettings,
-    SimOptSettings,
-    SimOpt1Settings,
-    DroidSettings,
-    DropoSettings,
-    SysidSettings,
-)
-REFERENCES: tuple[type[MethodSettings], ...] = (PriorSettings, OracleSettings)
+_ORDER: tuple[Data, ...] = get_args(Data)
 
 
 @cache
 def methods() -> Mapping[str, type[MethodSettings]]:
-    """The settings classes by the methods' names: ours, installed packages', the references."""
-    references = {_name(settings): settings for settings in REFERENCES}
-    entries = {_name(settings): settings for settings in BUILT_IN}
+    """Settings classes by method name: ours, then those of installed packages, then references.
+
+    Ours stand in the order of the data they learn from: nothing, returns, visits, recordings.
+    """
+    ours = {name_of(settings): settings for settings in sorted(_built_in(), key=_rank)}
+    references = {name: each for name, each in ours.items() if each.is_reference}
+    entries = {name: each for name, each in ours.items() if not each.is_reference}
     for point in installed(GROUP):
-        settings = load(point)
-        if not (isinstance(settings, type) and issubclass(settings, _INFERRING)):
-            raise InvalidInput(
-                f"{origin(point)} must name a subclass of OfflineSettings or OnlineSettings "
-                f"(adr_service.methods.base); it is {settings!r}"
-            )
-        if inspect.isabstract(settings):
-            lacking = ", ".join(sorted(settings.__abstractmethods__))
-            raise InvalidInput(f"{origin(point)} gives {settings.__name__}, which lacks {lacking}")
-        if _name(settings) != point.name:
-            raise InvalidInput(
-                f"{origin(point)} gives a method of another name, {_name(settings)!r}"
-            )
+        settings = _settings_at(point)
         if point.name in entries | references:
-            raise InvalidInput(f"{origin(point)} gives a method which there is already")
+            raise InvalidInput(
+                f"{origin(point)} gives a method whose name is taken; the other methods are "
+                f"{', '.join(entries | references)}"
+            )
         entries[point.name] = settings
     return entries | references
 
 
-def parse_settings(document: Any) -> MethodSettings:
-    """The settings of any method, from JSON."""
-    return TypeAdapter[MethodSettings](AnyMethod).validate_python(document)
+def names_of(learns_from: Data) -> list[str]:
+    """Names of the methods that learn from one kind of data."""
+    return [name for name, each in methods().items() if each.learns_from == learns_from]
 
 
 def identity_of(settings: MethodSettings) -> dict[str, Any]:
-    """What a stage's inputs say of a method: its settings, and a foreign package's version."""
-    document = settings.model_dump()
-    package = package_of(GROUP, settings.name)
-    return {"method": document} | ({} if package is None else {"method_package": package})
+    """Inputs by which a stage knows a method: its settings, and the version of its package."""
+    return {"method": settings, "method_package": package_of(GROUP, settings.name)}
 
 
-def is_inferring(settings: MethodSettings) -> bool:
-    """Whether the method infers one distribution, from what the target shows."""
-    return isinstance(settings, _INFERRING)
-
-
-def _name(settings: type[MethodSettings]) -> str:
-    """The method's name, the only value of the literal; empty where there is none."""
+def name_of(settings: type[MethodSettings]) -> str:
+    """Name of the method, from the literal type of the field; empty if there is none."""
     return str(next(iter(get_args(settings.model_fields["name"].annotation)), ""))
+
+
+def _settings_at(point: EntryPoint) -> type[MethodSettings]:
+    """The settings class that an entry point names, if it is complete and has the point's name."""
+    settings = load(point)
+    if not (isinstance(settings, type) and issubclass(settings, _INFERRING)):
+        raise InvalidInput(
+            f"{origin(point)} must name a subclass of OfflineSettings or OnlineSettings "
+            f"(adr_service.methods.base); it is {settings!r}"
+        )
+    if inspect.isabstract(settings):
+        lacking = ", ".join(sorted(settings.__abstractmethods__))
+        raise InvalidInput(f"{origin(point)} gives {settings.__name__}, which lacks {lacking}")
+    if name_of(settings) != point.name:
+        raise InvalidInput(f"{origin(point)} gives a method of another name, {name_of(settings)!r}")
+    return settings
+
+
+def _built_in() -> Iterator[type[MethodSettings]]:
+    """Settings classes in the modules of this package, by module, in the order of definition."""
+    for module in pkgutil.iter_modules(adr_service.methods.__path__):
+        if module.name not in ("base", "catalogue"):
+            content = vars(import_module(f"{adr_service.methods.__name__}.{module.name}"))
+            classes = (value for value in content.values() if isinstance(value, type))
+            yield from (c for c in classes if issubclass(c, MethodSettings) and name_of(c))
+
+
+def _rank(settings: type[MethodSettings]) -> int:
+    return _ORDER.index(settings.learns_from)
 
 
 _INFERRING = (OfflineSettings, OnlineSettings)

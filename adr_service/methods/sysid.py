@@ -1,15 +1,18 @@
-"""System identification: the point that predicts the recorded transitions best.
+"""System identification: the one point that predicts the recorded transitions best.
 
-Nonlinear least squares on one-step predictions, the baseline that practitioners try first: no
-distribution, so the policy is trained on a single simulator. Each Jacobian is one batch of
-replays by finite differences (SciPy's trust-region reflective algorithm inside the search
-bounds). Residuals are divided by the standard deviation of their column.
+Nonlinear least squares on one-step predictions, the baseline that practitioners try first. It
+infers no distribution, so the policy is trained on a single simulator. The search is SciPy's
+trust-region reflective algorithm (Branch, Coleman, Li: "A Subspace, Interior, and Conjugate
+Gradient Method for Large-Scale Bound-Constrained Minimization Problems", SIAM J. Sci. Comput. 21,
+1999) inside the search bounds. Finite differences give each Jacobian from one batch of replays.
+Residuals are divided by the standard deviation of their column.
 
-The standard deviations that follow from the Jacobian and the residuals are reported as `std` but
-not trained on: they are honest only where the model is right.
+Standard deviations that follow from the Jacobian and the residuals (White: "A
+Heteroskedasticity-Consistent Covariance Matrix Estimator", Econometrica 48, 1980) are reported as
+`std`. The policy does not train on them, because they are honest only where the model is right.
 """
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -20,11 +23,16 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.distributions import Uniform
 from adr_service.errors import InvalidInput
 from adr_service.methods.base import Estimate, OfflineSettings, Problem
+from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
 from adr_service.simulation.replay import Replay
 from adr_service.transitions import TransitionDataset
 
 _STEP = 1e-4  # of the finite differences, in [0, 4] coordinates
+_POINT_TOLERANCE = 1e-10  # a search ends at a smaller relative change of the point
+_COST_TOLERANCE = 1e-12  # or of the cost
+_GRADIENT_TOLERANCE = 1e-12  # or at a smaller scaled gradient
+_MOST_CONDITION = 1e15  # of the information matrix, beyond which float64 cannot invert it
 
 
 class SysidSettings(OfflineSettings):
@@ -32,6 +40,8 @@ class SysidSettings(OfflineSettings):
     starts: int = Field(4, ge=1, le=1000, description="searches, the first from the middle")
     steps: int = Field(1, ge=1, le=10_000, description="control steps per replayed window")
     iterations: int = Field(50, ge=1, le=10_000, description="evaluations per search, at most")
+
+    colour: ClassVar[str] = "#000000"
 
     def create(self) -> "Sysid":
         return Sysid(self)
@@ -51,39 +61,50 @@ class Sysid:
         rng: np.random.Generator,
         progress: Progress,
     ) -> Estimate:
-        settings, space = self._settings, problem.source.space
-        d, width = len(space), space.WIDTH
-        replay = Replay(problem.task, problem.source, data, d + 1, settings.steps)
+        steps, space = self._settings.steps, problem.source.space
+        # a Jacobian replays a point and one neighbour per parameter
+        replay = Replay(problem.task, problem.source, data, len(space) + 1, steps)
         if not len(replay.targets):
-            raise InvalidInput(f"no episode has {settings.steps} consecutive transitions: {data!r}")
+            raise InvalidInput(f"no episode has {steps} consecutive transitions: {data!r}")
         residuals = _Residuals(replay, problem)
-        others = qmc.LatinHypercube(d, rng=rng).random(settings.starts - 1)
-        found: list[OptimizeResult] = []
-        for turn, start in enumerate([np.full(d, width / 2), *(width * others)]):
-            found.append(
-                least_squares(
-                    residuals.value,
-                    start,
-                    jac=residuals.jacobian,  # pyright: ignore[reportArgumentType]
-                    bounds=(0, width),
-                    xtol=1e-10,
-                    ftol=1e-12,
-                    gtol=1e-12,
-                    max_nfev=settings.iterations,
-                )
-            )
-            progress((turn + 1) / settings.starts, cost=float(found[-1].cost))
-        best = min(found, key=lambda result: float(result.cost))
+        ends = self._search(residuals, len(space), rng, progress)
+        best = min(ends, key=lambda end: float(end.cost))
         values = np.clip(space.denormalise(best.x), space.low, space.high)
+        ranges = (space.high - space.low) / space.WIDTH
         return Estimate(
             Uniform.point(space, values),
-            simulated_steps=residuals.replayed * len(replay.targets) * settings.steps,
+            simulated_steps=residuals.replayed * len(replay.targets) * steps,
             diagnostics={
-                "costs": sorted(float(result.cost) for result in found),
+                "costs": sorted(float(end.cost) for end in ends),
                 "mean_squared_error": float(replay.mean_squared_error(values[None])[0]),
-                "std": _deviations(best, space.high - space.low, width).tolist(),
+                "std": (_deviations(best) * ranges).tolist(),
                 "replays": residuals.replayed,
             },
+        )
+
+    def _search(
+        self, residuals: "_Residuals", d: int, rng: np.random.Generator, progress: Progress
+    ) -> list[OptimizeResult]:
+        """The ends of the searches, from the middle of the box and from a Latin hypercube."""
+        others = qmc.LatinHypercube(d, rng=rng).random(self._settings.starts - 1)
+        starts = ParameterSpace.WIDTH * np.concatenate([np.full((1, d), 0.5), others])
+        ends: list[OptimizeResult] = []
+        for start in starts:
+            ends.append(self._search_from(start, residuals))
+            progress(len(ends) / len(starts), cost=float(ends[-1].cost))
+        return ends
+
+    def _search_from(self, start: Vector, residuals: "_Residuals") -> OptimizeResult:
+        """The end of min 1/2 ||r(x)||^2 from a start (d,), by Branch, Coleman and Li."""
+        return least_squares(
+            residuals.value,
+            start,
+            jac=residuals.jacobian,  # pyright: ignore[reportArgumentType]
+            bounds=(0, ParameterSpace.WIDTH),
+            xtol=_POINT_TOLERANCE,
+            ftol=_COST_TOLERANCE,
+            gtol=_GRADIENT_TOLERANCE,
+            max_nfev=self._settings.iterations,
         )
 
 
@@ -93,14 +114,16 @@ class _Residuals:
     def __init__(self, replay: Replay, problem: Problem):
         self._replay, self._space = replay, problem.source.space
         deviation = replay.targets.std(axis=0)
+        # a constant column has no scale of its own
         self._scale: Vector = np.where(deviation > 0, deviation, 1.0)
-        self.replayed = 0
+        self.replayed = 0  # points
 
     def value(self, x: Vector) -> Vector:
+        """The residuals r(x), (m,), of all windows and columns."""
         return self._errors(x[None])[0]
 
     def jacobian(self, x: Vector) -> Matrix:
-        """One-sided differences (m, d), towards the inside of the box."""
+        """The Jacobian (m, d), by one-sided differences towards the inside of the box."""
         steps = np.where(x + _STEP <= self._space.WIDTH, _STEP, -_STEP)
         around = self._errors(np.concatenate([x[None], x + np.diag(steps)]))
         return ((around[1:] - around[0]) / steps[:, None]).T
@@ -113,15 +136,16 @@ class _Residuals:
         return ((predictions - self._replay.targets) / self._scale).reshape(len(points), -1)
 
 
-def _deviations(best: OptimizeResult, ranges: Vector, width: float) -> Vector:
-    """Standard deviations (d,) in SI units; infinite where the data do not tell.
+def _deviations(best: OptimizeResult) -> Vector:
+    """Standard deviations (d,) in [0, 4]; all infinite if the data leave a parameter open.
 
-    White's estimator: columns and windows may have noise of different size.
+    White's estimator, (J'J)^-1 J' diag(r^2) J (J'J)^-1: noise may differ between columns and
+    windows.
     """
     jacobian, residuals = np.asarray(best.jac), np.asarray(best.fun)
     information = jacobian.T @ jacobian
-    if np.linalg.cond(information) > 1e15:
-        return np.full(len(ranges), np.inf)
+    if np.linalg.cond(information) > _MOST_CONDITION:
+        return np.full(jacobian.shape[1], np.inf)
     inverse = np.linalg.inv(information)
     covariance = inverse @ ((jacobian.T * residuals**2) @ jacobian) @ inverse
-    return np.sqrt(np.diag(covariance)) * ranges / width
+    return np.sqrt(np.diag(covariance))

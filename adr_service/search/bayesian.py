@@ -1,11 +1,12 @@
-"""Bayesian optimisation in the unit cube, by BoTorch.
+"""Bayesian optimisation in the unit cube, by BoTorch (Balandat et al., arXiv 1910.06403).
 
     surrogate = Surrogate(points, values, rng)      # (n, d) in [0, 1], (n,) larger is better
     surrogate.mean(points)                          # (n,)
-    surrogate.propose()                             # (d,) where to look next
+    surrogate.propose()                             # (d,) the next point to evaluate
 
-A Gaussian process with a Matern-5/2 kernel, one length scale per coordinate, on standardised
-values. PyTorch's global generator is used inside a fork of it, seeded from ours.
+A Gaussian process with a Matern-5/2 kernel (Rasmussen and Williams 2006, eq. 4.17), one length
+scale per coordinate, on standardised values. Its random numbers come from a fork of PyTorch's
+global generator, seeded from our stream.
 """
 
 from collections.abc import Generator
@@ -24,7 +25,7 @@ from gpytorch.priors import GammaPrior
 
 from adr_service.arrays import Matrix, Vector
 
-_RESTARTS, _RAW = 20, 512  # of the acquisition's search
+_RESTARTS, _RAW = 20, 512  # of the search for the largest expected improvement
 
 
 class Surrogate:
@@ -45,16 +46,17 @@ class Surrogate:
         self._best = float(y.max())
 
     def mean(self, points: Matrix) -> Vector:
-        """The posterior mean at `points` (n, d), (n,)."""
+        """The posterior mean at `points` (n, d), (n,); Rasmussen and Williams, eq. 2.25."""
         with torch.no_grad():
             posterior = self._model.posterior(torch.tensor(points, dtype=torch.float64))
             return np.asarray(posterior.mean[:, 0], dtype=np.float64)
 
     def propose(self) -> Vector:
-        """The point (d,) of the largest expected improvement on the best value seen."""
+        """The point (d,) with the largest expected improvement on the best value so far."""
+        # log E[max(f(x) - best, 0)]: Ament et al., arXiv 2310.20708, eq. 8 and 9
         bounds = torch.tensor([[0.0] * self._d, [1.0] * self._d], dtype=torch.float64)
         with _seeded(self._rng) as seed:
-            found, _ = optimize_acqf(
+            points, _ = optimize_acqf(
                 LogExpectedImprovement(self._model, best_f=self._best),
                 bounds=bounds,
                 q=1,
@@ -62,12 +64,12 @@ class Surrogate:
                 raw_samples=_RAW,
                 options={"seed": seed},
             )
-        return np.clip(np.asarray(found[0], dtype=np.float64), 0.0, 1.0)
+        return np.clip(np.asarray(points[0], dtype=np.float64), 0.0, 1.0)
 
 
 @contextmanager
 def _seeded(rng: np.random.Generator) -> Generator[int]:
-    """PyTorch's global generator, seeded inside and as it was outside."""
+    """Seed PyTorch's global generator inside the block and restore it afterwards."""
     seed = int(rng.integers(2**31))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)

@@ -1,21 +1,31 @@
-"""CMA-ES over a box, by pycma, its random numbers ours.
+"""CMA-ES over a box, by pycma, with random numbers from our stream.
 
-es = strategy(np.full(8, 2.0), std=1.0, width=4.0, rng=rng)
-while not es.stop():
-    candidates = es.ask()
-    es.tell(candidates, [loss(x) for x in candidates])
+    es = strategy(np.full(8, 2.0), std=1.0, width=4.0, rng=rng)
+    while not es.stop():
+        candidates = es.ask()
+        es.tell(candidates, [loss(x) for x in candidates])
+
+Hansen: "The CMA Evolution Strategy: A Tutorial", arXiv 1604.00772.
 """
 
-import cma
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
+from adr_service.startup_time import preparing
+
+if TYPE_CHECKING:  # pycma takes a third of a second to import
+    import cma
 
 
 def strategy(
     start: Vector, *, std: float, width: float, rng: np.random.Generator
-) -> cma.CMAEvolutionStrategy:
+) -> "cma.CMAEvolutionStrategy":
     """A search in [0, width]^d from `start`, bounded by pycma's transformation."""
+    with preparing():
+        import cma
+
     return cma.CMAEvolutionStrategy(
         start.tolist(),
         std,
@@ -28,8 +38,11 @@ def strategy(
     )
 
 
-def belief(es: cma.CMAEvolutionStrategy) -> tuple[Vector, Matrix]:
-    """Mean (d,) and covariance (d, d) of the search's own Gaussian, in the box's coordinates."""
+def belief(es: "cma.CMAEvolutionStrategy") -> tuple[Vector, Matrix]:
+    """Mean (d,) and covariance (d, d) of the search's Gaussian, in the box's coordinates.
+
+    The search draws x ~ N(m, s² C) (eq. 5); `stds` are s sqrt(diag C), in the box's coordinates.
+    """
     shape: Matrix = np.asarray(es.C, dtype=np.float64)
     scale = np.asarray(es.result.stds, dtype=np.float64) / np.sqrt(np.diag(shape))
     return np.asarray(es.result.xfavorite, dtype=np.float64), scale[:, None] * shape * scale

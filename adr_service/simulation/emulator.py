@@ -1,12 +1,12 @@
-"""A polynomial that stands for a replay inside a box of dynamics, and knows how well.
+"""A polynomial in place of a replay inside a box of dynamics, with its error.
 
     emulator = Emulator.fit(replay, low, high, rng)
-    predictions = emulator.predict(draws)        # (n, w, s), as replay.predict, where covered
+    predictions = emulator.predict(draws)        # (n, w, s), as replay.predict inside the box
     emulator.error                               # (w, s) root mean square on held-out simulations
 
-Next observations are smooth in the parameters but for contacts that begin or end, so a
-polynomial per window is exact to far below a sensor's noise in a small box, and not in a large
-one: `error` says which.
+Next observations are smooth in the parameters except where contacts begin or end. So a polynomial
+per window errs by far less than a sensor's noise in a small box, but not in a large one; `error`
+measures it.
 """
 
 from collections.abc import Sequence
@@ -19,30 +19,30 @@ from scipy.stats import qmc
 from adr_service.arrays import Array3, Indices, Matrix, Vector
 from adr_service.simulation.replay import Replay
 
-_PER_COEFFICIENT = 2  # simulations, so that noise of contacts is averaged, not followed
+_PER_COEFFICIENT = 2  # simulations, so that the fit averages the noise of contacts
 _CHECKS = 16  # held-out simulations
-_MOST_COEFFICIENTS = 200  # beyond, the degree is lowered: simulations grow with it
+_MOST_COEFFICIENTS = 200  # with more, the degree is lowered, to need fewer simulations
 
 
 @dataclass(frozen=True)
 class Emulator:
     _box: "_Box"
     error: Matrix  # (w, s) root mean square on held-out simulations
-    simulated: int  # draws of dynamics that were replayed to fit and to check
-    diverged: int  # of those, draws that diverged in some window
+    simulated: int  # draws of dynamics that were replayed for the fit and its check
+    diverged: int  # those of them that diverged in some window
     _powers: Sequence[Indices]  # the factors of each monomial
     _coefficients: Matrix  # (p, w * s)
 
     @classmethod
     def fit(cls, replay: Replay, low: Vector, high: Vector, rng: np.random.Generator) -> "Emulator":
-        """Learn the windows of a replay from simulations that fill the box."""
+        """Fit a polynomial per window to simulations that fill the box."""
         d, shape = len(low), replay.targets.shape
         powers, count = _monomials(d), draws_to_fit(d)
         unit = qmc.Sobol(d, rng=rng).random(2 ** int(np.ceil(np.log2(count))))[:count]
         box = _Box(low, high)
         simulated = replay.predict(box.at(2 * unit - 1)).reshape(len(unit), -1)
         broken = ~np.isfinite(simulated)
-        # a diverged replay tells nothing of its window but, by the error, that it is uncertain
+        # the mean in place of a diverged replay: the window's error then grows
         middle = np.where(broken, 0.0, simulated).sum(axis=0) / np.maximum((~broken).sum(axis=0), 1)
         simulated = np.where(broken, middle, simulated)
         features = _features(2 * unit - 1, powers)
@@ -54,7 +54,7 @@ class Emulator:
         return cls(box, error, len(unit), diverged, powers, coefficients)
 
     def share(self, draws: Matrix) -> Vector:
-        """How much of the box's width draws (n, d) fill, (d,); above 1 where one is outside."""
+        """Share of the box's width that draws (n, d) fill, (d,); above 1 if one is outside."""
         unit = self._box.unit(draws)
         farthest = np.abs(unit).max(axis=0)
         return np.where(farthest > 1, farthest, np.ptp(unit, axis=0) / 2)
@@ -67,7 +67,7 @@ class Emulator:
 
 @dataclass(frozen=True)
 class _Box:
-    """[low, high] as [-1, 1]^d; by logarithm where that is possible, for masses act by ratio."""
+    """The box [low, high] as [-1, 1]^d, logarithmic where positive: masses act by ratios."""
 
     low: Vector
     high: Vector
@@ -87,12 +87,12 @@ class _Box:
 
 
 def draws_to_fit(d: int) -> int:
-    """Draws of d parameters that one fit replays, with its checks."""
+    """Number of draws of d parameters that one fit replays, checks included."""
     return _PER_COEFFICIENT * len(_monomials(d)) + _CHECKS
 
 
 def _monomials(d: int) -> list[Indices]:
-    """Every product of at most three (or, in many dimensions, two) coordinates."""
+    """All products of at most three coordinates, or of two if there are many coordinates."""
     for degree in (3, 2):
         powers = [
             np.array(factors, dtype=np.int64)

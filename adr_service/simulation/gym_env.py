@@ -4,10 +4,10 @@
     env = gymnasium.make("adr/RandomHopper-v0")
     observation, info = env.reset(seed=0, options={"dynamics": {"torso_mass": 4.2}})
 
-`adr/RandomX-v0` has the true dynamics, `adr/RandomXNoisy-v0` adds sensor noise to it, and
-`adr/RandomXUnmodeled-v0` is the simulator that has some parameters wrong. Given a distribution,
-an environment draws new dynamics at every reset. Training uses `vec_env`, which is faster. Made
-by hand, `RandomizedEnv("hopper")` ends no episode for its length; the names' TimeLimit does.
+`adr/RandomX-v0` has the true dynamics, `adr/RandomXNoisy-v0` adds sensor noise, and
+`adr/RandomXUnmodeled-v0` is the simulator with some wrong parameters. With a distribution, an
+environment draws new dynamics at every reset. Training uses `vec_env`, which is faster. An
+environment made by hand, `RandomizedEnv("hopper")`, has no time limit; those made by id have one.
 """
 
 from collections.abc import Mapping
@@ -29,9 +29,9 @@ from adr_service.tasks.catalogue import get_task, variant_of
 class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """One simulation of a task's variant.
 
-    `distribution` is a JSON document as methods infer it, over `env.unwrapped.space`; without
-    one the dynamics are true. A simulation that stopped being finite ends its episode with an
-    observation of zeros, no reward, and `info["diverged"]`.
+    `distribution` is the JSON document of an inferred distribution over `env.unwrapped.space`;
+    without one the dynamics are true. A diverged simulation ends its episode with an observation
+    of zeros, no reward, and `info["diverged"]`.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012 (Gymnasium's own)
@@ -70,15 +70,15 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     @property
     def dynamics(self) -> dict[str, float]:
-        """The parameters of this episode, in SI units."""
+        """The parameters of this episode by name, in SI units."""
         return dict(zip(self.space.names, self._simulations.dynamics[0].tolist(), strict=True))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode; `options["dynamics"]` gives some or all parameters by name."""
+        """Start an episode; `options["dynamics"]` sets some or all parameters by name."""
         super().reset(seed=seed)
-        self.close()  # a picture is of one episode's model
+        self.close()  # the camera draws one episode's model
         self._simulations.set_dynamics(self._drawn(options or {})[None])
         self._simulations.set_state(self._task.initial(1, self.np_random))
         return self._observe(self._simulations.state), {"dynamics": self.dynamics}
@@ -94,7 +94,7 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         reward = float(task.reward(before, action[None], after)[0])
         return self._observe(after), reward, bool(task.terminated(after)[0]), False, {}
 
-    # Gymnasium's own type allows lists of frames too, which we never give
+    # Gymnasium's own type allows lists of frames too, which we never return
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """The picture of the present state, (h, w, 3) bytes; None without a render mode."""
         if self.render_mode is None:

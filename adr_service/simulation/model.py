@@ -1,4 +1,4 @@
-"""Where a parameter's value goes in a MuJoCo model: address -> model field and element.
+"""Addresses of parameters in a MuJoCo model: address -> model field and elements.
 
     body:thigh.mass          mass of one body [kg]; its inertia stays ("as published")
     body:thigh.inertial      mass, the inertia scaled with it ("consistent")
@@ -8,7 +8,7 @@
     actuator:push.bias       constant of an affine bias, in the unit of its force before the gear
     pair:left.friction       sliding friction of an explicit contact pair, both directions
     pair:*.friction          of all pairs alike; so with every kind above
-    link:thigh.length        [m]; the task reshapes the model, which is compiled anew (batch.py)
+    link:thigh.length        [m]; the task reshapes the model, which is compiled anew (links.py)
 
 To randomise another quantity, add a row to `FIELDS`.
 """
@@ -16,6 +16,7 @@ To randomise another quantity, add a row to `FIELDS`.
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import mujoco
@@ -25,6 +26,16 @@ from numpy.typing import NDArray
 
 from adr_service.arrays import Indices, Matrix
 from adr_service.errors import InvalidInput, UnknownName
+from adr_service.tasks.base import Source
+
+
+@lru_cache(maxsize=32)
+def compiled(xml: str) -> mujoco.MjModel:
+    """The model of an MJCF text; shared, so do not change it."""
+    try:
+        return mujoco.MjModel.from_xml_string(xml)
+    except ValueError as error:
+        raise InvalidInput(f"MuJoCo cannot compile the model: {error}") from error
 
 
 @dataclass(frozen=True)
@@ -54,8 +65,18 @@ def link_of(address: str) -> str | None:
     return match.group(1) if match else None
 
 
+def addresses_of(source: Source) -> list[str]:
+    """The addresses of a source's fixed values, then of its parameters."""
+    return [*source.fixed, *(p.address for p in source.space.parameters)]
+
+
+def links_of(source: Source) -> list[str]:
+    """The links whose lengths a source fixes or leaves unknown."""
+    return [link for address in addresses_of(source) if (link := link_of(address)) is not None]
+
+
 def resolve(model: mujoco.MjModel, address: str) -> Slot:
-    """The slot an address names."""
+    """The slot of an address."""
     match = re.fullmatch(r"(\w+):(\w+|\*)\.(\w+)", address)
     if match is None:
         raise InvalidInput(f"address {address!r} is not of the form kind:name.attribute")
@@ -75,7 +96,7 @@ def resolve(model: mujoco.MjModel, address: str) -> Slot:
 
 
 def write(model: mujoco.MjModel, slot: Slot, value: float) -> None:
-    """Put a parameter's value into one model; derived constants are the caller's."""
+    """Write a parameter's value into one model; the caller updates the derived constants."""
     for element in slot.elements:
         array = getattr(model, slot.field)
         if slot.scaled is not None:
@@ -84,7 +105,7 @@ def write(model: mujoco.MjModel, slot: Slot, value: float) -> None:
 
 
 def read(model: mujoco.MjModel, slot: Slot) -> float:
-    """The value that a model has where a parameter goes."""
+    """A parameter's value in one model."""
     return float(getattr(model, slot.field)[slot.elements[0]])
 
 
@@ -92,7 +113,7 @@ class Writer:
     """Writes parameters into the simulations of a batch, one assignment per model field."""
 
     def __init__(self, batch: Batch, slots: Mapping[int, Slot]):
-        """`slots` by the column of the values that each takes."""
+        """`slots` maps columns of the values to their slots."""
         self._fields: list[_Field] = []
         for name, scaled in dict.fromkeys((slot.field, slot.scaled) for slot in slots.values()):
             targets = [
@@ -120,14 +141,21 @@ class Writer:
 
 @dataclass(frozen=True)
 class _Field:
-    """Where the values of some columns go in one expanded field."""
+    """Destination of some columns of the values in one expanded field."""
 
     array: NDArray[Any]  # (n, ...)
     index: tuple[Indices, ...]  # elements, by dimension
     columns: Indices  # of the values, for each element
-    per_unit: Matrix | None  # what one unit of the value gives; None: the value itself
+    per_unit: Matrix | None  # field's value per unit of the parameter; None: the parameter itself
 
 
 def _names(model: mujoco.MjModel, kind: str) -> list[str]:
     count = {"body": model.nbody, "joint": model.njnt, "actuator": model.nu, "pair": model.npair}
     return [getattr(model, kind)(i).name for i in range(count[kind])]
+
+
+def differs(one: mujoco.MjModel, other: mujoco.MjModel, field: str) -> bool:
+    """True if two models differ in a field; options of the solver are not compared."""
+    return not field.startswith("opt.") and not np.array_equal(
+        getattr(one, field), getattr(other, field)
+    )

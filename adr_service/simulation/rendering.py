@@ -24,11 +24,11 @@ from adr_service.tasks.base import Source, State, Task
 from adr_service.transitions import TransitionDataset
 
 Picture = NDArray[np.uint8]  # (height, width, 3)
-_GIF_TICK_S, _LONGEST_STRIDE = 0.01, 100  # a GIF counts hundredths of a second; players skip one
+_GIF_TICK_S, _LONGEST_STRIDE = 0.01, 100  # GIFs count hundredths of a second; players need two
 
 
 class Camera:
-    """Draws one model offscreen, from its first camera or, where it has none, from aside."""
+    """Draws one model offscreen, from its first camera or, without one, from the side."""
 
     def __init__(self, model: mujoco.MjModel, width: int = 480, height: int = 352):
         self._model, self._data = model, mujoco.MjData(model)
@@ -69,7 +69,7 @@ def of_policy(
     seed: int = 0,
     options: dict[str, Any] | None = None,
 ) -> Iterator[Picture]:
-    """An episode of a policy in a Gymnasium environment that renders, until it ends."""
+    """Pictures of a policy's episode in a Gymnasium environment with a render mode."""
     observation, _ = env.reset(seed=seed, options=options)
     yield env.render()
     for step in range(1, steps + 1):
@@ -85,9 +85,9 @@ def of_policy(
 def of_recording(
     task: Task, source: Source, dynamics: Vector, data: TransitionDataset, every: int = 1
 ) -> Iterator[Picture]:
-    """A recorded episode on the left; replayed open loop from its first state on the right.
+    """Pictures of a recorded episode on the left and its open-loop replay on the right.
 
-    What is not measured (how far the robot has come) is not shown on the left.
+    The left shows measured values alone, so not how far the robot has come.
     """
     check_recorded(task, data)
     simulations = Simulations(task, source, 1)
@@ -110,9 +110,9 @@ def of_recording(
 
 
 def stride_of(path: Path, period_s: float) -> int:
-    """Every how many control steps a film has a picture, so that it runs as fast as the robot.
+    """Control steps between two pictures of a film, so that it plays in real time.
 
-    Raises InvalidInput for what is no film's name, before anything is drawn.
+    Raises InvalidInput if the path cannot be a film's, before anything is drawn.
     """
     if path.suffix not in (".gif", ".mp4"):
         raise InvalidInput(f"a film ends in .gif or .mp4; given {path.name!r}")
@@ -127,7 +127,7 @@ def stride_of(path: Path, period_s: float) -> int:
 
 
 def save(pictures: Iterable[Picture], path: Path, period_s: float) -> int:
-    """Write a film whose pictures are `period_s` apart; returns how many there are."""
+    """Write a film with `period_s` between pictures; returns the number of pictures."""
     if path.suffix == ".gif":
         shown = list(pictures)
         imageio.v3.imwrite(path, shown, duration=1000 * period_s, loop=0)
@@ -142,7 +142,7 @@ def save(pictures: Iterable[Picture], path: Path, period_s: float) -> int:
 
 
 def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, Any]:
-    """An OpenGL context and a renderer in it: what MUJOCO_GL names, EGL where it names nothing."""
+    """An OpenGL context by MUJOCO_GL, or by EGL if that is unset, and a renderer in it."""
     chosen = os.environ.get("MUJOCO_GL") or "egl"
     try:
         if chosen == "egl":
@@ -152,7 +152,7 @@ def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, Any]:
         context = GLContext(width, height)
         context.make_current()
         renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-    # PyOpenGL and MuJoCo raise many kinds where a library is missing or finds no device
+    # PyOpenGL and MuJoCo raise many kinds of errors if a library or a device is missing
     except Exception as error:
         raise InvalidInput(
             f"nothing to draw with (MUJOCO_GL={chosen}): {error!r}. Install EGL (Debian and "

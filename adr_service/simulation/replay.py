@@ -35,8 +35,8 @@ class Replay:
     def predict(self, dynamics: Matrix) -> Array3:
         """Predicted observations at each window's end, (n, w, s); NaN where diverged.
 
-        Only the first state of a window is taken from the data. Any number of dynamics; they
-        are simulated `n` (of the constructor) at a time, which changes no bit.
+        Only the first state of a window comes from the data. Any number of dynamics is
+        simulated in batches of the constructor's `n`; the batch size changes no bit.
         """
         most = self._simulations.n
         parts = [dynamics[first : first + most] for first in range(0, len(dynamics), most)]
@@ -63,7 +63,15 @@ class Replay:
 
 
 def check_recorded(task: Task, data: TransitionDataset) -> None:
-    """Refuse data that are not of this task's robot."""
+    """Raise InvalidInput if the data are not of this task's robot."""
+    _check_columns(task, data)
+    _check_actions(task, data)
+    period = control_period(task)
+    if not np.isclose(data.dt, period, rtol=1e-6):
+        raise InvalidInput(f"the data have {data.dt:g} s per step; {task.name} has {period:g} s")
+
+
+def _check_columns(task: Task, data: TransitionDataset) -> None:
     given = (data.observations.shape[1], data.actions.shape[1])
     expected = (task.measured, len(task.action_low))
     if given != expected:
@@ -71,11 +79,15 @@ def check_recorded(task: Task, data: TransitionDataset) -> None:
             f"the data have {given[0]} observations and {given[1]} actions; {task.name} measures "
             f"{expected[0]} and takes {expected[1]}"
         )
-    columns, named = task.columns[: task.measured], data.columns
-    if named not in (columns, tuple(unnamed(task.measured).tolist())):
+    columns = task.columns[: task.measured]
+    if data.columns not in (columns, tuple(unnamed(task.measured).tolist())):
         raise InvalidInput(
-            f"the data's columns are {', '.join(named)}; {task.name} measures {', '.join(columns)}"
+            f"the data's columns are {', '.join(data.columns)}; {task.name} measures "
+            f"{', '.join(columns)}"
         )
+
+
+def _check_actions(task: Task, data: TransitionDataset) -> None:
     outside = np.any((data.actions < task.action_low) | (data.actions > task.action_high), axis=1)
     if outside.any():
         row = int(np.argmax(outside))
@@ -84,6 +96,3 @@ def check_recorded(task: Task, data: TransitionDataset) -> None:
             f"{row}: {data.actions[row].tolist()}; accepted: {task.action_low.tolist()} to "
             f"{task.action_high.tolist()}"
         )
-    period = control_period(task)
-    if not np.isclose(data.dt, period, rtol=1e-6):
-        raise InvalidInput(f"the data have {data.dt:g} s per step; {task.name} has {period:g} s")

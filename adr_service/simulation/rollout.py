@@ -1,4 +1,8 @@
-"""Closed-loop rollouts: episodes of a policy in many simulations at once."""
+"""Closed-loop rollouts: episodes of a policy in many simulations at once.
+
+episodes = run_episodes(task, simulations, policy.act, task.initial(n, rng), task.horizon)
+episodes.returns                            # (n,)
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,12 +25,18 @@ class Episodes:
     actions: Array3  # (n, T, a)
     rewards: Matrix  # (n, T), 0 after the end
     lengths: Indices  # (n,) steps taken
-    diverged: Mask  # (n,) the simulation stopped being finite
+    diverged: Mask  # (n,) true where the simulation diverged
 
     @property
     def returns(self) -> Vector:
         """Undiscounted sums of rewards, (n,)."""
         return self.rewards.sum(axis=1)
+
+
+def random_actions(task: Task, rng: np.random.Generator) -> Act:
+    """A policy that ignores observations: actions (n, a) uniform within the task's bounds."""
+    low, high = task.action_low, task.action_high
+    return lambda observations: rng.uniform(low, high, (len(observations), len(low)))
 
 
 def run_episodes(
@@ -37,50 +47,65 @@ def run_episodes(
     steps: int,
     noise: Callable[[], Matrix] | None = None,
 ) -> Episodes:
-    """One episode of `steps` at most in each simulation, from `initial`.
+    """Run one episode of at most `steps` steps in each simulation, from `initial`.
 
-    `noise` draws what the sensors add to each measurement (n, s). Reward and termination use
+    `noise` draws the sensor noise of each measurement (n, s). Reward and termination use
     the true state. A diverged simulation ends its episode; its last step earns nothing.
     """
-    n, measured = simulations.n, task.measured
-    # written step by step, read by simulation
-    observations = np.empty((steps + 1, n, measured)).swapaxes(0, 1)
-    actions = np.empty((steps, n, len(task.action_low))).swapaxes(0, 1)
-    rewards = np.zeros((steps, n)).T
-    alive = np.ones(n, dtype=bool)
-    lengths = np.zeros(n, dtype=np.int64)
-    diverged = np.zeros(n, dtype=bool)
-
-    def seen(state: State) -> Matrix:
-        columns = task.observe(state)
-        if noise is not None:
-            columns[:, :measured] += noise()
-        return columns
-
+    log = _Log(task, simulations.n, steps)
     simulations.set_state(initial)
     state = simulations.state
-    view = seen(state)
-    observations[:, 0] = view[:, :measured]
+    view = _observed(task, state, noise)
+    log.start(view)
     for step in range(steps):
-        chosen = act(_shown(view, simulations))
-        simulations.step(chosen)
+        actions = act(_without_nan(view, simulations))
+        simulations.step(actions)
         before, state = state, simulations.state
-        broken = simulations.diverged & alive
+        diverged = simulations.diverged
         with np.errstate(invalid="ignore"):
-            earned = task.reward(before, chosen, state)
-            ended = task.terminated(state) | broken
-        view = seen(state)
-        actions[:, step], rewards[:, step] = chosen, earned
-        observations[:, step + 1] = view[:, :measured]
-        lengths += alive
-        diverged |= broken
-        alive &= ~ended
-        if not alive.any():
+            rewards = task.reward(before, actions, state)
+            ended = task.terminated(state) | diverged
+        view = _observed(task, state, noise)
+        log.add(step, actions, rewards, view, diverged)
+        log.end(ended)
+        if not log.alive.any():
             break
-    over = np.arange(steps) >= lengths[:, None]
-    observations[:, 1:][over], actions[over], rewards[over] = np.nan, np.nan, 0.0
-    rewards[diverged, lengths[diverged] - 1] = 0.0
-    return Episodes(observations, actions, rewards, lengths, diverged)
+    return log.episodes()
+
+
+class _Log:
+    """The arrays of an `Episodes` while it is recorded."""
+
+    def __init__(self, task: Task, n: int, steps: int):
+        self._steps, self._measured = steps, task.measured
+        # written step by step, read by simulation
+        self._observations = np.empty((steps + 1, n, task.measured)).swapaxes(0, 1)
+        self._actions = np.empty((steps, n, len(task.action_low))).swapaxes(0, 1)
+        self._rewards = np.zeros((steps, n)).T
+        self._lengths = np.zeros(n, dtype=np.int64)
+        self._diverged = np.zeros(n, dtype=np.bool_)
+        self.alive = np.ones(n, dtype=np.bool_)  # (n,) false after an episode's end
+
+    def start(self, view: Matrix) -> None:
+        self._observations[:, 0] = view[:, : self._measured]
+
+    def add(
+        self, step: int, actions: Matrix, rewards: Vector, view: Matrix, diverged: Mask
+    ) -> None:
+        self._actions[:, step], self._rewards[:, step] = actions, rewards
+        self._observations[:, step + 1] = view[:, : self._measured]
+        self._lengths += self.alive
+        self._diverged |= diverged & self.alive
+
+    def end(self, ended: Mask) -> None:
+        self.alive &= ~ended
+
+    def episodes(self) -> Episodes:
+        observations, actions, rewards = self._observations, self._actions, self._rewards
+        over = np.arange(self._steps) >= self._lengths[:, None]
+        observations[:, 1:][over], actions[over], rewards[over] = np.nan, np.nan, 0.0
+        rewards[self._diverged, self._lengths[self._diverged] - 1] = 0.0
+        return Episodes(observations, actions, rewards, self._lengths, self._diverged)
 
 
 def follow(
@@ -97,13 +122,21 @@ def follow(
     view = task.observe(simulations.state)
     observations[:, 0] = view[:, : task.measured]
     for step in range(steps):
-        simulations.step(act(_shown(view, simulations)))
+        simulations.step(act(_without_nan(view, simulations)))
         view = task.observe(simulations.state)
         observations[:, step + 1] = view[:, : task.measured]
         progress((step + 1) / steps)
     return observations
 
 
-def _shown(view: Matrix, simulations: Simulations) -> Matrix:
-    """What a policy is given: zeros where the simulation has diverged."""
+def _observed(task: Task, state: State, noise: Callable[[], Matrix] | None) -> Matrix:
+    """The policy's view of `state`, (n, columns), with noise on the measured columns."""
+    columns = task.observe(state)
+    if noise is not None:
+        columns[:, : task.measured] += noise()
+    return columns
+
+
+def _without_nan(view: Matrix, simulations: Simulations) -> Matrix:
+    """The view with zeros where the simulation has diverged, for policies need numbers."""
     return np.nan_to_num(view) if simulations.diverged.any() else view

@@ -16,8 +16,8 @@ from adr_service.tasks.base import Source, State, Task
 class RandomizedVecEnv(VecEnv):
     """n environments stepped by one C++ call; dynamics ~ `distribution` at episode start.
 
-    `adjusted` counts the draws that had to be moved onto a bound of the space, `diverged` the
-    episodes whose simulation stopped being finite: their last step earns nothing, from zeros.
+    `adjusted` counts the draws that were moved onto a bound of the space. `diverged` counts the
+    episodes whose simulation diverged: their last observation is zeros and earns nothing.
     """
 
     render_mode = None
@@ -82,7 +82,7 @@ class RandomizedVecEnv(VecEnv):
         return observations, rewards, done, infos
 
     def _begin(self, rows: Indices) -> np.ndarray:
-        """Start episodes in `rows` under freshly drawn dynamics; the observations of all."""
+        """Start episodes in `rows` under new draws of dynamics; returns all observations."""
         draws = self._distribution.sample(len(rows), self._rng)
         self.adjusted += draws.adjusted
         self.simulations.set_dynamics(draws.values, rows)
@@ -93,7 +93,7 @@ class RandomizedVecEnv(VecEnv):
         return self._task.observe(self._before).astype(np.float32)
 
     def close(self) -> None:
-        """Nothing is held outside this process."""
+        """Release nothing: all memory is this process's own."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         return [getattr(self, attr_name)] * len(self._chosen(indices))

@@ -1,7 +1,7 @@
 """Arm: lift the hand to a mark and hold it there, against gravity.
 
-The small task of the demo and the tests: a policy trains in seconds, and needs to know the
-masses it holds up, because it sees no error integral. Our own task, not of the paper.
+The small task of the demo and the tests, not one of the paper's. A policy trains in seconds. It
+must know the masses that it holds up, because it sees no integral of its error.
 """
 
 from collections.abc import Mapping
@@ -12,12 +12,12 @@ import numpy as np
 from adr_service.arrays import Mask, Matrix, Vector, frozen
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.tasks.assets import read
-from adr_service.tasks.base import State, Variant, benchmark_variants, freeze
+from adr_service.tasks.base import Entry, State, Variant, benchmark_variants, freeze
 
 _LINK_M = 0.5
 _MARK_M = (0.6, 0.4)  # x, z; as the site in the model
-_REACH_M = 0.3  # distance at which most of the reward is lost
-_LIMIT_RAD = 3.5  # an arm that turns further has lost; the episode ends
+_REACH_M = 0.3  # distance at which the reward for being near falls to 1/e
+_LIMIT_RAD = 3.5  # an episode ends where a joint turns further
 _TRUTH = (1.0, 0.7, 2.0, 1.0)
 
 
@@ -32,7 +32,7 @@ def _space() -> ParameterSpace:
     )
 
 
-def variants() -> Mapping[str, Variant]:
+def _variants() -> Mapping[str, Variant]:
     return benchmark_variants(
         _space(), _TRUTH, 1e-4, unmodeled=freeze(_space(), _TRUTH, ["upper_mass"])
     )
@@ -71,7 +71,7 @@ class Arm:
         return State(observations[:, :2], observations[:, 2:])
 
     def reward(self, before: State, action: Matrix, after: State) -> Vector:
-        """In [0, 1]: mostly for being at the mark, a little for coming nearer."""
+        """In [0, 1]: most of it for being at the mark, a little for coming nearer."""
         distance = np.linalg.norm(self.hand(after) - _MARK_M, axis=1)
         near = np.exp(-((distance / _REACH_M) ** 2))
         return 0.2 * np.maximum(1 - distance / 1.7, 0) + 0.8 * near
@@ -84,3 +84,6 @@ class Arm:
         upper, fore = state.qpos[:, 0], state.qpos.sum(axis=1)
         x = _LINK_M * (np.sin(upper) + np.sin(fore))
         return np.column_stack([x, -_LINK_M * (np.cos(upper) + np.cos(fore))])
+
+
+ENTRY = Entry(Arm(), _variants())

@@ -1,22 +1,24 @@
-"""What a task is: a robot, a goal, and the variants in which its simulator is uncertain.
+"""Tasks: a robot, a goal, and the variants in which its simulator is uncertain.
 
-A variant pairs a *source* (what methods may simulate: a parameter space and values that stay
-fixed) with a *target* (the hidden truth and its sensor noise). Methods get a task and a source;
-the truth is in the catalogue, which they may not import (a contract of `make lint`).
+A variant pairs a *source* (the simulator that methods may use: a parameter space and fixed
+values) with a *target* (the hidden truth and its sensor noise). Methods get a task and a source.
+The truth is in the catalogue, which they may not import (a contract of `make lint`).
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
-import mujoco
 import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector, frozen
 from adr_service.effects.base import Effect
 from adr_service.parameters import ParameterSpace
 
-_UNMODELED_FACTOR = 0.8  # random-envs: what the unmodeled source gets wrong is 0.8 of the truth
+if TYPE_CHECKING:  # MuJoCo takes a tenth of a second to import
+    import mujoco
+
+_UNMODELED_FACTOR = 0.8  # random-envs: unmodeled sources have wrong parameters at 0.8 of the truth
 
 
 class State(NamedTuple):
@@ -24,7 +26,7 @@ class State(NamedTuple):
 
     qpos: Matrix  # (n, nq)
     qvel: Matrix  # (n, nv)
-    derived: Matrix = frozen(np.empty((0, 0)))  # (n, k) the task's `derived`, where simulated
+    derived: Matrix = frozen(np.empty((0, 0)))  # (n, k) fields of the task's `derived`
 
 
 @dataclass(frozen=True)
@@ -38,11 +40,11 @@ class Source:
 
 @dataclass(frozen=True)
 class Hidden:
-    """The truth behind a simulated target. No method may read it."""
+    """The truth behind a simulated target, which no method may read."""
 
-    source: Source  # the space in which `values` are given
+    source: Source  # with the space of `values`
     values: Vector  # (d,) SI units
-    noise_variance: float  # added to every observed column, in its unit squared
+    noise_variance: float  # of the noise on every measured column, in its unit squared
 
 
 @dataclass(frozen=True)
@@ -52,21 +54,21 @@ class Variant:
 
     @property
     def truth(self) -> Vector:
-        """(d,) the hidden values of the source's own parameters."""
+        """The hidden values of the source's own parameters, (d,)."""
         space = self.hidden.source.space
         return self.hidden.values[[space.index(name) for name in self.source.space.names]]
 
 
 @dataclass(frozen=True)
 class Entry:
-    """What the catalogue lists: a task with its variants by name."""
+    """A task with its variants by name, as the catalogue lists it."""
 
     task: "Task"
     variants: Mapping[str, Variant]
 
 
 def freeze(space: ParameterSpace, truth: Sequence[float], names: Sequence[str]) -> Source:
-    """The source that has `names` wrong: out of the space, and fixed at 0.8 of their truth."""
+    """A source in which `names` are wrong: not in its space, and fixed at 0.8 of their truth."""
     known = dict(zip(space.names, truth, strict=True))
     rest = space.subset(tuple(name for name in space.names if name not in names))
     wrong = {space.parameters[space.index(n)].address: _UNMODELED_FACTOR * known[n] for n in names}
@@ -76,7 +78,7 @@ def freeze(space: ParameterSpace, truth: Sequence[float], names: Sequence[str]) 
 def benchmark_variants(
     space: ParameterSpace, truth: Sequence[float], noise_variance: float, unmodeled: Source
 ) -> Mapping[str, Variant]:
-    """The three variants of the benchmark, Sec. 4.1: one truth behind two sources."""
+    """The three variants of the benchmark (Tiboni et al., Sec. 4.1): one truth, two sources."""
     source, values = Source(space), frozen(truth)
     return {
         "vanilla": Variant(source, Hidden(source, values, 0.0)),
@@ -97,7 +99,9 @@ class Task(Protocol):
     @property
     def columns(self) -> tuple[str, ...]: ...  # observation columns with units
     @property
-    def measured(self) -> int: ...  # leading columns: what sensors give, and inference may use
+    def measured(
+        self,
+    ) -> int: ...  # leading columns, which sensors measure and inference uses
     @property
     def derived(self) -> tuple[str, ...]: ...  # MjData fields that `observe` or `reward` need
     @property
@@ -112,15 +116,15 @@ class Task(Protocol):
     def learning_rate(self) -> float: ...
 
     def initial(self, n: int, rng: np.random.Generator) -> State:
-        """n fresh initial states."""
+        """n random initial states."""
         ...
 
     def observe(self, state: State) -> Matrix:
-        """What policies see of `state`, without sensor noise: (n, s)."""
+        """The policy's view of `state`, without sensor noise: (n, s)."""
         ...
 
     def state(self, observations: Matrix) -> State:
-        """A state whose measured columns are those of `observations` (n, at least measured)."""
+        """A state with the measured columns of `observations` (n, at least `measured`)."""
         ...
 
     def reward(self, before: State, action: Matrix, after: State) -> Vector:
@@ -128,7 +132,7 @@ class Task(Protocol):
         ...
 
     def terminated(self, state: State) -> Mask:
-        """Whether the episode ends in `state`, (n,); one that diverged ends anyway."""
+        """True where the episode ends in `state`, (n,); diverged episodes end in any case."""
         ...
 
 
@@ -136,6 +140,6 @@ class Task(Protocol):
 class Reshapable(Protocol):
     """A task whose parameters include link lengths, at addresses `link:name.length`."""
 
-    def reshape(self, spec: mujoco.MjSpec, lengths: Mapping[str, float]) -> None:
-        """Give the model of `xml`, or one reshaped before, these lengths [m] of its links."""
+    def reshape(self, spec: "mujoco.MjSpec", lengths: Mapping[str, float]) -> None:
+        """Set link lengths [m] in the model of `xml`, fresh or reshaped before."""
         ...

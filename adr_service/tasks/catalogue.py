@@ -1,30 +1,42 @@
 """The tasks by name, with their variants and so with the truth that targets hide.
 
-Ours, and those of installed packages: an entry point of the group `adr_service.tasks` names an
+Our own tasks are the modules of this package that have an `ENTRY`: to add one, add its file.
+Installed packages add theirs by an entry point of the group `adr_service.tasks` that names an
 `Entry` (docs/own-task.md has a complete package).
 """
 
+import importlib
+import pkgutil
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from importlib.metadata import EntryPoint
 
+from adr_service import tasks
 from adr_service.effects.base import parse_domain
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.plugins import installed, load, origin, package_of
-from adr_service.tasks import arm, half_cheetah, hopper, humanoid, walker2d
 from adr_service.tasks.base import Entry, Hidden, Source, Task, Variant
 
 GROUP = "adr_service.tasks"
-BUILT_IN: Mapping[str, Entry] = {
-    entry.task.name: entry
-    for entry in (
-        Entry(arm.Arm(), arm.variants()),
-        Entry(hopper.Hopper(), hopper.variants()),
-        Entry(half_cheetah.HalfCheetah(), half_cheetah.variants()),
-        Entry(walker2d.Walker2d(), walker2d.variants()),
-        Entry(humanoid.Humanoid(), humanoid.variants()),
-    )
-}
+_NO_TASKS = {"assets", "base", "catalogue", "check", "gymnasium_ids", "planar"}  # in the package
+
+
+def _built_in() -> Mapping[str, Entry]:
+    """The tasks of this package, those with few parameters first."""
+    names = {module.name for module in pkgutil.iter_modules(tasks.__path__)} - _NO_TASKS
+    modules = [importlib.import_module(f"{tasks.__name__}.{name}") for name in names]
+    entries: list[Entry] = [module.ENTRY for module in modules]
+    return {entry.task.name: entry for entry in sorted(entries, key=_size)}
+
+
+def _size(entry: Entry) -> tuple[int, str]:
+    """Parameters of the largest variant, then the name."""
+    spaces = [variant.source.space for variant in entry.variants.values()]
+    return max(map(len, spaces)), entry.task.name
+
+
+BUILT_IN = _built_in()
 
 
 @cache
@@ -32,19 +44,24 @@ def catalogue() -> Mapping[str, Entry]:
     """All tasks by name: ours, then those of installed packages."""
     entries = dict(BUILT_IN)
     for point in installed(GROUP):
-        entry = load(point)
-        if not isinstance(entry, Entry):
-            raise InvalidInput(
-                f"{origin(point)} must name an adr_service.tasks.base.Entry; it is {entry!r}"
-            )
-        if entry.task.name != point.name:
-            raise InvalidInput(f"{origin(point)} gives a task of another name, {entry.task.name!r}")
+        entry = _loaded(point)
         if entry.task.name in entries:
             raise InvalidInput(
-                f"{origin(point)} gives a task {entry.task.name!r}, which there is already"
+                f"{origin(point)} gives a task {entry.task.name!r}, but there is one already"
             )
         entries[entry.task.name] = entry
     return entries
+
+
+def _loaded(point: EntryPoint) -> Entry:
+    entry = load(point)
+    if not isinstance(entry, Entry):
+        raise InvalidInput(
+            f"{origin(point)} must name an adr_service.tasks.base.Entry; it is {entry!r}"
+        )
+    if entry.task.name != point.name:
+        raise InvalidInput(f"{origin(point)} gives a task of another name, {entry.task.name!r}")
+    return entry
 
 
 def get_task(name: str) -> Task:
@@ -62,13 +79,13 @@ def variant_of(task: str, variant: str) -> Variant:
 
 
 def source_of(task: str, domain: str) -> Source:
-    """What methods may simulate of a task's variant, with the effects that the domain adds."""
+    """The simulator that methods may use: the variant's source with the domain's effects."""
     variant, effects = parse_domain(domain)
     return replace(variant_of(task, variant).source, effects=effects)
 
 
 def hidden_of(task: str, domain: str) -> Hidden:
-    """The truth behind a variant's target, with the effects that the domain adds.
+    """The truth behind a variant's target with the domain's effects.
 
     For simulated targets and environments alone.
     """
@@ -78,9 +95,9 @@ def hidden_of(task: str, domain: str) -> Hidden:
 
 
 def identity_of(task: str) -> Mapping[str, str]:
-    """What a stage's inputs say of a task: its name, and the version of a foreign package.
+    """A task's name, and its package with the version if it is not ours, for a stage's inputs.
 
-    Changes of our own tasks are changes of the stage kinds' versions.
+    A change of one of our own tasks bumps the versions of the stage kinds instead.
     """
     package = package_of(GROUP, task)
     return {"task": task} if package is None else {"task": task, "package": package}

@@ -1,14 +1,60 @@
-"""The names under which Gymnasium finds our tasks: `import adr_service` registers them."""
+"""The ids of our tasks in Gymnasium: `adr/RandomHopper-v0`, `adr/RandomHopperNoisy-v0` and so on.
 
-import gymnasium
+`import adr_service` registers them with Gymnasium, whichever is imported first. Gymnasium 1.0
+dropped the entry points by which it looked for environments, and importing it takes a tenth of a
+second, so we wait until somebody else does.
+"""
 
-from adr_service.tasks.catalogue import BUILT_IN
+import importlib.util
+import sys
+from collections.abc import Sequence
+from importlib.abc import Loader
+from importlib.machinery import ModuleSpec
+from types import ModuleType
 
+_GYMNASIUM = "gymnasium"
 _SUFFIXES = {"vanilla": "", "noisy": "Noisy", "unmodeled": "Unmodeled"}
 
 
-def register() -> None:
-    """`adr/RandomHopper-v0`, `adr/RandomHopperNoisy-v0`, and so on."""
+def register_with_gymnasium() -> None:
+    """Register our ids now if Gymnasium has been imported, else when it is."""
+    if _GYMNASIUM in sys.modules:
+        _register()
+    else:
+        sys.meta_path.insert(0, _AfterGymnasium())
+
+
+class _AfterGymnasium:
+    """A finder on `sys.meta_path` that registers our ids after the import of Gymnasium."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if fullname != _GYMNASIUM:
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.util.find_spec(fullname)
+        if spec is not None and spec.loader is not None:
+            _register_after(spec.loader)
+        return spec
+
+
+def _register_after(loader: Loader) -> None:
+    """Let a loader register our ids after it has executed its module."""
+    execute = loader.exec_module
+
+    def execute_and_register(module: ModuleType) -> None:
+        execute(module)
+        _register()
+
+    loader.exec_module = execute_and_register
+
+
+def _register() -> None:
+    import gymnasium
+
+    from adr_service.tasks.catalogue import BUILT_IN
+
     for name, entry in BUILT_IN.items():
         robot = "".join(word.capitalize() for word in name.split("_"))
         for variant in entry.variants:

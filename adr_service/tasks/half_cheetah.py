@@ -1,7 +1,7 @@
 """HalfCheetah: run forward on two legs in the plane, as fast as possible; it cannot fall.
 
 The benchmark's RandomHalfCheetah-v0 (Tiboni et al., random-envs), with the masses and inertias
-of its simulator, MuJoCo 2.1.0; docs/tasks.md lists what differs from it and why.
+of its simulator, MuJoCo 2.1.0; docs/tasks.md lists the differences and their reasons.
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from adr_service.arrays import Mask, Matrix, Vector, frozen
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.tasks import planar
 from adr_service.tasks.assets import read
-from adr_service.tasks.base import State, Variant, benchmark_variants, freeze
+from adr_service.tasks.base import Entry, State, Variant, benchmark_variants, freeze
 
 _TIMESTEP_S, _FRAME_SKIP = 0.01, 5
 _LINKS = ("torso", "bthigh", "bshin", "bfoot", "fthigh", "fshin", "ffoot")
@@ -36,7 +36,7 @@ def _space() -> ParameterSpace:
     return ParameterSpace((*masses, Parameter("friction", "pair:*.friction", "1", 0.1, 2.0, 0.02)))
 
 
-def variants() -> Mapping[str, Variant]:
+def _variants() -> Mapping[str, Variant]:
     truth = (*_MASSES_KG, _FRICTION)
     unmodeled = freeze(_space(), truth, ["torso_mass", "bthigh_mass", "bshin_mass"])
     return benchmark_variants(_space(), truth, 1e-4, unmodeled)
@@ -74,3 +74,6 @@ class HalfCheetah:
 
     def terminated(self, state: State) -> Mask:
         return np.zeros(len(state.qpos), dtype=np.bool_)
+
+
+ENTRY = Entry(HalfCheetah(), _variants())

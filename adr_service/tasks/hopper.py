@@ -1,7 +1,7 @@
 """Hopper: hop forward on one leg, as fast as possible, without falling.
 
 The benchmark's RandomHopper-v0 (Tiboni et al., random-envs), with the masses and inertias of
-its simulator, MuJoCo 2.1.0; docs/tasks.md lists what differs from it and why.
+its simulator, MuJoCo 2.1.0; docs/tasks.md lists the differences and their reasons.
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from adr_service.arrays import Mask, Matrix, Vector, frozen
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.tasks import planar
 from adr_service.tasks.assets import read
-from adr_service.tasks.base import State, Variant, benchmark_variants, freeze
+from adr_service.tasks.base import Entry, State, Variant, benchmark_variants, freeze
 
 _TIMESTEP_S, _FRAME_SKIP = 0.002, 4
 _LINKS = ("torso", "thigh", "leg", "foot")
@@ -29,7 +29,7 @@ def _space(feasible_low: float) -> ParameterSpace:
     )
 
 
-def variants() -> Mapping[str, Variant]:
+def _variants() -> Mapping[str, Variant]:
     unmodeled = freeze(_space(feasible_low=0.001), _MASSES_KG, ["torso_mass"])
     return benchmark_variants(_space(feasible_low=0.1), _MASSES_KG, 1e-4, unmodeled)
 
@@ -72,3 +72,6 @@ class Hopper:
         bounded = (np.abs(state.qpos[:, 2:]) < 100).all(axis=1)
         bounded &= (np.abs(state.qvel) < 100).all(axis=1)
         return ~(bounded & (height > 0.7) & (np.abs(angle) < 0.2))
+
+
+ENTRY = Entry(Hopper(), _variants())

@@ -1,8 +1,8 @@
 """Humanoid: walk forward on two legs, as fast as possible, without falling.
 
 The benchmark's RandomHumanoid-v0 (Tiboni et al., random-envs), with the masses and inertias of
-its simulator, MuJoCo 2.1.0; docs/tasks.md lists what differs from it and why. Policies see 376
-columns; sensors measure, and inference uses, the first 45: positions and velocities.
+its simulator, MuJoCo 2.1.0; docs/tasks.md lists the differences and their reasons. Policies see 376
+columns; sensors measure the first 45, positions and velocities, and inference uses only those.
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ import numpy as np
 from adr_service.arrays import Mask, Matrix, Vector, frozen
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.tasks.assets import read
-from adr_service.tasks.base import State, Variant, benchmark_variants, freeze
+from adr_service.tasks.base import Entry, State, Variant, benchmark_variants, freeze
 
 _TIMESTEP_S, _FRAME_SKIP = 0.003, 5
 _MASSES_KG = {  # by body, in the model's order
@@ -44,7 +44,7 @@ _DAMPINGS = {  # by joint, in the model's order [N m s/rad]
 _DAMPING_BOUNDS = {_STIFF: (1.0, 10.0, 0.8), _SOFT: (0.2, 5.0, 0.15)}  # of each kind of joint
 
 _BODIES, _MEASURED = 1 + len(_MASSES_KG), 45  # with the world
-_COM_X = (10 + 6 + 6) * _BODIES + 23  # column of `derived`: the whole body's centre of mass
+_COM_X = (10 + 6 + 6) * _BODIES + 23  # column of `derived`: x of the whole body's centre of mass
 
 
 def _space() -> ParameterSpace:
@@ -60,7 +60,7 @@ def _space() -> ParameterSpace:
     return ParameterSpace((*masses, *dampings))
 
 
-def variants() -> Mapping[str, Variant]:
+def _variants() -> Mapping[str, Variant]:
     truth = (*_MASSES_KG.values(), *_DAMPINGS.values())
     wrong = [f"{body}_mass" for body in ("torso", "lwaist", "pelvis", "right_thigh")]
     wrong += [f"abdomen_{axis}_damping" for axis in "zyx"]
@@ -113,13 +113,13 @@ class Humanoid:
         return np.concatenate([state.qpos[:, 2:], state.qvel, state.derived[:, :_COM_X]], axis=1)
 
     def state(self, observations: Matrix) -> State:
-        """At the origin, its orientation normalised as the simulator would."""
+        """The state at the origin, with the orientation normalised as the simulator does."""
         origin = np.zeros((len(observations), 2))
         qpos = np.concatenate([origin, observations[:, :22]], axis=1)
         return State(_with_unit_quaternion(qpos), observations[:, 22:_MEASURED])
 
     def reward(self, before: State, action: Matrix, after: State) -> Vector:
-        """Speed of the centre of mass; without the impact cost, whose forces are zero."""
+        """From the centre of mass's speed; without the impact cost, as contact forces are zero."""
         travel = after.derived[:, _COM_X] - before.derived[:, _COM_X]
         speed = travel / (_TIMESTEP_S * _FRAME_SKIP)
         return 1.25 * speed + 5.0 - 0.1 * (action**2).sum(axis=1)
@@ -133,3 +133,6 @@ def _with_unit_quaternion(qpos: Matrix) -> Matrix:
     unit = qpos.copy()
     unit[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
     return unit
+
+
+ENTRY = Entry(Humanoid(), _variants())

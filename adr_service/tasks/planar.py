@@ -1,7 +1,7 @@
-"""What Hopper, HalfCheetah and Walker2d share: they run along x, in the vertical plane.
+"""Robots that run along x in the vertical plane: Hopper, HalfCheetah and Walker2d.
 
 The first coordinate is x, the second z, the third the torso's angle. Policies do not observe x,
-because nothing depends on it but the reward.
+because only the reward depends on it.
 """
 
 from collections.abc import Sequence
@@ -25,11 +25,12 @@ def columns(joints: Sequence[str]) -> tuple[str, ...]:
 
 
 def observe(state: State) -> Matrix:
+    """Positions without x, then velocities, (n, s)."""
     return np.concatenate([state.qpos[:, 1:], state.qvel], axis=1)
 
 
 def at_origin(observations: Matrix) -> State:
-    """The state that is observed so, at x = 0."""
+    """The state of observations (n, s), at x = 0."""
     positions = observations.shape[1] // 2
     x = np.zeros((len(observations), 1))
     return State(

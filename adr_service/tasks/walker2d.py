@@ -1,21 +1,24 @@
 """Walker2d: walk forward on two legs in the plane, as fast as possible, without falling.
 
 The benchmark's RandomWalker2d-v0 (Tiboni et al., random-envs), with the masses and inertias of
-its simulator, MuJoCo 2.1.0; docs/tasks.md lists what differs from it and why. Both legs share
+its simulator, MuJoCo 2.1.0; docs/tasks.md lists the differences and their reasons. Both legs share
 their links' lengths, and a link's inertia is that of its capsule at the drawn length.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector, frozen
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.tasks import planar
 from adr_service.tasks.assets import read
-from adr_service.tasks.base import State, Variant, benchmark_variants, freeze
+from adr_service.tasks.base import Entry, State, Variant, benchmark_variants, freeze
+
+if TYPE_CHECKING:  # MuJoCo takes a tenth of a second to import
+    import mujoco
 
 _TIMESTEP_S, _FRAME_SKIP = 0.002, 4
 _LEG = ("thigh", "leg", "foot")
@@ -30,7 +33,7 @@ _DENSITY = 1000.0  # kg/m^3
 
 
 def _space(bounds: Mapping[str, tuple[float, float, float]]) -> ParameterSpace:
-    """All thirteen parameters; low, high and feasible low of the lengths [m]."""
+    """All thirteen parameters; `bounds` are low, high and feasible low of the lengths [m]."""
     masses = (Parameter(f"{link}_mass", f"body:{link}.mass", "kg", 0.5, 10, 0.1) for link in _LINKS)
     lengths = (
         Parameter(f"{link}_length", f"link:{link}.length", "m", *bounds[link])
@@ -43,7 +46,7 @@ def _space(bounds: Mapping[str, tuple[float, float, float]]) -> ParameterSpace:
     return ParameterSpace((*masses, *lengths, *frictions))
 
 
-def variants() -> Mapping[str, Variant]:
+def _variants() -> Mapping[str, Variant]:
     truth = (*_MASSES_KG, *_LENGTHS_M.values(), *_FRICTIONS.values())
     free = (0.15, 1.0, 0.1)
     # random-envs allows 0.1 m for the leg too, at which its capsule has no length
@@ -74,8 +77,8 @@ class Walker2d:
     def xml(self) -> str:
         return read("walker2d.xml")
 
-    def reshape(self, spec: mujoco.MjSpec, lengths: Mapping[str, float]) -> None:
-        """The root's frame stays at 1.25 m, so z is the height above the nominal standing pose."""
+    def reshape(self, spec: "mujoco.MjSpec", lengths: Mapping[str, float]) -> None:
+        """Set link lengths; the root's frame stays at 1.25 m, so z counts from the nominal pose."""
         torso, thigh, leg, foot = ({**_LENGTHS_M, **lengths}[link] for link in _LENGTHS_M)
         hip = thigh + leg - _ROOT_M  # in the torso's frame, as all below in their body's
         _capsule(spec, "torso", torso, [0, 0, hip + torso / 2])
@@ -108,12 +111,15 @@ class Walker2d:
         return ~((height > 0.8) & (height < 2.0) & (np.abs(angle) < 1.0))
 
 
-def _capsule(spec: mujoco.MjSpec, link: str, length: float, centre: list[float]) -> None:
-    """Give a link its capsule and the inertia that MuJoCo 2.1.0 derived from it; not the mass."""
+def _capsule(spec: "mujoco.MjSpec", link: str, length: float, centre: list[float]) -> None:
+    """Give a link its capsule and the inertia that MuJoCo 2.1.0 derives from it, but no mass."""
     body, geom = spec.body(link), spec.geom(f"{link}_geom")
     radius = geom.size[0]
     geom.pos, geom.size = centre, [radius, length / 2, 0]
-    cylinder = length + radius  # MuJoCo 2.1.0 took a capsule for this long a cylinder
+    cylinder = length + radius  # MuJoCo 2.1.0 treats a capsule as a cylinder of this length
     mass = _DENSITY * np.pi * radius**2 * cylinder
     across = mass * (3 * radius**2 + cylinder**2) / 12
     body.ipos, body.inertia = centre, [across, across, mass * radius**2 / 2]
+
+
+ENTRY = Entry(Walker2d(), _variants())

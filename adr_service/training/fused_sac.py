@@ -1,11 +1,11 @@
-"""SBX's SAC with one compiled call per step: the same update, with less around it.
+"""SBX's SAC with one compiled call per step: the same update with less overhead.
 
-SBX's own `train` calls a compiled update once and the compiled actor once more, each with some
-seventy arrays in nested dataclasses, converts batches to PyTorch and back, and reads its losses
-off the device: a sixth of a step's time for networks of our size. SBX has no settings for that, so
-this class overrides what SB3 calls (docs/decisions.md). Here a batch goes from the
-replay buffer's arrays straight into one compiled function, which updates the networks and draws
-the actions that come next. What is computed is SBX's own `_train` and actor.
+SBX's own `train` calls a compiled update and then the compiled actor, each with some seventy
+arrays in nested dataclasses. It converts batches to PyTorch and back, and copies its losses from
+the device. That takes a sixth of a step's time for networks of our size, and SBX has no settings
+against it, so this class overrides the methods that SB3 calls (docs/decisions.md). Here a batch
+goes from the replay buffer's arrays straight into one compiled function, which updates the
+networks by SBX's own `_train` and draws the next actions from SBX's own actor.
 """
 
 from collections.abc import Callable
@@ -21,9 +21,9 @@ Arrays = list[jax.Array]
 
 
 class FusedSac(sbx.SAC):
-    """For a constant learning rate, one-step returns and no dropout; no losses are logged.
+    """SAC with a constant learning rate, one-step returns and no dropout; logs no losses.
 
-    One `learn` per model, and `publish` before anybody else looks at its policy.
+    Call `learn` once per model, and `publish` before any other use of its policy.
     """
 
     def _setup_model(self) -> None:
@@ -37,7 +37,7 @@ class FusedSac(sbx.SAC):
         return (self.policy.qf_state, self.policy.actor_state, self.ent_coef_state, self.key)
 
     def train(self, gradient_steps: int, batch_size: int) -> None:
-        """Update `gradient_steps` times, and draw the next actions with the updated actor."""
+        """Update `gradient_steps` times, then draw the next actions from the updated actor."""
         step = self._compiled.get(gradient_steps)
         if step is None:
             step = self._compiled[gradient_steps] = self._compile(gradient_steps)
@@ -46,7 +46,7 @@ class FusedSac(sbx.SAC):
         self._n_updates += gradient_steps
 
     def publish(self) -> None:
-        """Give what was learned to `policy`, for everyone but `train`."""
+        """Copy the learned arrays to `policy`, for all uses but `train`."""
         learned = tree_unflatten(self._tree, self._arrays)
         self.policy.qf_state, self.policy.actor_state, self.ent_coef_state, self.key = learned
 
@@ -69,10 +69,10 @@ class FusedSac(sbx.SAC):
         return step
 
     def _sample(self, n: int) -> ReplayBufferSamplesNp:
-        """n transitions, uniformly, as `ReplayBuffer.sample` draws them."""
+        """n uniformly drawn transitions, with the random numbers of `ReplayBuffer.sample`."""
         buffer = self.replay_buffer
         assert buffer is not None
-        rows = np.random.randint(0, buffer.size(), n)  # noqa: NPY002 - SB3's, seeded by us
+        rows = np.random.randint(0, buffer.size(), n)  # noqa: NPY002 - SB3's generator, which we seed
         at = (rows, np.random.randint(0, buffer.n_envs, n))  # noqa: NPY002
         return ReplayBufferSamplesNp(
             buffer.observations[at],
@@ -86,7 +86,7 @@ class FusedSac(sbx.SAC):
     def _sample_action(
         self, learning_starts: int, action_noise: Any = None, n_envs: int = 1
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(actions, the same in [-1, 1])."""
+        """The actions within their bounds, and the same in [-1, 1]."""
         if self._next_actions is None:
             return super()._sample_action(learning_starts, action_noise, n_envs)
         unit = np.asarray(self._next_actions).clip(-1, 1)

@@ -31,7 +31,10 @@ _ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": _relu, "t
 
 @dataclass(frozen=True)
 class Policy:
-    """tanh(MLP(observation)), scaled to the action bounds: the mode of a SAC actor."""
+    """The mode of a SAC actor: tanh(MLP(observation)), scaled to the action bounds.
+
+    Haarnoja et al., arXiv 1801.01290, App. C: actions are tanh of a Gaussian.
+    """
 
     layers: tuple[Layer, ...]
     activation: str  # between layers: "relu" or "tanh"
@@ -58,30 +61,32 @@ class Policy:
         return self.action_low + (unit + 1) / 2 * (self.action_high - self.action_low)
 
     def to_bytes(self) -> bytes:
-        """The same policy always gives the same bytes."""
+        """The policy's file; the same policy always gives the same bytes."""
         tensors: dict[str, np.ndarray] = {}
         for i, (weight, bias) in enumerate(self.layers):
             tensors[f"layer_{i}.weight"] = np.ascontiguousarray(weight)
             tensors[f"layer_{i}.bias"] = np.ascontiguousarray(bias)
-        about = {
+        description = {
             "activation": self.activation,
             "layers": len(self.layers),
             "action_low": self.action_low.tolist(),
             "action_high": self.action_high.tolist(),
         }
-        return safetensors.numpy.save(tensors, {"policy": json.dumps(about, sort_keys=True)})
+        return safetensors.numpy.save(tensors, {"policy": json.dumps(description, sort_keys=True)})
 
     @classmethod
     def from_bytes(cls, content: bytes) -> "Policy":
+        """The policy of a file that `to_bytes` made; raises InvalidInput for any other file."""
         try:
             tensors = safetensors.numpy.load(content)
             length = int.from_bytes(content[:8], "little")
-            about = json.loads(json.loads(content[8 : 8 + length])["__metadata__"]["policy"])
+            header = json.loads(content[8 : 8 + length])
+            description = json.loads(header["__metadata__"]["policy"])
             layers = tuple(
                 (tensors[f"layer_{i}.weight"], tensors[f"layer_{i}.bias"])
-                for i in range(about["layers"])
+                for i in range(description["layers"])
             )
-            low, high = frozen(about["action_low"]), frozen(about["action_high"])
+            low, high = frozen(description["action_low"]), frozen(description["action_high"])
         except (SafetensorError, KeyError, ValueError) as error:
             raise InvalidInput(f"not the bytes of a policy: {error}") from error
-        return cls(layers, about["activation"], low, high)
+        return cls(layers, description["activation"], low, high)

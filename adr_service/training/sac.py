@@ -4,16 +4,16 @@
     trained.policy.act(observations)
 
 Training stops when the mean return over evaluation episodes, drawn from the *source*
-distribution, reaches the task's reward threshold; the best policy of all evaluations is kept.
-Both backends take the same hyperparameters and give the same kind of `Policy`. One training
-per process at a time: SB3's replay buffer draws from NumPy's global generator, which it seeds
-from our stream.
+distribution, reaches the task's reward threshold. The result is the best policy of all
+evaluations. Both backends take the same hyperparameters and give the same kind of `Policy`. A
+process trains one policy at a time, because SB3's replay buffer draws from NumPy's global
+generator, which it seeds from our stream.
 """
 
 import importlib.util
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, Protocol
 
@@ -23,35 +23,30 @@ from stable_baselines3.common.logger import Logger
 
 from adr_service.distributions import Distribution
 from adr_service.errors import InvalidInput
-from adr_service.progress import Progress, SoFar, silent
+from adr_service.progress import Checkpoint, Progress, silent
 from adr_service.randomness import integer_seed
 from adr_service.simulation.batch import Simulations
 from adr_service.simulation.rollout import run_episodes
 from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.startup_time import add_preparation, preparing
 from adr_service.tasks.base import Source, Task
+from adr_service.training.curve import Evaluation
 from adr_service.training.policy import Layer, Policy
 from adr_service.training.settings import TrainingSettings
 
-
-@dataclass(frozen=True)
-class Evaluation:
-    """One point of the learning curve: source-domain return after `steps` steps."""
-
-    steps: int
-    mean_return: float
-    standard_error: float
+# the checkpoint that keeps the best policy so far, after a learning curve
+Keep = Callable[[Policy, Sequence[Evaluation]], Checkpoint]
 
 
 @dataclass(frozen=True)
 class Training:
-    """A trained policy and how it came about."""
+    """A trained policy with its learning curve and its costs."""
 
     policy: Policy  # the best of all evaluations
     curve: tuple[Evaluation, ...]
     steps: int
     adjusted_draws: int  # dynamics moved onto a bound, see `Draws`
-    diverged_episodes: int  # ended because the simulation stopped being finite
+    diverged_episodes: int  # ended because the simulation diverged
 
     @property
     def best(self) -> Evaluation:
@@ -65,8 +60,12 @@ def train(
     settings: TrainingSettings,
     rng: np.random.Generator,
     progress: Progress = silent,
+    keep: Keep | None = None,
 ) -> Training:
-    """Train a policy for `distribution` on the task's source."""
+    """Train a policy for `distribution` on the task's source.
+
+    After every evaluation, progress is reported with the checkpoint that `keep` makes.
+    """
     dynamics_rng, evaluation_rng, seed_rng = rng.spawn(3)
     env = RandomizedVecEnv(task, source, distribution, settings.environments, dynamics_rng)
     assert settings.backend is not None, "validation has chosen one"
@@ -74,8 +73,8 @@ def train(
     model = backend.build(env, settings, _hyperparameters(task, settings, integer_seed(seed_rng)))
     stop_at = task.reward_threshold if settings.stop_at_threshold else math.inf
     judge = _Judge(task, source, distribution, settings, evaluation_rng)
-    monitor = _Monitor(backend, judge, settings, stop_at, progress)
-    model.set_logger(Logger(None, []))  # SB3's own would make a folder per training
+    monitor = _Monitor(backend, judge, settings, stop_at, progress, keep)
+    model.set_logger(Logger(None, []))  # SB3's own makes a folder per training
     model.learn(settings.max_steps, callback=monitor, log_interval=None)
     if not judge.curve or judge.curve[-1].steps < model.num_timesteps:
         judge.evaluate(backend.policy(model, task, settings.activation), model.num_timesteps)
@@ -84,7 +83,7 @@ def train(
 
 
 class _Judge:
-    """Evaluates policies on fresh draws of the source distribution; keeps the best."""
+    """Evaluates policies on new draws of the source distribution and keeps the best."""
 
     def __init__(
         self,
@@ -99,12 +98,6 @@ class _Judge:
         self.curve: list[Evaluation] = []
         self.best: Policy | None = None
 
-    @property
-    def so_far(self) -> SoFar:
-        assert self.best is not None
-        curve = [asdict(point) for point in self.curve]
-        return SoFar({"curve": curve}, {"policy": self.best.to_bytes()})
-
     def evaluate(self, policy: Policy, steps: int) -> Evaluation:
         n = self._simulations.n
         self._simulations.set_dynamics(self._distribution.sample(n, self._rng).values)
@@ -113,7 +106,8 @@ class _Judge:
             self.task, self._simulations, policy.act, initial, self.task.horizon
         )
         error = float(np.std(episodes.returns, ddof=1) / np.sqrt(n)) if n > 1 else 0.0
-        point = Evaluation(steps, float(np.mean(episodes.returns)), error)
+        mean_return = float(np.mean(episodes.returns))
+        point = Evaluation(steps=steps, mean_return=mean_return, standard_error=error)
         if self.best is None or point.mean_return > max(p.mean_return for p in self.curve):
             self.best = policy
         self.curve.append(point)
@@ -121,7 +115,7 @@ class _Judge:
 
 
 class _Monitor(BaseCallback):
-    """Evaluates on schedule, reports progress, stops at the threshold."""
+    """Evaluates on schedule, reports progress and stops at the threshold."""
 
     def __init__(
         self,
@@ -130,10 +124,11 @@ class _Monitor(BaseCallback):
         settings: TrainingSettings,
         stop_at: float,
         progress: Progress,
+        keep: Keep | None,
     ):
         super().__init__()
         self._backend, self._judge, self._settings = backend, judge, settings
-        self._stop_at, self._progress = stop_at, progress
+        self._stop_at, self._progress, self._keep = stop_at, progress, keep
 
     def _on_step(self) -> bool:
         judge, done = self._judge, self.num_timesteps
@@ -142,14 +137,15 @@ class _Monitor(BaseCallback):
             return True
         policy = self._backend.policy(self.model, judge.task, self._settings.activation)
         point = judge.evaluate(policy, done)
-        self._report(judge.so_far)
+        assert judge.best is not None
+        self._report(None if self._keep is None else self._keep(judge.best, judge.curve))
         return point.mean_return < self._stop_at
 
-    def _report(self, so_far: SoFar | None) -> None:
+    def _report(self, checkpoint: Checkpoint | None) -> None:
         done, curve = self.num_timesteps, self._judge.curve
         latest = curve[-1].mean_return if curve else None
         fraction = done / self._settings.max_steps
-        self._progress(fraction, so_far=so_far, steps=done, source_return=latest)
+        self._progress(fraction, checkpoint=checkpoint, steps=done, source_return=latest)
 
 
 class _Backend(Protocol):
@@ -162,7 +158,7 @@ class _Backend(Protocol):
 def _hyperparameters(task: Task, settings: TrainingSettings, seed: int) -> dict[str, Any]:
     return {
         "learning_rate": settings.learning_rate or task.learning_rate,
-        # no larger than what a training can fill: allocating is not free
+        # no larger than a training can fill, because allocating takes time
         "buffer_size": min(settings.buffer_size, settings.max_steps + settings.environments),
         "learning_starts": settings.learning_starts,
         "batch_size": settings.batch_size,
@@ -199,12 +195,12 @@ class _Sb3:
 
 
 class _Sbx:
-    """SBX (JAX), by the authors of SB3: the same interface, several times the updates/s."""
+    """SBX (JAX), by the authors of SB3: the same interface with more updates per second."""
 
     def build(self, env: RandomizedVecEnv, settings: TrainingSettings, common: Any) -> Any:
         if importlib.util.find_spec("sbx") is None:
             raise InvalidInput(
-                "backend 'sbx' needs the package sbx-rl: pip install sbx-rl; or 'sb3'"
+                "backend 'sbx' needs the package sbx-rl (pip install sbx-rl); without it, use 'sb3'"
             )
         with preparing():
             import flax.linen
@@ -232,7 +228,7 @@ class _Sbx:
 
 @cache
 def _count_compilations() -> None:
-    """Let JAX report what it spends on compiling, once per process."""
+    """Count the time that JAX spends on compiling as preparation, once per process."""
     import jax
 
     def listen(event: str, duration_secs: float, **_: Any) -> None:

@@ -1,6 +1,7 @@
-"""The hyperparameters of policy training, apart from the libraries that use them."""
+"""Hyperparameters of policy training, importable without the libraries that train."""
 
 import importlib.util
+from itertools import pairwise
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -36,6 +37,11 @@ class TrainingSettings(Wire):
     evaluate_every: int = Field(40_000, ge=100, le=10**9, description="environment steps")
     evaluation_episodes: int = Field(50, ge=1, le=10_000)
     stop_at_threshold: bool = True
+
+    def policy_bytes(self, observations: int, actions: int) -> int:
+        """The size of an actor's weights, in float32."""
+        widths = [observations, *self.hidden, actions]
+        return 4 * sum((a + 1) * b for a, b in pairwise(widths))
 
     @model_validator(mode="after")
     def _choose_backend(self) -> Self:

@@ -10,10 +10,13 @@ from fastapi.templating import Jinja2Templates
 from adr_service.benchmark.claims import reports
 from adr_service.benchmark.comparison import Outcome, table
 from adr_service.benchmark.figures import FIGURES, drawable
-from api.routes.benchmarks import summaries, view
-from api.routes.runs import run_view_of
+from adr_service.errors import remedy_of
+from api.results import outcomes_of
 from api.service import Service, ServiceDependency
-from db import runs as store
+from api.views import benchmark_summaries, benchmark_view, run_view
+from db import benchmarks as benchmark_store
+from db import events as event_store
+from db import runs as run_store
 
 router = APIRouter(include_in_schema=False)
 _SHOWN = 100  # of each list on the first page; the API has the rest
@@ -22,13 +25,12 @@ _templates = Jinja2Templates(Path(__file__).parent / "templates")
 
 @router.get("/")
 def index(request: Request, service: ServiceDependency) -> Response:
-    benchmarks, single = store.latest(service.database, _SHOWN)
-    summary = summaries(service, benchmarks)
+    benchmarks, single = benchmark_store.latest(service.database, _SHOWN)
     return _templates.TemplateResponse(
         request,
         "index.html",
         {
-            "benchmarks": [summary(record) for record in benchmarks],
+            "benchmarks": benchmark_summaries(service, benchmarks),
             "runs": single,
             "ray": service.dashboard_url,
         },
@@ -37,44 +39,45 @@ def index(request: Request, service: ServiceDependency) -> Response:
 
 @router.get("/docs")
 def docs(request: Request) -> Response:
-    """The API's reference, from its own description."""
+    """The API's reference, made from its description."""
     description = request.app.openapi()
     return _templates.TemplateResponse(request, "docs.html", {"api": description})
 
 
 @router.get("/runs/{run_id}")
 def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
-    record = store.get_run(service.database, run_id)
+    record = run_store.get_run(service.database, run_id)
     return _templates.TemplateResponse(
         request,
         "run.html",
         {
-            "run": run_view_of(service, record),
+            "run": run_view(service, record),
+            "remedy": None if record.error_code is None else remedy_of(record.error_code),
             "is_finished": record.is_finished,
-            "events": store.events_of(service.database, run_id),
-            **_found(service, service.outcomes([record])),
+            "events": event_store.events_of(service.database, run_id),
+            **_results(service, outcomes_of(service, [record])),
         },
     )
 
 
 @router.get("/benchmarks/{benchmark_id}")
 def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -> Response:
-    shown = view(service, store.get_benchmark(service.database, benchmark_id))
-    outcomes = service.outcomes(store.runs_of(service.database, benchmark_id))
+    shown = benchmark_view(service, benchmark_store.get_benchmark(service.database, benchmark_id))
+    outcomes = outcomes_of(service, benchmark_store.runs_of(service.database, benchmark_id))
     return _templates.TemplateResponse(
         request,
         "benchmark.html",
         {
             "benchmark": shown,
-            **_found(service, outcomes),
+            **_results(service, outcomes),
             # bootstraps take a moment: not at every refresh of what changes anyway
             "claims": reports(outcomes) if shown.is_finished else [],
         },
     )
 
 
-def _found(service: Service, outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """What was found so far, and where it is computed."""
+def _results(service: Service, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Return the results so far, and the address of the cluster's dashboard."""
     return {
         "rows": table(outcomes),
         "figures": drawable(outcomes),

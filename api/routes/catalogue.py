@@ -1,4 +1,4 @@
-"""What there is to choose from, and how the service does."""
+"""Tasks, methods and presets to choose from, and the state of the service."""
 
 from typing import Any
 
@@ -12,11 +12,11 @@ from adr_service.simulation.batch import control_period
 from adr_service.tasks.catalogue import catalogue
 from api.errors import problem
 from api.metrics import CONTENT_TYPE, exposition
-from api.routes.runs import artifact_response
+from api.routes.downloads import artifact_response
 from api.service import ServiceDependency
 
 router = APIRouter(tags=["catalogue"])
-_SILENT_S = 10.0  # after which the dispatcher's silence is worth a word
+_SILENT_S = 10.0  # after which the silent dispatcher is reported
 
 
 @router.get("/v1/tasks")
@@ -53,25 +53,25 @@ def methods() -> dict[str, Any]:
 
 @router.get("/v1/presets")
 def presets() -> dict[str, dict[str, Any]]:
-    """What is filled into a spec that does not say."""
+    """Defaults of a spec, by preset."""
     return PRESETS
 
 
 @router.get("/v1/artifacts/{digest}", response_class=Response)
 def artifact(digest: str, service: ServiceDependency) -> Response:
-    """Any stored bytes by their SHA-256."""
+    """Stored bytes, by their SHA-256."""
     return artifact_response(service, digest, digest)
 
 
 @router.get("/healthz")
 def healthz() -> dict[str, str]:
-    """The process answers."""
+    """Answers while the process lives."""
     return {"status": "ok"}
 
 
 @router.get("/readyz", response_model=None)
 def readyz(service: ServiceDependency) -> dict[str, Any] | Response:
-    """The database can be written, the disk has room, and Ray is reachable."""
+    """Answers 200 if the database can be written, the disk has room and Ray is reachable."""
     service.check_disk()
     with service.database.write("readyz") as session:
         session.connection()  # begins a transaction, which takes the lock to write
@@ -93,11 +93,11 @@ def readyz(service: ServiceDependency) -> dict[str, Any] | Response:
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
 def metrics(service: ServiceDependency) -> Response:
-    """How it does, for Prometheus."""
+    """Metrics for Prometheus."""
     return Response(exposition(service), media_type=CONTENT_TYPE)
 
 
 @router.get("/version")
 def version() -> dict[str, str]:
-    """Of the service."""
+    """Version of the service."""
     return {"version": adr_service.__version__}

@@ -1,31 +1,71 @@
-"""/v1/target_tasks: episodes that runs with a target outside wait for (docs/robots.md).
+"""/v1/target_tasks: episodes on an external target that runs wait for (docs/robots.md).
 
-A robot's client claims one, says that it goes on, and uploads what happened. What it says carries
-the lease of its claim; once that is lost, everything is refused with 409 and the robot stops.
+A robot's client claims one, sends heartbeats, and uploads the trajectory. Each request carries the
+lease of the claim. Once the lease is lost, the service refuses them with 409 and the robot stops.
 """
 
-import time
+from datetime import datetime
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated
 
 import anyio
 from fastapi import APIRouter, Body, Depends, Header, Query, Request, Response, status
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from adr_service.json_values import Line, Paragraphs, Wire
-from api.routes.datasets import LARGEST, NPZ, octets
-from api.routes.runs import LOOK_EVERY_S, PageSize, bytes_response
+from adr_service.tasks import catalogue
+from api.routes.downloads import bytes_response
+from api.routes.paging import Page, PageSize, PageToken, page_of
+from api.routes.polling import looks
 from api.service import ServiceDependency
-from api.views import ClaimView, HeartbeatView, Page, TaskView, claim_view, page_of, task_view
-from db import target_tasks as store
+from api.uploads import LARGEST, NPZ, octets
+from db import visits as visit_store
+from db.models import VisitState
+from db.visits import Visit
 
 router = APIRouter(prefix="/v1/target_tasks", tags=["target tasks"])
 _Name = Annotated[Line, Field(min_length=1, max_length=80)]
 _Lease = Annotated[str, Field(min_length=1, max_length=64)]
 
 
+class TaskView(BaseModel):
+    """A visit to a target: an episode that a claimant runs, has run, or may claim."""
+
+    id: str
+    run_id: str
+    task: str
+    kind: str  # of the episode: rollout, return, evaluation; else of the stage
+    number: int
+    transitions: int  # at most
+    seed: int
+    has_policy: bool  # else random actions
+    external: bool
+    state: VisitState
+    attempt: int
+    worker: str | None
+    steps: int
+    claimed_at: datetime | None
+    lease_expires_at: datetime | None
+    error: str | None
+    created_at: datetime
+    links: dict[str, str]
+
+
+class ClaimView(BaseModel):
+    """A task for a robot, and the lease that all its later requests must carry."""
+
+    task: TaskView
+    lease: str
+    lease_s: float  # from now on, or from the last heartbeat
+
+
+class HeartbeatView(BaseModel):
+    lease_expires_at: datetime
+    cancel_requested: bool  # stop moving, and release the task
+
+
 class Claim(Wire):
-    """Who asks for work, and for which robots."""
+    """A request for work: the name of the client, and the tasks of its robots."""
 
     worker: _Name
     tasks: list[_Name] = Field(min_length=1, max_length=100)
@@ -34,7 +74,7 @@ class Claim(Wire):
 
 class Heartbeat(Wire):
     lease: _Lease
-    steps: int = Field(ge=0, lt=2**31, description="of the episode so far")
+    steps: int = Field(ge=0, lt=2**31, description="steps of the episode so far")
 
 
 class Release(Wire):
@@ -43,7 +83,45 @@ class Release(Wire):
 
 class Failure(Wire):
     lease: _Lease
-    message: Paragraphs = Field(min_length=1, max_length=2000, description="why nobody can do this")
+    message: Paragraphs = Field(
+        min_length=1, max_length=2000, description="reason why no robot can do it"
+    )
+
+
+def task_view(task: Visit) -> TaskView:
+    here, inputs = f"/v1/target_tasks/{task.id}", task.inputs
+    return TaskView(
+        id=task.id,
+        run_id=task.run_id,
+        task=task.task,
+        kind=inputs.get("purpose", task.kind),
+        number=inputs.get("number", inputs.get("iteration", 0)),
+        transitions=inputs.get("transitions", catalogue.get_task(task.task).horizon),
+        seed=inputs["seed"],
+        has_policy=task.has_policy,
+        external=task.external,
+        state=task.state,
+        attempt=task.attempt,
+        worker=task.worker,
+        steps=task.steps,
+        claimed_at=task.claimed_at,
+        lease_expires_at=task.expires_at,
+        error=task.error,
+        created_at=task.created_at,
+        links={
+            "self": here,
+            "run": f"/v1/runs/{task.run_id}",
+            **({"policy": f"{here}/policy"} if task.has_policy else {}),
+        },
+    )
+
+
+def claim_view(task: Visit) -> ClaimView:
+    assert task.lease is not None
+    assert task.expires_at is not None
+    assert task.claimed_at is not None
+    lease_s = (task.expires_at - task.claimed_at).total_seconds()
+    return ClaimView(task=task_view(task), lease=task.lease, lease_s=lease_s)
 
 
 @router.post("/claim", response_model=ClaimView, responses={204: {"description": "no task"}})
@@ -52,32 +130,33 @@ async def claim(
     service: ServiceDependency,
     request: Request,
 ) -> ClaimView | Response:
-    """The oldest task that nobody has; waits for one for a while."""
-    until = time.monotonic() + body.wait_s
-    while not await request.is_disconnected():
-        found = await anyio.to_thread.run_sync(service.claim, body.worker, body.tasks)
-        if found is not None and not await request.is_disconnected():
-            return claim_view(found)
-        if found is not None and found.lease is not None:  # for somebody who is there
-            release = partial(store.release, service.database, found.id, found.lease)
-            await anyio.to_thread.run_sync(release)
-        if time.monotonic() >= until:
+    """The oldest free task; waits for one for `wait_s` seconds."""
+    async for _ in looks(body.wait_s):
+        if await request.is_disconnected():
             break
-        await anyio.sleep(LOOK_EVERY_S)
+        task = await anyio.to_thread.run_sync(service.claim, body.worker, body.tasks)
+        if task is None:
+            continue
+        if not await request.is_disconnected():
+            return claim_view(task)
+        assert task.lease is not None
+        release = partial(visit_store.release, service.database, task.id, task.lease)
+        await anyio.to_thread.run_sync(release)  # for a client that is still there
+        break
     return Response(status_code=status.HTTP_204_NO_CONTENT)
 
 
 @router.get("")
 def list_tasks(
     service: ServiceDependency,
-    state: Literal["pending", "claimed", "done", "failed", "withdrawn"] | None = None,
+    state: VisitState | None = None,
     run_id: str | None = None,
     external: Annotated[bool | None, Query(description="for robots, not simulated")] = None,
     page_size: PageSize = 100,
-    page_token: Annotated[int, Query(ge=0, lt=2**63)] = 0,
+    page_token: PageToken = 0,
 ) -> Page[TaskView]:
     """Visits to targets, in order."""
-    found = store.list_tasks(
+    tasks = visit_store.list_visits(
         service.database,
         state=state,
         run_id=run_id,
@@ -85,28 +164,30 @@ def list_tasks(
         after=page_token,
         limit=page_size + 1,
     )
-    return page_of(found, page_size, task_view, lambda record: record.number)
+    return page_of(tasks, page_size, task_view, lambda task: task.number)
 
 
 @router.get("/{task_id}")
 def get_task(task_id: str, service: ServiceDependency) -> TaskView:
-    """Who has it, since when, and how far it is."""
-    return task_view(store.get_task(service.database, task_id))
+    """State, claimant and progress of a task."""
+    return task_view(visit_store.get_visit(service.database, task_id))
 
 
 @router.get("/{task_id}/policy", response_class=Response)
 def policy(task_id: str, service: ServiceDependency) -> Response:
-    """Whose actions are asked for, as safetensors; 404 where random ones are."""
-    return bytes_response(store.policy_of(service.database, task_id), f"{task_id}.safetensors")
+    """Policy to act with, as safetensors; 404 if the task asks for random actions."""
+    return bytes_response(
+        visit_store.policy_of(service.database, task_id), f"{task_id}.safetensors"
+    )
 
 
 @router.post("/{task_id}/heartbeat")
 def heartbeat(
     task_id: str, body: Annotated[Heartbeat, Body()], service: ServiceDependency
 ) -> HeartbeatView:
-    """The episode goes on; the answer says until when, and whether to stop."""
+    """Renew the lease; the answer has its new end, and whether to stop."""
     now, lease_s = service.orchestrator.clock.now(), service.settings.lease_s
-    task = store.heartbeat(service.database, task_id, body.lease, body.steps, now, lease_s)
+    task = visit_store.heartbeat(service.database, task_id, body.lease, body.steps, now, lease_s)
     assert task.expires_at is not None
     return HeartbeatView(lease_expires_at=task.expires_at, cancel_requested=task.is_unwanted)
 
@@ -118,17 +199,17 @@ def upload(
     lease: Annotated[_Lease, Header()],
     service: ServiceDependency,
 ) -> TaskView:
-    """What happened, an `.npz` as of a recording with `rewards`; accepted once."""
+    """Upload the trajectory, an `.npz` like a recording, with `rewards`; accepted once."""
     return task_view(service.orchestrator.complete_task(task_id, lease, content))
 
 
 @router.post("/{task_id}/release")
 def release(task_id: str, body: Annotated[Release, Body()], service: ServiceDependency) -> TaskView:
-    """Give the task back, for another robot or another time."""
-    return task_view(store.release(service.database, task_id, body.lease))
+    """Give the task back for another claim."""
+    return task_view(visit_store.release(service.database, task_id, body.lease))
 
 
 @router.post("/{task_id}/fail")
 def fail(task_id: str, body: Annotated[Failure, Body()], service: ServiceDependency) -> TaskView:
-    """No robot can do this; its run fails with the message, and can be resumed."""
+    """Report that no robot can do the task: its run fails with the message, and can be resumed."""
     return task_view(service.orchestrator.fail_task(task_id, body.lease, body.message))

@@ -3,8 +3,8 @@
 from alembic import context
 from sqlalchemy import Connection
 
-from db.backends import backend_of
 from db.models import Base
+from db.session import backend_of
 
 
 def migrate(connection: Connection) -> None:

@@ -5,8 +5,8 @@ import time
 import pytest
 
 from adr_service.benchmark.comparison import Outcome, table, to_csv
-from adr_service.computation import LocalStages
 from adr_service.specs import BenchmarkSpec
+from adr_service.stages.local import LocalStages
 from api.client import AdrClient
 from tests.service import RunningService, start_service, wait_until_finished
 from tests.test_runs import iterations

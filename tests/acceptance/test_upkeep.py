@@ -8,7 +8,7 @@ from sqlalchemy import update
 from adr_service.events import RunSucceeded
 from adr_service.specs import RunSpec
 from api.client import Refused
-from db import runs
+from db import events, runs
 from db.models import RunRow
 from db.session import open_database
 from tests.service import start_service, until
@@ -20,8 +20,8 @@ SPEC = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smok
 def test_finished_runs_go_after_their_time_and_unfinished_ones_are_taken_up(tmp_path):
     database = open_database(f"sqlite:///{tmp_path / 'adr.sqlite'}")
     old, recent, left = (runs.create_run(database, SPEC).id for _ in range(3))
-    runs.append_event(database, old, RunSucceeded())
-    runs.append_event(database, recent, RunSucceeded())
+    events.append_event(database, old, RunSucceeded())
+    events.append_event(database, recent, RunSucceeded())
     runs.request_cancel(database, left)  # an end that needs no computing
     with database.write("test") as session:
         days_ago = datetime.now(UTC) - timedelta(days=3)

@@ -15,7 +15,7 @@ import pytest
 
 from adr_service.json_values import sha256
 from adr_service.presets import PRESETS
-from adr_service.runs import run
+from adr_service.programs import run
 from adr_service.specs import CriticismSpec, RunSpec
 from adr_service.transitions import dataset_id
 from tests.contracts.canned import CannedStages

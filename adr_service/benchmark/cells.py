@@ -1,0 +1,70 @@
+"""Outcomes of one budget by cell: a method on a task's variant after some iteration."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from adr_service.benchmark.comparison import Outcome
+from adr_service.json_values import canonical_json
+from adr_service.methods.catalogue import methods
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A method on a task's variant, after `iteration` rounds of data (None: the last)."""
+
+    task: str
+    variant: str
+    method: str
+    iteration: int | None = None
+    collector: str = "simopt"
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        return (self.task, self.variant, self.method, self.collector)
+
+    def __str__(self) -> str:
+        after = "" if self.iteration is None else f" after {self.iteration}"
+        whose = "" if self.collector == "simopt" else f" on {self.collector} data"
+        return f"{self.method}{whose} on {self.task} {self.variant}{after}"
+
+
+class Measured:
+    """The outcomes of one budget, by what was measured.
+
+    A method that was run with several settings counts with those that have the most seeds, of
+    several such the latest; of equal runs, the latest.
+    """
+
+    def __init__(self, outcomes: Sequence[Outcome]):
+        runs: dict[tuple[str, ...], dict[str, dict[int, dict[int, Outcome]]]] = {}
+        for outcome in outcomes:
+            spec = outcome.spec
+            key = (spec.task, spec.variant, spec.method.name, spec.collector)
+            simopt = spec.simopt.model_dump() if spec.simopt else None
+            settings = canonical_json([spec.method.model_dump(), simopt])
+            seeds = runs.setdefault(key, {}).setdefault(settings, {})
+            seeds.setdefault(spec.seed, {})[outcome.iteration.iteration] = outcome
+        self._cells = {
+            key: max(reversed(settings.values()), key=len) for key, settings in runs.items()
+        }
+
+    def iterations(self, cell: Cell) -> list[int]:
+        """Those after which every seed of the cell's method was evaluated."""
+        seeds = [set(found) for found in self._cells.get(cell.key, {}).values()]
+        return sorted(set[int].intersection(*seeds)) if seeds else []
+
+    def of(self, cell: Cell) -> dict[int, Outcome]:
+        """The outcomes of a cell by seed; none where it was not measured."""
+        found = self._cells.get(cell.key, {})
+        return {
+            seed: iterations[self.resolve(cell)]
+            for seed, iterations in sorted(found.items())
+            if self.resolve(cell) in iterations
+        }
+
+    def resolve(self, cell: Cell) -> int:
+        """The iteration that a cell means: the last is the spec's, for methods that iterate."""
+        if cell.iteration is not None:
+            return cell.iteration
+        specs = [o.spec for found in self._cells.get(cell.key, {}).values() for o in found.values()]
+        return specs[0].iterations if specs and not methods()[cell.method].is_level else 0

@@ -1,0 +1,123 @@
+"""Executions of stages, and how well a cluster's cores were used.
+
+    used = utilisation(executions)
+    used.useful          # 0.93: CPU seconds of computing per core second that could be had
+
+The window holds the moments when at least as many stages were asked for and not finished as there
+are cores: only then could all cores have been busy.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import computed_field
+
+from adr_service.json_values import Wire
+
+
+@dataclass(frozen=True, kw_only=True)
+class Execution:
+    """Origin and cost of a stage's result. Times are in seconds since the epoch.
+
+    None stands for a measurement that does not exist: a robot's episode takes no core.
+    """
+
+    attempt: int  # 1, 2, …
+    started_by: str  # id of the run
+    asked: float  # when any run first asked for the stage; a robot's episode: published
+    placed: float  # when it got a core; a robot's episode: claimed
+    began: float  # when its process began to compute
+    ended: float
+    cpu: float | None = None  # CPU seconds of the process from `began` to `ended`
+    preparing: float | None = None  # seconds of these for imports and compilations
+    is_first: bool | None = None  # the process was new, and started between `placed` and `began`
+    cores: int | None = None  # of the cluster
+    provenance: dict[str, Any] = field(default_factory=dict[str, Any])  # package versions, CPU
+
+    @property
+    def seconds(self) -> float:
+        """Seconds from `began` to `ended`."""
+        return self.ended - self.began
+
+    @property
+    def is_measured(self) -> bool:
+        """True if a process of the cluster measured itself."""
+        return self.cpu is not None
+
+
+class Utilisation(Wire):
+    """Core seconds of a window by their use; the uses add up to cores x seconds.
+
+    See the glossary.
+    """
+
+    cores: int
+    seconds: float  # of the window
+    computing: float  # CPU seconds of stages
+    starting: float  # of processes
+    preparing: float  # imports and compilations inside of stages
+    waiting: float  # within a stage, without a CPU: other processes had it, or the disk
+    orchestration: float  # a core was free, or its stage was on the way to it
+
+    @computed_field
+    @property
+    def useful(self) -> float:
+        """Share of the core seconds that computed, start-up and preparation left out."""
+        return self.computing / (self.computing + self.waiting + self.orchestration)
+
+    @computed_field
+    @property
+    def overhead(self) -> float:
+        """Share of all core seconds that went to orchestration."""
+        return self.orchestration / (self.cores * self.seconds)
+
+
+def utilisation(executions: Sequence[Execution]) -> Utilisation | None:
+    """Return the use of the cores; None if there was never enough work for all of them."""
+    measured = [execution for execution in executions if execution.is_measured]
+    cores = max((execution.cores or 1 for execution in measured), default=1)
+    window = _window(measured, cores)
+    total = sum(end - start for start, end in window)
+    if total == 0:
+        return None
+    # a core that is free, or waits for its stage to begin, is left over: orchestration
+    uses = {"starting": 0.0, "computing": 0.0, "preparing": 0.0, "waiting": 0.0}
+    for execution in measured:
+        for use, seconds in _uses(execution, window).items():
+            uses[use] += seconds
+    left = cores * total - sum(uses.values())
+    return Utilisation(cores=cores, seconds=total, orchestration=left, **uses)
+
+
+def _uses(execution: Execution, window: Sequence[tuple[float, float]]) -> dict[str, float]:
+    """Seconds of the window that one execution took of a core, by their use."""
+    uses: dict[str, float] = {}
+    if execution.is_first:
+        uses["starting"] = _overlap(window, execution.placed, execution.began)
+    if execution.seconds > 0:
+        cpu, preparing = execution.cpu or 0.0, execution.preparing or 0.0
+        inside = _overlap(window, execution.began, execution.ended)
+        share = inside / execution.seconds
+        uses["preparing"] = share * preparing
+        uses["computing"] = share * max(0.0, cpu - preparing)
+        uses["waiting"] = inside - share * max(cpu, preparing)
+    return uses
+
+
+def _window(executions: Sequence[Execution], cores: int) -> list[tuple[float, float]]:
+    """Spans of time in which at least `cores` stages were asked for and not finished."""
+    changes = sorted([(e.asked, 1) for e in executions] + [(e.ended, -1) for e in executions])
+    spans: list[tuple[float, float]] = []
+    present, since = 0, 0.0
+    for moment, change in changes:
+        if present < cores <= present + change:
+            since = moment
+        elif present + change < cores <= present:
+            spans.append((since, moment))
+        present += change
+    return spans
+
+
+def _overlap(spans: Sequence[tuple[float, float]], start: float, end: float) -> float:
+    return sum(max(0.0, min(end, last) - max(start, first)) for first, last in spans)

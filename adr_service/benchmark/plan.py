@@ -1,0 +1,207 @@
+"""The cost of runs before they run: their own programs, over stages that price instead of compute.
+
+    plan(list(spec.runs()), cores=4).hours
+
+Every run's program is the one that will run. Each stage answers with its stand-in, so that runs
+share in the plan what they will share, and waits until a core would have computed it: the plan
+knows how many trainings can run at once.
+"""
+
+import heapq
+import time
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any, cast
+
+import numpy as np
+
+from adr_service.events import RunEvent
+from adr_service.programs import Program, run
+from adr_service.randomness import stream
+from adr_service.simulation.batch import Simulations
+from adr_service.simulation.rollout import random_actions
+from adr_service.specs import AnyRun
+from adr_service.stages.base import PRIORITY, Cost, Machine, R, Result, Stage
+from adr_service.tasks.catalogue import get_task, variants_of
+
+_MEASURED_S = 0.05  # of simulating, to know the speed of a task
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An estimate of the cost of runs.
+
+    Trainings may stop earlier, at the reward threshold, which nobody knows before.
+    """
+
+    runs: int
+    trainings: int  # distinct; equal ones are shared between runs
+    environment_steps: int
+    target_transitions: int  # distinct, at most
+    core_hours: float
+    cores: int
+    hours: float | None  # on these cores, with waiting for each other; None without cores
+    policies_mb: float
+    basis: str = (
+        "estimate, if every training uses all its steps; simulation speed measured on this "
+        "machine a moment ago, gradient steps as measured on one server core"
+    )
+
+
+class ThisMachine:
+    """The speed of one core of this machine, measured."""
+
+    @cache  # noqa: B019 - as long as the machine, which is one plan's
+    def steps_per_second(self, task: str) -> float:
+        """Control steps of one core's time, whatever else it does."""
+        return _step_rate(task)
+
+
+def plan(
+    runs: Sequence[AnyRun], cores: int, recording: Callable[[AnyRun], bytes | None] | None = None
+) -> Plan:
+    """The cost of `runs` on `cores` cores; `recording` gives the dataset that a run names."""
+    costs = _Schedule(ThisMachine(), max(cores, 1))
+    for number, spec in enumerate(runs):
+        content = None if recording is None else recording(spec)
+        costs.start(run(spec, _PricedStages(f"run {number}"), content))
+    seconds = costs.finish()
+    distinct = list(costs.priced.values())
+    core_seconds = sum(job.cost.seconds for job in distinct if job.stage.role != "robot")
+    return Plan(
+        runs=len(runs),
+        trainings=sum(job.stage.role == "trainer" for job in distinct),
+        environment_steps=sum(job.cost.environment_steps for job in distinct),
+        target_transitions=sum(job.cost.target_transitions for job in distinct),
+        core_hours=core_seconds / 3600,
+        cores=cores,
+        hours=seconds / 3600 if cores else None,
+        policies_mb=sum(job.cost.policy_bytes for job in distinct) / 1e6,
+    )
+
+
+@dataclass(frozen=True)
+class _Ask:
+    """A program's wish for results, yielded in the place of an event."""
+
+    stages: Sequence[Stage[Any]]
+
+
+class _PricedStages:
+    """Stages of a plan: every wish goes to whoever iterates the program, with its answer."""
+
+    def __init__(self, run_id: str):
+        self.run_id = run_id
+
+    def all(self, stages: Sequence[Stage[R]]) -> Generator[RunEvent, None, list[R]]:
+        # a wish is no event, and is sent its answer: the schedule alone iterates such a program
+        return cast(list[R], (yield cast(RunEvent, _Ask(stages))))
+
+    def run(self, stage: Stage[R]) -> Generator[RunEvent, None, R]:
+        return (yield from self.all([stage]))[0]
+
+
+@dataclass(eq=False)
+class _Job:
+    """A stage that some programs wait for, once for all of them."""
+
+    stage: Stage[Any]
+    number: int
+    cost: Cost
+    stand_in: Result
+    is_done: bool = False
+    waiting: "list[_Waiting]" = field(default_factory=list)
+
+
+@dataclass(eq=False)
+class _Waiting:
+    """A program that goes on when all stages of its wish are done."""
+
+    program: Program
+    jobs: list[_Job]
+
+
+class _Schedule:
+    """Cores that compute stages one after the other, as the dispatcher would place them."""
+
+    def __init__(self, machine: Machine, cores: int):
+        self._machine, self._free = machine, cores
+        self._now = 0.0
+        self._ready: list[tuple[int, int, str]] = []  # priority, number, digest
+        self._running: list[tuple[float, int, str]] = []  # end, number, digest
+        self.priced: dict[str, _Job] = {}
+
+    def start(self, program: Program) -> None:
+        """Let a program run until it waits for a stage."""
+        self._go_on(program, None)
+
+    def finish(self) -> float:
+        """The time [s] at which the last program ends."""
+        while self._ready or self._running:
+            while self._ready and self._free:
+                _, number, digest = heapq.heappop(self._ready)
+                self._free -= 1
+                self._begin(number, digest)
+            self._now, _, digest = heapq.heappop(self._running)
+            job = self.priced[digest]
+            self._free += job.stage.role != "robot"
+            self._complete(job)
+        return self._now
+
+    def _go_on(self, program: Program, answers: list[Result] | None) -> None:
+        """Iterate a program to its next wish that has to wait, or to its end."""
+        try:
+            while True:
+                event: Any = program.send(cast(None, answers))
+                answers = None
+                if isinstance(event, _Ask):
+                    jobs = [self._job(stage) for stage in event.stages]
+                    if not all(job.is_done for job in jobs):
+                        self._wait(program, jobs)
+                        return
+                    answers = [job.stand_in for job in jobs]
+        except StopIteration:
+            return
+
+    def _wait(self, program: Program, jobs: list[_Job]) -> None:
+        entry = _Waiting(program, jobs)
+        for job in jobs:
+            if not job.is_done and entry not in job.waiting:
+                job.waiting.append(entry)
+
+    def _job(self, stage: Stage[Any]) -> _Job:
+        job = self.priced.get(stage.digest)
+        if job is None:
+            number = len(self.priced)
+            job = _Job(stage, number, stage.cost(self._machine), stage.stand_in())
+            self.priced[stage.digest] = job
+            if stage.role == "robot":  # which needs no core
+                self._begin(number, stage.digest)
+            else:
+                heapq.heappush(self._ready, (PRIORITY[stage.role], number, stage.digest))
+        return job
+
+    def _begin(self, number: int, digest: str) -> None:
+        end = self._now + self.priced[digest].cost.seconds
+        heapq.heappush(self._running, (end, number, digest))
+
+    def _complete(self, job: _Job) -> None:
+        job.is_done = True
+        for entry in job.waiting:
+            if all(each.is_done for each in entry.jobs):
+                self._go_on(entry.program, [each.stand_in for each in entry.jobs])
+
+
+def _step_rate(task_name: str) -> float:
+    task = get_task(task_name)
+    source = next(iter(variants_of(task.name).values())).source
+    simulations, rng = Simulations(task, source, 12), stream("step rate", task.name)
+    simulations.set_dynamics(np.tile((source.space.low + source.space.high) / 2, (12, 1)))
+    simulations.set_state(task.initial(12, rng))
+    act, unseen = random_actions(task, rng), np.empty((12, 0))
+    steps, started = 0, time.thread_time()
+    while (elapsed := time.thread_time() - started) < _MEASURED_S:
+        simulations.step(act(unseen))
+        steps += 12
+    return steps / elapsed

@@ -1,0 +1,229 @@
+"""The plots of a benchmark: rows of its tables in, a Matplotlib figure out."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from adr_service.benchmark.comparison import Cost, ParameterEstimate, Row
+from adr_service.methods.catalogue import methods
+
+_COLLECTOR_COLOURS = {"simopt": "#0072B2", "prior": "#666666", "random": "#E69F00"}
+_COLLECTOR_LABELS = {
+    "simopt": "SimOpt's trajectories",
+    "prior": "the prior's policy",
+    "random": "random actions",
+}
+_MOST_NAMED = 8  # parameters in a legend
+_SHIFT = 0.12  # iterations between the points of two methods
+_AXIS_LABELS = {
+    "inference_steps": "simulated control steps",
+    "inference_seconds": "seconds on one core",
+}
+
+
+def plot_returns(rows: Sequence[Row]) -> Figure:
+    """Normalised target return over iterations: variants below each other, tasks side by side."""
+    tasks = list(dict.fromkeys(row.task for row in rows))
+    variants = list(dict.fromkeys(row.variant for row in rows))
+    figure, axes = _grid(len(variants), len(tasks), sharey=True)
+    for (i, variant), (j, task) in _pairs(variants, tasks):
+        chosen = [row for row in rows if (row.task, row.variant) == (task, variant)]
+        axes[i, j].set_title(f"{task}, {variant}")
+        if chosen:
+            _returns_panel(axes[i, j], chosen)
+    _label_returns(figure, axes, rows)
+    return figure
+
+
+def plot_collection(rows: Sequence[Row]) -> Figure:
+    """Returns of offline methods by collector: a row per task, a column per method."""
+    tasks = list(dict.fromkeys((row.task, row.variant) for row in rows))
+    names = list(dict.fromkeys(row.method for row in rows))
+    figure, axes = _grid(len(tasks), len(names), sharey=True)
+    for (i, task), (j, method) in _pairs(tasks, names):
+        axes[i, j].set_title(f"{_label(method)} on {', '.join(task)}")
+        _collection_panel(
+            axes[i, j],
+            [row for row in rows if (row.task, row.variant, row.method) == (*task, method)],
+        )
+    _label_returns(figure, axes, rows)
+    return figure
+
+
+def plot_parameters(estimates: Sequence[ParameterEstimate]) -> Figure:
+    """Inferred mean and standard deviation of every parameter, against the truth."""
+    names = list(dict.fromkeys((e.task, e.variant, e.parameter, e.unit) for e in estimates))
+    columns = min(4, len(names))
+    rows = -(-len(names) // columns)
+    figure = Figure(figsize=(3 * columns, 2.6 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axis in axes[len(names) :]:
+        axis.set_axis_off()
+    for axis, (task, variant, parameter, unit) in zip(axes, names, strict=False):
+        key = (task, variant, parameter)
+        _parameter_panel(axis, [e for e in estimates if (e.task, e.variant, e.parameter) == key])
+        axis.set_title(f"{parameter} [{unit}], {task} {variant}", fontsize=8)
+    axes[0].legend(frameon=False, fontsize=7)
+    figure.supxlabel("one point per seed; bars: inferred standard deviation", fontsize=7)
+    return figure
+
+
+def plot_spread(estimates: Sequence[ParameterEstimate]) -> Figure:
+    """Standard deviation of every parameter over iterations, mean over seeds."""
+    tasks = list(dict.fromkeys((e.task, e.variant) for e in estimates))
+    names = list(dict.fromkeys(e.method for e in estimates))
+    figure, axes = _grid(len(tasks), len(names), sharey=True)
+    for (i, task), (j, method) in _pairs(tasks, names):
+        axes[i, j].set_title(f"{_label(method)} on {', '.join(task)}")
+        chosen = [e for e in estimates if (e.task, e.variant, e.method) == (*task, method)]
+        lines = _spread_panel(axes[i, j], chosen)
+        if j == len(names) - 1 and lines <= _MOST_NAMED:
+            _legend(axes[i, j])
+    for row_axes in axes:
+        row_axes[0].set_ylabel("standard deviation in [0, 4]")
+    figure.supxlabel("mean over seeds; the line at 1 is the prior's", fontsize=7)
+    return figure
+
+
+def plot_cost(rows: Sequence[Cost]) -> Figure:
+    """Simulated steps and seconds of one inference over iterations."""
+    tasks = list(dict.fromkeys((row.task, row.variant) for row in rows))
+    figure, axes = _grid(len(tasks), len(_AXIS_LABELS))
+    for (i, task), (j, measure) in _pairs(tasks, list(_AXIS_LABELS)):
+        axes[i, j].set_title(", ".join(task))
+        _cost_panel(axes[i, j], [row for row in rows if (row.task, row.variant) == task], measure)
+    _legend(axes[0, -1] if axes[0, -1].lines else axes[0, 0])
+    figure.supxlabel("of one inference, without training; mean over seeds", fontsize=7)
+    return figure
+
+
+def _returns_panel(axis: Axes, rows: Sequence[Row]) -> None:
+    last = max(row.iteration for row in rows)
+    for method in dict.fromkeys(row.method for row in rows):
+        chosen = [row for row in rows if row.method == method]
+        if methods()[method].is_level:
+            chosen, x, style = [chosen[0]] * 2, [0.0, max(last, 1)], "--"
+        else:
+            x, style = [float(row.iteration) for row in chosen], "o-"
+        _band(axis, x, chosen, style, _colour(method), _label(method))
+    axis.axhline(1.0, color="black", linewidth=0.5)
+    _iteration_axis(axis, last)
+
+
+def _collection_panel(axis: Axes, rows: Sequence[Row]) -> None:
+    for collector in dict.fromkeys(row.collector for row in rows):
+        chosen = [row for row in rows if row.collector == collector]
+        x, colour = [row.iteration for row in chosen], _COLLECTOR_COLOURS[collector]
+        _band(axis, x, chosen, "o-", colour, _COLLECTOR_LABELS[collector])
+    axis.axhline(1.0, color="black", linewidth=0.5)
+    _iteration_axis(axis, max((row.iteration for row in rows), default=0))
+
+
+def _parameter_panel(axis: Axes, estimates: Sequence[ParameterEstimate]) -> None:
+    """One parameter: a point with an error bar per seed, iteration, method and collector."""
+    if estimates[0].truth is not None:
+        axis.axhline(estimates[0].truth, color="black", linewidth=0.8, label="truth")
+    series = dict.fromkeys((e.method, e.collector) for e in estimates)
+    for number, (method, collector) in enumerate(series):
+        chosen = [e for e in estimates if (e.method, e.collector) == (method, collector)]
+        axis.errorbar(
+            np.array([e.iteration + _SHIFT * number for e in chosen]),
+            [e.mean for e in chosen],
+            [e.std for e in chosen],
+            fmt="o" if collector == "simopt" else "s",
+            color=_colour(method),
+            label=_label_of(method, collector),
+            markersize=3,
+            alpha=0.7,
+            linewidth=0.8,
+        )
+    axis.set_xlabel("iteration")
+    axis.set_xticks(sorted({e.iteration for e in estimates}))
+
+
+def _spread_panel(axis: Axes, estimates: Sequence[ParameterEstimate]) -> int:
+    """A line per parameter; returns how many there are."""
+    names = list(dict.fromkeys(e.parameter for e in estimates))
+    for name in names:
+        by_iteration: dict[int, list[float]] = {}
+        for estimate in estimates:
+            if estimate.parameter == name:
+                stds = by_iteration.setdefault(estimate.iteration, [])
+                stds.append(estimate.normalised_std)
+        means = [float(np.mean(stds)) for stds in by_iteration.values()]
+        axis.plot(list(by_iteration), means, "o-", markersize=3, linewidth=1, label=name)
+    axis.axhline(1.0, color="black", linewidth=0.5)
+    axis.set_yscale("log")
+    _iteration_axis(axis, max((e.iteration for e in estimates), default=0))
+    return len(names)
+
+
+def _cost_panel(axis: Axes, rows: Sequence[Cost], measure: str) -> None:
+    """A line per method and collector, of one of the `_AXIS_LABELS`."""
+    for method, collector in dict.fromkeys((row.method, row.collector) for row in rows):
+        chosen = [row for row in rows if (row.method, row.collector) == (method, collector)]
+        values = [(row.iteration, getattr(row, measure)) for row in chosen]
+        # BayRn simulates nothing, and only runs of a service have seconds
+        points = [(x, y) for x, y in values if y]
+        if points:
+            style, label = "o-" if collector == "simopt" else "s:", _label_of(method, collector)
+            x, y = zip(*points, strict=True)
+            axis.plot(x, y, style, color=_colour(method), label=label, markersize=4)
+            axis.set_yscale("log")
+    axis.set_ylabel(_AXIS_LABELS[measure])
+    _iteration_axis(axis, max(row.iteration for row in rows))
+
+
+def _band(
+    axis: Axes, x: Sequence[float], rows: Sequence[Row], style: str, colour: str, label: str
+) -> None:
+    low, high = [row.low for row in rows], [row.high for row in rows]
+    axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
+    means = [row.normalised_return for row in rows]
+    axis.plot(x, means, style, color=colour, label=label, markersize=4)
+
+
+def _label_returns(figure: Figure, axes: np.ndarray, rows: Sequence[Row]) -> None:
+    """Axis label, legend and note of a figure of returns with their bands."""
+    for row_axes in axes:
+        row_axes[0].set_ylabel("target return / reward threshold")
+    _legend(axes[0, -1])
+    seeds = "–".join(map(str, sorted({row.seeds for row in rows})))
+    figure.supxlabel(
+        f"bands: 95 % bootstrap intervals over seeds (here {seeds}) and episodes", fontsize=7
+    )
+
+
+def _grid(rows: int, columns: int, **options: Any) -> tuple[Figure, np.ndarray]:
+    """A figure of panels, with room for a legend on its right: axes (rows, columns)."""
+    figure = Figure(figsize=(2 + 4.2 * columns, 0.4 + 3 * rows), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def _legend(axis: Axes) -> None:
+    axis.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
+
+
+def _label(method: str) -> str:
+    return methods()[method].label or method
+
+
+def _label_of(method: str, collector: str) -> str:
+    """The method's label, with its collector if that is not SimOpt."""
+    return _label(method) + ("" if collector == "simopt" else f" on {collector}")
+
+
+def _colour(method: str) -> str:
+    return methods()[method].colour
+
+
+def _iteration_axis(axis: Axes, last: int) -> None:
+    axis.set_xlabel("iteration (target trajectories seen)")
+    axis.set_xticks(range(last + 1))
+
+
+def _pairs(one: Sequence[Any], other: Sequence[Any]) -> list[tuple[tuple[int, Any], ...]]:
+    return [(a, b) for a in enumerate(one) for b in enumerate(other)]

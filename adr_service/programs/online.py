@@ -1,0 +1,53 @@
+"""Online methods: repeat: train -> visit the target -> update the estimate."""
+
+from collections.abc import Generator, Sequence
+from typing import Any, cast
+
+from adr_service.distributions import Distribution
+from adr_service.events import RunEvent
+from adr_service.methods.base import OnlineSettings
+from adr_service.programs.steps import Inference, infer, joined, problem_of, report, training
+from adr_service.specs import RunSpec
+from adr_service.stages.base import Stages
+from adr_service.stages.infer import Inferred
+from adr_service.stages.train_policy import TrainedPolicy
+from adr_service.target import Target, Visit, open_target
+
+
+def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[RunEvent, None, None]:
+    loop = OnlineLoop(spec, stages, open_target(spec, stages))
+    for iteration in range(spec.iterations + 1):
+        trained = yield from loop.train()
+        yield from report(loop.target, iteration, [loop.distribution], [trained], loop.inference)
+        if iteration < spec.iterations:
+            visit = yield from loop.visit(trained, iteration)
+            yield from loop.update([visit])
+
+
+class OnlineLoop:
+    """One online method at work: its distribution to train on, and its last inference."""
+
+    def __init__(self, spec: RunSpec, stages: Stages, target: Target):
+        self._spec, self._stages, self.target = spec, stages, target
+        method, problem = cast(OnlineSettings, spec.method).create(), problem_of(spec)
+        self._state: dict[str, Any] = method.start(problem)
+        self.distribution: Distribution = method.ask(problem, self._state)
+        self.inference: Inference[Inferred] | None = None
+
+    def train(self) -> Generator[RunEvent, None, TrainedPolicy]:
+        """A policy for the present distribution."""
+        return (yield from self._stages.run(training(self._spec, self.distribution)))
+
+    def visit(self, trained: TrainedPolicy, iteration: int) -> Generator[RunEvent, None, Visit]:
+        """A trajectory of a policy on the target."""
+        return (yield from self.target.rollout(trained.policy, iteration))
+
+    def update(self, visits: Sequence[Visit]) -> Generator[RunEvent, None, None]:
+        """Infer from visits of one policy."""
+        policy, data = visits[0].policy, joined(visits)
+        self.inference = yield from infer(
+            self._spec, self._stages, state=self._state, policy=policy, data=data
+        )
+        answer = self.inference.answer
+        assert answer.state is not None, "an online method has a state"
+        self._state, self.distribution = answer.state, answer.distribution

@@ -1,0 +1,111 @@
+"""Steps that programs share: train, infer, and report how a run stands."""
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from adr_service.distributions import Distribution
+from adr_service.events import IterationFinished, RunEvent
+from adr_service.json_values import sha256
+from adr_service.methods.base import Problem
+from adr_service.methods.catalogue import identity_of as identity_of_method
+from adr_service.specs import RunSpec
+from adr_service.stages.base import Stages
+from adr_service.stages.infer import Infer, Inferred
+from adr_service.stages.propose import Proposed
+from adr_service.stages.train_policy import TrainedPolicy, TrainPolicy
+from adr_service.target import Recording, Target, Visit
+from adr_service.tasks.catalogue import get_task, identity_of, source_of
+from adr_service.transitions import TransitionDataset
+
+Answer = TypeVar("Answer", Inferred, Proposed)
+
+
+@dataclass(frozen=True)
+class Inference(Generic[Answer]):
+    """An answer of a method, and the digests of the stages that computed it."""
+
+    answer: Answer
+    stages: list[str]
+
+
+def problem_of(spec: RunSpec) -> Problem:
+    """The simulator that the method of a run may use."""
+    task = get_task(spec.task)
+    return Problem(task, source_of(task.name, spec.source_domain))
+
+
+def source_inputs(spec: RunSpec) -> dict[str, Any]:
+    """The inputs of every stage that simulates the source."""
+    return {**identity_of(spec.task), "variant": spec.source_domain, "seed": spec.seed}
+
+
+def training(spec: RunSpec, distribution: Distribution) -> TrainPolicy:
+    """The training of a run's policy on a distribution."""
+    return TrainPolicy(**source_inputs(spec), distribution=distribution, training=spec.training)
+
+
+def infer(
+    spec: RunSpec, stages: Stages, **evidence: Any
+) -> Generator[RunEvent, None, Inference[Inferred]]:
+    """The answer of a run's method; where its settings have a grid, the best of all answers."""
+    asked = [
+        Infer(**source_inputs(spec), **identity_of_method(settings), **evidence)
+        for settings in spec.method.each
+    ]
+    answers = yield from stages.all(asked)
+    digests = [stage.digest for stage in asked]
+    if len(answers) == 1:
+        return Inference(answers[0], digests)
+    return Inference(_best(spec, asked, answers), digests)
+
+
+def _best(spec: RunSpec, asked: Sequence[Infer], answers: Sequence[Inferred]) -> Inferred:
+    """The answer with the smallest criterion, and in its diagnostics the criterion of each."""
+    grid = spec.method.grid
+    assert grid is not None
+    criteria = [answer.diagnostics[grid.criterion] for answer in answers]
+    best = answers[criteria.index(min(criteria))]
+    values = [str(getattr(stage.method, grid.field)) for stage in asked]
+    tried = dict(zip(values, criteria, strict=True))
+    return best.model_copy(
+        update={
+            "simulated_steps": sum(answer.simulated_steps for answer in answers),
+            "diagnostics": {**best.diagnostics, f"{grid.criterion}_by_{grid.field}": tried},
+        }
+    )
+
+
+def joined(visits: Sequence[Visit]) -> bytes:
+    """The transitions of several visits, one episode each."""
+    parts = [TransitionDataset.from_npz(visit.data) for visit in visits]
+    return TransitionDataset.concatenate(parts).to_npz()
+
+
+def report(
+    target: Target | Recording,
+    iteration: int,
+    distributions: Sequence[Distribution],
+    trained: Sequence[TrainedPolicy],
+    inference: Inference[Inferred] | Inference[Proposed] | None = None,
+) -> Generator[RunEvent, None, None]:
+    """Evaluate the trained policies on the target, where that is possible, and report them."""
+    policies = [each.policy for each in trained]
+    evaluations = yield from target.evaluate(policies)
+    returns = [evaluation.returns for evaluation in evaluations]
+    yield IterationFinished(
+        iteration=iteration,
+        target_rollouts=target.rollouts,
+        target_transitions=target.transitions,
+        evaluation_episodes=sum(len(episodes) for episodes in returns),
+        distributions=[distribution.to_json() for distribution in distributions],
+        policies=[sha256(policy) for policy in policies],
+        source_returns=[each.source_return for each in trained],
+        reached_threshold=[each.reached_threshold for each in trained],
+        training_steps=[each.steps for each in trained],
+        inference_steps=inference.answer.simulated_steps if inference else 0,
+        inferences=inference.stages if inference else [],
+        returns=returns,
+        diverged_episodes=sum(evaluation.diverged_episodes for evaluation in evaluations),
+        diagnostics=inference.answer.diagnostics if inference else {},
+    )

@@ -1,0 +1,31 @@
+"""Specs: the request body, the database row and a program's only argument.
+
+    spec = RunSpec.model_validate({"task": "arm", "method": "simopt", "preset": "smoke"})
+
+A run's spec is complete: validation fills from the preset what was not given, so that a stored one
+means the same when presets change. Given fields win over the preset, one by one.
+"""
+
+from adr_service.specs.benchmark import MAX_RUNS, BenchmarkExtension, BenchmarkSpec
+from adr_service.specs.run import AnyRun, CriticismSpec, RunSpec
+from adr_service.specs.target import (
+    EXTERNAL_EPISODES,
+    AnyTarget,
+    ExternalTarget,
+    RecordedTarget,
+    SimulatedTarget,
+)
+
+__all__ = [
+    "EXTERNAL_EPISODES",
+    "MAX_RUNS",
+    "AnyRun",
+    "AnyTarget",
+    "BenchmarkExtension",
+    "BenchmarkSpec",
+    "CriticismSpec",
+    "ExternalTarget",
+    "RecordedTarget",
+    "RunSpec",
+    "SimulatedTarget",
+]

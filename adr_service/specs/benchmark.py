@@ -1,0 +1,113 @@
+"""Specs of benchmarks: a grid of runs under one budget."""
+
+from collections import Counter
+from collections.abc import Iterator
+from itertools import product
+from typing import Annotated, Any, Self, TypeVar
+
+from pydantic import Field, ValidationError, model_validator
+
+from adr_service.errors import InvalidInput
+from adr_service.json_values import Wire, explain
+from adr_service.methods.catalogue import methods, names_of
+from adr_service.specs.filling import learns_from_simopt
+from adr_service.specs.names import (
+    Collector,
+    Name,
+    NameOrSettings,
+    PresetName,
+    Seed,
+    TaskName,
+    VariantName,
+    as_given,
+)
+from adr_service.specs.run import RunSpec
+
+MAX_RUNS = 5000  # of one benchmark
+T = TypeVar("T")
+Budget = Annotated[int, Field(lt=2**31)]  # each run has closer limits
+Members = Annotated[list[T], Field(max_length=MAX_RUNS)]
+
+
+class BenchmarkExtension(Wire):
+    """Members to add to a benchmark."""
+
+    tasks: Members[TaskName] = Field([])
+    variants: Members[Name] = Field([])
+    methods: Members[NameOrSettings] = Field([])
+    collectors: Members[Collector] = Field([])
+    seeds: Members[Seed] = Field([])
+
+
+class BenchmarkSpec(Wire):
+    """Tasks x variants x methods x seeds under one budget."""
+
+    tasks: Members[TaskName] = Field(min_length=1)
+    variants: Members[VariantName] = Field(default=["vanilla"], min_length=1)
+    methods: Members[NameOrSettings] = Field(min_length=1)
+    collectors: Members[Collector] = Field(
+        default=["simopt"], min_length=1, description="for offline methods; others run once"
+    )
+    seeds: Members[Seed] = Field(default=[0, 1, 2], min_length=1)
+    references: bool = Field(True, description="also run the prior and the oracle policy")
+    preset: PresetName = "quick"
+    iterations: Budget | None = None
+    transitions: Budget | None = None
+    evaluation_episodes: Budget | None = None
+    training: dict[Name, Any] | None = Field(None, max_length=100)
+
+    @model_validator(mode="after")
+    def _all_runs_are_valid(self) -> Self:
+        if self.size > MAX_RUNS:
+            raise ValueError(f"a benchmark may have {MAX_RUNS} runs at most; this has {self.size}")
+        for name in ("tasks", "variants", "methods", "collectors", "seeds"):
+            values = [getattr(m, "name", m) for m in getattr(self, name)]
+            if repeated := [value for value, count in Counter(values).items() if count > 1]:
+                raise ValueError(f"{name} must not repeat a member; {repeated[0]!r} comes twice")
+        list(self.runs())
+        return self
+
+    @property
+    def size(self) -> int:
+        """The number of runs."""
+        columns = sum(len(self._collectors_of(method)) for method in self._all_methods)
+        return len(self.tasks) * len(self.variants) * len(self.seeds) * columns
+
+    def _collectors_of(self, method: Any) -> list[Collector]:
+        name = method if isinstance(method, str) else method.name
+        return self.collectors if name in names_of("recordings") else ["simopt"]
+
+    @property
+    def _all_methods(self) -> list[Any]:
+        named = [m if isinstance(m, str) else m.name for m in self.methods]
+        known = methods().items() if self.references else ()
+        references = [name for name, settings in known if settings.is_reference]
+        return [*self.methods, *(name for name in references if name not in named)]
+
+    def extended(self, extension: BenchmarkExtension) -> "BenchmarkSpec":
+        """This benchmark with more members; those that it has already cannot be added again."""
+        added = {name: list(value) for name, value in extension if value}
+        if not added:
+            accepted = ", ".join(BenchmarkExtension.model_fields)
+            raise InvalidInput(f"nothing to add was given; accepted: {accepted}")
+        wider = {name: [*getattr(self, name), *value] for name, value in added.items()}
+        try:
+            return BenchmarkSpec.model_validate(self.model_dump(exclude_unset=True) | wider)
+        except ValidationError as error:
+            raise InvalidInput(explain(error, "benchmark")) from error
+
+    def runs(self) -> Iterator[RunSpec]:
+        """The runs, seeds outermost, so that a stopped benchmark has whole repetitions."""
+        budget = ("iterations", "transitions", "evaluation_episodes", "training")
+        given = {name: getattr(self, name) for name in budget if getattr(self, name) is not None}
+        own = next((m for m in self.methods if not isinstance(m, str) and m.collects), None)
+        simopt = {} if own is None else {"simopt": as_given(own)}
+        chosen = [(m, c) for m in self._all_methods for c in self._collectors_of(m)]
+        for seed, task, variant, (method, collector) in product(
+            self.seeds, self.tasks, self.variants, chosen
+        ):
+            # fields that a method's settings leave out are the preset's, not the class's defaults
+            who = {"method": as_given(method), "collector": collector}
+            cell = {"task": task, "variant": variant, "seed": seed, "preset": self.preset}
+            own_simopt = simopt if learns_from_simopt(who) else {}
+            yield RunSpec.model_validate({**cell, **who, **given, **own_simopt})

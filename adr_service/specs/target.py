@@ -1,0 +1,43 @@
+"""Targets of runs: simulated, recorded, or a machine outside."""
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from adr_service.effects.base import Effect
+from adr_service.json_values import Wire
+from adr_service.specs.names import Name
+
+
+class SimulatedTarget(Wire):
+    """The hidden truth of the task's variant, in simulation."""
+
+    kind: Literal["simulated"] = "simulated"
+    program: ClassVar[str | None] = None  # the method's
+    effects: list[Effect] = Field(
+        default=[], max_length=100, description="that it has, and the source's file lacks"
+    )
+
+
+class RecordedTarget(Wire):
+    """No target at all, but a stored recording, from which an offline method learns once."""
+
+    kind: Literal["recorded"] = "recorded"
+    program: ClassVar[str | None] = "adr_service.programs.recorded"
+    dataset: Name = Field(description="id of an uploaded recording")
+    episodes: int | None = Field(
+        None, ge=1, lt=2**31, description="the first so many; default: all"
+    )
+
+
+class ExternalTarget(Wire):
+    """A real robot, or any machine, whose client asks the service for episodes to run."""
+
+    kind: Literal["external"] = "external"
+    program: ClassVar[str | None] = None  # the method's
+
+
+AnyTarget = Annotated[
+    SimulatedTarget | RecordedTarget | ExternalTarget, Field(discriminator="kind")
+]
+EXTERNAL_EPISODES = 5  # of the final evaluation: a robot's time is dear

@@ -1,0 +1,97 @@
+"""Infer a distribution from what the target showed."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, cast
+
+import numpy as np
+
+from adr_service.events import RunEvent
+from adr_service.methods.base import (
+    Evidence,
+    MethodSettings,
+    OfflineSettings,
+    OnlineSettings,
+    Problem,
+)
+from adr_service.parameters import ParameterSpace
+from adr_service.progress import Progress
+from adr_service.stages.base import Belief, Cost, Machine, Result, Role, Stage
+from adr_service.stages.stand_ins import gaussian
+from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.training.policy import Policy
+from adr_service.transitions import TransitionDataset
+
+
+class Inferred(Result):
+    """A method's answer, and an online method's new state."""
+
+    distribution: Belief
+    state: dict[str, Any] | None = None  # JSON; of online methods
+    simulated_steps: int  # control steps
+    diagnostics: dict[str, Any]  # JSON
+
+
+@dataclass(frozen=True, kw_only=True)
+class Infer(Stage[Inferred]):
+    """One inference of a method.
+
+    An offline method has no state, and learns from the data alone. An online method gets its state
+    before, and the policy that made the data.
+    """
+
+    kind: ClassVar = "infer"
+    version: ClassVar = 2
+    role: ClassVar[Role] = "inference"
+    result: ClassVar = Inferred
+
+    variant: str
+    seed: int
+    method: MethodSettings
+    method_package: str | None = None
+    state: dict[str, Any] | None = None  # JSON
+    policy: bytes | None = None
+    data: bytes  # an .npz of transitions
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The space of the distribution."""
+        return source_of(self.task, self.variant).space
+
+    def compute(self, rng: np.random.Generator, progress: Progress) -> Inferred:
+        problem = Problem(get_task(self.task), source_of(self.task, self.variant))
+        data = TransitionDataset.from_npz(self.data)
+        if self.policy is None or self.state is None:
+            offline = cast(OfflineSettings, self.method).create()
+            estimate = offline.fit(problem, data, rng, progress)
+            return Inferred(
+                distribution=estimate.distribution,
+                simulated_steps=estimate.simulated_steps,
+                diagnostics=estimate.diagnostics,
+            )
+        online = cast(OnlineSettings, self.method).create()
+        evidence = Evidence(Policy.from_bytes(self.policy), data)
+        update = online.tell(problem, self.state, evidence, rng, progress)
+        return Inferred(
+            distribution=online.ask(problem, update.state),
+            state=update.state,
+            simulated_steps=update.simulated_steps,
+            diagnostics=update.diagnostics,
+        )
+
+    def events(self, result: Inferred) -> list[RunEvent]:
+        return []
+
+    def cost(self, machine: Machine) -> Cost:
+        settings = cast(OfflineSettings | OnlineSettings, self.method)
+        transitions = len(TransitionDataset.from_npz(self.data))
+        steps = settings.planned_steps(len(self.space), transitions)
+        return Cost(steps / machine.steps_per_second(self.task))
+
+    def stand_in(self) -> Inferred:
+        grid = self.method.grid
+        return Inferred(
+            distribution=gaussian(self.space, self.digest),
+            state=None if self.state is None else {"stand_in": self.digest},
+            simulated_steps=0,
+            diagnostics={} if grid is None else {grid.criterion: 0.0},
+        )

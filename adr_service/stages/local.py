@@ -1,0 +1,34 @@
+"""Stages that run in this process, one after the other.
+
+for event in run(spec, LocalStages()):
+    print(event.key)
+"""
+
+from collections.abc import Generator, Sequence
+from typing import Any
+
+from adr_service.events import RunEvent
+from adr_service.stages.base import R, Stage, StageResult, compute, events_of
+
+
+class LocalStages:
+    """Computes each stage once, and remembers its result by digest."""
+
+    run_id = "local"
+
+    def __init__(self) -> None:
+        self._memory: dict[str, StageResult] = {}
+        self.executed: list[Stage[Any]] = []
+
+    def all(self, stages: Sequence[Stage[R]]) -> Generator[RunEvent, None, list[R]]:
+        results: list[R] = []
+        for stage in stages:
+            if stage.digest not in self._memory:
+                self._memory[stage.digest] = compute(stage)
+                self.executed.append(stage)
+            results.append(stage.read(self._memory[stage.digest]))
+            yield from events_of(stage, results[-1])
+        return results
+
+    def run(self, stage: Stage[R]) -> Generator[RunEvent, None, R]:
+        return (yield from self.all([stage]))[0]

@@ -1,0 +1,92 @@
+"""One episode on a target outside, which a robot's client takes as a task and uploads."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from adr_service.errors import InvalidInput
+from adr_service.events import RunEvent
+from adr_service.npz import read_arrays
+from adr_service.progress import Progress
+from adr_service.simulation.batch import control_period
+from adr_service.simulation.replay import check_recorded
+from adr_service.stages.base import Cost, Machine, Result, Role, Stage
+from adr_service.stages.stand_ins import trajectory
+from adr_service.tasks.catalogue import get_task
+from adr_service.transitions import TransitionDataset
+
+_MOST_COLUMNS = 1_000  # of observations
+
+
+class RobotEpisode(Result):
+    """One episode of a robot: its trajectory, and its return."""
+
+    transitions: int
+    earned: float = Field(validation_alias="return", serialization_alias="return")  # undiscounted
+    data: bytes  # a TransitionDataset as .npz
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetEpisode(Stage[RobotEpisode]):
+    """An episode for a robot. It belongs to one run: robots do not repeat themselves."""
+
+    kind: ClassVar = "target_episode"
+    version: ClassVar = 1
+    role: ClassVar[Role] = "robot"
+    result: ClassVar = RobotEpisode
+
+    run: str
+    purpose: Literal["rollout", "return", "evaluation"]  # a rollout may be shorter than asked for
+    number: int
+    transitions: int
+    seed: int
+    policy: bytes | None = None  # None: random actions
+
+    def compute(self, rng: np.random.Generator, progress: Progress) -> RobotEpisode:
+        raise InvalidInput("a target outside needs the service, from which its client takes tasks")
+
+    def events(self, result: RobotEpisode) -> list[RunEvent]:
+        return []
+
+    def cost(self, machine: Machine) -> Cost:
+        metered = 0 if self.purpose == "evaluation" else self.transitions
+        period = control_period(get_task(self.task))
+        return Cost(self.transitions * period, target_transitions=metered)
+
+    def stand_in(self) -> RobotEpisode:
+        data = trajectory(self.task, self.transitions, self.digest)
+        return RobotEpisode(transitions=self.transitions, earned=0.0, data=data)
+
+
+def read_episode(task_name: str, transitions: int, content: bytes) -> RobotEpisode:
+    """The result that a robot uploaded for an episode of at most `transitions`.
+
+    `content` is the `.npz` of a TransitionDataset with `rewards` (N,). Raises InvalidInput where
+    it is not of the task, is not one episode, or is longer than was asked for.
+    """
+    longest = max(transitions, _MOST_COLUMNS)  # a name for each column takes rows too
+    fields = read_arrays(content, (*TransitionDataset.ARRAYS, "rewards"), longest)
+    rewards = fields.pop("rewards", None)
+    data = TransitionDataset.from_arrays(fields)
+    check_recorded(get_task(task_name), data)
+    if data.episode_count != 1:
+        raise InvalidInput(f"a task is one episode; the data have {data.episode_count}")
+    if len(data) > transitions:
+        raise InvalidInput(
+            f"the task asks for {transitions} transitions at most; given {len(data)}"
+        )
+    earned = _return_of(rewards, len(data))
+    return RobotEpisode(transitions=len(data), earned=earned, data=data.to_npz())
+
+
+def _return_of(rewards: np.ndarray | None, steps: int) -> float:
+    """The sum of the rewards (N,) of an episode of N steps."""
+    if rewards is None or rewards.dtype.kind not in "iuf" or rewards.shape != (steps,):
+        given = "nothing" if rewards is None else f"{rewards.dtype} {rewards.shape}"
+        raise InvalidInput(f"rewards must be ({steps},) numbers; given {given}")
+    earned = float(np.sum(rewards, dtype=np.float64))
+    if not np.isfinite(earned):
+        raise InvalidInput("rewards must be finite, and their sum")
+    return earned

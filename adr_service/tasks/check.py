@@ -1,0 +1,68 @@
+"""The rules that every task must keep, checked by running it; also for users' own tasks.
+
+    check_task(catalogue()["hopper"])       # InvalidInput names the task and what is wrong
+
+`adr doctor` checks all installed tasks.
+"""
+
+import numpy as np
+
+from adr_service.arrays import Vector
+from adr_service.errors import InvalidInput
+from adr_service.simulation.batch import Simulations
+from adr_service.tasks.base import Entry, Source, State, Task
+
+_N, _STEPS = 3, 5
+
+
+def check_task(entry: Entry) -> None:
+    """Raise InvalidInput if the task's functions, columns, models and variants do not fit together.
+
+    The message names the task, the rule, the actual value and the expected one.
+    """
+    task = entry.task
+    try:
+        if not entry.variants:
+            raise InvalidInput("it has no variant; at least one is needed")
+        for variant in entry.variants.values():
+            _check_source(task, variant.source, variant.truth)
+            _check_source(task, variant.hidden.source, variant.hidden.values)
+    except InvalidInput as error:
+        raise InvalidInput(f"task {task.name!r}: {error}") from error
+
+
+def _check_source(task: Task, source: Source, values: Vector) -> None:
+    """Take a few steps under `values` and check every function of the task on the way."""
+    simulations = Simulations(task, source, _N)
+    simulations.set_dynamics(np.tile(values, (_N, 1)))
+    simulations.set_state(task.initial(_N, np.random.default_rng(0)))
+    before = simulations.state
+    for step in range(_STEPS):
+        action = task.action_low if step % 2 else task.action_high
+        simulations.step(action)
+        after = simulations.state
+        actions = np.tile(action, (_N, 1))
+        _check_shape("observe", task.observe(after), (_N, len(task.columns)))
+        _check_shape("reward", task.reward(before, actions, after), (_N,))
+        _check_shape("terminated", task.terminated(after), (_N,))
+        before = after
+    _check_round_trip(task, simulations)
+
+
+def _check_round_trip(task: Task, simulations: Simulations) -> None:
+    measured = task.observe(simulations.state)[:, : task.measured]
+    state = task.state(measured)
+    simulations.set_state(State(state.qpos, state.qvel))
+    again = task.observe(simulations.state)[:, : task.measured]
+    if not np.allclose(again, measured, atol=1e-9):
+        raise InvalidInput(
+            "observe(state(o)) must give the measured columns of o again; they differ by up to "
+            f"{np.abs(again - measured).max():.3g}"
+        )
+
+
+def _check_shape(function: str, values: np.ndarray, expected: tuple[int, ...]) -> None:
+    if values.shape != expected:
+        raise InvalidInput(
+            f"{function} gave shape {values.shape} for {_N} states; expected is {expected}"
+        )

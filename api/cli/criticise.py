@@ -1,0 +1,86 @@
+"""`adr criticise`: name what a simulator gets wrong, given measured data."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from adr_service.errors import InvalidInput
+from adr_service.progress import silent
+from api.cli.follow import follow
+from api.cli.options import Url
+from api.cli.terminal import console
+from api.cli.verdict_table import verdict_table
+from api.client import AdrClient, connect
+from api.settings import DEFAULT_URL
+
+app = typer.Typer()
+
+Out = Annotated[Path, typer.Option(help="Folder for verdict, report and extended model.")]
+Data = Annotated[
+    Path | None, typer.Option(help="The measurement, .npz or .csv; see docs/criticism.md.")
+]
+Dataset = Annotated[
+    str | None, typer.Option(help="Or an uploaded one, that the service criticises with.")
+]
+Task = Annotated[str | None, typer.Option(help="Criticise a task's simulator: arm, hopper, …")]
+Variant = Annotated[str | None, typer.Option(help="Variant of the task: vanilla, …")]
+Model = Annotated[Path | None, typer.Option(help="Or your own MJCF, a file you trust.")]
+Free = Annotated[
+    list[str] | None,
+    typer.Option(help="Parameter of --model to fit, and its bounds: body:thigh.mass=1:5, …"),
+]
+Seed = Annotated[int, typer.Option(help="Seed of the bootstraps.")]
+
+
+@app.command()
+def criticise(
+    out: Out,
+    data: Data = None,
+    dataset: Dataset = None,
+    task: Task = None,
+    variant: Variant = None,
+    model: Model = None,
+    free: Free = None,
+    seed: Seed = 0,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Name what a simulator gets wrong, given measured data; with --data, without a service."""
+    if (data is None) == (dataset is None):
+        raise InvalidInput("give either --data or --dataset")
+    if out.exists() and not out.is_dir():
+        raise InvalidInput(f"{out} is a file; --out is a folder")
+    if data is not None:
+        _criticise_here(data, out, (task, variant, model, free or []), seed)
+        return
+    if task is None or model is not None or free:
+        raise InvalidInput("--dataset goes with --task; the service takes no --model or --free")
+    spec = {"task": task, "variant": variant or "vanilla", "dataset": dataset, "seed": seed}
+    with connect(url) as client:
+        _follow_criticism(client, client.submit_criticism(spec)["run"]["id"], out)
+
+
+def _criticise_here(
+    data: Path, out: Path, given: tuple[str | None, str | None, Path | None, list[str]], seed: int
+) -> None:
+    """Criticise in this process; `given` is task, variant, model and free parameters."""
+    from api.cli import criticism_files  # imports the simulator
+
+    nominal, name = criticism_files.nominal_of(*given)
+    with console.status("fitting"):
+        criticism = criticism_files.criticise_files(nominal, name, data, out, seed, silent)
+    console.print(verdict_table(criticism.verdict.to_json()))
+    files = criticism_files.FILES[: 4 if criticism.extension else 2]
+    console.print(f"{out}: {', '.join(files)}")
+
+
+def _follow_criticism(client: AdrClient, id: str, out: Path) -> None:
+    """Follow a criticism to its end, and write its files."""
+    from api.cli import criticism_files  # imports the simulator
+
+    console.print(id, highlight=False)
+    follow(client, id)
+    links = client.criticism(id)["links"]
+    names = [name for name in criticism_files.FILES if name in links]
+    criticism_files.write(out, {name: client.criticism_file(id, name) for name in names})
+    console.print(f"{out}: {', '.join(names)}")

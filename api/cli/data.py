@@ -1,0 +1,74 @@
+"""Upload recordings of a real machine, and list them."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from adr_service.errors import InvalidInput
+from api.cli.options import Url
+from api.cli.terminal import console
+from api.client import Json, connect
+from api.settings import DEFAULT_URL
+
+app = typer.Typer()
+
+
+@app.command()
+def upload(
+    file: Annotated[Path, typer.Argument(help="An .npz, or PREFIX of DROPO's PREFIX_*.npy.")],
+    task: Annotated[str, typer.Option(help="Task that was recorded: hopper, …")],
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Store a recording of a real machine for later runs; print its id."""
+    with connect(url) as client:
+        stored = client.upload(read_recording(file, task), task)
+    console.print(stored["id"])
+
+
+@app.command()
+def datasets(url: Url = DEFAULT_URL) -> None:
+    """List uploaded recordings."""
+    with connect(url) as client:
+        stored = client.list_all("datasets")
+    none = "no recordings yet; `adr upload` stores one"
+    console.print(_datasets_table(stored) if stored else none)
+
+
+def _datasets_table(stored: list[Json]) -> Table:
+    table = Table("id", "transitions", "episodes", "period", "origin", box=None)
+    for data in stored:
+        counts = (str(data["transitions"]), str(data["episodes"]), f"{data['dt']:g} s")
+        table.add_row(data["id"], *counts, data["origin"])
+    return table
+
+
+def read_recording(file: Path, task_name: str) -> bytes:
+    """Return the `.npz` of a recording; DROPO's four `.npy` files become one.
+
+    The `.npy` files have no control period and no columns: the task's are taken.
+    """
+    if not file.suffix:
+        return _combined(file, task_name)
+    if file.suffix != ".npz":
+        raise InvalidInput(f"a recording is an .npz, or a prefix of .npy files; given {file}")
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise InvalidInput(f"{file} cannot be read: {error.strerror}") from error
+
+
+def _combined(prefix: Path, task_name: str) -> bytes:
+    # the simulator takes a moment to import, and only this needs it
+    from adr_service.simulation.batch import control_period
+    from adr_service.tasks.catalogue import get_task
+    from adr_service.transitions import TransitionDataset
+
+    task = get_task(task_name)
+    return TransitionDataset.from_npy(
+        prefix,
+        dt=control_period(task),
+        columns=task.columns[: task.measured],
+        origin=f"{prefix.name}_*.npy",
+    ).to_npz()

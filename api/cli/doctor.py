@@ -1,0 +1,154 @@
+"""`adr doctor`: checks of everything that the service needs on a machine."""
+
+import importlib.util
+import os
+import resource
+import shutil
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from adr_service.errors import InvalidInput
+from api.cli.options import Url
+from api.cli.terminal import console
+from api.client import Refused, Unreachable, connect
+from api.settings import DEFAULT_URL, Settings, read_settings
+
+app = typer.Typer()
+_LEAST_DISK_GB = 2.0
+_LEAST_FILES = 1024
+
+
+@dataclass(frozen=True)
+class Check:
+    """Outcome of one check; `text` has the remedy."""
+
+    is_good: bool
+    text: str
+    is_needed: bool = True  # else the service works without it
+
+
+@app.command()
+def doctor(url: Url = DEFAULT_URL) -> None:
+    """Check what the service needs on this machine."""
+    raise typer.Exit(0 if report(console, checks(url)) else 1)
+
+
+def report(output: Console, results: Iterable[Check]) -> bool:
+    """Print each check; True if nothing needed is missing."""
+    is_fit = True
+    for check in results:
+        output.print(f"{_mark(check)} {escape(check.text)}", highlight=False)
+        is_fit = is_fit and (check.is_good or not check.is_needed)
+    return is_fit
+
+
+def _mark(check: Check) -> str:
+    if check.is_good:
+        return "[green]ok[/green]  "
+    return "[red]no[/red]  " if check.is_needed else "[yellow]note[/yellow]"
+
+
+def checks(url: str) -> Iterator[Check]:
+    """Check the machine, the ADR_… settings, and the service at an address."""
+    yield _python()
+    yield _cores()
+    yield from _simulator()
+    yield _fast_backend(importlib.util.find_spec("sbx") is not None)
+    try:
+        settings = read_settings()
+    except InvalidInput as error:
+        yield Check(False, f"the ADR_… settings are not valid: {error}")
+        settings = None
+    else:
+        at = f"service at {settings.host}:{settings.port}"
+        yield Check(True, f"data in {settings.data_dir.absolute()}, {at}")
+        yield _disk(settings)
+    yield _descriptors(None if settings is None else settings.max_connections)
+    yield _running(url)
+    yield _datasets(os.environ.get("ADR_DATASETS", ""))
+
+
+def _python() -> Check:
+    version = ".".join(map(str, sys.version_info[:3]))
+    return Check(sys.version_info >= (3, 11), f"Python {version}; 3.11 or later is needed")
+
+
+def _cores() -> Check:
+    count = len(os.sched_getaffinity(0))
+    return Check(count >= 1, f"{count} cores: as many policies are trained at once")
+
+
+def _simulator() -> Iterator[Check]:
+    from adr_service.simulation.model import compiled  # imports MuJoCo
+    from adr_service.simulation.rendering import Camera
+    from adr_service.tasks.catalogue import catalogue
+    from adr_service.tasks.check import check_task
+
+    try:
+        for entry in catalogue().values():
+            check_task(entry)
+    except InvalidInput as error:
+        yield Check(False, str(error))
+        return
+    yield Check(True, f"MuJoCo simulates the tasks: {', '.join(catalogue())}")
+    try:
+        Camera(compiled(next(iter(catalogue().values())).task.xml)).close()
+    except InvalidInput as error:
+        yield Check(False, f"no films: {error}", is_needed=False)
+    else:
+        yield Check(True, "films can be drawn", is_needed=False)
+
+
+def _fast_backend(is_installed: bool) -> Check:
+    text = (
+        "sbx-rl is installed: policies train several times faster than with SB3"
+        if is_installed
+        else "sbx-rl is not installed; pip install 'adr-service[fast]' trains much faster"
+    )
+    return Check(is_installed, text, is_needed=False)
+
+
+def _disk(settings: Settings) -> Check:
+    """Check the disk of the data folder, where results and Ray's sessions are."""
+    folder = settings.data_dir.absolute()
+    while not folder.exists():
+        folder = folder.parent
+    free = shutil.disk_usage(folder).free / 1e9
+    text = f"{free:.0f} GB free where the data are; {_LEAST_DISK_GB:.0f} needed"
+    return Check(free >= _LEAST_DISK_GB, text)
+
+
+def _descriptors(max_connections: int | None) -> Check:
+    from api.connections import connections_allowed  # imports uvicorn
+
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    is_unlimited = most == resource.RLIM_INFINITY
+    files = "any number of" if is_unlimited else f"{most:,}"
+    return Check(
+        is_unlimited or most >= _LEAST_FILES,
+        f"{files} files and connections may be open (ulimit -Hn); {_LEAST_FILES:,} needed: "
+        f"{connections_allowed(max_connections):,} connections at once, the rest for Ray and the "
+        "database",
+    )
+
+
+def _running(url: str) -> Check:
+    try:
+        with connect(url, timeout_s=5.0) as client:
+            client.ready()
+    except (Refused, Unreachable) as error:
+        return Check(False, str(error), is_needed=False)
+    return Check(True, f"a service answers at {url}", is_needed=False)
+
+
+def _datasets(folder: str) -> Check:
+    if folder and Path(folder).is_dir():
+        return Check(True, f"published data sets in {folder}", is_needed=False)
+    text = "ADR_DATASETS names no folder: tests on published data will be skipped"
+    return Check(False, text, is_needed=False)

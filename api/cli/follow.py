@@ -1,0 +1,31 @@
+"""Follow a run, a benchmark or a criticism to its end, and print the results."""
+
+import typer
+from rich.markup import escape
+
+from api.cli.progress import failures, live
+from api.cli.tables import results_table
+from api.cli.terminal import console, errors
+from api.cli.verdict_table import verdict_table
+from api.client import AdrClient, Json
+
+
+def follow(client: AdrClient, id: str) -> None:
+    """Show progress to the end, then the results; exit with status 1 unless all succeeded."""
+    final = live(console, client, id)
+    show_results(client, final)
+    states = final["states"] if "states" in final else {final["state"]: 1}
+    for line in failures(final):
+        errors.print(escape(line), highlight=False, soft_wrap=True)
+    if set(states) != {"succeeded"}:
+        raise typer.Exit(1)
+
+
+def show_results(client: AdrClient, seen: Json) -> None:
+    """Print the result table of a run or a benchmark, or the verdict of a criticism."""
+    if seen["spec"].get("kind") != "criticism":
+        console.print(results_table(client.results(seen["id"])))
+        return
+    verdict = client.criticism(seen["id"])["verdict"]
+    error = (seen["error"] or {}).get("message", "no verdict yet")
+    console.print(f"{seen['state']}: {error}" if verdict is None else verdict_table(verdict))

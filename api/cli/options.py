@@ -1,0 +1,10 @@
+"""Options and arguments that several commands have."""
+
+from typing import Annotated
+
+import typer
+
+Url = Annotated[str, typer.Option(envvar="ADR_URL", help="Address of the service.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the service's JSON.")]
+Id = Annotated[str, typer.Argument(help="Id of a run or a benchmark.")]
+Watch = Annotated[bool, typer.Option(help="Follow it to its end.")]

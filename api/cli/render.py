@@ -1,0 +1,47 @@
+"""`adr render`: films of policies and of recordings."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from adr_service.errors import InvalidInput
+from api.cli.specs import assign
+from api.cli.terminal import console
+
+app = typer.Typer()
+
+Out = Annotated[Path, typer.Argument(help="The film to write, .gif or .mp4.")]
+Policy = Annotated[Path | None, typer.Option(help="Film an episode of this policy.")]
+Data = Annotated[Path | None, typer.Option(help="Film a recorded episode (.npz) and its replay.")]
+Parameters = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="A parameter, torso_mass=4.2; all others have their true values."),
+]
+
+
+@app.command()
+def render(
+    out: Out,
+    task: Annotated[str, typer.Option(help="arm, hopper, half_cheetah, …")],
+    policy: Policy = None,
+    data: Data = None,
+    variant: Annotated[str, typer.Option(help="vanilla, noisy or unmodeled.")] = "vanilla",
+    setting: Parameters = None,
+    episode: Annotated[int, typer.Option(help="Episode of the recording, from 0.")] = 0,
+    steps: Annotated[int | None, typer.Option(help="Steps at most; default: all.", min=1)] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the initial state and the noise.")] = 0,
+) -> None:
+    """Film a policy, or a recording beside its simulation; needs no service and no display."""
+    from api.cli import films  # imports the simulator
+
+    dynamics: dict[str, Any] = {}
+    assign(dynamics, setting)
+    scene = films.Scene(task, variant, dynamics, steps, seed)
+    if policy is not None and data is None:
+        count = films.film_policy(scene, policy, out)
+    elif data is not None and policy is None:
+        count = films.film_recording(scene, data, episode, out)
+    else:
+        raise InvalidInput("give either --policy or --data")
+    console.print(f"{out}: {count} pictures", highlight=False)

@@ -1,0 +1,111 @@
+"""Results of runs and benchmarks: tables, figures, files, and the paper's claims."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from adr_service.errors import InvalidInput
+from api.cli.follow import show_results
+from api.cli.options import AsJson, Id, Url
+from api.cli.tables import claims_table, comparisons_table, cost_table
+from api.cli.terminal import console
+from api.client import AdrClient, connect
+from api.settings import DEFAULT_URL
+
+app = typer.Typer()
+
+AsCsv = Annotated[bool, typer.Option("--csv", help="As CSV.")]
+Figure = Annotated[
+    Path | None, typer.Option(help="Write a figure: returns.svg, parameters.png, cost.csv, …")
+]
+Figures = Annotated[
+    Path | None, typer.Option(help="Write all figures into this folder, as SVG, PNG and CSV.")
+]
+Distribution = Annotated[
+    Path | None, typer.Option(help="Write a run's training distribution, as JSON.")
+]
+Policy = Annotated[Path | None, typer.Option(help="Write a run's policy.")]
+Compare = Annotated[bool, typer.Option(help="Probability that a method beats another.")]
+Cost = Annotated[bool, typer.Option(help="Core seconds of each kind of stage, and utilisation.")]
+
+
+@app.command()
+def results(
+    id: Id,
+    csv: AsCsv = False,
+    figure: Figure = None,
+    figures: Figures = None,
+    distribution: Distribution = None,
+    policy: Policy = None,
+    compare: Compare = False,
+    cost: Cost = False,
+    url: Url = DEFAULT_URL,
+    as_json: AsJson = False,
+) -> None:
+    """Show the result table, or write figures, the distribution or the policy."""
+    if (policy or distribution) and not id.startswith("run_"):
+        raise InvalidInput(f"{id} is no run, and has no single policy or distribution; adr list")
+    with connect(url) as client:
+        if figure is not None:
+            _write(figure, client.figure(id, figure.name))
+        elif figures is not None:
+            _write_figures(client, id, figures)
+        elif distribution is not None:
+            _write(distribution, json.dumps(client.distribution(id), indent=1).encode())
+        elif policy is not None:
+            _write(policy, client.policy(id))
+        elif cost:
+            _show_cost(client, id, as_json)
+        else:
+            _show_table(client, id, csv, as_json, compare)
+
+
+def _write_figures(client: AdrClient, id: str, folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in client.figures(id):
+        for file in (f"{name}.{kind}" for kind in ("svg", "png", "csv")):
+            _write(folder / file, client.figure(id, file))
+
+
+def _write(file: Path, content: bytes) -> None:
+    file.write_bytes(content)
+    typer.echo(file)
+
+
+def _show_cost(client: AdrClient, id: str, as_json: bool) -> None:
+    spent = client.cost(id)
+    if as_json:
+        console.print_json(data=spent)
+    else:
+        console.print(cost_table(spent))
+
+
+def _show_table(client: AdrClient, id: str, csv: bool, as_json: bool, compare: bool) -> None:
+    if csv:
+        typer.echo(client.results_csv(id), nl=False)
+    elif as_json:
+        console.print_json(data=client.results(id))
+    elif compare:
+        console.print(comparisons_table(client.results(id)))
+    else:
+        show_results(client, client.get(id))
+
+
+@app.command()
+def claims(
+    id: Annotated[str | None, typer.Argument(help="Id of a benchmark; default: all runs.")] = None,
+    url: Url = DEFAULT_URL,
+    as_json: AsJson = False,
+) -> None:
+    """Compare the paper's claims with the measured results."""
+    with connect(url) as client:
+        reports = client.claims(id)
+    if as_json:
+        console.print_json(data=reports)
+        return
+    if not reports:
+        console.print("nothing has been measured yet (the preset smoke does not count)")
+    for report in reports:
+        console.print(claims_table(report))

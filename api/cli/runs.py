@@ -1,0 +1,176 @@
+"""Submit runs and benchmarks, follow them, and stop or continue them."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from adr_service.errors import InvalidInput
+from api.cli.follow import follow
+from api.cli.options import AsJson, Id, Url, Watch
+from api.cli.progress import label
+from api.cli.specs import assign, read_effects, read_spec
+from api.cli.tables import plan_table
+from api.cli.terminal import console
+from api.client import AdrClient, Json, connect, is_finished
+from api.settings import DEFAULT_URL
+
+app = typer.Typer()
+
+SpecFile = Annotated[Path | None, typer.Argument(help="JSON file of a run or a benchmark.")]
+Task = Annotated[str | None, typer.Option(help="arm, hopper, half_cheetah, …")]
+Method = Annotated[str | None, typer.Option(help="simopt, dropo, droid, udr, …")]
+Variant = Annotated[str | None, typer.Option(help="vanilla (the default), noisy or unmodeled.")]
+Seed = Annotated[int | None, typer.Option(help="0 by default.")]
+Preset = Annotated[str | None, typer.Option(help="smoke, demo, quick (the default) or paper.")]
+Dataset = Annotated[
+    str | None, typer.Option(help="Learn from this uploaded recording, without a target.")
+]
+Extension = Annotated[
+    Path | None, typer.Option(help="Extend the source by effects.json of `adr criticise`.")
+]
+Fields = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="A field of the spec, training.max_steps=1000 or iterations=2."),
+]
+DryRun = Annotated[bool, typer.Option(help="Print the expected cost; start nothing.")]
+More = Annotated[list[str] | None, typer.Option(help="Add one; may be repeated.")]
+
+
+@app.command()
+def submit(
+    file: SpecFile = None,
+    task: Task = None,
+    method: Method = None,
+    variant: Variant = None,
+    seed: Seed = None,
+    preset: Preset = None,
+    dataset: Dataset = None,
+    extension: Extension = None,
+    setting: Fields = None,
+    dry_run: DryRun = False,
+    watch: Watch = False,
+    url: Url = DEFAULT_URL,
+    as_json: AsJson = False,
+) -> None:
+    """Submit a run (by options), or a run or benchmark (by file)."""
+    by_options: dict[str, Any] = {"task": task, "method": method, "variant": variant}
+    by_options |= {"seed": seed, "preset": preset, "target": _recorded(dataset)}
+    spec = _spec(file, {name: v for name, v in by_options.items() if v is not None})
+    if extension is not None:
+        spec["extension"] = read_effects(extension)
+    assign(spec, setting)
+    with connect(url) as client:
+        answer = _send(client, spec, dry_run)
+        _print_answer(answer, dry_run, as_json)
+        if watch and not dry_run:
+            follow(client, answer["id"])
+
+
+def _recorded(dataset: str | None) -> Json | None:
+    return None if dataset is None else {"kind": "recorded", "dataset": dataset}
+
+
+def _spec(file: Path | None, by_options: Json) -> Json:
+    if file is not None and not by_options:
+        return read_spec(file)
+    if file is None and {"task", "method"} <= by_options.keys():
+        return by_options
+    raise InvalidInput(
+        "give either --task and --method, or a JSON file alone (and --set for its fields)"
+    )
+
+
+def _send(client: AdrClient, spec: Json, dry_run: bool) -> Json:
+    send = client.submit_benchmark if "tasks" in spec else client.submit_run
+    return send(spec, dry_run=dry_run)
+
+
+def _print_answer(answer: Json, dry_run: bool, as_json: bool) -> None:
+    if as_json:
+        console.print_json(data=answer)
+    elif dry_run:
+        console.print(plan_table(answer["plan"]))
+    else:
+        console.print(answer["id"])
+
+
+@app.command()
+def extend(
+    id: Annotated[str, typer.Argument(help="Id of a benchmark.")],
+    seed: Annotated[list[int] | None, typer.Option(help="Add one; may be repeated.")] = None,
+    method: More = None,
+    variant: More = None,
+    task: More = None,
+    collector: More = None,
+    watch: Watch = False,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Add runs to a benchmark; its results so far stay."""
+    if not id.startswith("bench_"):
+        raise InvalidInput(f"only a benchmark can be extended; given {id}")
+    given: dict[str, Any] = {"seeds": seed, "methods": method, "variants": variant}
+    given |= {"tasks": task, "collectors": collector}
+    with connect(url) as client:
+        client.extend_benchmark(id, {name: value for name, value in given.items() if value})
+        console.print(f"{id} goes on")
+        if watch:
+            follow(client, id)
+
+
+@app.command("list")
+def list_all(url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
+    """List benchmarks and runs."""
+    with connect(url) as client:
+        benchmarks, runs = client.list_all("benchmarks"), client.list_all("runs")
+    if as_json:
+        console.print_json(data={"benchmarks": benchmarks, "runs": runs})
+        return
+    console.print(_runs_table(runs) if runs else "no runs yet; `adr demo` makes some")
+    for benchmark in benchmarks:
+        states = ", ".join(f"{count} {state}" for state, count in benchmark["states"].items())
+        console.print(f"{benchmark['id']}: {states}")
+
+
+def _runs_table(runs: list[Json]) -> Table:
+    table = Table("id", "task", "variant", "method", "seed", "preset", "state", box=None)
+    for run in runs:
+        spec = run["spec"]
+        cells = (spec["task"], spec["variant"], label(spec), str(spec["seed"]))
+        table.add_row(run["id"], *cells, spec.get("preset", ""), run["state"])
+    return table
+
+
+@app.command()
+def status(id: Id, url: Url = DEFAULT_URL) -> None:
+    """Print a run or a benchmark as the service's JSON."""
+    with connect(url) as client:
+        console.print_json(data=client.get(id))
+
+
+@app.command()
+def watch(id: Id, url: Url = DEFAULT_URL) -> None:
+    """Follow a run or a benchmark to its end; exit status 1 if something failed."""
+    with connect(url) as client:
+        follow(client, id)
+
+
+@app.command()
+def cancel(id: Id, url: Url = DEFAULT_URL) -> None:
+    """Ask a run, or all live runs of a benchmark, to stop."""
+    with connect(url) as client:
+        had_ended = is_finished(client.get(id))
+        client.cancel(id)
+    state = "had ended before" if had_ended else "is asked to stop"
+    console.print(f"{id} {state}; finished stages are kept")
+
+
+@app.command()
+def resume(id: Id, url: Url = DEFAULT_URL) -> None:
+    """Continue a failed or cancelled run or benchmark."""
+    with connect(url) as client:
+        states = client.get(id).get("states")  # of a benchmark; a run is refused by the service
+        client.resume(id)
+    has_some = states is None or states.keys() & {"failed", "cancelled"}
+    console.print(f"{id} {'goes on' if has_some else 'has no run that failed or was cancelled'}")

@@ -1,0 +1,77 @@
+"""`adr serve`: the service itself."""
+
+import os
+import socket
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from adr_service.errors import InvalidInput
+from api.settings import Settings, read_settings
+
+app = typer.Typer()
+
+
+@app.command()
+def serve(
+    host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port to listen on.")] = None,
+    data_dir: Annotated[Path | None, typer.Option(help="Folder for results.")] = None,
+    cpus: Annotated[int | None, typer.Option(help="Cores of a local cluster.")] = None,
+    dashboard: Annotated[bool | None, typer.Option(help="Start the Ray dashboard.")] = None,
+) -> None:
+    """Start the service and continue unfinished runs."""
+    given = {"host": host, "port": port, "data_dir": data_dir, "cpus": cpus, "dashboard": dashboard}
+    settings = read_settings(**{name: v for name, v in given.items() if v is not None})
+    _refuse_a_busy_port(settings)
+    _prepare_process(settings)
+    _listen(settings)
+
+
+def _refuse_a_busy_port(settings: Settings) -> None:
+    """Refuse a busy port before Ray starts, which takes seconds."""
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    with socket.socket(family) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((settings.host, settings.port))
+        except OSError as error:
+            raise InvalidInput(
+                f"cannot listen on {settings.host} port {settings.port} ({error.strerror}); "
+                "choose another with --port, and name it to the other commands with ADR_URL"
+            ) from error
+
+
+def _prepare_process(settings: Settings) -> None:
+    """Set what Ray and the interpreter read once, before they are used."""
+    if settings.ray_address == "local":
+        # Ray reads this on import and ends together with the process that it names. Without it,
+        # and with process 1 as our parent, Ray takes us for an orphan and ends us together with
+        # the raylet, which we could otherwise start again. A raylet of another cluster cannot be
+        # started again from here: there the service may end, and its supervisor restarts it.
+        os.environ["RAY_RAYLET_PID"] = str(os.getpid())
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray reports usage by default
+    sys.setswitchinterval(0.0005)  # many threads: a request should not wait 5 ms for each of them
+
+
+def _listen(settings: Settings) -> None:
+    # only the service needs Ray, MuJoCo and PyTorch, whose imports take seconds
+    import uvicorn
+
+    from api.app import create_app
+    from api.connections import bounded, connections_allowed
+    from api.logs import configure
+
+    configure(settings.log_format)
+    uvicorn.run(
+        create_app(settings),
+        host=settings.host,
+        port=settings.port,
+        # on h11: httptools, which is faster, keeps headers of any size in memory
+        http=bounded(connections_allowed(settings.max_connections)),
+        log_config=None,  # `configure` has set up logging
+        timeout_keep_alive=30,  # longer than clients keep one, so that they never meet a closed one
+        timeout_graceful_shutdown=5,  # for clients that follow a stream
+    )

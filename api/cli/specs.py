@@ -1,0 +1,59 @@
+"""Specs from files and from `--set` options."""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from adr_service.errors import InvalidInput
+
+
+def read_spec(file: Path) -> dict[str, Any]:
+    """Return the JSON object in a file."""
+    try:
+        spec = json.loads(file.read_text())
+    except (OSError, ValueError) as error:
+        raise InvalidInput(f"{file} is not a readable JSON file: {error}") from error
+    if not isinstance(spec, dict):
+        raise InvalidInput(f"{file} must hold one JSON object; given {type(spec).__name__}")
+    return spec
+
+
+def read_effects(file: Path) -> list[dict[str, Any]]:
+    """Return the effects in `effects.json` of a criticism, as a spec's `extension` takes them."""
+    content = read_spec(file)
+    effects: Any = content.get("effects")
+    version = content.get("version")
+    is_list = isinstance(effects, list) and all(isinstance(each, dict) for each in effects)
+    if version != 1 or not is_list:
+        raise InvalidInput(
+            f"{file} is no list of effects, version 1; give effects.json of `adr criticise`"
+        )
+    return [{k: v for k, v in effect.items() if k != "in_mjcf"} for effect in effects]
+
+
+def assign(spec: dict[str, Any], assignments: Iterable[str] | None) -> None:
+    """Set fields of a spec from texts `a.b=value`; a value is JSON, or else text."""
+    for assignment in assignments or ():
+        path, equals, text = assignment.partition("=")
+        if not equals:
+            raise InvalidInput(f"--set needs name=value; given {assignment!r}")
+        _set(spec, path.split("."), _value(text))
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def _set(spec: dict[str, Any], path: list[str], value: Any) -> None:
+    *parents, last = path
+    inner = spec
+    for name in parents:
+        # a method given by name becomes an object when one of its settings is set
+        if not isinstance(inner.get(name), dict):
+            inner[name] = {"name": inner[name]} if name == "method" and name in inner else {}
+        inner = inner[name]
+    inner[last] = value

@@ -1,0 +1,161 @@
+"""Results, costs and plans as tables on a terminal."""
+
+from collections.abc import Sequence
+
+from rich.console import Group, RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from api.client import Json
+
+
+def results_table(results: Json) -> RenderableType:
+    """The result table with its intervals."""
+    if results["rows"]:
+        return Group(_returns_table(results["rows"]), Text(results["note"], style="dim"))
+    if results["estimates"]:
+        return Group(estimates_table(results), Text(results["note"], style="dim"))
+    return Text("no iteration has finished yet")
+
+
+def _returns_table(rows: Sequence[Json]) -> Table:
+    table = Table(box=None, padding=(0, 1, 0, 0))
+    for heading in ("task", "variant", "method"):
+        table.add_column(heading, overflow="fold")
+    for heading in (
+        *("iteration", "return /\nthreshold", "95 %\ninterval", "seeds", "episodes"),
+        *("target\ntransitions", "distance\nfrom truth", "posterior\nstd"),
+    ):
+        is_interval = heading.endswith("interval")
+        table.add_column(heading, justify="right", overflow="fold", no_wrap=is_interval)
+    for row in rows:
+        table.add_row(*_cells(row))
+    return table
+
+
+def _cells(row: Json) -> list[str]:
+    error, std = row["estimation_error"], row["posterior_std"]
+    collector = "" if row["collector"] == "simopt" else f" on {row['collector']}"
+    return [
+        row["task"],
+        row["variant"],
+        row["method"] + collector,
+        str(row["iteration"]),
+        f"{row['normalised_return']:.2f}",
+        _interval(row),
+        str(row["seeds"]),
+        str(row["episodes"]),
+        f"{row['target_transitions']:.0f}",
+        "–" if error is None else f"{error:.2f}",
+        "–" if std is None else f"{std:.2g}",
+    ]
+
+
+def _interval(row: Json) -> str:
+    return f"[{row['low']:.2f}, {row['high']:.2f}]".replace("[", r"\[")
+
+
+def estimates_table(results: Json) -> RenderableType:
+    """The estimates of each method, by parameter."""
+    table = Table("method", "seed", "iteration", "parameter", box=None, padding=(0, 2, 0, 0))
+    for heading in ("mean", "standard deviation", "unit"):
+        table.add_column(heading, justify="right")
+    for row in results["estimates"]:
+        numbers = (f"{row['mean']:.5g}", f"{row['std']:.2g}", row["unit"])
+        place = (row["method"], str(row["seed"]), str(row["iteration"]), row["parameter"])
+        table.add_row(*place, *numbers)
+    return table
+
+
+def comparisons_table(results: Json) -> RenderableType:
+    """The probability that a policy of one method beats one of another."""
+    if not results["comparisons"]:
+        return Text("there are no two methods to compare yet")
+    table = Table("task", "variant", "method", "beats", box=None, padding=(0, 2, 0, 0))
+    for heading in ("probability", "95 % interval", "seeds"):
+        table.add_column(heading, justify="right")
+    for pair in results["comparisons"]:
+        names = (pair["task"], pair["variant"], pair["method"], pair["other"])
+        table.add_row(*names, f"{pair['probability']:.2f}", _interval(pair), str(pair["seeds"]))
+    return Group(table, Text("after each method's last iteration; ties count half", style="dim"))
+
+
+def claims_table(report: Json) -> RenderableType:
+    """The paper's claims beside the results measured under one budget."""
+    changed = ", ".join(f"{name} = {value}" for name, value in report["changed"].items())
+    table = Table("", "claim", "verdict", "measured", box=None, padding=(0, 2, 0, 0))
+    for finding in report["findings"]:
+        evidence = "\n".join(finding["evidence"]) or "–"
+        cells = (finding["claim"], finding["statement"], finding["verdict"], evidence)
+        table.add_row(*map(escape, cells))
+    title = f"preset {report['preset']}" + (f", but {changed}" if changed else "")
+    return Group(Text(title, style="bold"), table)
+
+
+def plan_table(plan: Json) -> RenderableType:
+    """The expected cost of runs."""
+    table = Table("", "", box=None, padding=(0, 2, 0, 0), show_header=False)
+    hours = "unknown, there are no cores" if plan["hours"] is None else _duration(plan["hours"])
+    table.add_row("runs", str(plan["runs"]))
+    table.add_row("trainings, shared ones once", str(plan["trainings"]))
+    table.add_row("their environment steps, at most", f"{plan['environment_steps']:,}")
+    table.add_row("target transitions, at most", f"{plan['target_transitions']:,}")
+    table.add_row("computing", f"{_duration(plan['core_hours'])} on a core")
+    table.add_row(f"time, with {plan['cores']} cores", hours)
+    table.add_row("policies on disk", f"{plan['policies_mb']:.2g} MB")
+    return Group(table, Text(plan["basis"], style="dim"))
+
+
+def _duration(hours: float) -> str:
+    """A duration in words.
+
+    Below a minute, the start of processes takes most of the time, and no plan counts that.
+    """
+    if hours < 1 / 60:
+        return "less than a minute"
+    return f"{60 * hours:.0f} minutes" if hours < 1 else f"{hours:.2g} hours"
+
+
+def cost_table(cost: Json) -> RenderableType:
+    """The cost of each kind of stage, and the utilisation of the cores."""
+    table = Table("stages", box=None, padding=(0, 2, 0, 0))
+    for heading in ("number", "seconds on a core", "CPU seconds", "preparing"):
+        table.add_column(heading, justify="right")
+    for kind in cost["kinds"]:
+        numbers = (kind["seconds"], kind["cpu_seconds"], kind["preparing_seconds"])
+        cells = (f"{number:.1f}" for number in numbers)
+        table.add_row(kind["kind"], str(kind["stages"]), *cells)
+    return Group(table, *_utilisation(cost["utilisation"], cost["note"]))
+
+
+def _utilisation(used: Json | None, note: str) -> list[RenderableType]:
+    if used is None:
+        text = "utilisation: known once all runs have finished, if all cores had work at once"
+        return [Text(text, style="dim")]
+    shares = Table("core seconds", "", box=None, padding=(0, 2, 0, 0))
+    for name in ("computing", "waiting", "orchestration", "starting", "preparing"):
+        shares.add_row(name, f"{used[name]:.1f}")
+    headline = (
+        f"useful work {used['useful']:.1%}, orchestration {used['overhead']:.1%} "
+        f"of {used['cores']} cores in {used['seconds']:.0f} s"
+    )
+    return [Text(), shares, Text(headline), Text(note, style="dim")]
+
+
+def trials_table(trials: Sequence[Json]) -> RenderableType:
+    """The trials of a search, the best first."""
+    table = Table("learning rate", "seed", box=None, padding=(0, 2, 0, 0))
+    for heading in ("steps", "best return", "threshold"):
+        table.add_column(heading, justify="right")
+    table.add_column("")
+    for trial in trials:
+        table.add_row(
+            f"{trial['learning_rate']:g}",
+            str(trial["seed"]),
+            f"{trial['steps']:,}",
+            "–" if trial["best_return"] is None else f"{trial['best_return']:.0f}",
+            "reached" if trial["reached_threshold"] else "–",
+            escape(trial["error"] or "") or ("stopped early" if trial["stopped_early"] else ""),
+        )
+    return table

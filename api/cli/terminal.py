@@ -1,0 +1,10 @@
+"""The two consoles that commands write to."""
+
+import os
+import sys
+
+from rich.console import Console
+
+# a table needs a width where the output is not a terminal
+console = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 120)
+errors = Console(stderr=True)

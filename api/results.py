@@ -1,0 +1,154 @@
+"""Results and costs of runs, as the API answers them."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from pydantic import BaseModel
+
+import adr_service
+from adr_service.benchmark.comparison import Outcome, comparisons, costs, estimates, table
+from adr_service.benchmark.cost import Execution, Utilisation, utilisation
+from adr_service.json_values import canonical_json, sha256
+from adr_service.specs import RecordedTarget, RunSpec
+from api.service import Service
+from db import events as event_store
+from db import results as result_store
+from db import stages as stage_store
+from db.errors import DatabaseUnavailable
+from db.runs import RunRecord
+
+log = logging.getLogger(__name__)
+_COST_NOTE = (
+    "core seconds of everything the service computed while there was work for all cores; useful = "
+    "computing / (computing + waiting + orchestration), overhead = orchestration / all; known when "
+    "the runs have finished"
+)
+
+
+class ResultsView(BaseModel):
+    """The result table; `note` says what a reader must know of it."""
+
+    note: str
+    rows: list[dict[str, Any]]
+    comparisons: list[dict[str, Any]]  # probabilities of improvement, of every pair of methods
+    estimates: list[dict[str, Any]]  # by parameter, of methods that infer
+    costs: list[dict[str, Any]]  # of the inferences
+
+
+class KindCost(BaseModel):
+    """All stages of a kind, each counted once."""
+
+    kind: str
+    stages: int
+    seconds: float  # on a core
+    cpu_seconds: float
+    preparing_seconds: float  # imports and compilations, by the clock
+
+
+class CostView(BaseModel):
+    """Cost of a run or a benchmark so far. Stages shared with others are included."""
+
+    note: str
+    kinds: list[KindCost]
+    # null: it has not finished, or there was never work for all cores at once
+    utilisation: Utilisation | None
+    inferences: list[dict[str, Any]]
+
+
+def outcomes_of(service: Service, records: Sequence[RunRecord]) -> list[Outcome]:
+    """Return the finished iterations of runs, with the seconds that their inference took."""
+    specs = {record.id: record.spec for record in records}
+    iterations = [
+        (spec, event)
+        for run_id, event in event_store.iterations_of(service.database, list(specs))
+        if isinstance(spec := specs[run_id], RunSpec)
+    ]
+    digests = [digest for _, event in iterations for digest in event.inferences]
+    seconds = stage_store.seconds_of(service.database, digests)
+    return [
+        Outcome(spec, event, sum(seconds[d] for d in event.inferences) or None)
+        for spec, event in iterations
+    ]
+
+
+def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str:
+    """Return the ResultsView of a run or a benchmark as JSON.
+
+    Its bootstraps take seconds, so it is stored until one of the runs finishes another iteration.
+    """
+    count = event_store.count_iterations(service.database, [record.id for record in records])
+    version = sha256(canonical_json([adr_service.__version__, count]).encode())
+    stored = result_store.kept_results(service.database, id, version)
+    if stored is not None:
+        return stored
+    results = results_view(outcomes_of(service, records)).model_dump_json()
+    try:
+        result_store.keep_results(service.database, id, version, results)
+    except DatabaseUnavailable as error:
+        log.warning("the results of %s are not kept: %s", id, error)
+    return results
+
+
+def results_view(outcomes: Sequence[Outcome]) -> ResultsView:
+    """Return tables of finished iterations, and a note on how to read them."""
+    return ResultsView(
+        note=_note(outcomes),
+        rows=[asdict(row) for row in table(outcomes)],
+        comparisons=[asdict(pair) for pair in comparisons(outcomes)],
+        estimates=[asdict(estimate) for estimate in estimates(outcomes)],
+        costs=[asdict(cost) for cost in costs(outcomes)],
+    )
+
+
+def _note(outcomes: Sequence[Outcome]) -> str:
+    if any(outcome.spec.preset == "smoke" for outcome in outcomes):
+        return "preset 'smoke': a few hundred training steps; these numbers mean nothing"
+    if outcomes and all(isinstance(outcome.spec.target, RecordedTarget) for outcome in outcomes):
+        return "a recorded target: there is nothing to evaluate the policy on"
+    return "undiscounted target return / reward threshold; 95 % bootstrap interval"
+
+
+def cost_of(service: Service, records: Sequence[RunRecord]) -> CostView:
+    """Return the cost of runs so far."""
+    executions = stage_store.executions_of(service.database, [record.id for record in records])
+    used = None
+    if executions and all(record.is_finished for record in records):
+        used = _utilisation(service, [execution for _, execution in executions])
+    return cost_view(executions, used, outcomes_of(service, records))
+
+
+def _utilisation(service: Service, executions: Sequence[Execution]) -> Utilisation | None:
+    """Return the utilisation of the cores from the first of these stages to the last."""
+    first = min(execution.asked for execution in executions)
+    last = max(execution.ended for execution in executions)
+    # stages of other runs keep cores busy too
+    return utilisation(stage_store.executions_between(service.database, first, last))
+
+
+def cost_view(
+    executions: Sequence[tuple[str, Execution]],
+    used: Utilisation | None,
+    outcomes: Sequence[Outcome],
+) -> CostView:
+    """Return the cost of stages, given as (kind, execution)."""
+    kinds: dict[str, list[Execution]] = {}
+    for kind, execution in executions:
+        kinds.setdefault(kind, []).append(execution)
+    return CostView(
+        note=_COST_NOTE,
+        kinds=[_kind_cost(kind, group) for kind, group in sorted(kinds.items())],
+        utilisation=used,
+        inferences=[asdict(cost) for cost in costs(outcomes)],
+    )
+
+
+def _kind_cost(kind: str, executions: Sequence[Execution]) -> KindCost:
+    return KindCost(
+        kind=kind,
+        stages=len(executions),
+        seconds=sum(execution.seconds for execution in executions),
+        cpu_seconds=sum(execution.cpu or 0.0 for execution in executions),
+        preparing_seconds=sum(execution.preparing or 0.0 for execution in executions),
+    )

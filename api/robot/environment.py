@@ -1,0 +1,47 @@
+"""The Gymnasium environment that is the robot: how it is loaded and checked."""
+
+import importlib
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from adr_service.errors import InvalidInput
+from api.robot.limits import Limits
+
+Env = gymnasium.Env[Any, Any]
+
+
+def load_environment(path: str) -> Env:
+    """Return the environment that `module:factory` makes; the working directory is searched too."""
+    module, colon, factory = path.partition(":")
+    if not colon or not module or not factory:
+        raise InvalidInput(f"--env needs module:factory; given {path!r}")
+    sys.path.insert(0, "")
+    try:
+        make: Any = getattr(importlib.import_module(module), factory)
+    except (ImportError, AttributeError) as error:
+        raise InvalidInput(f"{path} cannot be imported: {error}") from error
+    env = make()
+    if not isinstance(env, gymnasium.Env):
+        raise InvalidInput(f"{path} makes a {type(env).__name__}; needed is a gymnasium.Env")
+    return env
+
+
+def check_environment(env: Env, about: Mapping[str, Any], limits: Limits) -> None:
+    """Raise InvalidInput unless the environment fits the task, and the limits its actions."""
+    given = (env.observation_space.shape, env.action_space.shape)
+    needed = ((len(about["observation_columns"]),), (about["actions"],))
+    if given != needed:
+        raise InvalidInput(
+            f"the environment has observations {given[0]} and actions {given[1]}; "
+            f"{about['name']} has {needed[0]} and {needed[1]}"
+        )
+    if len(limits.actions) not in (0, 1, about["actions"]):
+        raise InvalidInput(
+            f"{len(limits.actions)} limits given for {about['actions']} actions; give one, or each"
+        )
+    if not all(0 < most < np.inf for most in limits.actions):
+        raise InvalidInput(f"limits of actions must be positive; given {limits.actions}")

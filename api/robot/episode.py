@@ -1,0 +1,163 @@
+"""One episode on a robot, and its trajectory."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from adr_service.arrays import Matrix, Vector
+from adr_service.npz import write_arrays
+from adr_service.randomness import stream
+from adr_service.transitions import TransitionDataset
+from api.client import Json
+from api.robot.environment import Env
+from api.robot.heart import Heart
+from api.robot.limits import Limits
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A robot with its name, the service's description of its task, and its owner's limits."""
+
+    name: str
+    env: Env
+    about: Mapping[str, Any]
+    limits: Limits
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A recorded episode of T transitions."""
+
+    observations: Matrix  # (T + 1, s)
+    actions: Matrix  # (T, a), as they were sent
+    rewards: Vector  # (T,)
+    limited: int  # actions that the owner's limit changed
+    wrong: str = ""  # why the episode ended early and does not count
+
+
+def run_episode(
+    machine: Machine,
+    task: Json,
+    act: Callable[[Matrix], Matrix],
+    heart: Heart,
+    why_stop: Callable[[], str],
+) -> Episode:
+    """Run a task's episode to its end, until something is wrong, or until it should stop."""
+    rollout = _Rollout(machine, heart, task["transitions"])
+    if not why_stop():  # to reset is to move
+        rollout.reset(seed_of(task))
+    while not rollout.is_over and not why_stop():
+        rollout.step(act)
+    return rollout.episode()
+
+
+class _Rollout:
+    """The observations, actions and rewards of an episode that goes on."""
+
+    def __init__(self, machine: Machine, heart: Heart, transitions: int):
+        self._machine, self._heart, self._transitions = machine, heart, transitions
+        self._observations: list[Vector] = []
+        self._actions: list[Vector] = []
+        self._rewards: list[float] = []
+        self._limited, self._wrong, self._ended = 0, "", False
+        self._began = time.monotonic()
+
+    @property
+    def is_over(self) -> bool:
+        return bool(self._wrong) or self._ended or len(self._actions) >= self._transitions
+
+    def reset(self, seed: int) -> None:
+        with self._heart.watching("reset", self._machine.limits.reset_seconds):
+            observation, _ = self._machine.env.reset(seed=seed)
+        self._observations.append(_row(observation))
+        self._began = time.monotonic()
+        self._wrong = _broken(self._observations[0], 0.0)
+
+    def step(self, act: Callable[[Matrix], Matrix]) -> None:
+        passed = time.monotonic() - self._began
+        limits, seen = self._machine.limits, self._observations[-1]
+        moved = (len(self._actions) + 1) * self._machine.about["control_period_s"]
+        if not limits.allows(max(moved, passed)):
+            self._wrong = (
+                f"{self._machine.name} may move for {limits.seconds} s, and these are over"
+            )
+            return
+        wanted = act(seen[None])[0]
+        if not np.all(np.isfinite(wanted)):
+            self._wrong = f"the policy's action is {wanted.tolist()} at {seen.tolist()}"
+            return
+        action = limits.apply(wanted)
+        self._limited += not np.array_equal(action, wanted)
+        with self._heart.watching("step", limits.left(passed)):
+            observation, reward, terminated, truncated, _ = self._machine.env.step(action)
+        self._record(_row(observation), action, float(reward))
+        self._ended = terminated or truncated
+
+    def _record(self, observation: Vector, action: Vector, reward: float) -> None:
+        """Append a transition, unless its numbers are not finite."""
+        self._wrong = _broken(observation, reward)
+        if self._wrong:
+            return
+        self._observations.append(observation)
+        self._actions.append(action)
+        self._rewards.append(reward)
+        self._heart.steps = len(self._actions)
+
+    def episode(self) -> Episode:
+        return Episode(
+            np.array(self._observations),
+            np.array(self._actions),
+            np.array(self._rewards),
+            self._limited,
+            self._wrong,
+        )
+
+
+def to_npz(episode: Episode, about: Mapping[str, Any], origin: str) -> bytes:
+    """Return the `.npz` that the service takes: the measured columns, and the rewards."""
+    measured = episode.observations[:, : about["measured_columns"]]
+    data = TransitionDataset(
+        observations=measured[:-1],
+        actions=episode.actions,
+        next_observations=measured[1:],
+        episodes=np.zeros(len(episode.actions), dtype=np.int64),
+        dt=about["control_period_s"],
+        columns=tuple(about["observation_columns"][: measured.shape[1]]),
+        origin=origin,
+    )
+    return write_arrays({**data.to_arrays(), "rewards": episode.rewards})
+
+
+def random_actions(task: Json, about: Mapping[str, Any]) -> Callable[[Matrix], Matrix]:
+    """Return a policy of uniform actions within the task's bounds."""
+    low, high = np.array(about["action_low"]), np.array(about["action_high"])
+    rng = stream("random actions", *_identity(task))
+
+    def act(observations: Matrix) -> Matrix:
+        return rng.uniform(low, high, (len(observations), len(low)))
+
+    return act
+
+
+def seed_of(task: Json) -> int:
+    """Seed of an episode's reset: simulated environments use it, a robot ignores it."""
+    return int(stream("robot", *_identity(task)).integers(2**31))
+
+
+def _identity(task: Json) -> tuple[str, int, int]:
+    """Facts that distinguish the episodes of a run."""
+    return (task["kind"], task["number"], task["seed"])
+
+
+def _row(observation: Any) -> Vector:
+    return np.asarray(observation, dtype=np.float64)
+
+
+def _broken(observation: Vector, reward: float) -> str:
+    """Return the numbers if some are not finite, else nothing."""
+    if np.all(np.isfinite(observation)) and np.isfinite(reward):
+        return ""
+    return f"the robot showed {observation.tolist()} and the reward {reward}"

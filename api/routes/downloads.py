@@ -1,0 +1,48 @@
+"""Answers that are files: stored bytes, figures and tables."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from fastapi import Response
+
+from adr_service.benchmark.comparison import Outcome, table, to_csv
+from adr_service.benchmark.figures import Format, draw
+from adr_service.json_values import sha256
+from api.service import Service
+from db import stages as stage_store
+from db.errors import NotFound
+
+CSV: dict[int | str, Any] = {200: {"content": {"text/csv": {"schema": {"type": "string"}}}}}
+_FIGURE_TYPES = {"svg": "image/svg+xml", "png": "image/png", "csv": "text/csv"}
+
+
+def bytes_response(
+    content: bytes, filename: str, media_type: str = "application/octet-stream"
+) -> Response:
+    """A file that browsers save, with the digest of its bytes as ETag."""
+    return Response(
+        content,
+        media_type=media_type,
+        headers={
+            "ETag": f'"{sha256(content)}"',
+            "Content-Disposition": f'attachment; filename="{filename}"',
+        },
+    )
+
+
+def artifact_response(service: Service, digest: str, filename: str) -> Response:
+    """A stored artifact as a file; raises NotFound."""
+    content = stage_store.artifact(service.database, digest)
+    if content is None:
+        raise NotFound("artifact", digest)
+    return bytes_response(content, filename)
+
+
+def figure_response(name: str, outcomes: Sequence[Outcome], file_format: Format) -> Response:
+    """A figure, or its numbers as CSV."""
+    return Response(draw(name, outcomes, file_format), media_type=_FIGURE_TYPES[file_format])
+
+
+def csv_response(outcomes: Sequence[Outcome]) -> Response:
+    """The result table as CSV."""
+    return Response(to_csv(table(outcomes)), media_type="text/csv")

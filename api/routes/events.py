@@ -1,0 +1,79 @@
+"""/v1/runs/{id}/events: the events of a run, page by page or as they happen."""
+
+from collections.abc import AsyncIterable
+from datetime import datetime
+from functools import partial
+from typing import Annotated
+
+import anyio
+from fastapi import APIRouter, Depends, Header, Query
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+from pydantic import BaseModel
+
+from adr_service.events import RunEvent
+from api.routes.paging import Page, PageSize, page_of
+from api.routes.polling import EVERY_S
+from api.service import ServiceDependency
+from db import events as event_store
+from db import runs as run_store
+from db.events import EventRecord
+
+router = APIRouter(prefix="/v1/runs", tags=["runs"])
+_STREAMED = 500  # events at once
+
+
+class EventView(BaseModel):
+    seq: int
+    created_at: datetime
+    event: RunEvent
+
+
+def event_view(record: EventRecord) -> EventView:
+    return EventView(seq=record.seq, created_at=record.created_at, event=record.event)
+
+
+def _existing(run_id: str, service: ServiceDependency) -> str:
+    """Refuse an unknown run before a stream begins."""
+    return run_store.get_run(service.database, run_id).id
+
+
+def _last_seen(
+    last_event_id: Annotated[
+        str | None, Header(pattern=r"^[0-9]{1,18}$", description="of the last event seen")
+    ] = None,
+) -> int:
+    return int(last_event_id or 0)
+
+
+@router.get("/{run_id}/events")
+def events(
+    run_id: str,
+    service: ServiceDependency,
+    after: Annotated[int, Query(ge=0, lt=2**63)] = 0,
+    limit: PageSize = 100,
+) -> Page[EventView]:
+    """Events with a sequence number above `after`."""
+    records = event_store.events_of(service.database, run_id, after=after, limit=limit + 1)
+    return page_of(records, limit, event_view, lambda record: record.seq)
+
+
+@router.get("/{run_id}/events/stream", response_class=EventSourceResponse)
+async def stream(
+    run_id: Annotated[str, Depends(_existing)],
+    service: ServiceDependency,
+    seen: Annotated[int, Depends(_last_seen)],
+) -> AsyncIterable[ServerSentEvent]:
+    """Events as they happen, until the run has ended; `id` is the sequence number."""
+    while True:
+        # its state is read first: the event that ended it is among the records then
+        run = await anyio.to_thread.run_sync(run_store.get_run, service.database, run_id)
+        page = partial(event_store.events_of, service.database, run_id, after=seen, limit=_STREAMED)
+        records = await anyio.to_thread.run_sync(page)
+        for record in records:
+            seen = record.seq
+            yield ServerSentEvent(id=str(seen), event=record.event.type, data=event_view(record))
+        if run.is_finished and len(records) < _STREAMED:
+            yield ServerSentEvent(event="end", data={"state": run.state})
+            return
+        if not records:
+            await anyio.sleep(EVERY_S)

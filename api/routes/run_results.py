@@ -1,0 +1,111 @@
+"""/v1/runs/{id}/results and its figures, cost, distribution and policy."""
+
+from typing import Any, Literal
+
+from fastapi import APIRouter, Response
+from pydantic import BaseModel
+
+from adr_service.benchmark.comparison import Outcome, decode
+from adr_service.benchmark.figures import Format, drawable
+from api.results import CostView, ResultsView, cost_of, outcomes_of, results_json
+from api.routes.downloads import CSV, artifact_response, csv_response, figure_response
+from api.service import Service, ServiceDependency
+from db import runs as run_store
+from db.errors import NotFound
+
+router = APIRouter(prefix="/v1/runs", tags=["runs"])
+
+
+class ParameterView(BaseModel):
+    name: str
+    address: str  # in the model
+    unit: str
+    mean: list[float]  # one per distribution
+    std: list[float]
+
+
+class DistributionView(BaseModel):
+    """Training distribution of the latest policies; only UDR has several."""
+
+    task: str
+    variant: str
+    method: str
+    iteration: int
+    parameters: list[ParameterView]
+    distributions: list[dict[str, Any]]
+    diagnostics: dict[str, Any]  # of the inference
+
+
+def distribution_view(outcome: Outcome) -> DistributionView:
+    """Return the distributions of an iteration, by parameter."""
+    spec, distributions = outcome.spec, decode(outcome)
+    return DistributionView(
+        task=spec.task,
+        variant=spec.variant,
+        method=spec.column,
+        iteration=outcome.iteration.iteration,
+        parameters=[
+            ParameterView(
+                name=parameter.name,
+                address=parameter.address,
+                unit=parameter.unit,
+                mean=[float(distribution.mean[i]) for distribution in distributions],
+                std=[float(distribution.std[i]) for distribution in distributions],
+            )
+            for i, parameter in enumerate(distributions[0].space.parameters)
+        ],
+        distributions=list(outcome.iteration.distributions),
+        diagnostics=outcome.iteration.diagnostics,
+    )
+
+
+@router.get("/{run_id}/results", response_model=ResultsView, responses=CSV)
+def results(
+    run_id: str, service: ServiceDependency, format: Literal["json", "csv"] = "json"
+) -> Response:
+    """Result table after every iteration, comparisons, estimates and costs."""
+    record = run_store.get_run(service.database, run_id)
+    if format == "csv":
+        return csv_response(outcomes_of(service, [record]))
+    return Response(results_json(service, run_id, [record]), media_type="application/json")
+
+
+@router.get("/{run_id}/cost")
+def cost(run_id: str, service: ServiceDependency) -> CostView:
+    """Cost of the stages, and utilisation of the cores."""
+    return cost_of(service, [run_store.get_run(service.database, run_id)])
+
+
+@router.get("/{run_id}/figures")
+def figures(run_id: str, service: ServiceDependency) -> list[str]:
+    """Names of the figures that can be drawn by now."""
+    return drawable(_outcomes(service, run_id))
+
+
+@router.get("/{run_id}/figures/{name}.{file_format}", response_class=Response)
+def figure(run_id: str, name: str, file_format: Format, service: ServiceDependency) -> Response:
+    """A figure, or its numbers as CSV."""
+    return figure_response(name, _outcomes(service, run_id), file_format)
+
+
+@router.get("/{run_id}/distribution")
+def distribution(run_id: str, service: ServiceDependency) -> DistributionView:
+    """Training distribution of the latest policy: the method's estimate of each parameter."""
+    outcomes = _outcomes(service, run_id)
+    if not outcomes:
+        raise NotFound("finished iteration of run", run_id)
+    return distribution_view(outcomes[-1])
+
+
+@router.get("/{run_id}/policy", response_class=Response)
+def policy(run_id: str, service: ServiceDependency) -> Response:
+    """The latest evaluated policy, as safetensors; the first if there are several."""
+    outcomes = _outcomes(service, run_id)
+    if not outcomes:
+        raise NotFound("evaluated policy of run", run_id)
+    digest = outcomes[-1].iteration.policies[0]
+    return artifact_response(service, digest, f"{run_id}.safetensors")
+
+
+def _outcomes(service: Service, run_id: str) -> list[Outcome]:
+    return outcomes_of(service, [run_store.get_run(service.database, run_id)])

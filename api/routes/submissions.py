@@ -1,0 +1,60 @@
+"""Submissions: a spec is stored once for each Idempotency-Key, and its runs are started."""
+
+from typing import Annotated
+
+from fastapi import Header
+from pydantic import BaseModel
+
+from adr_service.benchmark.plan import Plan, plan
+from adr_service.json_values import sha256
+from adr_service.specs import AnyRun, BenchmarkSpec, RunSpec
+from api.service import Service
+from db import benchmarks as benchmark_store
+from db import runs as run_store
+from db.benchmarks import BenchmarkRecord
+from db.requests import Replayed, RequestKey
+from db.runs import RunRecord
+
+IdempotencyKey = Annotated[
+    str | None,
+    Header(min_length=1, max_length=200, description="for a day, the same makes nothing new"),
+]
+
+
+def start_run(service: Service, spec: AnyRun, key: str | None) -> RunRecord:
+    """Store a run and start it; return the earlier run if the key has started one."""
+    try:
+        record = run_store.create_run(
+            service.database, spec, _request_key(key, spec), service.check_queue
+        )
+    except Replayed as before:
+        record = run_store.get_run(service.database, before.id)
+    if not record.is_finished:
+        service.orchestrator.submit(record)
+    return record
+
+
+def start_benchmark(service: Service, spec: BenchmarkSpec, key: str | None) -> BenchmarkRecord:
+    """Store a benchmark and start its runs; return the earlier one if the key has started one."""
+    try:
+        record = benchmark_store.create_benchmark(
+            service.database, spec, _request_key(key, spec), service.check_queue
+        )
+    except Replayed as before:
+        record = benchmark_store.get_benchmark(service.database, before.id)
+    for run in benchmark_store.runs_of(service.database, record.id):
+        if not run.is_finished:
+            service.orchestrator.submit(run)
+    return record
+
+
+def plan_here(service: Service, specs: list[RunSpec]) -> Plan:
+    """Return the expected cost of runs on this cluster."""
+    return plan(specs, service.orchestrator.cores)
+
+
+def _request_key(key: str | None, spec: BaseModel) -> RequestKey | None:
+    """Return the key together with the digest of its request."""
+    if key is None:
+        return None
+    return RequestKey(key, sha256(f"{type(spec).__name__} {spec.model_dump_json()}".encode()))

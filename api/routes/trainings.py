@@ -1,0 +1,68 @@
+"""/v1/runs/{id}/trainings: the learning curves and policies of a run's trainings."""
+
+from collections.abc import Sequence
+
+from fastapi import APIRouter, Response
+from pydantic import BaseModel
+
+from adr_service.events import StageFinished, TrainingEvaluated
+from api.routes.downloads import bytes_response
+from api.service import ServiceDependency
+from db import events as event_store
+from db import stages as stage_store
+from db.errors import NotFound
+from db.events import EventRecord
+
+router = APIRouter(prefix="/v1/runs", tags=["runs"])
+
+
+class CurvePoint(BaseModel):
+    steps: int
+    mean_return: float  # on the source distribution
+    standard_error: float
+
+
+class TrainingView(BaseModel):
+    """A policy's training, finished or not."""
+
+    digest: str
+    is_finished: bool
+    curve: list[CurvePoint]
+    links: dict[str, str]
+
+
+def training_views(run_id: str, records: Sequence[EventRecord]) -> list[TrainingView]:
+    """Return the trainings of a run, in the order of their first evaluation."""
+    curves: dict[str, list[CurvePoint]] = {}
+    finished: set[str] = set()
+    for event in (record.event for record in records):
+        if isinstance(event, TrainingEvaluated):
+            point = event.model_dump(include=set(CurvePoint.model_fields))
+            curves.setdefault(event.digest, []).append(CurvePoint(**point))
+        elif isinstance(event, StageFinished):
+            finished.add(event.digest)
+    return [
+        TrainingView(
+            digest=digest,
+            is_finished=digest in finished,
+            curve=sorted(curve, key=lambda point: point.steps),
+            links={"policy": f"/v1/runs/{run_id}/trainings/{digest}/policy"},
+        )
+        for digest, curve in curves.items()
+    ]
+
+
+@router.get("/{run_id}/trainings")
+def trainings(run_id: str, service: ServiceDependency) -> list[TrainingView]:
+    """Learning curves of the policies, also of those in training."""
+    return training_views(run_id, event_store.events_of(service.database, run_id))
+
+
+@router.get("/{run_id}/trainings/{digest}/policy", response_class=Response)
+def policy_of_training(run_id: str, digest: str, service: ServiceDependency) -> Response:
+    """Policy of a training; while it goes on, the best so far."""
+    known = training_views(run_id, event_store.events_of(service.database, run_id))
+    content = stage_store.policy_of_training(service.database, digest)
+    if content is None or digest not in {training.digest for training in known}:
+        raise NotFound("policy of training", digest)
+    return bytes_response(content, f"{digest[:12]}.safetensors")

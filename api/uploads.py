@@ -1,0 +1,70 @@
+"""Uploaded `.npz` files: recordings of transitions, and measurements of states and commands.
+
+    upload = Upload.parse(content)      # InvalidInput unless it is one of the two
+    upload.check_task("hopper")         # InvalidInput unless that robot could have made it
+
+An upload is parsed once. The parsed data and the bytes go along together from then on.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Header, HTTPException, status
+
+from adr_service.criticism.compatibility import check_measurement
+from adr_service.criticism.measurements import Measurement, is_measurement
+from adr_service.criticism.nominal import Nominal
+from adr_service.errors import InvalidInput
+from adr_service.simulation.replay import check_recorded
+from adr_service.specs import AnyRun, CriticismSpec
+from adr_service.target import Recording
+from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.transitions import TransitionDataset
+
+LARGEST = 64_000_000  # bytes of an upload
+NPZ = "application/octet-stream"
+
+
+@dataclass(frozen=True)
+class Upload:
+    """The bytes of a file, and the data in it."""
+
+    content: bytes
+    data: TransitionDataset | Measurement
+
+    @classmethod
+    def parse(cls, content: bytes) -> "Upload":
+        """Read a measurement, or else a recording; raises InvalidInput."""
+        if is_measurement(content):
+            return cls(content, Measurement.from_npz(content))
+        return cls(content, TransitionDataset.from_npz(content))
+
+    def check_task(self, task_name: str, variant: str = "vanilla") -> None:
+        """Raise InvalidInput unless the data are of this task's robot."""
+        task = get_task(task_name)
+        if isinstance(self.data, Measurement):
+            check_measurement(Nominal.of_task(task, source_of(task_name, variant)), self.data)
+        else:
+            check_recorded(task, self.data)
+
+
+def check_dataset(spec: AnyRun, content: bytes) -> None:
+    """Raise InvalidInput unless a run can learn from these bytes, or criticise with them."""
+    if is_measurement(content) != isinstance(spec, CriticismSpec):
+        given = "not a" if isinstance(spec, CriticismSpec) else "a"
+        raise InvalidInput(
+            f"{spec.dataset} is {given} measurement of states and commands; `adr criticise` "
+            "reads those (docs/criticism.md), methods learn from recordings of transitions "
+            "(docs/recordings.md)"
+        )
+    if isinstance(spec, CriticismSpec):
+        Upload(content, Measurement.from_npz(content)).check_task(spec.task, spec.variant)
+    else:
+        Recording(spec, content)
+
+
+def octets(content_type: Annotated[str, Header(include_in_schema=False)] = "") -> None:
+    """Refuse forms and texts, which a page elsewhere could make a browser send."""
+    if content_type.partition(";")[0].strip().lower() != NPZ:
+        detail = f"the body must be {NPZ}; given {content_type or 'no type'!r}"
+        raise HTTPException(status.HTTP_415_UNSUPPORTED_MEDIA_TYPE, detail)

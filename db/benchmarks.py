@@ -1,0 +1,247 @@
+"""Benchmarks: grids of runs that are stored, extended, cancelled and deleted as one.
+
+benchmark = create_benchmark(database, spec)           # with all its runs, or nothing
+runs_of(database, benchmark.id)
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import lru_cache
+from typing import Any
+
+from sqlalchemy import delete, func, select, update
+from sqlalchemy.orm import Session
+
+from adr_service.events import FINISHED, RunState
+from adr_service.specs import BenchmarkExtension, BenchmarkSpec, RunSpec
+from db.errors import NotFound, NotPossible
+from db.events import run_row
+from db.models import BenchmarkRow, RunRow
+from db.references import delete_unreferenced
+from db.requests import RequestKey, once
+from db.results import delete_results
+from db.runs import (
+    Accept,
+    RunRecord,
+    batches,
+    check_live,
+    delete_run,
+    insert_runs,
+    list_runs,
+    new_id,
+    new_run,
+    queue_again,
+    readable,
+    record_of,
+)
+from db.session import Database
+
+
+@dataclass(frozen=True)
+class BenchmarkRecord:
+    """A submitted benchmark."""
+
+    number: int  # order of submission
+    id: str
+    created_at: datetime
+    spec: BenchmarkSpec  # as it was submitted, and extended since
+
+
+def create_benchmark(
+    database: Database,
+    spec: BenchmarkSpec,
+    key: RequestKey | None = None,
+    accept: Accept | None = None,
+) -> BenchmarkRecord:
+    """Store a benchmark and all its runs, or nothing. Raises as `create_run` does."""
+    # as it was submitted: its runs are stored complete, and mean the same when presets change
+    text = spec.model_dump_json(exclude_unset=True)
+    row = BenchmarkRow(id=new_id("bench"), created_at=datetime.now(UTC), spec=text)
+    members = [new_run(run, row.id) for run in spec.runs()]  # before the lock: it takes a while
+    with database.write("create_benchmark") as session:
+        session.add(row)
+        session.flush()
+        once(session, key, row.id)
+        insert_runs(session, members)
+        check_live(session, accept)
+        return _record(row)
+
+
+def get_benchmark(database: Database, benchmark_id: str) -> BenchmarkRecord:
+    """The benchmark with this id. Raises NotFound."""
+    with database.read() as session:
+        return _record(_row(session, benchmark_id))
+
+
+def list_benchmarks(
+    database: Database, *, after: int = 0, limit: int = 100
+) -> list[BenchmarkRecord]:
+    """Benchmarks in order of submission, those numbered above `after`."""
+    query = select(BenchmarkRow).where(BenchmarkRow.number > after)
+    with database.read() as session:
+        rows = session.scalars(query.order_by(BenchmarkRow.number).limit(limit))
+        return [_record(row) for row in rows]
+
+
+def latest(database: Database, limit: int) -> tuple[list[BenchmarkRecord], list[RunRecord]]:
+    """The newest benchmarks, and the newest runs that belong to none; newest first."""
+    benchmarks = select(BenchmarkRow).order_by(BenchmarkRow.number.desc()).limit(limit)
+    single = select(RunRow).where(RunRow.benchmark_id.is_(None))
+    runs = single.order_by(RunRow.number.desc()).limit(limit)
+    with database.read() as session:
+        return (
+            [_record(row) for row in session.scalars(benchmarks)],
+            [record_of(row) for row in session.scalars(runs)],
+        )
+
+
+def runs_of(database: Database, benchmark_id: str) -> list[RunRecord]:
+    """All runs of a benchmark, in order. Raises NotFound."""
+    get_benchmark(database, benchmark_id)
+    return list_runs(database, benchmark_id=benchmark_id, limit=None)
+
+
+def states_of(database: Database, benchmark_ids: Sequence[str]) -> dict[str, dict[str, int]]:
+    """The number of runs in each state, by benchmark."""
+    states: dict[str, dict[str, int]] = {id: {} for id in benchmark_ids}
+    mine = RunRow.benchmark_id.in_(benchmark_ids)
+    query = select(RunRow.benchmark_id, RunRow.state, func.count(), func.min(RunRow.number))
+    grouped = query.where(mine).group_by(RunRow.benchmark_id, RunRow.state)
+    with database.read() as session:
+        for id, state, count, _ in session.execute(grouped.order_by(func.min(RunRow.number))):
+            states[str(id)][state] = count
+    return states
+
+
+def extend_benchmark(
+    database: Database,
+    benchmark_id: str,
+    extension: BenchmarkExtension,
+    accept: Accept | None = None,
+) -> list[RunRecord]:
+    """Add runs to a benchmark, and return them; the runs that it has stay as they are.
+
+    Raises NotFound, InvalidInput if the extension adds nothing, NotPossible if the new runs
+    would not compare with the old ones or another request was faster, and what `accept` raises.
+    """
+    now = get_benchmark(database, benchmark_id)
+    spec = now.spec.extended(extension)
+    new = _missing(spec, runs_of(database, benchmark_id), benchmark_id)  # before the lock
+    with database.write("extend_benchmark") as session:
+        row = _row(session, benchmark_id)
+        if _spec(row.spec) != now.spec:
+            raise NotPossible(f"{benchmark_id} was extended by another request just now; try again")
+        row.spec = spec.model_dump_json(exclude_unset=True)
+        added = set(insert_runs(session, new))
+        check_live(session, accept)
+    return [run for run in runs_of(database, benchmark_id) if run.id in added]
+
+
+def request_cancel_all(database: Database, benchmark_id: str) -> list[RunRecord]:
+    """Ask all live runs of a benchmark to stop, and return them. Raises NotFound."""
+    get_benchmark(database, benchmark_id)
+    live = (RunRow.benchmark_id == benchmark_id, RunRow.state.not_in(FINISHED))
+    with database.write("request_cancel_all") as session:
+        session.execute(update(RunRow).where(*live).values(cancel_requested=True))
+        return [record_of(row) for row in session.scalars(select(RunRow).where(*live))]
+
+
+def resubmit_all(
+    database: Database, benchmark_id: str, accept: Accept | None = None
+) -> Iterator[RunRecord]:
+    """Queue all failed and cancelled runs of a benchmark again, and yield them.
+
+    Each batch is a transaction; what `accept` raises ends it, and earlier batches stay queued.
+    """
+    stopped = [run.id for run in runs_of(database, benchmark_id) if run.state.is_resumable]
+    for batch in batches(stopped):
+        with database.write("resubmit_all") as session:
+            rows = [run_row(session, run_id) for run_id in batch]
+            # another request may have been faster
+            mine = [row for row in rows if RunState(row.state).is_resumable]
+            for row in mine:
+                queue_again(session, row)
+            check_live(session, accept)
+            queued = [record_of(row) for row in mine]
+        yield from queued
+
+
+def delete_benchmark(database: Database, benchmark_id: str) -> None:
+    """Delete a finished benchmark with its runs and what only they refer to.
+
+    Raises NotFound, and NotPossible if a run of it is not finished.
+    """
+    with database.write("delete_benchmark") as session:
+        row = _row(session, benchmark_id)
+        mine = RunRow.benchmark_id == benchmark_id
+        if session.scalar(select(RunRow.id).where(mine, RunRow.state.not_in(FINISHED)).limit(1)):
+            raise NotPossible(f"benchmark {benchmark_id} is not finished; cancel it first")
+        delete_results(session, [benchmark_id])
+        delete_results(session, select(RunRow.id).where(mine))
+        session.execute(delete(RunRow).where(mine))
+        session.delete(row)
+        session.flush()
+        delete_unreferenced(session)
+
+
+Deletion = tuple[Callable[[Database, str], None], str]  # the function that deletes, and the id
+
+
+def finished_before(database: Database, moment: datetime) -> list[Deletion]:
+    """Deletions of the benchmarks and single runs that have not changed since `moment`."""
+    is_recent = RunRow.state.not_in(FINISHED) | (RunRow.updated_at >= moment)
+    member = RunRow.benchmark_id == BenchmarkRow.id
+    has_recent = select(RunRow.id).where(member, is_recent).exists()
+    single = select(RunRow.id).where(RunRow.benchmark_id.is_(None), ~is_recent)
+    with database.read() as session:
+        benchmarks = session.scalars(select(BenchmarkRow.id).where(~has_recent)).all()
+        return [
+            *((delete_benchmark, id) for id in benchmarks),
+            *((delete_run, id) for id in session.scalars(single)),
+        ]
+
+
+def _missing(
+    spec: BenchmarkSpec, present: Sequence[RunRecord], benchmark_id: str
+) -> list[dict[str, Any]]:
+    """The columns of the runs that `spec` has and `present` lacks.
+
+    Raises NotPossible if a run of `present` differs from the one that `spec` has in its place.
+    """
+    known = {_cell(run.spec): run.spec for run in present if isinstance(run.spec, RunSpec)}
+    new: list[dict[str, Any]] = []
+    for run in spec.runs():
+        before = known.get(_cell(run))
+        if before is None:
+            new.append(new_run(run, benchmark_id))
+        elif before != run:
+            differ = [name for name, value in run if value != getattr(before, name)]
+            raise NotPossible(
+                f"the new runs would differ from those that {benchmark_id} has in "
+                f"{', '.join(differ)}, and would not compare with them: either the preset "
+                f"{run.preset!r} has changed since, or the SimOpt that others learn from"
+            )
+    return new
+
+
+def _cell(spec: RunSpec) -> tuple[str, str, str, int]:
+    """The place of a run in its benchmark's grid."""
+    return (spec.task, spec.variant, spec.column, spec.seed)
+
+
+def _row(session: Session, benchmark_id: str) -> BenchmarkRow:
+    row = session.scalar(select(BenchmarkRow).where(BenchmarkRow.id == benchmark_id))
+    if row is None:
+        raise NotFound("benchmark", benchmark_id)
+    return row
+
+
+def _record(row: BenchmarkRow) -> BenchmarkRecord:
+    return BenchmarkRecord(row.number, row.id, row.created_at, _spec(row.spec))
+
+
+@lru_cache(maxsize=256)
+def _spec(text: str) -> BenchmarkSpec:
+    with readable("benchmark"):
+        return BenchmarkSpec.model_validate_json(text)

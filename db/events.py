@@ -1,0 +1,166 @@
+"""Events of runs, each written once; a run's state is the fold of its events.
+
+append_event(database, run_id, RunStarted(submission=1))     # False: it was written before
+events_of(database, run_id, after=3)
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from adr_service.events import (
+    IterationFinished,
+    RunEvent,
+    RunFailed,
+    RunState,
+    event_from_json,
+    next_state,
+)
+from db import visits
+from db.errors import NotFound
+from db.models import EventRow, RunRow
+from db.session import CHUNK, Database
+
+_ITERATION = EventRow.type == "iteration_finished"
+
+
+@dataclass(frozen=True)
+class EventRecord:
+    """An event of a run, as it was written."""
+
+    seq: int  # 1, 2, … within the run
+    created_at: datetime
+    event: RunEvent
+
+
+def append_event(database: Database, run_id: str, event: RunEvent) -> bool:
+    """Write an event and the state it leads to; False if its key was written before.
+
+    Raises NotFound if there is no such run.
+    """
+    with database.write(event.type) as session:
+        return append(session, run_id, event)
+
+
+def append_events(database: Database, events: Sequence[tuple[str, RunEvent]]) -> None:
+    """Write (run id, event) pairs in one transaction; runs that were deleted are skipped."""
+    if events:
+        with database.write("append_events") as session:
+            for run_id, event in events:
+                if _exists(session, run_id):
+                    append(session, run_id, event)
+
+
+def append(session: Session, run_id: str, event: RunEvent) -> bool:
+    """`append_event` inside a transaction."""
+    mine = EventRow.run_id == run_id
+    if session.scalar(select(EventRow.seq).where(mine, EventRow.key == event.key)) is not None:
+        return False
+    row = run_row(session, run_id)
+    last = session.scalar(select(func.max(EventRow.seq)).where(mine)) or 0
+    session.add(
+        EventRow(
+            run_id=run_id,
+            seq=last + 1,
+            key=event.key,
+            type=event.type,
+            body=event.model_dump_json(),
+            created_at=datetime.now(UTC),
+        )
+    )
+    _advance(session, row, event)
+    return True
+
+
+def append_to_all(session: Session, run_ids: Sequence[str], events: Sequence[RunEvent]) -> None:
+    """Write events to several runs, inside a transaction; runs that were deleted are skipped.
+
+    Events that were written before cost one look-up for all of them.
+    """
+    for run_id in run_ids:
+        if _exists(session, run_id):
+            known = _known_keys(session, run_id, [event.key for event in events])
+            for event in events:
+                if event.key not in known:
+                    append(session, run_id, event)
+
+
+def events_of(
+    database: Database,
+    run_id: str,
+    *,
+    after: int = 0,
+    limit: int | None = None,
+    type: str | None = None,
+) -> list[EventRecord]:
+    """Events of a run with `seq` above `after`, in order. Raises NotFound without the run."""
+    query = select(EventRow).where(EventRow.run_id == run_id, EventRow.seq > after)
+    if type is not None:
+        query = query.where(EventRow.type == type)
+    with database.read() as session:
+        run_row(session, run_id)
+        rows = session.scalars(query.order_by(EventRow.seq).limit(limit))
+        return [EventRecord(r.seq, r.created_at, event_from_json(r.body)) for r in rows]
+
+
+def count_iterations(database: Database, run_ids: Sequence[str]) -> list[tuple[str, int]]:
+    """Pairs (run id, number of iterations that it has finished), in the order of `run_ids`."""
+    counts = dict.fromkeys(run_ids, 0)
+    query = select(EventRow.run_id, func.count()).where(_ITERATION).group_by(EventRow.run_id)
+    with database.read() as session:
+        for chunk in _chunks(run_ids):
+            rows = session.execute(query.where(EventRow.run_id.in_(chunk)))
+            counts |= dict(rows.all())
+    return list(counts.items())
+
+
+def iterations_of(
+    database: Database, run_ids: Sequence[str]
+) -> list[tuple[str, IterationFinished]]:
+    """Pairs (run id, event) of all iterations of the runs, in the order of `run_ids`."""
+    events: dict[str, list[IterationFinished]] = {id: [] for id in run_ids}
+    query = select(EventRow.run_id, EventRow.body).where(_ITERATION).order_by(EventRow.seq)
+    with database.read() as session:
+        for chunk in _chunks(run_ids):
+            for run_id, body in session.execute(query.where(EventRow.run_id.in_(chunk))):
+                events[run_id].append(IterationFinished.model_validate_json(body))
+    return [(run_id, event) for run_id, own in events.items() for event in own]
+
+
+def run_row(session: Session, run_id: str) -> RunRow:
+    """The row of a run, inside a transaction. Raises NotFound."""
+    row = session.scalar(select(RunRow).where(RunRow.id == run_id))
+    if row is None:
+        raise NotFound("run", run_id)
+    return row
+
+
+def _advance(session: Session, row: RunRow, event: RunEvent) -> None:
+    """Bring a run's state and error up to an event; a run that ends withdraws its visits."""
+    state = next_state(RunState(row.state), event)
+    row.state, row.updated_at = state, datetime.now(UTC)
+    if isinstance(event, RunFailed):
+        row.error_code, row.error_message = event.code, event.message
+    elif state != RunState.FAILED:
+        row.error_code, row.error_message = None, None
+    if state.is_finished:
+        visits.withdraw(session, row.id)
+
+
+def _exists(session: Session, run_id: str) -> bool:
+    return session.scalar(select(RunRow.id).where(RunRow.id == run_id)) is not None
+
+
+def _known_keys(session: Session, run_id: str, keys: Sequence[str]) -> set[str]:
+    """Those of `keys` that the run has an event with."""
+    mine, known = select(EventRow.key).where(EventRow.run_id == run_id), set[str]()
+    for chunk in _chunks(keys):
+        known |= set(session.scalars(mine.where(EventRow.key.in_(chunk))))
+    return known
+
+
+def _chunks(items: Sequence[str]) -> Iterator[Sequence[str]]:
+    return (items[first : first + CHUNK] for first in range(0, len(items), CHUNK))

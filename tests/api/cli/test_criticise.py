@@ -1,0 +1,25 @@
+"""Options of `adr criticise` that go together."""
+
+import pytest
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "give either --data or --dataset"),
+        (["--dataset", "data_0"], "--dataset goes with --task"),
+        (["--dataset", "data_0", "--task", "arm", "--free", "x=0:1"], "takes no --model or --free"),
+    ],
+)
+def test_options_that_exclude_each_other_are_refused(adr_here, tmp_path, arguments, message):
+    status, _, errors = adr_here("criticise", "--out", str(tmp_path), *arguments)
+    assert status == 2
+    assert message in errors
+
+
+def test_a_file_in_place_of_the_folder_is_refused_before_the_work(adr_here, tmp_path):
+    (tmp_path / "out").touch()
+    at = ["--dataset", "data_0", "--out", str(tmp_path / "out")]
+    status, _, errors = adr_here("criticise", "--task", "arm", *at)
+    assert status == 2
+    assert "is a file; --out is a folder" in errors.replace("\n", " ")

@@ -1,0 +1,47 @@
+"""The checks of a machine."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from api.cli.doctor import Check, report
+
+
+def shown(*checks):
+    """True if a machine with these checks is fit, and the text on the terminal."""
+    is_fit = report(Console(file=(output := io.StringIO()), width=200), checks)
+    return is_fit, output.getvalue()
+
+
+def test_brackets_in_a_remedy_are_no_style():
+    _, text = shown(Check(False, "pip install 'adr-service[fast]'", is_needed=False))
+    assert "pip install 'adr-service[fast]'" in text
+
+
+def test_only_needed_checks_decide():
+    good, note, bad = Check(True, "a"), Check(False, "b", is_needed=False), Check(False, "c")
+    assert shown(good, note) == (True, "ok   a\nnote b\n")
+    assert shown(good, bad, good) == (False, "ok   a\nno   c\nok   a\n")
+
+
+def test_this_machine_is_fit_though_no_service_answers(adr_here, tmp_path):
+    status, text, _ = adr_here("doctor", "--url", "http://127.0.0.1:9")
+    assert status == 0
+    assert "MuJoCo simulates the tasks: arm, hopper" in text
+    assert "connections at once, the rest for Ray and the database" in text
+    assert "note no service answers at http://127.0.0.1:9" in text
+
+
+def test_settings_that_are_not_valid_are_named(adr_here, monkeypatch):
+    monkeypatch.setenv("ADR_PORT", "many")
+    status, text, _ = adr_here("doctor", "--url", "http://127.0.0.1:9")
+    assert status == 1
+    assert "the ADR_… settings are not valid: ADR_PORT" in text
+
+
+@pytest.mark.ray
+def test_a_service_is_looked_for_where_the_other_commands_do(adr, service):
+    status, text = adr("doctor")
+    assert status == 0
+    assert f"a service answers at {service.client.url}" in text

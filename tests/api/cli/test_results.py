@@ -1,0 +1,25 @@
+"""Results from the command line."""
+
+import pytest
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["results", "bench_x", "--policy", "p"], "bench_x is no run, and has no single policy"),
+        (["results", "bench_x", "--distribution", "d"], "no single policy or distribution"),
+    ],
+)
+def test_a_benchmark_has_no_single_policy(adr_here, arguments, message):
+    status, _, errors = adr_here(*arguments)
+    assert status == 2
+    assert message in errors
+
+
+@pytest.mark.ray
+@pytest.mark.parametrize("command", ["results", "claims"])
+def test_an_unknown_benchmark_is_refused(adr, command):
+    status, shown = adr(command, "bench_x")
+    assert status == 2
+    assert "there is no benchmark 'bench_x'" in shown
+    assert "Traceback" not in shown

@@ -1,0 +1,78 @@
+"""Submit, follow and stop runs from the command line."""
+
+import json
+import re
+
+import pytest
+
+pytestmark = pytest.mark.ray
+
+
+def test_a_run_is_submitted_watched_listed_and_its_files_are_written(adr, tmp_path):
+    code, shown = adr(
+        "submit", "--task", "arm", "--method", "simopt", "--preset", "smoke",
+        "--set", "method.samples=10", "--set", "seed=3", "--watch",
+    )  # fmt: skip
+    assert code == 0
+    id = shown.split()[0]
+    assert "simopt" in shown
+    _, status = adr("status", id)
+    assert json.loads(status)["spec"]["method"]["samples"] == 10
+    assert json.loads(status)["spec"]["seed"] == 3
+    assert adr("watch", id)[0] == 0
+    assert "return /" in adr("results", id)[1]
+    assert adr("results", id, "--csv")[1].startswith("task,variant,method")
+    assert "no two methods to compare" in adr("results", id, "--compare")[1]
+    assert adr("results", id, "--figure", "returns.svg")[0] == 0
+    assert adr("results", id, "--policy", "policy.safetensors") == (0, "policy.safetensors\n")
+    assert (tmp_path / "returns.svg").read_bytes().startswith(b"<?xml")
+    assert (tmp_path / "policy.safetensors").stat().st_size > 0
+    assert id in adr("list")[1]
+
+
+def test_a_dry_run_of_a_file_prints_its_expected_cost(adr, tmp_path):
+    (tmp_path / "b.json").write_text(
+        json.dumps({"tasks": ["arm"], "methods": ["udr"], "seeds": [0], "preset": "smoke"})
+    )
+    code, shown = adr("submit", "b.json", "--dry-run")
+    assert code == 0
+    assert re.search(r"trainings, shared ones once +4", shown)
+    assert "less than a minute on a core" in shown
+    assert json.loads(adr("submit", "b.json", "--dry-run", "--json")[1])["plan"]["trainings"] == 4
+
+
+def test_a_benchmark_is_extended_drawn_and_compared_with_the_claims(adr, tmp_path):
+    spec = {"tasks": ["arm"], "methods": ["sysid"], "seeds": [0], "preset": "smoke"}
+    (tmp_path / "b.json").write_text(json.dumps({**spec, "references": False}))
+    id = adr("submit", "b.json", "--watch")[1].split()[0]
+    code, shown = adr("extend", id, "--method", "droid", "--watch")
+    assert code == 0
+    assert "droid" in shown
+    assert adr("results", id, "--figures", "figures")[0] == 0
+    drawn = {file.name for file in (tmp_path / "figures").iterdir()}
+    assert {"returns.svg", "parameters.png", "spread.svg", "cost.csv"} <= drawn
+    assert "nothing has been measured" in adr("claims", id)[1]  # smoke does not count
+    assert "had ended before" in adr("cancel", id)[1]
+    assert "has no run that failed or was cancelled" in adr("resume", id)[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["submit", "--task", "arm", "--method", "magic"], "accepted: udr, bayrn, simopt"),
+        (["submit"], "either --task and --method, or a JSON file"),
+        (["submit", "--task", "arm"], "either --task and --method, or a JSON file"),
+        (["submit", "b.json", "--preset", "smoke"], "or a JSON file alone"),
+        (["extend", "run_x", "--seed", "3"], "only a benchmark can be extended; given run_x"),
+        (["submit", "nothing.json"], "not a readable JSON file"),
+        (["submit", "--task", "arm", "--method", "udr", "--set", "seed"], "needs name=value"),
+        (["status", "run_x"], "there is no run 'run_x'"),
+        (["cancel", "run_x"], "there is no run"),
+        (["extend", "bench_x", "--seed", "3"], "there is no benchmark 'bench_x'"),
+    ],
+)
+def test_a_mistake_is_one_message_without_a_traceback(adr, arguments, message):
+    code, shown = adr(*arguments)
+    assert code == 2
+    assert message in shown
+    assert "Traceback" not in shown

@@ -1,0 +1,68 @@
+"""Specs from files and from `--set` options."""
+
+import json
+
+import pytest
+
+from adr_service.errors import InvalidInput
+from api.cli.specs import assign, read_effects, read_spec
+
+
+@pytest.mark.parametrize(
+    ("assignment", "spec"),
+    [
+        ("seed=3", {"method": "dropo", "seed": 3}),
+        ("preset=smoke", {"method": "dropo", "preset": "smoke"}),
+        ("training.max_steps=1000", {"method": "dropo", "training": {"max_steps": 1000}}),
+        ("method.samples=10", {"method": {"name": "dropo", "samples": 10}}),
+        ("note=a=b", {"method": "dropo", "note": "a=b"}),
+        ("seeds=[1, 2]", {"method": "dropo", "seeds": [1, 2]}),
+        ("target=null", {"method": "dropo", "target": None}),
+    ],
+)
+def test_an_assignment_sets_one_field(assignment, spec):
+    given = {"method": "dropo"}
+    assign(given, [assignment])
+    assert given == spec
+
+
+def test_later_assignments_win_and_others_stay():
+    spec = {}
+    assign(spec, ["training.gamma=0.9", "training.max_steps=1", "training.gamma=0.8"])
+    assert spec == {"training": {"gamma": 0.8, "max_steps": 1}}
+    assign(spec, None)
+    assert spec == {"training": {"gamma": 0.8, "max_steps": 1}}
+
+
+def test_an_assignment_without_a_value_is_refused():
+    with pytest.raises(InvalidInput, match="--set needs name=value; given 'seed'"):
+        assign({}, ["seed"])
+
+
+def test_a_spec_file_holds_one_object(tmp_path):
+    file = tmp_path / "spec.json"
+    file.write_text('{"task": "arm"}')
+    assert read_spec(file) == {"task": "arm"}
+    file.write_text("[]")
+    with pytest.raises(InvalidInput, match="must hold one JSON object; given list"):
+        read_spec(file)
+    file.write_text("task: arm")
+    with pytest.raises(InvalidInput, match="not a readable JSON file"):
+        read_spec(file)
+
+
+def test_effects_are_read_without_their_mjcf(tmp_path):
+    file = tmp_path / "effects.json"
+    effect = {"kind": "joint_damping", "location": "joint:elbow", "values": [0.1]}
+    file.write_text(json.dumps({"version": 1, "effects": [{**effect, "in_mjcf": True}]}))
+    assert read_effects(file) == [effect]
+
+
+@pytest.mark.parametrize(
+    "content", [{}, {"version": 2, "effects": []}, {"version": 1, "effects": ["a"]}], ids=str
+)
+def test_other_files_are_no_effects(tmp_path, content):
+    file = tmp_path / "verdict.json"
+    file.write_text(json.dumps(content))
+    with pytest.raises(InvalidInput, match="no list of effects, version 1; give"):
+        read_effects(file)

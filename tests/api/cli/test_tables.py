@@ -1,0 +1,94 @@
+"""Results, costs and plans as tables on a terminal."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from api.cli.tables import (
+    claims_table,
+    comparisons_table,
+    cost_table,
+    plan_table,
+    results_table,
+    trials_table,
+)
+
+ROW = {"task": "half_cheetah", "variant": "unmodeled", "method": "simopt", "iteration": 5}
+ROW |= {"collector": "simopt", "normalised_return": 0.99, "low": 0.12, "high": 1.03}
+ROW |= {"seeds": 3, "episodes": 150, "target_transitions": 1000}
+ROW |= {"estimation_error": 0.12, "posterior_std": 0.012}
+EMPTY = {"rows": [], "estimates": [], "comparisons": [], "note": "a note"}
+PLAN = {"runs": 2, "trainings": 3, "environment_steps": 12_000, "target_transitions": 40}
+PLAN |= {"core_hours": 0.5, "hours": 0.25, "cores": 2, "policies_mb": 1.5, "basis": "a guess"}
+COST = {"kinds": [], "utilisation": None, "note": "a note"}
+TRIAL = {"learning_rate": 0.001, "seed": 0, "steps": 1000, "best_return": 12.0, "error": None}
+TRIAL |= {"reached_threshold": True, "stopped_early": False}
+
+
+def shown(table, width=80):
+    Console(file=(output := io.StringIO()), width=width).print(table)
+    return output.getvalue()
+
+
+def test_a_results_row_keeps_its_names_and_interval_on_80_columns():
+    text = shown(results_table({"rows": [ROW], "note": ""}))
+    assert "[0.12, 1.03]" in text
+    assert "…" not in text
+
+
+def test_a_row_names_its_collector_unless_that_is_simopt():
+    text = shown(results_table({"rows": [{**ROW, "collector": "random"}], "note": ""}), 200)
+    assert "simopt on random" in text
+    assert " on simopt" not in shown(results_table({"rows": [ROW], "note": ""}), 200)
+
+
+def test_results_without_returns_are_the_estimates_and_without_those_a_sentence():
+    estimate = {"method": "droid", "seed": 0, "iteration": 0, "parameter": "mass"}
+    estimate |= {"mean": 1.25, "std": 0.01, "unit": "kg"}
+    text = shown(results_table({**EMPTY, "estimates": [estimate]}))
+    assert "1.25" in text
+    assert "kg" in text
+    assert "no iteration has finished yet" in shown(results_table(EMPTY))
+
+
+def test_one_method_alone_has_nothing_to_compare_with():
+    assert "no two methods to compare" in shown(comparisons_table(EMPTY))
+
+
+def test_a_comparison_has_its_interval():
+    pair = {"task": "arm", "variant": "noisy", "method": "simopt", "other": "udr", "seeds": 3}
+    pair |= {"probability": 0.8, "low": 0.5, "high": 1.0}
+    assert "[0.50, 1.00]" in shown(comparisons_table({"comparisons": [pair]}))
+
+
+@pytest.mark.parametrize(
+    ("hours", "text"),
+    [(0.001, "less than a minute"), (0.25, "15 minutes"), (3, "3 hours"), (None, "no cores")],
+)
+def test_a_plan_has_its_duration_in_words(hours, text):
+    assert text in shown(plan_table({**PLAN, "hours": hours}))
+
+
+def test_brackets_in_claims_are_no_styles():
+    finding = {"claim": "[bold]", "statement": "s", "verdict": "supported", "evidence": ["a [b]"]}
+    text = shown(claims_table({"preset": "quick", "changed": {"n": 1}, "findings": [finding]}))
+    assert "[bold]" in text
+    assert "a [b]" in text
+    assert "preset quick, but n = 1" in text
+
+
+def test_utilisation_is_shown_once_it_is_known():
+    assert "known once all runs have finished" in shown(cost_table(COST))
+    used = dict.fromkeys(("computing", "waiting", "orchestration", "starting", "preparing"), 2.0)
+    used |= {"useful": 0.9, "overhead": 0.02, "cores": 4, "seconds": 10}
+    text = shown(cost_table({**COST, "utilisation": used}))
+    assert "useful work 90.0%, orchestration 2.0% of 4 cores in 10 s" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [({}, "reached"), ({"error": "it broke [x]"}, "[x]"), ({"stopped_early": True}, "early")],
+)
+def test_a_trial_says_how_it_ended(changes, text):
+    assert text in shown(trials_table([{**TRIAL, **changes}]))

@@ -1,0 +1,44 @@
+"""The environment that is the robot."""
+
+import pytest
+
+from adr_service.errors import InvalidInput
+from api.robot.environment import check_environment, load_environment
+from api.robot.limits import Limits
+
+ARM = {"name": "arm", "observation_columns": ["a"] * 4, "actions": 2}
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("tests.robots", "--env needs module:factory; given 'tests.robots'"),
+        (":fast_arm", "--env needs module:factory"),
+        ("tests.robots:missing", "tests.robots:missing cannot be imported"),
+        ("no_such_module:make", "cannot be imported: No module named 'no_such_module'"),
+        ("tests.robots:not_an_environment", r"makes a object; needed is a gymnasium\.Env"),
+    ],
+)
+def test_a_path_to_no_environment_is_refused(path, message):
+    with pytest.raises(InvalidInput, match=message):
+        load_environment(path)
+
+
+def test_an_environment_of_the_task_is_accepted():
+    env = load_environment("tests.robots:fast_arm")
+    check_environment(env, ARM, Limits(actions=(1.0, 2.0)))
+
+
+@pytest.mark.parametrize(
+    ("about", "limits", "message"),
+    [
+        ({**ARM, "actions": 3}, Limits(), "the environment has observations"),
+        (ARM, Limits(actions=(1.0, 1.0, 1.0)), "3 limits given for 2 actions; give one, or each"),
+        (ARM, Limits(actions=(-1.0,)), "limits of actions must be positive; given"),
+        (ARM, Limits(actions=(float("inf"),)), "limits of actions must be positive"),
+    ],
+)
+def test_an_environment_or_limits_that_do_not_fit_are_refused(about, limits, message):
+    env = load_environment("tests.robots:fast_arm")
+    with pytest.raises(InvalidInput, match=message):
+        check_environment(env, about, limits)

@@ -1,0 +1,93 @@
+"""One episode on a robot, without a service."""
+
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from adr_service.npz import read_arrays
+from adr_service.simulation.batch import control_period
+from adr_service.tasks.catalogue import get_task
+from adr_service.transitions import TransitionDataset
+from api.robot.episode import Machine, random_actions, run_episode, seed_of, to_npz
+from api.robot.limits import Limits
+from tests.robots import blind_arm, fast_arm
+
+ARM = get_task("arm")
+ABOUT = {
+    "name": "arm",
+    "observation_columns": list(ARM.columns),
+    "measured_columns": ARM.measured,
+    "actions": 2,
+    "action_low": [-1.0, -1.0],
+    "action_high": [1.0, 1.0],
+    "control_period_s": control_period(ARM),
+}
+TASK = {"kind": "rollout", "number": 1, "seed": 2, "transitions": 20}
+
+
+class Heart:
+    """A heart without a service."""
+
+    steps = 0
+
+    @contextmanager
+    def watching(self, name, seconds):
+        yield
+
+
+def run(env, limits=None, why_stop=str, act=None):
+    machine = Machine("here", env, ABOUT, limits or Limits())
+    return run_episode(machine, TASK, act or random_actions(TASK, ABOUT), Heart(), why_stop)
+
+
+def test_an_episode_has_as_many_transitions_as_its_task_asks_for():
+    episode = run(fast_arm())
+    assert episode.observations.shape == (21, 4)
+    assert episode.actions.shape == (20, 2)
+    assert episode.rewards.shape == (20,)
+    assert (episode.limited, episode.wrong) == (0, "")
+
+
+def test_an_episode_repeats_with_its_task():
+    first, second = run(fast_arm()), run(fast_arm())
+    np.testing.assert_array_equal(first.actions, second.actions)
+    other = {**TASK, "number": 2}
+    assert seed_of(TASK) == seed_of(dict(TASK)) != seed_of(other)
+
+
+def test_a_trajectory_keeps_actions_as_they_were_sent_and_the_rewards():
+    episode = run(fast_arm(), Limits(actions=(0.25,)))
+    assert np.abs(episode.actions).max() == 0.25
+    assert episode.limited > 0
+    content = to_npz(episode, ABOUT, "here")
+    arrays = read_arrays(content, ["rewards", *TransitionDataset.ARRAYS])
+    np.testing.assert_array_equal(arrays["actions"], episode.actions)
+    np.testing.assert_array_equal(arrays["rewards"], episode.rewards)
+    assert str(arrays["origin"]) == "here"
+
+
+def test_a_sensor_that_fails_ends_the_episode_before_that_transition():
+    episode = run(blind_arm())
+    assert len(episode.actions) == len(episode.rewards) == 10
+    assert episode.wrong.startswith("the robot showed [nan, nan")
+
+
+def test_a_policy_whose_action_is_not_finite_is_not_obeyed():
+    env = fast_arm()
+    episode = run(env, act=lambda observations: np.full((1, 2), np.nan))
+    assert env.actions == []
+    assert episode.wrong.startswith("the policy's action is [nan, nan]")
+
+
+def test_the_owners_time_cuts_an_episode():
+    episode = run(fast_arm(), Limits(seconds=5 * ABOUT["control_period_s"] + 1e-9))
+    assert len(episode.actions) <= 5
+    assert "here may move for" in episode.wrong
+
+
+@pytest.mark.parametrize("moves", [0, 3])
+def test_an_episode_that_should_stop_does_not_move_on(moves):
+    env = fast_arm()
+    episode = run(env, why_stop=lambda: "stop" if len(env.actions) >= moves else "")
+    assert len(episode.actions) == len(env.actions) == moves

@@ -1,0 +1,34 @@
+"""Learning curves and policies of a run's trainings."""
+
+import time
+
+import pytest
+
+from adr_service.training.policy import Policy
+from tests.api.smoke import SMOKE
+from tests.service import wait_until_finished
+
+pytestmark = pytest.mark.ray
+
+
+def test_each_policy_has_a_learning_curve(http, finished):
+    trainings = http.get(f"/v1/runs/{finished}/trainings").json()
+    assert [[point["steps"] for point in t["curve"]] for t in trainings] == [[300, 600]] * 2
+    assert all(training["is_finished"] for training in trainings)
+    content = http.get(trainings[0]["links"]["policy"]).content
+    assert Policy.from_bytes(content).action_low.tolist() == [-1, -1]
+
+
+def test_a_cancelled_training_keeps_its_curve_and_its_best_policy(service, http):
+    long = {**SMOKE, "method": "prior", "seed": 78}
+    long["training"] = {"max_steps": 1_000_000, "evaluate_every": 600}
+    id = service.client.submit_run(long)["id"]
+    while not (trainings := http.get(f"/v1/runs/{id}/trainings").json()):
+        time.sleep(0.2)
+    service.client.cancel(id)
+    assert wait_until_finished(service.client, id, 60)["state"] == "cancelled"
+    (training,) = http.get(f"/v1/runs/{id}/trainings").json()
+    assert training["curve"][: len(trainings[0]["curve"])] == trainings[0]["curve"]
+    assert not training["is_finished"]
+    policy = Policy.from_bytes(http.get(training["links"]["policy"]).content)
+    assert policy.action_low.tolist() == [-1, -1]

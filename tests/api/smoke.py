@@ -1,0 +1,3 @@
+"""A run of seconds."""
+
+SMOKE = {"task": "arm", "method": "simopt", "preset": "smoke"}

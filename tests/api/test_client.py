@@ -1,0 +1,57 @@
+"""The Python client, and servers that are not the service."""
+
+import threading
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, HTTPServer
+
+import pytest
+
+from api.client import AdrClient, Refused, Unreachable
+from tests.api.smoke import SMOKE
+
+
+@contextmanager
+def server(status, seconds=0.0):
+    """A server that answers every request with this status, after so many seconds."""
+    done = threading.Event()
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self):
+            done.wait(seconds)
+            self.send_response(status)
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Handler) as serving:
+        thread = threading.Thread(target=serving.serve_forever, daemon=True)
+        thread.start()
+        yield f"http://127.0.0.1:{serving.server_port}"
+        done.set()
+        serving.shutdown()
+        thread.join(10)
+
+
+@pytest.mark.parametrize("status", [502, 503, 504])
+def test_a_proxy_without_its_service_is_not_a_refusal(status):
+    refused = pytest.raises(Unreachable, match=f"is not the service: {status}")
+    with server(status) as url, AdrClient(url) as client, refused:
+        client.ready()
+
+
+def test_a_slow_answer_is_not_reported_as_an_absent_service():
+    refused = pytest.raises(Unreachable, match="did not answer in time")
+    with server(200, seconds=30) as url, AdrClient(url, timeout_s=0.2) as client, refused:
+        client.ready()
+
+
+@pytest.mark.ray
+def test_a_refusal_and_an_absent_service_are_explained(service):
+    with pytest.raises(Refused, match="did you mean 'arm'"):
+        service.client.submit_run({**SMOKE, "task": "arn"})
+    with (
+        AdrClient("http://127.0.0.1:9") as nobody,
+        pytest.raises(Unreachable, match="adr serve"),
+    ):
+        nobody.ready()

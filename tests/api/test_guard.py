@@ -1,0 +1,81 @@
+"""Limits on hosts, origins, tokens, rates and bodies, without a service."""
+
+import time
+
+import pytest
+from fastapi import FastAPI
+from fastapi.testclient import TestClient
+
+from api.guard import Guard
+from api.settings import Settings
+from tests.service import until
+
+TOKEN, ROBOT = "u" * 32, "r" * 32
+
+
+def guarded(**settings):
+    """A client of an application behind the guard, as its own host."""
+    app = FastAPI()
+
+    @app.post("/v1/runs")
+    def submit(body: dict) -> None: ...
+
+    @app.get("/v1/tasks")
+    def tasks() -> None: ...
+
+    app.add_middleware(Guard, settings=Settings(**settings))
+    return TestClient(app, base_url="http://127.0.0.1")
+
+
+def test_without_a_token_everything_on_this_machine_is_open():
+    assert guarded().get("/v1/tasks").status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("token", "statuses"), [(TOKEN, (200, 200)), (ROBOT, (200, 403)), ("x" * 32, (401, 401))]
+)
+def test_a_token_opens_its_paths_alone(token, statuses):
+    client = guarded(token=TOKEN, robot_token=ROBOT)
+    headers = {"Authorization": f"Bearer {token}"}
+    answers = (
+        client.get("/v1/tasks", headers=headers),
+        client.post("/v1/runs", json={}, headers=headers),
+    )
+    assert tuple(answer.status_code for answer in answers) == statuses
+
+
+@pytest.mark.parametrize(
+    ("host", "allowed", "status"),
+    [
+        ("127.0.0.1:8000", "", 200),
+        ("[::1]:8000", "", 200),
+        ("adr.example.org", "", 400),
+        ("adr.example.org:443", "adr.example.org, other.example.org", 200),
+    ],
+)
+def test_only_names_of_the_service_are_answered(host, allowed, status):
+    answer = guarded(allowed_hosts=allowed).get("/v1/tasks", headers={"Host": host})
+    assert answer.status_code == status
+
+
+@pytest.mark.parametrize(("size", "status"), [(900_000, 200), (1_100_000, 413)])
+def test_a_large_body_is_refused_with_the_limit(size, status):
+    answer = guarded().post("/v1/runs", json={"x": "y" * size})
+    assert answer.status_code == status
+    assert ("the body may have 1000000 bytes here" in answer.text) == (status == 413)
+
+
+def test_every_answer_protects_browsers():
+    client = guarded(token=TOKEN)
+    for answer in (client.get("/v1/tasks"), client.get("/nowhere"), client.get("/healthz")):
+        assert answer.headers["X-Content-Type-Options"] == "nosniff"
+        assert answer.headers["Content-Security-Policy"].startswith("default-src 'none'")
+
+
+def test_a_wall_clock_that_is_set_back_keeps_nobody_out(monkeypatch):
+    guard = Guard(FastAPI(), Settings(rate="2/second"))
+    assert until(lambda: guard._too_many("192.0.2.1"))
+    hour_ago = time.time() - 3600
+    monkeypatch.setattr("limits.storage.memory.time.time", lambda: hour_ago)
+    assert until(lambda: guard._too_many("192.0.2.1"))
+    until(lambda: guard._too_many("192.0.2.1") is None, 5)

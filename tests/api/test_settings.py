@@ -1,0 +1,52 @@
+"""The service's settings."""
+
+import pytest
+
+from adr_service.errors import InvalidInput
+from api.settings import read_settings
+
+SECRET = "s" * 16
+
+
+def test_a_given_setting_replaces_the_environments(monkeypatch):
+    monkeypatch.setenv("ADR_PORT", "8001")
+    assert read_settings().port == 8001
+    assert read_settings(port=8002).port == 8002
+
+
+def test_rays_own_variable_names_the_cluster_unless_ours_does(monkeypatch):
+    monkeypatch.setenv("RAY_ADDRESS", "head:6379")
+    assert read_settings().ray_address == "head:6379"
+    monkeypatch.setenv("ADR_RAY_ADDRESS", "auto")
+    assert read_settings().ray_address == "auto"
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"port": 70_000}, r"ADR_PORT: .*65535 \(given: 70000\)"),
+        ({"host": "0.0.0.0"}, "refusing to listen on '0.0.0.0' for everyone: set ADR_TOKEN"),  # noqa: S104
+        ({"token": "short"}, "ADR_TOKEN must have 16 characters or more"),
+        ({"token": SECRET, "robot_token": SECRET}, "ADR_ROBOT_TOKEN must not be ADR_TOKEN"),
+        ({"robot_token": SECRET}, "has no effect without ADR_TOKEN"),
+        ({"rate": "many"}, "'many' is no rate; as 500/second"),
+        ({"retention_days": 0}, "ADR_RETENTION_DAYS: .*greater than 0"),
+    ],
+    ids=str,
+)
+def test_an_invalid_setting_is_named_with_the_accepted_values(given, message):
+    with pytest.raises(InvalidInput, match=message):
+        read_settings(**given)
+
+
+def test_a_message_never_has_a_secret():
+    for given in ({"token": "secret-but-short"[:10]}, {"token": 12345}):
+        with pytest.raises(InvalidInput) as refused:
+            read_settings(**given)
+        assert str(next(iter(given.values()))) not in str(refused.value)
+
+
+def test_the_database_is_a_file_in_the_data_folder_unless_it_is_named(tmp_path):
+    assert read_settings(data_dir=tmp_path).database == f"sqlite:///{tmp_path}/adr.sqlite"
+    named = "postgresql+psycopg://adr@db.example.org/adr"
+    assert read_settings(data_dir=tmp_path, database_url=named).database == named

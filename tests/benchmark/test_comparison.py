@@ -1,0 +1,77 @@
+"""Result tables of a small benchmark of all methods."""
+
+from dataclasses import replace
+
+from adr_service.benchmark.comparison import comparisons, costs, estimates, table, to_csv
+from tests.benchmark.conftest import ITERATIONS, METHODS
+
+
+def test_the_table_has_every_method_with_its_interval_and_counts(benchmark):
+    rows = table(benchmark[2])
+    assert [row.method for row in rows if row.variant == "noisy"] == [
+        "udr",
+        *["bayrn"] * (ITERATIONS + 1),
+        *["simopt"] * (ITERATIONS + 1),
+        *["simopt_1"] * (ITERATIONS + 1),
+        *["droid"] * 3 * (ITERATIONS + 1),
+        *["dropo"] * 3 * (ITERATIONS + 1),
+        *["sysid"] * 3 * (ITERATIONS + 1),
+        "prior",
+        "oracle",
+    ]
+    for row in rows:
+        assert row.low <= row.normalised_return <= row.high
+        assert (row.seeds, row.episodes) == (2, 4 * row.policies)
+    simopt = [row for row in rows if (row.method, row.variant) == ("simopt", "vanilla")]
+    assert [row.target_transitions for row in simopt] == [0, 20, 40]
+    assert simopt[0].posterior_std == 1
+    assert simopt[-1].posterior_std < 1
+    assert all(row.posterior_std == 0 for row in rows if row.method == "sysid" and row.iteration)
+
+
+def test_every_pair_of_methods_is_compared_after_its_last_iteration(benchmark):
+    found = comparisons(benchmark[2])
+    for pair in found:
+        assert 0 <= pair.low <= pair.probability <= pair.high <= 1
+        assert pair.seeds == 2
+    names = {run.column for run in benchmark[0].runs()}
+    assert len(names) == 6 + 3 * 3
+    assert len(found) == 2 * len(names) * (len(names) - 1) // 2
+
+
+def test_the_prior_is_iteration_zero_of_every_method(benchmark):
+    rows = table(benchmark[2])
+    prior = {row.variant: row for row in rows if row.method == "prior"}
+    for row in rows:
+        if row.method in {"simopt", "dropo"} and row.iteration == 0:
+            assert row.normalised_return == prior[row.variant].normalised_return
+
+
+def test_outcomes_in_any_order_give_the_same_csv(benchmark):
+    outcomes = benchmark[2]
+    assert to_csv(table(outcomes)) == to_csv(table(outcomes[::-1]))
+
+
+def test_estimates_name_every_parameter_with_its_truth(benchmark):
+    found = estimates(benchmark[2])
+    assert {(e.parameter, e.truth) for e in found} == {
+        ("upper_mass", 1.0),
+        ("fore_mass", 0.7),
+        ("shoulder_friction", 2.0),
+        ("elbow_friction", 1.0),
+    }
+
+
+def test_inferences_have_their_cost(benchmark):
+    _, stages, outcomes = benchmark
+    executed = {stage.digest: stage for stage in stages.executed}
+    for outcome in outcomes:
+        event = outcome.iteration
+        kinds = {executed[d].kind for d in event.inferences}
+        assert kinds <= ({"propose"} if outcome.spec.method.name == "bayrn" else {"infer"})
+    timed = [replace(o, inference_seconds=2.0 * o.spec.seed) for o in outcomes]
+    found = costs(timed)
+    assert {cost.method for cost in found} == {*METHODS} - {"udr"}
+    assert {cost.inference_seconds for cost in found} == {1.0}  # of two seeds
+    dropo = [c for c in found if (c.method, c.variant) == ("dropo", "vanilla")]
+    assert all(cost.inference_steps > 0 for cost in dropo)

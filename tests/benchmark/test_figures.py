@@ -1,0 +1,42 @@
+"""Figures of a small benchmark of all methods."""
+
+import csv
+import io
+
+import pytest
+
+from adr_service.benchmark.figures import FIGURES, draw, drawable
+from adr_service.errors import InvalidInput, UnknownName
+from adr_service.tasks.catalogue import source_of
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_figures_repeat_byte_for_byte(benchmark, name):
+    svg = draw(name, benchmark[2], "svg")
+    assert svg == draw(name, benchmark[2], "svg")
+    assert b"</svg>" in svg
+    assert draw(name, benchmark[2], "png").startswith(b"\x89PNG")
+
+
+def test_the_papers_four_figures_and_three_more_can_be_drawn(benchmark):
+    names = [f"returns-{variant}" for variant in ("vanilla", "noisy")]
+    assert drawable(benchmark[2]) == [*names, "collection", "parameters", "spread", "cost"]
+    alone = [o for o in benchmark[2] if o.spec.variant == "noisy"]
+    assert draw("returns-noisy", benchmark[2], "png") == draw("returns", alone, "png")
+    with pytest.raises(UnknownName, match="vanilla, noisy"):
+        draw("returns-windy", benchmark[2], "png")
+
+
+def test_the_csv_of_a_figure_has_the_numbers_it_draws(benchmark):
+    read = csv.DictReader(io.StringIO(draw("spread-vanilla", benchmark[2], "csv").decode()))
+    drawn = list(read)
+    assert {row["method"] for row in drawn} == {"simopt", "simopt_1", "droid", "dropo"}
+    assert {row["normalised_std"] for row in drawn if row["iteration"] == "0"} == {"1.0"}
+    assert {row["parameter"] for row in drawn} == set(source_of("arm", "vanilla").space.names)
+
+
+def test_a_figure_of_nothing_or_of_no_such_name_is_refused(benchmark):
+    with pytest.raises(InvalidInput, match="nothing to draw"):
+        draw("returns", [], "svg")
+    with pytest.raises(UnknownName, match="returns, collection, parameters"):
+        draw("return", benchmark[2], "svg")

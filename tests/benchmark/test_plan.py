@@ -1,0 +1,83 @@
+"""A plan is the programs themselves, over stages that price."""
+
+import pytest
+
+from adr_service.benchmark.plan import plan
+from adr_service.specs import BenchmarkSpec, CriticismSpec, RunSpec
+from adr_service.tasks.catalogue import get_task
+from adr_service.transitions import dataset_id
+from tests.programs.smoke import smoke
+from tests.recordings import recording
+
+
+def test_the_plan_counts_the_stages_that_happen(benchmark):
+    spec, stages, _ = benchmark
+    planned = plan(list(spec.runs()), cores=2)
+    executed = {kind: [s for s in stages.executed if s.kind == kind] for kind in KINDS}
+    assert planned.trainings == len(executed["train_policy"])
+    most = sum(stage.transitions for stage in executed["target_rollout"])
+    most += len(executed["target_return"]) * get_task("arm").horizon
+    assert planned.target_transitions == most
+    steps = sum(stage.training.max_steps for stage in executed["train_policy"])
+    assert planned.environment_steps == steps
+
+
+KINDS = ("train_policy", "target_rollout", "target_return")
+
+
+def test_more_cores_take_less_time_and_the_same_core_hours():
+    runs = list(BenchmarkSpec.model_validate(GRID).runs())
+    one, two, many = (plan(runs, cores) for cores in (1, 2, 1000))
+    assert one.hours == pytest.approx(one.core_hours, rel=0.3)  # speed is measured each time
+    assert one.hours > two.hours > many.hours > 0
+    assert one.trainings == two.trainings == many.trainings
+
+
+GRID = {"tasks": ["arm"], "methods": ["udr", "simopt"], "seeds": [0, 1], "preset": "demo"}
+
+
+def test_one_after_the_other_is_no_faster_on_many_cores():
+    """SimOpt's trainings wait for each other; UDR's three run side by side."""
+    simopt, udr = (
+        RunSpec.model_validate({"task": "arm", "method": method, "preset": "demo"})
+        for method in ("simopt", "udr")
+    )
+    assert plan([simopt], 8).hours > 0.9 * plan([simopt], 1).hours
+    assert plan([udr], 3).hours < 0.6 * plan([udr], 1).hours
+
+
+def test_without_cores_there_is_no_time():
+    assert plan([smoke("prior")], 0).hours is None
+
+
+def test_equal_runs_are_paid_for_once():
+    alone, twice = plan([smoke("dropo")], 1), plan([smoke("dropo"), smoke("dropo")], 1)
+    assert twice.trainings == alone.trainings
+    assert (alone.runs, twice.runs) == (1, 2)
+    assert plan([smoke("dropo"), smoke("dropo", seed=1)], 1).trainings == 2 * alone.trainings
+
+
+def test_a_robots_episodes_take_time_and_no_core():
+    spec = smoke("simopt", target={"kind": "external"})
+    planned, simulated = plan([spec], 2), plan([smoke("simopt")], 2)
+    assert planned.hours > simulated.hours
+    assert planned.core_hours < planned.hours
+    assert planned.target_transitions == simulated.target_transitions
+
+
+def test_a_recording_is_priced_by_its_length():
+    content = recording("arm", 30).to_npz()
+    target = {"kind": "recorded", "dataset": dataset_id(content)}
+    planned = plan([smoke("sysid", target=target)], 2, lambda spec: content)
+    assert (planned.trainings, planned.target_transitions) == (1, 0)
+
+
+def test_a_criticism_has_a_price():
+    spec = CriticismSpec.model_validate({"task": "arm", "dataset": "data_0"})
+    assert plan([spec], 1, lambda spec: b"measured").core_hours > 0
+
+
+def test_policies_are_as_large_as_their_weights():
+    planned = plan([smoke("prior")], 1)
+    weights = (4 + 1) * 16 + (16 + 1) * 16 + (16 + 1) * 2
+    assert planned.policies_mb == pytest.approx(4 * weights / 1e6)

@@ -1,0 +1,125 @@
+"""Plots of hand-made rows: panels, labels, lines and bands."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from adr_service.benchmark.comparison import Cost, ParameterEstimate, Row
+from adr_service.benchmark.plots import (
+    plot_collection,
+    plot_cost,
+    plot_parameters,
+    plot_returns,
+    plot_spread,
+)
+
+
+def row(**changes):
+    fields = {field.name: 0.0 for field in dataclasses.fields(Row)}
+    given = {"task": "arm", "variant": "vanilla", "method": "simopt", "collector": "simopt"}
+    given |= {"iteration": 1, "normalised_return": 0.8, "low": 0.7, "high": 0.9, "seeds": 3}
+    return Row(**{**fields, **given, **changes})
+
+
+def estimate(**changes):
+    given = {"task": "arm", "variant": "vanilla", "method": "dropo", "collector": "simopt"}
+    given |= {"seed": 0, "iteration": 1, "parameter": "mass", "unit": "kg"}
+    given |= {"mean": 1.1, "std": 0.2, "normalised_std": 0.3, "truth": 1.0}
+    return ParameterEstimate(**{**given, **changes})
+
+
+def cost(**changes):
+    given = {"task": "arm", "variant": "vanilla", "method": "dropo", "collector": "simopt"}
+    given |= {"iteration": 1, "seeds": 2, "inference_steps": 500.0, "inference_seconds": 2.0}
+    return Cost(**{**given, **changes})
+
+
+def titles(figure):
+    return [axis.get_title() for axis in figure.axes]
+
+
+def line_of(axis, label):
+    (line,) = [line for line in axis.lines if line.get_label() == label]
+    return line
+
+
+def test_returns_have_a_panel_per_task_and_variant_and_a_line_per_method():
+    rows = [
+        row(task=task, variant=variant, method=method, iteration=i, normalised_return=0.3 + 0.1 * i)
+        for task in ("arm", "hopper")
+        for variant in ("vanilla", "noisy")
+        for method in ("simopt", "dropo")
+        for i in (0, 1, 2)
+    ]
+    figure = plot_returns(rows)
+    assert titles(figure) == ["arm, vanilla", "hopper, vanilla", "arm, noisy", "hopper, noisy"]
+    line = line_of(figure.axes[0], "DROPO")
+    assert line.get_xdata().tolist() == [0, 1, 2]
+    assert line.get_ydata() == pytest.approx([0.3, 0.4, 0.5])
+
+
+def test_a_reference_without_iterations_is_a_level_over_all_of_them():
+    rows = [row(iteration=i) for i in range(3)]
+    axis = plot_returns([*rows, row(method="oracle", normalised_return=1.2)]).axes[0]
+    line = line_of(axis, "oracle")
+    assert (line.get_xdata().tolist(), line.get_ydata().tolist()) == ([0, 2], [1.2, 1.2])
+
+
+def test_the_band_is_the_interval_and_the_note_names_the_numbers_of_seeds():
+    figure = plot_returns([row(iteration=0), row(iteration=1, seeds=5)])
+    (band,) = figure.axes[0].collections
+    heights = band.get_paths()[0].vertices[:, 1]
+    assert (heights.min(), heights.max()) == (0.7, 0.9)
+    assert "seeds (here 3–5)" in figure.get_supxlabel()
+
+
+def test_the_collection_has_a_line_per_collector():
+    rows = [
+        row(method="droid", collector=c, iteration=i) for c in ("simopt", "random") for i in (1, 2)
+    ]
+    (axis,) = plot_collection(rows).axes
+    assert axis.get_title() == "DROID on arm, vanilla"
+    labels = {line.get_label() for line in axis.lines}
+    assert {"SimOpt's trajectories", "random actions"} <= labels
+
+
+def test_parameters_have_a_panel_each_with_their_truth_where_it_is_known():
+    figure = plot_parameters(
+        [estimate(), estimate(seed=1, mean=1.3), estimate(parameter="friction", truth=None)]
+    )
+    assert titles(figure) == ["mass [kg], arm vanilla", "friction [kg], arm vanilla"]
+    mass, friction = figure.axes
+    assert line_of(mass, "truth").get_ydata() == [1.0, 1.0]
+    assert not [line for line in friction.lines if line.get_label() == "truth"]
+    assert mass.containers[0].lines[0].get_ydata().tolist() == [1.1, 1.3]
+
+
+def test_the_points_of_two_methods_stand_beside_each_other():
+    (axis,) = plot_parameters([estimate(), estimate(method="droid")]).axes
+    first, second = (container.lines[0].get_xdata()[0] for container in axis.containers)
+    assert first == 1
+    assert second == pytest.approx(1.12)
+
+
+def test_the_spread_is_the_mean_over_seeds_on_a_logarithmic_axis():
+    estimates = [estimate(seed=s, normalised_std=0.2 + 0.2 * s) for s in (0, 1)]
+    (axis,) = plot_spread(estimates).axes
+    assert line_of(axis, "mass").get_ydata() == pytest.approx([0.3])
+    assert axis.get_yscale() == "log"
+    assert axis.get_legend() is not None
+
+
+def test_many_parameters_have_no_legend():
+    estimates = [estimate(parameter=f"p{i}") for i in range(9)]
+    (axis,) = plot_spread(estimates).axes
+    assert axis.get_legend() is None
+
+
+def test_costs_leave_out_methods_that_simulate_nothing_and_unknown_seconds():
+    rows = [cost(), cost(method="bayrn", inference_steps=0.0, inference_seconds=None)]
+    steps, seconds = plot_cost(rows).axes
+    assert [line.get_label() for line in steps.lines] == ["DROPO"]
+    assert [line.get_label() for line in seconds.lines] == ["DROPO"]
+    assert np.array(steps.lines[0].get_ydata()).tolist() == [500.0]
+    assert steps.get_ylabel() == "simulated control steps"

@@ -1,0 +1,131 @@
+"""Benchmarks: grids of runs that are stored, extended and deleted as one."""
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from adr_service.errors import InvalidInput
+from adr_service.events import RunStopped, RunSucceeded
+from adr_service.presets import PRESETS
+from adr_service.specs import BenchmarkExtension, BenchmarkSpec
+from db import benchmarks, events, runs
+from db.errors import NotFound, NotPossible
+from tests.db.rows import SPEC, benchmark_spec, count, statements
+
+
+def test_a_benchmark_is_stored_with_all_its_runs(database):
+    spec = benchmark_spec(seeds=[0, 1])
+    record = benchmarks.create_benchmark(database, spec)
+    assert benchmarks.get_benchmark(database, record.id) == record
+    assert [r.spec for r in benchmarks.runs_of(database, record.id)] == list(spec.runs())
+
+
+def test_a_large_benchmark_takes_no_more_statements_than_a_small_one(file_database):
+    """5,000 runs held the lock for 12 seconds, statement by statement."""
+    given = {"tasks": ["arm"], "methods": ["simopt"], "preset": "smoke"}
+    counts = []
+    for seeds in (1, 40):
+        spec = BenchmarkSpec.model_validate({**given, "seeds": list(range(seeds))})
+        with statements() as executed:
+            id = benchmarks.create_benchmark(file_database, spec).id
+        counts.append(len(executed))
+        with statements() as executed:
+            benchmarks.extend_benchmark(file_database, id, BenchmarkExtension(seeds=[1000 + seeds]))
+        counts.append(len(executed))
+    assert counts[:2] == counts[2:]
+
+
+def test_all_runs_of_a_benchmark_that_stopped_are_queued_again_in_batches(database, monkeypatch):
+    monkeypatch.setattr(runs, "_AT_ONCE", 2)
+    given = {"tasks": ["arm"], "methods": ["simopt"], "preset": "smoke", "seeds": [0, 1]}
+    id = benchmarks.create_benchmark(database, BenchmarkSpec.model_validate(given)).id
+    *stopped, done = benchmarks.runs_of(database, id)
+    assert {run.id for run in benchmarks.request_cancel_all(database, id)} == {
+        run.id for run in [*stopped, done]
+    }
+    events.append_event(database, done.id, RunSucceeded())
+    for batch in runs.batches([(run.id, RunStopped(submission=1)) for run in stopped]):
+        events.append_events(database, batch)
+    queued = list(benchmarks.resubmit_all(database, id))
+    assert [run.id for run in queued] == [run.id for run in stopped]
+    assert {(run.state, run.submission, run.cancel_requested) for run in queued} == {
+        ("queued", 2, False)
+    }
+    assert list(benchmarks.resubmit_all(database, id)) == []
+
+
+def test_a_benchmark_is_deleted_whole_and_only_when_finished(database):
+    spec = benchmark_spec()
+    benchmark = benchmarks.create_benchmark(database, spec)
+    with pytest.raises(NotPossible, match="not finished"):
+        benchmarks.delete_benchmark(database, benchmark.id)
+    for run in benchmarks.runs_of(database, benchmark.id):
+        events.append_event(database, run.id, RunSucceeded())
+        with pytest.raises(NotPossible, match="delete the benchmark"):
+            runs.delete_run(database, run.id)
+    benchmarks.delete_benchmark(database, benchmark.id)
+    assert [count(database, t) for t in ("benchmarks", "runs", "events")] == [0, 0, 0]
+
+
+def test_an_extension_adds_the_missing_runs_alone(database):
+    given = {"tasks": ["arm"], "methods": ["udr"], "seeds": [0], "preset": "smoke"}
+    id = benchmarks.create_benchmark(database, BenchmarkSpec.model_validate(given)).id
+    before = benchmarks.runs_of(database, id)
+    added = benchmarks.extend_benchmark(
+        database, id, BenchmarkExtension.model_validate({"seeds": [1], "methods": ["droid"]})
+    )
+    assert benchmarks.runs_of(database, id) == [*before, *added]
+    cells = [(run.spec.method.name, run.spec.seed) for run in added]
+    names = ("udr", "droid", "prior", "oracle")
+    assert cells == [("droid", 0), *((name, 1) for name in names)]
+    assert benchmarks.get_benchmark(database, id).spec.seeds == [0, 1]
+    for refused, message in (({"seeds": [1]}, "must not repeat"), ({}, "nothing to add")):
+        with pytest.raises(InvalidInput, match=message):
+            benchmarks.extend_benchmark(database, id, BenchmarkExtension.model_validate(refused))
+    assert len(benchmarks.runs_of(database, id)) == len(before) + len(added)
+
+
+def test_a_benchmark_does_not_grow_by_runs_of_another_budget(database, monkeypatch):
+    given = {"tasks": ["arm"], "methods": ["udr"], "seeds": [0], "preset": "smoke"}
+    id = benchmarks.create_benchmark(database, BenchmarkSpec.model_validate(given)).id
+    monkeypatch.setitem(PRESETS["smoke"]["run"], "transitions", 30)
+    with pytest.raises(NotPossible, match=r"differ from those that bench_\w+ has in transitions"):
+        benchmarks.extend_benchmark(database, id, BenchmarkExtension.model_validate({"seeds": [1]}))
+
+
+def test_states_count_the_runs_of_each_benchmark(database):
+    ids = [benchmarks.create_benchmark(database, benchmark_spec()).id for _ in range(2)]
+    (first, *rest) = benchmarks.runs_of(database, ids[0])
+    events.append_event(database, first.id, RunSucceeded())
+    assert benchmarks.states_of(database, ids) == {
+        ids[0]: {"succeeded": 1, "queued": len(rest)},
+        ids[1]: {"queued": 1 + len(rest)},
+    }
+
+
+def test_unknown_benchmark_is_named_in_the_error(database):
+    for ask in (benchmarks.get_benchmark, benchmarks.runs_of, benchmarks.delete_benchmark):
+        with pytest.raises(NotFound, match="no benchmark 'bench_x'"):
+            ask(database, "bench_x")
+
+
+def test_the_latest_come_first(database):
+    ids = [runs.create_run(database, SPEC).id for _ in range(3)]
+    assert [run.id for run in benchmarks.latest(database, 2)[1]] == ids[:0:-1]
+
+
+def test_retention_deletes_what_ended_before_and_nothing_live_or_recent(database):
+    spec = benchmark_spec(seeds=[0, 1])
+    whole, half = (benchmarks.create_benchmark(database, spec).id for _ in range(2))
+    ended, live = (runs.create_run(database, SPEC).id for _ in range(2))
+    members = [run.id for run in benchmarks.runs_of(database, whole)]
+    for id in [*members, *(run.id for run in benchmarks.runs_of(database, half)[1:]), ended]:
+        events.append_event(database, id, RunSucceeded())
+    later = datetime.now(UTC)
+    expected = [(benchmarks.delete_benchmark, whole), (runs.delete_run, ended)]
+    assert benchmarks.finished_before(database, later) == expected
+    assert benchmarks.finished_before(database, later - timedelta(hours=1)) == []
+    for delete, id in expected:
+        delete(database, id)
+    left = {run.id for run in runs.list_runs(database)}
+    assert left == {run.id for run in benchmarks.runs_of(database, half)} | {live}

@@ -1,0 +1,69 @@
+"""Events of runs, each written once."""
+
+import pytest
+
+from adr_service.events import (
+    IterationFinished,
+    RunFailed,
+    RunQueued,
+    RunStarted,
+    RunStopped,
+    RunSucceeded,
+    state_after,
+)
+from db import events, runs
+from db.errors import NotFound
+from tests.db.rows import SPEC
+
+
+def test_an_event_is_written_once(database):
+    run = runs.create_run(database, SPEC)
+    assert events.append_event(database, run.id, RunStarted(submission=1))
+    assert not events.append_event(database, run.id, RunStarted(submission=1))
+    assert [e.seq for e in events.events_of(database, run.id)] == [1, 2]
+
+
+def test_the_state_is_the_fold_of_the_events(database):
+    run = runs.create_run(database, SPEC)
+    failed = RunFailed(submission=1, code="worker_lost", message="gone")
+    story = [RunStarted(submission=1), failed, RunQueued(submission=2)]
+    story += [RunStarted(submission=2), RunStopped(submission=2), RunSucceeded()]
+    for event in story:
+        events.append_event(database, run.id, event)
+        written = [e.event for e in events.events_of(database, run.id)]
+        assert runs.get_run(database, run.id).state == state_after(written)
+
+
+def test_a_batch_skips_runs_that_were_deleted_meanwhile(database):
+    run = runs.create_run(database, SPEC)
+    started = RunStarted(submission=1)
+    events.append_events(database, [("run_gone", started), (run.id, started)])
+    with database.write("test") as session:
+        events.append_to_all(session, ["run_gone", run.id], [started, RunSucceeded()])
+    types = [e.event.type for e in events.events_of(database, run.id)]
+    assert types == ["run_queued", "run_started", "run_succeeded"]
+
+
+def test_an_event_of_an_unknown_run_is_refused(database):
+    with pytest.raises(NotFound, match="no run 'run_x'"):
+        events.append_event(database, "run_x", RunSucceeded())
+
+
+def test_iterations_come_in_the_order_of_the_runs(database):
+    first, second = (runs.create_run(database, SPEC).id for _ in range(2))
+    for run_id, iteration in ((first, 0), (second, 0), (first, 1)):
+        events.append_event(database, run_id, an_iteration(iteration))
+    ids = [second, first]
+    assert events.count_iterations(database, ids) == [(second, 1), (first, 2)]
+    assert [(id, event.iteration) for id, event in events.iterations_of(database, ids)] == [
+        (second, 0),
+        (first, 0),
+        (first, 1),
+    ]
+
+
+def an_iteration(number):
+    empty = {name: [] for name in ("distributions", "policies", "source_returns", "returns")}
+    empty |= {name: [] for name in ("reached_threshold", "training_steps")}
+    counts = dict.fromkeys(("target_rollouts", "target_transitions", "evaluation_episodes"), 0)
+    return IterationFinished(iteration=number, inference_steps=0, diagnostics={}, **counts, **empty)

@@ -1,0 +1,215 @@
+"""Migrations: whole or not at all, from every earlier form."""
+
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from alembic import command
+from sqlalchemy import Engine, inspect, text
+from sqlalchemy import event as engine_event
+from typer.testing import CliRunner
+
+from adr_service.events import RunQueued
+from adr_service.json_values import sha256
+from api.cli import app
+from db import events, maintenance, results, runs, schema
+from db.errors import DatabaseDamaged, DatabaseNewer
+from db.schema import alembic_config, head
+from db.session import Database, open_database
+from tests.db.rows import SPEC, count
+
+AN_ARTIFACT = "insert into artifacts values (?, 1, x'00')", (sha256(bytes(1)),)
+
+
+def test_migrations_make_the_tables_of_the_models(database):
+    """`alembic check` finds nothing to add."""
+    database.close()
+    command.check(alembic_config(database.url))
+
+
+def test_rows_survive_all_migrations(database_url):
+    """The second recreates `runs` in SQLite, whose deletion would take the events along."""
+    command.upgrade(alembic_config(database_url), "0001")
+    row = {"spec": SPEC.model_dump_json(), "now": "2026-01-01 00:00:00", "no": False}
+    event = RunQueued(submission=1)
+    values = {"key": event.key, "type": event.type, "body": event.model_dump_json()}
+    with closing(Database(database_url)) as old, old.write("test") as session:
+        session.execute(
+            text(
+                "insert into runs (id, created_at, updated_at, task, variant, method, seed, "
+                "spec, state, submission, cancel_requested) values ('run_a', :now, :now, "
+                "'arm', 'vanilla', 'prior', 0, :spec, 'queued', 1, :no)"
+            ),
+            row,
+        )
+        session.execute(
+            text("insert into events values ('run_a', 1, :key, :type, :body, :now)"),
+            {**values, "now": row["now"]},
+        )
+    with closing(open_database(database_url)) as opened:
+        assert runs.get_run(opened, "run_a").spec == SPEC
+        assert [e.event for e in events.events_of(opened, "run_a")] == [event]
+
+
+def test_before_an_upgrade_the_file_is_copied(tmp_path):
+    url = f"sqlite:///{tmp_path / 'old.sqlite'}"
+    command.upgrade(alembic_config(url), "0002")
+    for _ in range(2):  # the second time there is nothing to upgrade
+        open_database(url).close()
+        (copy,) = tmp_path.glob("old.sqlite.0002.*.bak")
+    assert maintenance.revision_of(copy) == "0002"
+    assert maintenance.revision_of(tmp_path / "old.sqlite") == "0005"
+
+
+def test_a_failed_upgrade_leaves_the_file_and_no_copy(tmp_path):
+    url = f"sqlite:///{tmp_path / 'old.sqlite'}"
+    command.upgrade(alembic_config(url), "0003")
+    with closing(sqlite3.connect(tmp_path / "old.sqlite")) as other, other:
+        other.execute("create table target_tasks (mine integer)")
+        other.execute("insert into target_tasks values (1)")
+    for _ in range(3):
+        with pytest.raises(DatabaseDamaged, match="left rows in target_tasks"):
+            open_database(url)
+    assert not list(tmp_path.glob("*.bak*"))
+    assert maintenance.revision_of(tmp_path / "old.sqlite") == "0003"
+
+
+@pytest.mark.parametrize("revision", [None, "0001", "0003"])
+def test_a_kill_at_any_statement_of_an_upgrade_leaves_a_database_that_opens(tmp_path, revision):
+    """Copies of the files before every statement are what kill -9 would leave there."""
+    path, copies = tmp_path / "adr.sqlite", []
+    if revision is not None:
+        command.upgrade(alembic_config(f"sqlite:///{path}"), revision)
+        with closing(sqlite3.connect(path)) as other, other:
+            other.execute(*AN_ARTIFACT)
+
+    def keep_a_copy(*_):
+        folder = tmp_path / f"copy{len(copies)}"
+        folder.mkdir()
+        for file in tmp_path.glob("adr.sqlite*"):
+            shutil.copy(file, folder)
+        copies.append(folder)
+
+    engine_event.listen(Engine, "before_cursor_execute", keep_a_copy)
+    try:
+        open_database(f"sqlite:///{path}").close()
+    finally:
+        engine_event.remove(Engine, "before_cursor_execute", keep_a_copy)
+    assert len(copies) > 5
+    for folder in copies:
+        with closing(open_database(f"sqlite:///{folder / 'adr.sqlite'}")) as opened:
+            assert count(opened, "artifacts") == (0 if revision is None else 1)
+            assert opened.revision() == head()
+
+
+@pytest.mark.parametrize("revision", [None, "0003"])
+def test_leftovers_of_an_upgrade_by_an_earlier_version_are_cleared_away(tmp_path, revision):
+    """The tables of 0004, with the revision still at the one before."""
+    path = tmp_path / "adr.sqlite"
+    url = f"sqlite:///{path}"
+    command.upgrade(alembic_config(url), "0004")
+    with closing(sqlite3.connect(path)) as other, other:
+        other.execute("delete from alembic_version")
+        if revision is not None:
+            other.execute("insert into alembic_version values (?)", (revision,))
+            other.execute(*AN_ARTIFACT)
+    assert "the table target_tasks is of a later revision" in "".join(maintenance.unfinished(path))
+    with closing(open_database(url)) as opened:
+        assert opened.revision() == head()
+        assert count(opened, "artifacts") == (0 if revision is None else 1)
+    assert maintenance.check(path) == []
+
+
+@pytest.mark.parametrize("lacking", [["results"], ["results", "requests"]])
+def test_databases_of_earlier_forms_of_0004_are_made_whole(tmp_path, lacking):
+    path = tmp_path / "adr.sqlite"
+    url = f"sqlite:///{path}"
+    command.upgrade(alembic_config(url), "0004")
+    with closing(sqlite3.connect(path)) as other, other:
+        for table in lacking:
+            other.execute(f"drop table {table}")
+        other.execute("drop index ix_runs_task_method")
+    refused = CliRunner().invoke(app, ["db", "check", "--data-dir", str(tmp_path)])
+    assert "the table results is missing" in str(refused.exception)
+    with closing(open_database(url)) as opened:
+        results.keep_results(opened, "run_a", "1", "{}")
+    command.check(alembic_config(url))
+    assert maintenance.check(path) == maintenance.unfinished(path) == []
+
+
+@pytest.mark.parametrize("before_the_old_one_went", [True, False])
+def test_a_half_rebuilt_table_is_dropped_or_reported(tmp_path, before_the_old_one_went):
+    """0002 rebuilds `runs`; versions before this one could be killed half-way."""
+    path = tmp_path / "adr.sqlite"
+    command.upgrade(alembic_config(f"sqlite:///{path}"), "0001")
+    with closing(sqlite3.connect(path)) as other, other:
+        other.execute("create table _alembic_tmp_runs as select * from runs")
+        if not before_the_old_one_went:
+            other.execute("drop table runs")
+    if before_the_old_one_went:
+        open_database(f"sqlite:///{path}").close()
+    else:
+        with pytest.raises(DatabaseDamaged, match=r"rebuilt the table runs; restore the copy"):
+            open_database(f"sqlite:///{path}")
+
+
+def test_a_killed_upgrade_leaves_one_copy_however_often_it_is_killed(tmp_path):
+    url = f"sqlite:///{tmp_path / 'old.sqlite'}"
+    command.upgrade(alembic_config(url), "0003")
+    script = f"from db.session import open_database; open_database({url!r})"
+    for name in ("migration_0004", "migration_0005", "upgrade:before"):
+        killed = subprocess.run(
+            [sys.executable, "-c", script],
+            env={**os.environ, "ADR_FAILPOINT": name},
+            check=False,
+            cwd=Path(schema.__file__).parents[1],
+        )
+        assert killed.returncode == 137, name
+        (copy,) = tmp_path.glob("*.bak")
+        assert maintenance.revision_of(copy) == "0003"
+        assert maintenance.revision_of(tmp_path / "old.sqlite") == "0003"
+    open_database(url).close()
+    (copy,) = tmp_path.glob("*.bak")
+    assert "upgrading" not in copy.name
+
+
+def test_a_released_migration_is_never_edited():
+    """A database that it has made already would not get what was added."""
+    known = {
+        "0001": "5323830174ba0457ca84de6ad0961ee5",
+        "0002": "b2d69612c7aa6fe1098907353dcaeb5d",
+        "0003": "13ebde8e0765f1d805528df8af13bd4a",
+        "0004": "f9455c8c1f54f6ec906ef9a9b2d4f08a",
+        "0005": "0adbfbede86b6497ea2993d4a7101791",
+    }
+    files = Path(schema.__file__).parent.glob("migrations/versions/*.py")
+    assert {file.name[:4]: sha256(file.read_bytes())[:32] for file in files} == known
+
+
+def test_a_database_of_a_later_version_is_left_as_it_is(database):
+    with database.write("test") as session:
+        session.execute(text("update alembic_version set version_num = '0999'"))
+    database.close()
+    with pytest.raises(DatabaseNewer, match="revision 0999, which this version does not know"):
+        open_database(database.url)
+    with closing(Database(database.url)) as later:
+        assert later.revision() == "0999"
+    if database.url.startswith("sqlite"):
+        (line,) = maintenance.unfinished(Path(database.url.removeprefix("sqlite:///")))
+        assert line == "revision 0999 is of a later version of the service"
+
+
+def test_migrations_go_down_to_nothing_and_up_again(database):
+    config = alembic_config(database.url)
+    database.close()
+    command.downgrade(config, "base")
+    command.upgrade(config, "head")
+    reopened = open_database(database.url)
+    with reopened.read() as session:
+        assert "runs" in inspect(session.connection()).get_table_names()
+    reopened.close()

@@ -1,0 +1,248 @@
+"""Values for the names that programs in docstrings take from their reader."""
+
+import io
+from collections.abc import Generator
+from datetime import UTC, datetime
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+from fastapi import FastAPI
+from sqlalchemy import create_engine
+
+from adr_service.benchmark.comparison import Outcome
+from adr_service.distributions import Gaussian
+from adr_service.effects.base import Effect
+from adr_service.events import IterationFinished
+from adr_service.simulation.replay import Replay
+from adr_service.specs import BenchmarkSpec, RunSpec
+from adr_service.tasks.catalogue import catalogue, get_task, hidden_of, source_of
+from adr_service.training.policy import Policy
+from api.client import AdrClient
+from api.settings import Settings
+from benchmarks.planted import hide
+from tests.hidden import arm as arm_and_nominal
+from tests.hidden import recorded
+from tests.recordings import recording
+
+Names = dict[str, Any]
+SPEC = {"task": "arm", "method": "simopt", "preset": "smoke"}
+NOW = datetime(2026, 1, 1, tzinfo=UTC)
+
+
+def a_policy() -> Policy:
+    rng = np.random.default_rng(0)
+    layers = tuple(
+        (rng.normal(size=shape).astype(np.float32), rng.normal(size=shape[0]).astype(np.float32))
+        for shape in ((8, 4), (2, 8))
+    )
+    return Policy(layers, "relu", np.array([-1.0, -1.0]), np.array([1.0, 1.0]))
+
+
+def an_outcome() -> Outcome:
+    spec, space = RunSpec.model_validate(SPEC), source_of("arm", "vanilla").space
+    event = IterationFinished(
+        iteration=0,
+        target_rollouts=0,
+        target_transitions=0,
+        evaluation_episodes=2,
+        distributions=[Gaussian.prior(space).to_json()],
+        policies=["p"],
+        source_returns=[1.0],
+        reached_threshold=[True],
+        training_steps=[1],
+        inference_steps=0,
+        returns=[[1.0, 2.0]],
+        diagnostics={},
+    )
+    return Outcome(spec, event)
+
+
+def arm(_: Path) -> Names:
+    task, source = get_task("arm"), source_of("arm", "vanilla")
+    rng = np.random.default_rng(0)
+    draws = Gaussian.prior(source.space).sample(12, rng)
+    names: Names = {"task": task, "source": source, "space": source.space, "rng": rng}
+    return {**names, "draws": draws, "actions": np.zeros((12, 2))}
+
+
+def arm_criticised(_: Path) -> Names:
+    task, nominal = arm_and_nominal()
+    measurement = hide(task, nominal, np.random.default_rng(0), []).episodes(range(12))
+    names: Names = {"task": task, "nominal": nominal, "rng": np.random.default_rng(0)}
+    return {**names, "measurement": measurement}
+
+
+def arm_with_an_effect(folder: Path) -> Names:
+    names = arm_criticised(folder)
+    friction = Effect("joint_coulomb_friction", "joint:elbow", (0.15,))
+    data = hide(names["task"], names["nominal"], np.random.default_rng(0), [friction])
+    return {**names, "measurement": data.episodes(range(12))}
+
+
+def simulated(folder: Path) -> Names:
+    from adr_service.criticism import responses, scan
+    from adr_service.criticism.simulator import Simulator
+
+    names = arm_criticised(folder)
+    measurement, nominal = names["measurement"], names["nominal"]
+    simulator = Simulator(nominal, measurement, threads=1, finer=3)
+    states = np.concatenate([measurement.qpos, measurement.qvel], axis=1)
+    names |= {"simulator": simulator, "sensor": measurement.sensor_variance(), "states": states}
+    names |= {"parameters": nominal.start, "effects": ()}
+    return {**vars(responses), **vars(scan), **names}
+
+
+def fitted(folder: Path) -> Names:
+    from adr_service.criticism.evidence import fit, smoothed
+
+    names = simulated(folder)
+    baseline = smoothed(fit(names["simulator"], names["sensor"]), names["sensor"])
+    effect = Effect("joint_coulomb_friction", "joint:elbow", (0.15,))
+    return {**names, "baseline": baseline, "effect": effect}
+
+
+def measurement_file(folder: Path) -> Names:
+    np.savez(file := io.BytesIO(), **recorded(arm_criticised(folder)["measurement"]))
+    return {"path": _written(folder, file.getvalue())}
+
+
+def recording_file(folder: Path) -> Names:
+    return {"path": _written(folder, recording("arm", 20).to_npz())}
+
+
+def policy_file(folder: Path) -> Names:
+    return {"path": _written(folder, a_policy().to_bytes()), "observations": np.zeros((3, 4))}
+
+
+def _written(folder: Path, content: bytes) -> Path:
+    path = folder / "file"
+    path.write_bytes(content)
+    return path
+
+
+def outcomes(_: Path) -> Names:
+    return {"outcomes": [an_outcome()]}
+
+
+def benchmark_spec(_: Path) -> Names:
+    grid = {"tasks": ["arm"], "methods": ["udr"], "preset": "smoke"}
+    return {"spec": BenchmarkSpec.model_validate(grid)}
+
+
+def run_spec(_: Path) -> Names:
+    from adr_service.stages.local import LocalStages
+
+    return {"spec": RunSpec.model_validate({**SPEC, "method": "prior"}), "LocalStages": LocalStages}
+
+
+def target(folder: Path) -> Names:
+    names = run_spec(folder)
+    return {
+        "spec": RunSpec.model_validate(SPEC),
+        "stages": names["LocalStages"](),
+        "policy": a_policy().to_bytes(),
+    }
+
+
+def policy(folder: Path) -> Names:
+    from adr_service.stages.evaluate import Evaluate
+
+    return {**target(folder), "Evaluate": Evaluate}
+
+
+def tasks(_: Path) -> Names:
+    return {"catalogue": catalogue}
+
+
+def stage(_: Path) -> Names:
+    return {"stage": SimpleNamespace(digest="0" * 64)}
+
+
+def parameter_values(_: Path) -> Names:
+    return {"values": np.array([4.2])}
+
+
+def points(_: Path) -> Names:
+    rng = np.random.default_rng(0)
+    inputs = rng.uniform(size=(8, 2))
+    return {"points": inputs, "values": -((inputs - 0.3) ** 2).sum(axis=1), "rng": rng}
+
+
+def loss(_: Path) -> Names:
+    return {"np": np, "rng": np.random.default_rng(0), "loss": lambda x: float(x @ x)}
+
+
+def replayed(_: Path) -> Names:
+    hidden = hidden_of("arm", "vanilla")
+    replay = Replay(get_task("arm"), hidden.source, recording("arm", 10), 8, 1)
+    low, high = 0.95 * hidden.values, 1.05 * hidden.values
+    draws = np.array([hidden.values])
+    return {"replay": replay, "low": low, "high": high, "draws": draws, **_rng()}
+
+
+def _rng() -> Names:
+    return {"rng": np.random.default_rng(0)}
+
+
+def hopper_model(_: Path) -> Names:
+    return {"spec": mujoco.MjSpec.from_string(get_task("hopper").xml)}
+
+
+def training(folder: Path) -> Names:
+    names = arm(folder)
+    settings = RunSpec.model_validate(SPEC).training
+    distribution = Gaussian.prior(names["space"])
+    observations = np.zeros((3, 4))
+    return {**names, "settings": settings, "distribution": distribution} | {
+        "observations": observations
+    }
+
+
+def environments(_: Path) -> Names:
+    return {"gymnasium": gymnasium}
+
+
+def server(_: Path) -> Names:
+    import uvicorn
+
+    return {"uvicorn": uvicorn, "app": FastAPI(), "settings": Settings()}
+
+
+def upload(_: Path) -> Names:
+    from adr_service.tasks.catalogue import BUILT_IN
+
+    assert "hopper" in BUILT_IN
+    return {"content": recording("hopper", 5).to_npz()}
+
+
+def sessions(folder: Path) -> Names:
+    return {"data_dir": folder, "ray": SimpleNamespace(init=lambda **_: None)}
+
+
+def database_file(folder: Path) -> Names:
+    from db.session import open_database
+
+    url = f"sqlite:///{folder / 'adr.sqlite'}"
+    open_database(url).close()
+    return {"url": url, "connection": create_engine(url).connect()}
+
+
+def client(service: Any) -> Names:
+    """A client of the tests' service, whose benchmarks take seconds."""
+
+    class SmokeClient(AdrClient):
+        def submit_benchmark(self, spec: Names, *, dry_run: bool = False) -> Names:
+            smoke = {**spec, "preset": "smoke", "seeds": [0]}
+            return super().submit_benchmark(smoke, dry_run=dry_run)
+
+    return {"AdrClient": lambda: SmokeClient(service.client.url)}
+
+
+def drive(program: Generator[Any, Any, Any]) -> None:
+    """Carry out a program that yields events."""
+    for _ in program:
+        pass

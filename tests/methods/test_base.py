@@ -1,0 +1,61 @@
+"""Settings that are common to methods, and the problem that a method may see."""
+
+from typing import ClassVar, Literal
+
+import pytest
+from pydantic import Field, ValidationError
+
+from adr_service.methods.base import Data, Grid, MethodSettings, OfflineSettings
+from adr_service.methods.simopt import SimOptSettings
+from tests.planted import PROBLEM, SPACE
+
+
+class GridSettings(MethodSettings):
+    name: Literal["gridded"] = "gridded"
+    width: float | list[float] = Field([1.0, 2.0, 3.0])
+    depth: int = 5
+
+    grid: ClassVar[Grid | None] = Grid("width", criterion="error")
+
+
+class TestEach:
+    def test_a_list_is_expanded_in_its_order(self):
+        assert [one.width for one in GridSettings().each] == [1.0, 2.0, 3.0]
+
+    def test_other_settings_stay_as_they_are(self):
+        assert [one.depth for one in GridSettings(depth=7).each] == [7, 7, 7]
+
+    def test_one_value_is_a_grid_of_one(self):
+        assert GridSettings(width=4.0).each == [GridSettings(width=4.0)]
+
+    def test_settings_without_a_grid_stand_for_themselves(self):
+        assert SimOptSettings().each == [SimOptSettings()]
+
+
+@pytest.mark.parametrize(
+    ("data", "infers"),
+    [("nothing", False), ("returns", False), ("visits", True), ("recordings", True)],
+)
+def test_methods_that_learn_from_transitions_infer(data, infers):
+    class Settings(MethodSettings):
+        name: Literal["any"] = "any"
+        learns_from: ClassVar[Data] = data
+
+    assert Settings().infers == infers
+
+
+def test_class_variables_are_no_settings():
+    assert set(GridSettings.model_fields) == {"name", "width", "depth"}
+    with pytest.raises(ValidationError, match="no field 'label'"):
+        GridSettings.model_validate({"label": "Mine"})
+
+
+def test_offline_settings_must_make_a_method_and_plan_its_steps():
+    assert OfflineSettings.__abstractmethods__ == {"create", "planned_steps"}
+
+
+def test_a_problem_does_not_lead_to_the_truth():
+    """Neither its task nor its source has the hidden values, and methods may not import them."""
+    assert not hasattr(PROBLEM.task, "variants")
+    assert "hidden" not in vars(PROBLEM.source)
+    assert not hasattr(SPACE.parameters[0], "nominal")

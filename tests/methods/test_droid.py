@@ -1,0 +1,61 @@
+"""DROID's search, its costs and its diagnostics."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adr_service.distributions import Gaussian
+from adr_service.errors import InvalidInput
+from adr_service.methods.droid import Droid, DroidSettings
+from adr_service.progress import silent
+from adr_service.randomness import stream
+from tests.planted import PROBLEM, SPACE, distance, recorded, waving_policy
+
+DATA = recorded(waving_policy())
+
+
+def fit(data=DATA, stream_name="droid", **settings):
+    return Droid(DroidSettings(**settings)).fit(PROBLEM, data, stream(stream_name), silent)
+
+
+def test_the_answer_is_the_searchs_own_gaussian_and_narrows_with_the_budget():
+    early, late = (fit(budget=budget) for budget in (80, 600))
+    assert isinstance(early.distribution, Gaussian)
+    assert np.all(late.distribution.std < 0.1 * early.distribution.std)
+
+
+def test_diagnostics_count_whole_populations_and_the_steps_they_cost():
+    estimate = fit(budget=30)
+    evaluations = estimate.diagnostics["evaluations"]
+    assert 30 <= evaluations < 30 + 8  # 4 + floor(3 ln 4) candidates in a population
+    assert estimate.simulated_steps == evaluations * len(DATA)
+    assert estimate.diagnostics["diverged_replays"] == 0
+    assert estimate.diagnostics["stopped_by"] == []
+
+
+def test_reported_deviations_are_the_distributions_in_search_coordinates():
+    estimate = fit(budget=30)
+    scale = (SPACE.high - SPACE.low) / SPACE.WIDTH
+    expected = estimate.distribution.std / scale
+    np.testing.assert_allclose(estimate.diagnostics["std"], expected, rtol=1e-12)
+
+
+def test_a_larger_budget_ends_at_a_lower_cost():
+    costs = [fit(budget=budget).diagnostics["last_best_cost"] for budget in (16, 160)]
+    assert 0 < costs[1] < costs[0]
+
+
+def test_episodes_are_replayed_from_their_own_initial_states():
+    """From the first one's state, the second could match no dynamics."""
+    both = recorded(waving_policy(), episodes=2, steps=20)
+    estimate = fit(both, budget=400)
+    assert distance(estimate.distribution.mean) < 0.1
+
+
+def test_a_search_whose_candidates_all_diverge_says_so():
+    """Recorded velocities beyond any robot's make every simulation diverge."""
+    absurd = DATA.observations.copy()
+    absurd[:, 2:] = 1e9
+    with pytest.raises(InvalidInput, match="all 8 candidates of a population diverged"):
+        fit(replace(DATA, observations=absurd), budget=30)

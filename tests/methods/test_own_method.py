@@ -1,0 +1,108 @@
+"""A method of a user's own, by the page docs/add-a-method.md: one file, and nothing else."""
+
+import re
+
+import pytest
+
+from tests.packages import ROOT, add_entry_point, install, python
+
+PAGE = (ROOT / "docs/add-a-method.md").read_text()
+
+# what a benchmark needs of a method: a plan, runs, a table and a figure
+USE = """
+from adr_service.benchmark.comparison import Outcome, table
+from adr_service.benchmark.figures import draw
+from adr_service.benchmark.plan import plan
+from adr_service.methods.catalogue import methods
+from adr_service.programs import run
+from adr_service.specs import BenchmarkSpec
+from adr_service.stages.local import LocalStages
+
+assert "random_search" in methods()
+spec = BenchmarkSpec.model_validate({
+    "tasks": ["arm"], "methods": [{"name": "random_search", "guesses": 300}], "seeds": [0],
+    "preset": "smoke", "transitions": 100})
+costs = plan(list(spec.runs()), cores=2)
+assert costs.runs == 3 and costs.core_hours > 0, costs
+stages, outcomes = LocalStages(), []
+for one in spec.runs():
+    outcomes += [Outcome(one, e) for e in run(one, stages) if e.type == "iteration_finished"]
+assert costs.trainings == sum(s.kind == "train_policy" for s in stages.executed), costs
+rows = table(outcomes)
+assert [row.method for row in rows] == ["random_search"] * 2 + ["prior", "oracle"], rows
+assert rows[1].estimation_error < 0.5 * rows[0].estimation_error, rows[:2]
+assert b"random_search" in draw("returns", outcomes, "svg")
+search, = (s for s in stages.executed if s.kind == "infer")
+print(search.inputs.get("method_package"))
+"""
+# the file beside ours, in a folder that the package is extended by
+ADD_FILE = """
+import adr_service.methods
+adr_service.methods.__path__.append({folder!r})
+"""
+
+
+def block(language, marker):
+    """The page's code block of a language that has the marker."""
+    blocks = re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
+    return next(code for code in blocks if marker in code)
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """A folder to import the page's package from."""
+    folder, source = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("source")
+    (source / "random_search.py").write_text(block("python", "class RandomSearch:"))
+    (source / "pyproject.toml").write_text(block("toml", "entry-points"))
+    install(source, folder)
+    return folder
+
+
+def test_an_installed_method_is_planned_run_and_reported(installed):
+    done = python(USE, installed)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "adr-random-search 0.1.0"
+
+
+def test_one_file_in_the_package_is_planned_run_and_reported(tmp_path):
+    (tmp_path / "random_search.py").write_text(block("python", "class RandomSearch:"))
+    done = python(ADD_FILE.format(folder=str(tmp_path)) + USE)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "None"
+
+
+def test_the_page_can_be_followed_word_for_word(installed, tmp_path):
+    (tmp_path / "try_it.py").write_text(block("python", "simulate_rollout"))
+    done = python((tmp_path / "try_it.py").read_text(), installed)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() in PAGE
+
+
+def test_a_method_can_be_imported_before_anything_of_ours(installed):
+    done = python("import random_search; import adr_service.specs", installed)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_method_that_takes_one_of_our_names_is_refused_with_the_names(tmp_path):
+    (tmp_path / "mine.py").write_text(
+        block("python", "class RandomSearch:").replace('"random_search"', '"dropo"')
+    )
+    add_entry_point(tmp_path, "adr_service.methods", "mine:RandomSearchSettings", name="dropo")
+    done = python("import adr_service.specs", tmp_path)
+    assert "gives a method whose name is taken; the other methods are udr, bayrn" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("adr_service.methods.base:OfflineSettings", "which lacks create, planned_steps"),
+        ("nowhere:Settings", "cannot be loaded"),
+        ("adr_service.methods.udr:UdrSettings", "a subclass of OfflineSettings or OnlineSettings"),
+        ("random_search:RandomSearchSettings", "a method of another name, 'random_search'"),
+    ],
+)
+def test_a_wrong_entry_point_is_refused_with_its_name(installed, tmp_path, value, message):
+    add_entry_point(tmp_path, "adr_service.methods", value)
+    done = python("import adr_service.specs", tmp_path, installed)
+    assert message in done.stderr
+    assert "'broken'" in done.stderr

@@ -1,0 +1,116 @@
+"""SimOpt's REPS step, and its updates on one trajectory."""
+
+import numpy as np
+import pytest
+
+from adr_service.distributions import Gaussian
+from adr_service.methods.base import Evidence
+from adr_service.methods.simopt import SimOpt, SimOpt1Settings, SimOptSettings, reps
+from adr_service.progress import silent
+from adr_service.randomness import stream
+from tests.planted import PROBLEM, SPACE, recorded, waving_policy
+
+
+class TestReps:
+    settings = SimOptSettings()
+
+    def test_the_step_uses_the_whole_trust_region(self):
+        """The divergence of the weights from uniform is the threshold, where the dual binds."""
+        rng = np.random.default_rng(0)
+        samples = rng.normal(size=(20_000, 3))
+        costs = np.sum((samples - 3) ** 2, axis=1)
+        mean, covariance, temperature = reps(samples, costs, np.eye(3), self.settings)
+        scaled = (costs - costs.min()) / (np.percentile(costs, 90) - costs.min())
+        weights = np.exp(-scaled / temperature)
+        weights /= weights.sum()
+        divergence = np.sum(weights * np.log(weights * len(weights)))
+        assert divergence == pytest.approx(self.settings.kl_threshold, rel=0.01)
+        assert np.all(mean > 0.5)
+        np.testing.assert_allclose(covariance / covariance[0, 0], np.eye(3))
+
+    def test_repeated_steps_find_the_minimum_of_a_quadratic(self):
+        """After 25 updates in four dimensions the error is below a thousandth."""
+        rng = np.random.default_rng(0)
+        optimum, mean, covariance = np.array([1.0, 3.0, 2.5, 0.5]), np.full(4, 2.0), np.eye(4)
+        for _ in range(25):
+            samples = rng.multivariate_normal(mean, covariance, 1000)
+            costs = np.sum((samples - optimum) ** 2, axis=1)
+            mean, covariance, _ = reps(samples, costs, covariance, self.settings)
+        assert np.sqrt(np.mean((mean - optimum) ** 2)) < 1e-3
+        assert np.all(np.sqrt(np.diag(covariance)) < 0.02)
+
+    @pytest.mark.parametrize(("scale", "shift"), [(1000.0, 0.0), (1.0, 50.0), (0.01, -3.0)])
+    def test_the_unit_of_costs_does_not_matter(self, scale, shift):
+        samples = np.random.default_rng(0).normal(size=(500, 3))
+        costs = np.sum((samples - 3) ** 2, axis=1)
+        one = reps(samples, costs, np.eye(3), self.settings)
+        other = reps(samples, scale * costs + shift, np.eye(3), self.settings)
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-4)
+
+    def test_more_damping_keeps_more_of_the_covariance(self):
+        samples = np.random.default_rng(0).normal(size=(500, 3))
+        costs = np.sum((samples - 3) ** 2, axis=1)
+        weak, strong = (
+            reps(samples, costs, np.eye(3), SimOptSettings(covariance_damping=damping))[1][0, 0]
+            for damping in (1.0, 4.0)
+        )
+        assert strong == pytest.approx(weak**0.25)
+        assert weak < strong < 1
+
+    def test_one_sample_with_all_the_weight_leaves_a_covariance(self):
+        samples = np.random.default_rng(0).normal(size=(10, 3))
+        costs = np.array([0.0] + [1e9] * 9)
+        _, covariance, _ = reps(samples, costs, np.eye(3), self.settings)
+        assert np.all(np.linalg.eigvalsh(covariance) > 0)
+
+    def test_an_outlier_does_not_decide_the_temperature(self):
+        rng = np.random.default_rng(0)
+        samples = rng.normal(size=(1000, 3))
+        costs = np.sum((samples - 3) ** 2, axis=1)
+        usual, _, _ = reps(samples, costs, np.eye(3), self.settings)
+        costs[np.argmax(costs)] = 1e6
+        unusual, _, _ = reps(samples, costs, np.eye(3), self.settings)
+        np.testing.assert_allclose(unusual, usual, rtol=0.05)
+
+    def test_equal_costs_move_nothing_but_by_chance(self):
+        samples = np.random.default_rng(0).normal(size=(50_000, 2))
+        mean, covariance, _ = reps(samples, np.ones(50_000), np.eye(2), self.settings)
+        np.testing.assert_allclose(mean, 0, atol=4 / np.sqrt(50_000))
+        np.testing.assert_allclose(covariance, np.eye(2), atol=0.02)
+
+
+class TestUpdates:
+    policy = waving_policy(seed=0)
+    evidence = Evidence(policy, recorded(policy, episodes=2, steps=20, noise=0.003))
+
+    def update(self, settings, state=None, name="simopt"):
+        method = SimOpt(settings)
+        state = method.start(PROBLEM) if state is None else state
+        return method.tell(PROBLEM, state, self.evidence, stream(name), silent)
+
+    def test_the_start_is_the_papers_prior(self):
+        method = SimOpt(SimOptSettings())
+        start = method.ask(PROBLEM, method.start(PROBLEM))
+        assert start.to_json() == Gaussian.prior(SPACE).to_json()
+
+    def test_every_update_is_in_the_diagnostics_and_in_the_cost(self):
+        update = self.update(SimOptSettings(updates=3, samples=20))
+        facts = update.diagnostics["updates"]
+        assert len(facts) == 3
+        assert update.simulated_steps == 3 * 20 * len(self.evidence.data)
+        assert all(0 <= each["clipped_draws"] <= 20 for each in facts)
+        assert all(each["diverged"] == 0 for each in facts)
+
+    def test_updates_go_on_from_the_state(self):
+        first = self.update(SimOptSettings(updates=1, samples=20))
+        second = self.update(SimOptSettings(updates=1, samples=20), first.state, "second")
+        deviations = [each.diagnostics["updates"][0]["std"] for each in (first, second)]
+        assert np.all(np.array(deviations[1]) != deviations[0])
+        ratio = np.array(deviations[1]) / deviations[0]
+        np.testing.assert_allclose(ratio, ratio[0])  # the shape of the covariance stays
+
+    def test_simopt_1_does_the_same_updates_under_another_name(self):
+        one = self.update(SimOptSettings(updates=2, samples=20))
+        other = self.update(SimOpt1Settings(updates=2, samples=20))
+        assert other == one

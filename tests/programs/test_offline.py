@@ -1,0 +1,39 @@
+import pytest
+
+from adr_service.distributions import Gaussian
+from adr_service.stages.local import LocalStages
+from adr_service.tasks.catalogue import source_of
+from tests.programs.smoke import executed, iterations, smoke
+
+
+def test_offline_methods_learn_from_simopts_trajectories():
+    stages = LocalStages()
+    iterations(smoke("simopt", iterations=2), stages)
+    before = len(executed(stages, "target_rollout"))
+    iterations(smoke("dropo", iterations=2), stages)
+    assert len(executed(stages, "target_rollout")) == before == 2
+
+
+def test_an_offline_run_alone_runs_simopt_for_its_data():
+    stages = LocalStages()
+    events = iterations(smoke("sysid", iterations=3), stages)
+    inferring = [stage.method.name for stage in executed(stages, "infer")]
+    assert inferring.count("simopt") == 2  # the first trajectory is of the prior's policy
+    assert inferring.count("sysid") == 3
+    assert [event.target_rollouts for event in events] == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(("collector", "policies"), [("prior", 1), ("random", 0)])
+def test_other_collectors_need_no_inference(collector, policies):
+    stages = LocalStages()
+    iterations(smoke("droid", collector=collector, iterations=2), stages)
+    rollouts = executed(stages, "target_rollout")
+    assert len({stage.policy for stage in rollouts} - {None}) == policies
+    assert {stage.method.name for stage in executed(stages, "infer")} == {"droid"}
+
+
+def test_the_first_report_is_of_the_priors_policy():
+    event = iterations(smoke("droid"), LocalStages())[0]
+    prior = Gaussian.prior(source_of("arm", "vanilla").space)
+    assert event.distributions == [prior.to_json()]
+    assert (event.iteration, event.target_transitions, event.inferences) == (0, 0, [])

@@ -1,0 +1,35 @@
+import pytest
+
+from adr_service.errors import InvalidInput
+from adr_service.programs import run
+from adr_service.stages.local import LocalStages
+from adr_service.transitions import dataset_id
+from tests.programs.smoke import smoke
+from tests.recordings import recording
+
+RECORDED = recording("arm", 30).to_npz()
+
+
+def spec(content=RECORDED, **changes):
+    target = {"kind": "recorded", "dataset": dataset_id(content), **changes}
+    return smoke("sysid", target=target)
+
+
+def test_a_recording_gives_one_estimate_and_a_policy_that_nobody_evaluates():
+    stages = LocalStages()
+    (event,) = [e for e in run(spec(), stages, RECORDED) if e.type == "iteration_finished"]
+    assert [stage.kind for stage in stages.executed] == ["infer", "train_policy"]
+    assert (event.iteration, event.target_transitions, event.returns) == (1, 30, [])
+
+
+def test_a_recording_that_is_not_the_named_one_is_refused():
+    other = recording("arm", 20).to_npz()
+    with pytest.raises(InvalidInput, match=f"given {dataset_id(other)}"):
+        list(run(spec(), LocalStages(), other))
+    with pytest.raises(InvalidInput, match="given nothing"):
+        list(run(spec(), LocalStages()))
+
+
+def test_more_episodes_than_there_are_cannot_be_asked_for():
+    with pytest.raises(InvalidInput, match="has 1 episodes; asked for the first 2"):
+        list(run(spec(episodes=2), LocalStages(), RECORDED))

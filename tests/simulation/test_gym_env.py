@@ -1,0 +1,127 @@
+"""The registered Gymnasium environments."""
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import adr_service
+from adr_service.distributions import Uniform
+from adr_service.errors import InvalidInput, UnknownName
+from adr_service.simulation.vec_env import RandomizedVecEnv
+from adr_service.tasks.base import State
+from adr_service.tasks.catalogue import BUILT_IN, hidden_of, source_of
+from tests.tasks.cases import CASES, IDS
+
+assert adr_service.__version__  # importing it registers the names
+ROBOTS = ("Arm", "Hopper", "HalfCheetah", "Walker2d", "Humanoid")
+
+
+def id_of(task, variant):
+    robot = dict(zip(BUILT_IN, ROBOTS, strict=True))[task]
+    return f"adr/Random{robot}{'' if variant == 'vanilla' else variant.capitalize()}-v0"
+
+
+@pytest.mark.parametrize(("task", "variant"), CASES, ids=IDS)
+def test_gymnasiums_checker_complains_of_the_infinite_bounds_alone(task, variant):
+    env = gymnasium.make(id_of(task.name, variant))
+    assert env.spec.max_episode_steps == task.horizon
+    with warnings.catch_warnings(record=True) as complaints:
+        warnings.simplefilter("always")
+        check_env(env.unwrapped, skip_render_check=True)
+    assert all("infinity" in str(complaint.message) for complaint in complaints)
+
+
+@pytest.mark.parametrize("task", BUILT_IN)
+def test_an_environment_simulates_the_same_as_the_training_environment(task):
+    """The same generator gives the same dynamics, observations, rewards and endings."""
+    source = source_of(task, "vanilla")
+    belief = Uniform(source.space, source.space.low, source.space.high)
+    one = gymnasium.make(id_of(task, "vanilla"), distribution=belief.to_json()).unwrapped
+    observation, _ = one.reset(seed=3)
+    generator, _ = gymnasium.utils.seeding.np_random(3)
+    many = RandomizedVecEnv(BUILT_IN[task].task, source, belief, 1, generator)
+    np.testing.assert_array_equal(observation.astype(np.float32), many.reset()[0])
+    assert list(one.dynamics.values()) == many.dynamics[0].tolist()
+    for action in np.random.default_rng(0).uniform(-0.3, 0.3, (10, *one.action_space.shape)):
+        observation, reward, terminated, _, _ = one.step(action)
+        seen, earned, done, infos = many.step(action[None])
+        last = infos[0].get("terminal_observation", seen[0])
+        np.testing.assert_array_equal(observation.astype(np.float32), last)
+        assert (reward, terminated) == (earned[0], done[0])
+        if terminated:
+            break
+
+
+def test_the_noisy_environment_has_noise_of_the_stated_variance():
+    env = gymnasium.make("adr/RandomHopperNoisy-v0").unwrapped
+    clean = gymnasium.make("adr/RandomHopper-v0").unwrapped
+    errors = []
+    for seed in range(300):
+        errors.append(env.reset(seed=seed)[0] - clean.reset(seed=seed)[0])
+    draws = np.array(errors)
+    assert draws.std() == pytest.approx(np.sqrt(1e-4), rel=4 / np.sqrt(2 * draws.size))
+
+
+def test_the_unmodeled_environment_has_fewer_parameters_and_true_ones():
+    env = gymnasium.make("adr/RandomWalker2dUnmodeled-v0").unwrapped
+    assert env.space.names == source_of("walker2d", "unmodeled").space.names
+    hidden = hidden_of("walker2d", "unmodeled")
+    truth = dict(zip(hidden.source.space.names, hidden.values.tolist(), strict=True))
+    env.reset(seed=0)
+    assert env.dynamics == {name: truth[name] for name in env.space.names}
+
+
+def test_some_dynamics_can_be_given_at_reset():
+    env = gymnasium.make("adr/RandomHopper-v0").unwrapped
+    _, info = env.reset(options={"dynamics": {"torso_mass": 4.2}})
+    assert info["dynamics"]["torso_mass"] == 4.2
+    assert info["dynamics"]["leg_mass"] == hidden_of("hopper", "vanilla").values[2]
+
+
+def test_a_diverged_simulation_ends_its_episode_with_a_flag_in_info():
+    env = gymnasium.make("adr/RandomHopper-v0").unwrapped
+    env.reset(seed=0)
+    env._simulations.set_state(State(np.full((1, 6), np.nan), np.zeros((1, 6))))
+    observation, reward, terminated, _, info = env.step(np.zeros(3))
+    assert terminated
+    assert info == {"diverged": True}
+    assert reward == 0.0
+    assert not observation.any()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"dynamics": {"torso": 3.0}}, "did you mean 'torso_mass'"),
+        ({"dynamics": {"torso_mass": 0.0}}, "from 0.1 up; given 0.0"),
+        ({"dynamics": {"torso_mass": np.nan}}, "from 0.1 up; given nan"),
+        ({"dynamics": {"torso_mass": "heavy"}}, "from 0.1 up; given 'heavy'"),
+        ({"masses": {}}, "known: dynamics"),
+        ({"dynamics": [3.0]}, "values by name"),
+    ],
+)
+def test_impossible_dynamics_are_refused_with_the_accepted_values(options, message):
+    env = gymnasium.make("adr/RandomHopper-v0").unwrapped
+    with pytest.raises((InvalidInput, UnknownName), match=message):
+        env.reset(options=options)
+
+
+def test_actions_that_are_not_finite_are_refused():
+    """MuJoCo takes them for zero and writes a warning to a log file alone."""
+    env = gymnasium.make("adr/RandomHopper-v0").unwrapped
+    env.reset(seed=0)
+    with pytest.raises(InvalidInput, match="finite"):
+        env.step(np.array([0.0, np.nan, 0.0]))
+
+
+def test_a_frozen_parameter_cannot_be_set():
+    env = gymnasium.make("adr/RandomHopperUnmodeled-v0").unwrapped
+    with pytest.raises(InvalidInput, match="torso_mass is frozen"):
+        env.reset(options={"dynamics": {"torso_mass": 4.0}})
+
+
+def test_the_control_period_is_exact():
+    assert gymnasium.make("adr/RandomHumanoid-v0").unwrapped.dt == pytest.approx(0.015, rel=1e-12)

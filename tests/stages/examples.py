@@ -1,0 +1,56 @@
+"""Small stages, told from others of their kind by a number."""
+
+from adr_service.programs.references import truth_of
+from adr_service.specs import RunSpec
+from adr_service.stages.criticise import Criticise
+from adr_service.stages.evaluate import Evaluate
+from adr_service.stages.target_episode import TargetEpisode
+from adr_service.stages.target_rollout import TargetRollout
+from adr_service.stages.train_policy import TrainPolicy
+
+
+def training(seed=0, **changes):
+    """A training on the truth of the arm; with settings other than the preset's."""
+    given = {"task": "arm", "method": "prior", "preset": "smoke", "training": changes}
+    return TrainPolicy(
+        task="arm",
+        variant="vanilla",
+        seed=seed,
+        distribution=truth_of("arm", "vanilla"),
+        training=RunSpec.model_validate(given).training,
+    )
+
+
+def evaluation(seed=0, policy=b"weights", task="arm"):
+    """One episode of a policy."""
+    return Evaluate(task=task, variant="vanilla", episodes=1, seed=seed, policy=policy)
+
+
+def rollout(number=0):
+    """A trajectory on the simulated target."""
+    return TargetRollout(
+        task="arm",
+        variant="vanilla",
+        transitions=10,
+        iteration=number,
+        seed=0,
+        policy=b"weights",
+    )
+
+
+def episode(run_id="run_a", number=0):
+    """A robot's episode."""
+    return TargetEpisode(
+        task="arm",
+        run=run_id,
+        purpose="rollout",
+        number=number,
+        transitions=10,
+        seed=0,
+        policy=b"weights",
+    )
+
+
+def criticism(seed=0):
+    """A stage of the role `inference`."""
+    return Criticise(task="arm", variant="vanilla", seed=seed, data=b"measured")

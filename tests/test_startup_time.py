@@ -1,0 +1,19 @@
+"""The clock of preparations adds up."""
+
+import pytest
+
+from adr_service.startup_time import add_preparation, preparation_seconds, preparing
+
+
+def test_added_seconds_are_counted():
+    before = preparation_seconds()
+    add_preparation(2.5)
+    add_preparation(0.5)
+    assert preparation_seconds() - before == pytest.approx(3.0)
+
+
+def test_a_preparation_that_fails_is_counted_too():
+    before = preparation_seconds()
+    with pytest.raises(ImportError), preparing():
+        raise ImportError
+    assert preparation_seconds() > before

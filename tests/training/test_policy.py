@@ -1,0 +1,81 @@
+"""Policies: their bytes, their bounds, and files that are no policy."""
+
+import itertools
+import json
+import struct
+
+import numpy as np
+import pytest
+
+from adr_service.errors import InvalidInput
+from adr_service.training.policy import Policy
+
+
+def policy(widths=(4, 8, 8, 2), activation="relu"):
+    rng = np.random.default_rng(0)
+    layers = tuple(
+        (rng.normal(size=(b, a)).astype(np.float32), rng.normal(size=b).astype(np.float32))
+        for a, b in itertools.pairwise(widths)
+    )
+    return Policy(layers, activation, np.array([-1.0, -2.0]), np.array([1.0, 4.0]))
+
+
+@pytest.mark.parametrize("activation", ["relu", "tanh"])
+def test_bytes_give_the_same_policy_and_the_same_bytes_back(activation):
+    original = policy(activation=activation)
+    copy = Policy.from_bytes(original.to_bytes())
+    observations = np.random.default_rng(1).normal(size=(6, 4))
+    np.testing.assert_array_equal(copy.act(observations), original.act(observations))
+    assert copy.to_bytes() == original.to_bytes()
+
+
+def test_actions_stay_within_their_bounds():
+    actions = policy().act(100 * np.random.default_rng(1).normal(size=(1000, 4)))
+    assert np.all((actions >= [-1, -2]) & (actions <= [1, 4]))
+    assert actions.min(axis=0) == pytest.approx([-1, -2])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"nonsense",
+        struct.pack("<Q", 2**40) + b"{}",
+        struct.pack("<Q", 2) + b"{}",
+        policy().to_bytes()[:-7],
+    ],
+    ids=["empty", "nonsense", "huge header", "no tensors", "truncated"],
+)
+def test_bytes_of_anything_else_are_refused(content):
+    with pytest.raises(InvalidInput, match="not the bytes of a policy"):
+        Policy.from_bytes(content)
+
+
+def test_layers_that_do_not_fit_are_refused():
+    layers = policy().layers
+    with pytest.raises(InvalidInput, match="do not fit"):
+        Policy((layers[0], layers[0]), "relu", np.zeros(2), np.ones(2))
+
+
+def test_a_policys_file_can_be_read_without_our_code():
+    content = policy().to_bytes()
+    (length,) = struct.unpack("<Q", content[:8])
+    header = json.loads(content[8 : 8 + length])
+    assert json.loads(header["__metadata__"]["policy"])["activation"] == "relu"
+    assert header["layer_0.weight"] == {
+        "dtype": "F32",
+        "shape": [8, 4],
+        "data_offsets": header["layer_0.weight"]["data_offsets"],
+    }
+
+
+def test_a_policy_is_the_tanh_of_its_network_scaled_to_the_bounds():
+    weight, bias = np.array([[2.0, 0.0], [0.0, -1.0]], np.float32), np.zeros(2, np.float32)
+    single = Policy(((weight, bias),), "relu", np.array([-1.0, -2.0]), np.array([1.0, 4.0]))
+    actions = single.act(np.array([[0.3, 0.5]]))
+    np.testing.assert_allclose(actions[0], [np.tanh(0.6), 1 + 3 * np.tanh(-0.5)], rtol=1e-6)
+
+
+def test_an_unknown_activation_is_refused_with_the_known_ones():
+    with pytest.raises(InvalidInput, match=r"one of \['relu', 'tanh'\]: 'elu'"):
+        policy(activation="elu")

@@ -1,0 +1,55 @@
+"""The board of signs of life, in this process; and the patience with silent stages."""
+
+from dataclasses import replace
+
+import pytest
+
+from adr_service.progress import Checkpoint
+from workers.heartbeats import (
+    FIRST_SIGN_S,
+    SILENT_S,
+    UNWANTED_SILENT_S,
+    Board,
+    SignOfLife,
+    patience_s,
+)
+
+SIGN = SignOfLife("digest", 0.5, {"steps": 10}, "actor", 1)
+CHECKPOINT = Checkpoint(10, b"weights", ())
+
+
+@pytest.fixture
+def board():
+    return Board()
+
+
+def test_news_are_the_latest_signs_since_the_last_call(board):
+    for fraction in (0.1, 0.2):
+        board.report(replace(SIGN, fraction=fraction))
+    board.report(replace(SIGN, digest="another"))
+    signs, _ = board.news()
+    assert {sign.digest: sign.fraction for sign in signs} == {"digest": 0.2, "another": 0.5}
+    assert board.news() == ([], {})
+
+
+def test_a_checkpoint_outlives_later_signs_without_one(board):
+    board.report(replace(SIGN, checkpoint=CHECKPOINT))
+    board.report(SIGN)
+    signs, checkpoints = board.news()
+    assert (signs, checkpoints) == ([SIGN], {"digest": CHECKPOINT})
+
+
+def test_a_report_is_answered_with_whether_to_stop(board):
+    assert not board.report(SIGN)
+    board.set_unwanted("digest", True)
+    assert board.report(SIGN)
+    board.set_unwanted("digest", False)
+    assert not board.report(SIGN)
+    board.set_unwanted("never seen", False)
+
+
+def test_an_unwanted_stage_has_the_least_patience_and_a_starting_one_the_most():
+    assert patience_s(None, 1) == FIRST_SIGN_S
+    assert patience_s(SIGN, 1) == SILENT_S
+    assert patience_s(None, 0) == patience_s(SIGN, 0) == UNWANTED_SILENT_S
+    assert UNWANTED_SILENT_S < SILENT_S < FIRST_SIGN_S

@@ -1,0 +1,138 @@
+"""Threads of runs: when one begins, and how it ends. The programs are the tests' own; no Ray."""
+
+import sqlite3
+import threading
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+
+from adr_service.errors import FailureCode, InvalidInput, StageFailed
+from adr_service.specs import BenchmarkSpec, RunSpec
+from db import benchmarks, runs
+from db.visits import LeaseLost
+from tests.db import leases
+from tests.service import until
+from workers.cluster import ClusterUnavailable, RayOptions
+from workers.orchestrator import RUNS_AT_ONCE, Orchestrator
+
+SPEC = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})
+
+
+def test_a_run_whose_end_cannot_be_stored_yet_is_not_begun_again(file_database, tmp_path: Path):
+    file = tmp_path / "adr.sqlite"
+    begun = []
+    with closing(sqlite3.connect(file, isolation_level=None, check_same_thread=False)) as other:
+
+        def program(*_):
+            begun.append(1)
+            other.execute("begin immediate")
+            raise InvalidInput("nothing can be computed")
+
+        orchestrator = Orchestrator(file_database, RayOptions(), program)  # it is not started
+        record = runs.create_run(file_database, SPEC)
+        for _ in range(3):
+            orchestrator.adopt()
+            until(lambda: begun)
+        other.execute("rollback")
+        until(lambda: runs.get_run(file_database, record.id).state == "failed")
+        assert begun == [1]
+        orchestrator.submit(record)  # as it was read before it ended
+        again = runs.resubmit(file_database, record.id)
+        orchestrator.submit(again)
+        until(lambda: len(begun) == 2)
+        other.execute("rollback")
+        until(lambda: runs.get_run(file_database, record.id).state == "failed")
+    assert begun == [1, 1]
+
+
+def test_a_service_that_stops_begins_no_run_that_waited_for_a_thread(file_database, caplog):
+    """Seven thousand queued runs became "running", and wrote a traceback each, at a SIGTERM."""
+    begun = threading.Semaphore(0)
+
+    def program(spec, stages, recording):
+        begun.release()
+        until(stages.is_cancelled)  # as it is once the service stops
+        raise ClusterUnavailable("the dispatcher has stopped; restart the service")
+        yield
+
+    orchestrator = Orchestrator(file_database, RayOptions(), program)
+    for _ in range(3 * RUNS_AT_ONCE):
+        orchestrator.submit(runs.create_run(file_database, SPEC))
+    for _ in range(RUNS_AT_ONCE):
+        assert begun.acquire(timeout=60)
+    orchestrator.close()
+    states = [run.state for run in runs.list_runs(file_database, limit=None)]
+    assert states.count("running") == RUNS_AT_ONCE
+    assert states.count("queued") == 2 * RUNS_AT_ONCE
+    assert "Traceback" not in caplog.text
+
+
+def test_cancelling_many_runs_stops_them_in_batches(file_database):
+    waiting = threading.Event()
+
+    def program(*_):
+        waiting.wait(60)
+        return iter([])
+
+    orchestrator = Orchestrator(file_database, RayOptions(), program)
+    given = {"tasks": ["arm"], "methods": ["prior"], "references": False, "preset": "smoke"}
+    spec = BenchmarkSpec.model_validate({**given, "seeds": list(range(400))})
+    benchmark = benchmarks.create_benchmark(file_database, spec).id
+    for run in benchmarks.runs_of(file_database, benchmark):
+        orchestrator.submit(run)
+    with counted(file_database) as transactions:
+        orchestrator.cancel(*benchmarks.request_cancel_all(file_database, benchmark))
+        until(lambda: cancelled(file_database, benchmark) == 400 - RUNS_AT_ONCE)
+    assert transactions.count("append_events") == 4
+    assert transactions.count("request_cancel_all") == 1
+    waiting.set()
+    orchestrator.close()
+
+
+def test_an_upload_is_not_read_before_its_lease(database):
+    """33 kB of somebody without a lease cost half a gigabyte."""
+    leases.publish(database, runs.create_run(database, leases.SPEC).id)
+    task = leases.claim(database, "a")
+    orchestrator = Orchestrator(database, RayOptions())
+    with pytest.raises(LeaseLost):
+        orchestrator.complete_task(task.id, "another lease", b"not an npz")
+    with pytest.raises(InvalidInput, match="not a readable"):
+        orchestrator.complete_task(task.id, task.lease, b"not an npz")
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (InvalidInput("no such gripper"), "invalid_input"),
+        (StageFailed("train_policy", FailureCode.WORKER_LOST, "lost"), "worker_lost"),
+        (ZeroDivisionError("a defect"), "internal"),
+        (RuntimeError("a NUL \0, which PostgreSQL cannot store"), "internal"),
+    ],
+)
+def test_an_error_of_the_program_is_on_the_runs_record(database, error, code):
+    def program(*_):
+        raise error
+        yield
+
+    orchestrator = Orchestrator(database, RayOptions(), program)
+    record = runs.create_run(database, SPEC)
+    orchestrator.submit(record)
+    until(lambda: runs.get_run(database, record.id).is_finished)
+    ended = runs.get_run(database, record.id)
+    assert (ended.state, ended.error_code) == ("failed", code)
+    assert str(error).replace("\0", "\\0") in ended.error_message
+    orchestrator.close()
+
+
+@contextmanager
+def counted(database):
+    """The names of the transactions that are begun meanwhile."""
+    names, write = [], database.write
+    database.write = lambda name: names.append(name) or write(name)
+    yield names
+    database.write = write
+
+
+def cancelled(database, benchmark):
+    return benchmarks.states_of(database, [benchmark])[benchmark].get("cancelled", 0)

@@ -1,0 +1,127 @@
+"""Signs of life of running stages, and how long a stage may be silent.
+
+A board, an actor of its own, takes the signs, so that the dispatcher waits for no stage:
+
+    heartbeats = Heartbeats()                # starts the board
+    signs, checkpoints = heartbeats.news()   # since the last call; never waits
+    heartbeats.silence(since)                # seconds, by the board's last answer
+
+The board's process imports this module: it imports little, to be there soon.
+"""
+
+import logging
+import time
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import ray
+from ray.exceptions import RayError
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+from adr_service.progress import Checkpoint
+
+log = logging.getLogger(__name__)
+SILENT_S = 60.0  # without a sign of life, which comes every second, a process hangs
+FIRST_SIGN_S = 180.0  # before the first one, while it starts and imports its libraries
+UNWANTED_SILENT_S = 10.0  # if no run wants the result any more
+_READ_EVERY_S = 0.5
+
+
+@dataclass(frozen=True)
+class SignOfLife:
+    """The latest report from inside a running stage."""
+
+    digest: str
+    fraction: float  # of the stage that is done
+    facts: dict[str, Any]  # for people
+    actor_id: str
+    pid: int
+    checkpoint: Checkpoint | None = None  # only if it is new since the last sign
+
+
+News = tuple[list[SignOfLife], dict[str, Checkpoint]]  # latest signs; checkpoints by digest
+
+
+class Board:
+    """Takes reports of running stages, and answers whether to stop. Needs no CPU of its own."""
+
+    def __init__(self) -> None:
+        self._latest: dict[str, SignOfLife] = {}
+        self._checkpoint: dict[str, Checkpoint] = {}  # new since the last call of `news`
+        self._unwanted: set[str] = set()
+
+    def report(self, sign: SignOfLife) -> bool:
+        """Note a sign of life; True if no run wants the stage any more."""
+        self._latest[sign.digest] = replace(sign, checkpoint=None)
+        if sign.checkpoint is not None:
+            self._checkpoint[sign.digest] = sign.checkpoint
+        return sign.digest in self._unwanted
+
+    def news(self) -> News:
+        """The latest signs and checkpoints since the last call."""
+        news = list(self._latest.values()), self._checkpoint
+        self._latest, self._checkpoint = {}, {}
+        return news
+
+    def set_unwanted(self, digest: str, unwanted: bool) -> None:
+        """Note that no run wants a stage any more, or that one wants it again."""
+        if unwanted:
+            self._unwanted.add(digest)
+        else:
+            self._unwanted.discard(digest)
+
+
+class Heartbeats:
+    """The dispatcher's side of the board. On the dispatcher's thread."""
+
+    def __init__(self) -> None:
+        here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=True)
+        board = ray.remote(Board).options(num_cpus=0, max_restarts=-1, scheduling_strategy=here)
+        self.board: Any = board.remote()
+        self._reply: Any = None  # to a call of `news` that goes on
+        self._asked_at = self._answered_at = time.monotonic()
+
+    def set_unwanted(self, digest: str, unwanted: bool) -> None:
+        """Pass on to the board, without waiting for it."""
+        self.board.set_unwanted.remote(digest, unwanted)
+
+    def news(self) -> News:
+        """The board's news; empty until it has answered. Replaces a board that hangs."""
+        since = time.monotonic() - self._asked_at
+        if self._reply is None:
+            if since > _READ_EVERY_S:
+                self._asked_at = time.monotonic()
+                self._reply = self.board.news.remote()
+            return [], {}
+        done, _ = ray.wait([self._reply], timeout=0)
+        if done:
+            return self._read()
+        if since > UNWANTED_SILENT_S:  # before the stages that report there seem silent
+            log.warning("the board: no answer for %.0f s", since)
+            self._reply = None
+            ray.kill(self.board, no_restart=False)
+        return [], {}
+
+    def silence(self, since: float) -> float:
+        """Seconds of silence up to the board's last answer, after a sign at `since` (monotonic).
+
+        This thread may have waited for the database after that answer.
+        """
+        return self._answered_at - since
+
+    def _read(self) -> News:
+        reply, self._reply = self._reply, None
+        try:
+            news = cast(News, ray.get(reply))
+        except RayError as error:  # its process was lost; Ray starts another
+            log.warning("the board was lost: %s", error)
+            return [], {}
+        self._answered_at = self._asked_at
+        return news
+
+
+def patience_s(sign: SignOfLife | None, waiters: int) -> float:
+    """Seconds after which a silent stage is ended, by its last sign and its number of waiters."""
+    if not waiters:
+        return UNWANTED_SILENT_S
+    return FIRST_SIGN_S if sign is None else SILENT_S

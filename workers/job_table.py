@@ -1,0 +1,207 @@
+"""The table of jobs: the runs that wait for each, the order, and how each ends.
+
+    table = JobTable(results, heartbeats.set_unwanted)
+    table.accept(stage, run_id, future)         # equal stages are one job
+    for job in table.ready(): ...               # to be placed on a core: begin, then end or lose
+
+A process that is lost means another attempt, three at most. Nothing here asks Ray, and all but
+`activities` runs on the dispatcher's thread.
+"""
+
+import itertools
+import logging
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+
+from adr_service.errors import AdrError, FailureCode, StageFailed
+from adr_service.progress import Checkpoint
+from adr_service.stages.base import PRIORITY, AnyStage, StageResult
+from db.session import RETRY_S
+from workers.actors import Ending, Failed, Finished, Stopped
+from workers.heartbeats import SignOfLife
+from workers.jobs import Activity, Job, Waiter, activity_of, ids_of
+from workers.results import Refused, Results, Retries, Unavailable, attempted
+
+log = logging.getLogger(__name__)
+MAX_ATTEMPTS = 3
+_NOT_LOOKED_UP = "the stage could not be looked up"
+
+
+class JobTable:
+    """All jobs; those that end leave."""
+
+    def __init__(self, results: Results, set_unwanted: Callable[[str, bool], None]):
+        self._results, self._set_unwanted = results, set_unwanted
+        self.retries = Retries()
+        self._jobs: dict[str, Job] = {}
+        self._numbers = itertools.count(1)
+
+    def __len__(self) -> int:
+        return len(self._jobs)
+
+    def ready(self) -> list[Job]:
+        """Jobs that wait for a core, in the order in which they should have one."""
+        waiting = [job for job in self._jobs.values() if job.is_waiting]
+        return sorted(waiting, key=lambda job: (PRIORITY[job.role], job.number))
+
+    def running(self) -> list[Job]:
+        """Jobs that an actor computes."""
+        return [job for job in self._jobs.values() if job.ref is not None]
+
+    def activities(self, run_id: str | None = None) -> list[Activity]:
+        """Jobs of a run, or all, for people; running ones first. Any thread may ask."""
+        now = time.monotonic()
+        jobs = list(self._jobs.values())
+        mine = [job for job in jobs if run_id is None or run_id in job.run_ids]
+        shown = [activity_of(job, now) for job in sorted(mine, key=lambda job: job.number)]
+        return sorted(shown, key=lambda activity: activity.state)  # "running" before "waiting"
+
+    def accept(self, stage: AnyStage, run_id: str, future: Future[StageResult]) -> None:
+        """Let a run have a stage's stored result, or wait for it."""
+        waiter = Waiter(run_id, future)
+        if (job := self._jobs.get(stage.digest)) is not None:
+            self._wait(job, waiter)
+            return
+        ids = ids_of(stage, run_id)
+        match attempted(_NOT_LOOKED_UP, ids, self._results.find, stage, run_id):
+            case Unavailable():
+                self.retries.add(lambda: self.accept(stage, run_id, future), run_id)
+            case Refused(error):
+                future.set_exception(_not_stored(stage, error))
+            case None:
+                job = self._jobs[stage.digest] = Job(stage, next(self._numbers), run_id)
+                self._wait(job, waiter)
+            case result:
+                future.set_result(result)
+
+    def withdraw(self, run_id: str) -> None:
+        """Forget a run's requests; a stage that no other run wants stops."""
+        self.retries.withdraw(run_id)
+        for job in [job for job in self._jobs.values() if run_id in job.run_ids]:
+            job.waiters = [waiter for waiter in job.waiters if waiter.run_id != run_id]
+            if job.waiters:
+                continue
+            if job.ref is not None:
+                self._set_unwanted(job.stage.digest, True)
+            elif job.finished is None:
+                self._give_up(job)
+
+    def arrived(self, digest: str) -> None:
+        """Hand over a robot's episode, whose result somebody else has stored."""
+        job = self._jobs.get(digest)
+        if job is None:  # its run has not asked yet, or does not any more
+            return
+        stage, find = job.stage, self._results.find
+        match attempted(_NOT_LOOKED_UP, job.ids, find, stage, job.started_by):
+            case Unavailable():
+                self.retries.add(lambda: self.arrived(digest))
+            case Refused(error):
+                self._give_up(job, _not_stored(stage, error))
+            case None:
+                pass  # it was deleted since
+            case result:
+                self._hand_over(job, result)
+
+    def refused(self, digest: str, message: str) -> None:
+        """Fail a robot's episode that no robot can do."""
+        if (job := self._jobs.get(digest)) is not None:
+            self._give_up(job, StageFailed(job.stage.kind, FailureCode.TARGET_FAILED, message))
+
+    def begin(self, job: Job, worker: str) -> bool:
+        """Begin an attempt, under a lease if it needs one; False if that cannot be now."""
+        stage, begin = job.stage, self._results.begin
+        trouble = "the stage could not be begun"
+        match attempted(trouble, job.ids, begin, stage, job.started_by, worker):
+            case Unavailable():
+                job.not_before = time.monotonic() + RETRY_S
+                return False
+            case Refused(error):
+                self._give_up(job, _not_stored(stage, error))
+                return False
+            case lease:
+                job.lease, job.attempt = lease, job.attempt + 1
+                return True
+
+    def hear(self, sign: SignOfLife) -> None:
+        """Note a sign of life."""
+        if (job := self._jobs.get(sign.digest)) is not None:
+            job.sign, job.heard = sign, time.monotonic()
+
+    def note(self, digest: str, checkpoint: Checkpoint) -> None:
+        """Store a training's checkpoint, if a run waits for it; its result does not need that."""
+        job = self._jobs.get(digest)
+        if job is not None and job.waiters:
+            trouble = "the stage's checkpoint could not be stored"
+            attempted(trouble, job.ids, self._results.note, job.stage, checkpoint, job.run_ids)
+
+    def end(self, job: Job, ending: Ending) -> None:
+        """Store and hand over what an actor computed, or fail the stage."""
+        match ending:
+            case Finished():
+                job.finished = ending
+                self._deliver(job, ending)
+            case Failed(code, message):
+                self._give_up(job, StageFailed(job.stage.kind, code, message))
+            case Stopped():
+                if not job.waiters:
+                    self._give_up(job)
+                # else it was wanted again while it was stopping, and waits for its turn
+
+    def lose(self, job: Job, why: str) -> None:
+        """Count a lost process: the job waits for another attempt, or fails."""
+        job.losses += 1
+        if not job.waiters:
+            self._give_up(job)
+        elif job.losses >= MAX_ATTEMPTS:
+            detail = f"its process was lost {MAX_ATTEMPTS} times; last: {why}"
+            self._give_up(job, StageFailed(job.stage.kind, FailureCode.WORKER_LOST, detail))
+
+    def fail_all(self, error: AdrError) -> None:
+        """Raise an error in all runs that wait."""
+        for job in self._jobs.values():
+            job.fail(error)
+
+    def _wait(self, job: Job, waiter: Waiter) -> None:
+        if not job.waiters:
+            self._set_unwanted(job.stage.digest, False)
+        job.waiters.append(waiter)
+
+    def _deliver(self, job: Job, finished: Finished) -> None:
+        """Store a result, then hand it to the runs that wait; later, while that cannot be."""
+        stage, result = job.stage, finished.result
+        values = (stage, result, finished.execution, job.lease, job.run_ids)
+        trouble = "the stage's result could not be stored"
+        match attempted(trouble, job.ids, self._results.commit, *values):
+            case Unavailable():
+                self.retries.add(lambda: self._deliver(job, finished))
+            case Refused(error):
+                self._give_up(job, _not_stored(stage, error))
+            case None:
+                log.info("stage finished", extra=job.ids)
+                self._hand_over(job, result)
+
+    def _hand_over(self, job: Job, result: StageResult) -> None:
+        del self._jobs[job.stage.digest]
+        for waiter in job.waiters:
+            waiter.future.set_result(result)
+
+    def _give_up(self, job: Job, error: AdrError | None = None) -> None:
+        """End a job without a result."""
+        del self._jobs[job.stage.digest]
+        if error is not None:
+            log.warning("stage failed: %s", error, extra=job.ids)
+            job.fail(error)
+        if job.lease is not None:
+            self._drop(job.stage, job.ids)
+
+    def _drop(self, stage: AnyStage, ids: dict[str, str | int]) -> None:
+        if stage.digest in self._jobs:  # a run asked for it again
+            return
+        trouble = "the claim of a stage without a result could not be dropped"
+        if attempted(trouble, ids, self._results.drop, stage) == Unavailable():
+            self.retries.add(lambda: self._drop(stage, ids))
+
+
+def _not_stored(stage: AnyStage, error: Exception) -> StageFailed:
+    return StageFailed(stage.kind, FailureCode.NOT_STORED, f"the database refused: {error}")

@@ -1,0 +1,116 @@
+"""The cluster's cores, and the warm actors on each.
+
+A core holds at most one actor of each role, of which at most one is busy: a trainer, which has
+imported PyTorch and JAX, and an inference actor. They serve any run; either of them may compute a
+visit to a simulated target. Idle ones end after a while.
+
+Everything here runs on the dispatcher's thread.
+"""
+
+import itertools
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import ray
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+from adr_service.stages.base import Role
+from workers.actors import StageActor
+
+# roles of the actors that can compute a stage; the first is started if there is none
+_ABLE: dict[Role, tuple[Role, ...]] = {
+    "trainer": ("trainer",),
+    "inference": ("inference",),
+    "target": ("inference", "trainer"),
+}
+_CPUS = 0.5  # Ray's count for an actor: a core has room for both
+
+
+@dataclass
+class Actor:
+    """A process on a core."""
+
+    name: str
+    role: Role
+    handle: Any  # of a StageActor
+    core: "Core"
+    used: float = field(default_factory=time.monotonic)  # when it last began or ended a stage
+
+
+@dataclass
+class Core:
+    """A core of a node."""
+
+    node: str
+    actors: dict[Role, Actor] = field(default_factory=dict[Role, Actor])
+    busy: Actor | None = None
+
+    def warm(self, role: Role) -> Actor | None:
+        """An actor that can compute stages of a role."""
+        return next((self.actors[r] for r in _ABLE[role] if r in self.actors), None)
+
+
+class Pool:
+    """Hands out actors, one at a time per core."""
+
+    def __init__(self, keep_idle_s: float):
+        self._keep_idle_s = keep_idle_s
+        self._cores: list[Core] = []
+        self.nodes = 0  # alive, as last seen
+        self._numbers = itertools.count(1)  # Ray frees the name of a dead actor late, if at all
+        self.refresh()
+
+    def __len__(self) -> int:
+        return len(self._cores)
+
+    def refresh(self) -> None:
+        """Follow nodes that came and went, and end actors that were idle for too long."""
+        self._follow(
+            {n["NodeID"]: int(n["Resources"].get("CPU", 0)) for n in ray.nodes() if n["Alive"]}
+        )
+        too_long = time.monotonic() - self._keep_idle_s
+        for core in self._cores:
+            idle = [a for a in core.actors.values() if a is not core.busy and a.used < too_long]
+            for actor in idle:
+                del core.actors[actor.role]
+                ray.kill(actor.handle)
+
+    def take(self, role: Role, run_id: str, avoid: str | None) -> Actor | None:
+        """An actor for a stage, warm if possible; None if all cores are busy.
+
+        Not on the node `avoid` if there are others. A new actor is named after its first run.
+        """
+        others = {core.node for core in self._cores} - {avoid}
+        free = [core for core in self._cores if core.busy is None]
+        free = [core for core in free if core.node != avoid or not others]
+        if not free:
+            return None
+        core = min(free, key=lambda core: core.warm(role) is None)
+        core.busy = core.warm(role) or self._start(core, _ABLE[role][0], run_id)
+        return core.busy
+
+    def give_back(self, actor: Actor) -> None:
+        """Let an actor's core be free again."""
+        actor.used, actor.core.busy = time.monotonic(), None
+
+    def lose(self, actor: Actor) -> None:
+        """Forget an actor whose process has died."""
+        del actor.core.actors[actor.role]
+        actor.core.busy = None
+
+    def _follow(self, cores: dict[str, int]) -> None:
+        """Have as many cores of each node as it has; busy ones of dead nodes stay until the end."""
+        self.nodes = len(cores)
+        known = [core.node for core in self._cores]
+        self._cores = [core for core in self._cores if core.busy or core.node in cores]
+        for node, count in cores.items():
+            self._cores += [Core(node) for _ in range(count - known.count(node))]
+
+    def _start(self, core: Core, role: Role, run_id: str) -> Actor:
+        name = f"adr:{run_id}:{role}:{next(self._numbers)}"
+        here = NodeAffinitySchedulingStrategy(core.node, soft=False)
+        options = {"num_cpus": _CPUS, "max_restarts": 0, "max_task_retries": 0}
+        handle = ray.remote(StageActor).options(name=name, scheduling_strategy=here, **options)
+        core.actors[role] = actor = Actor(name, role, handle.remote(), core)
+        return actor

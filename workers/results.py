@@ -1,0 +1,170 @@
+"""Results of stages in the database, and what happens if the database cannot be used.
+
+match attempted("the stage could not be looked up", ids, results.find, stage, run_id):
+    case Unavailable(): ...         # it passes: try again later (`Retries`)
+    case Refused(error): ...        # it does not pass: the stage fails
+    case result: ...
+"""
+
+import logging
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import ParamSpec, Protocol, TypeVar
+
+from adr_service.benchmark.cost import Execution
+from adr_service.json_values import canonical_json
+from adr_service.progress import Checkpoint
+from adr_service.stages.base import AnyStage, StageResult, events_of
+from db import stages as stage_store
+from db import visits as visit_store
+from db.errors import DatabaseUnavailable
+from db.events import append_to_all
+from db.session import RETRY_S, Database
+
+log = logging.getLogger(__name__)
+T = TypeVar("T")
+P = ParamSpec("P")
+_LEASE_S = 3600.0  # of the simulated target, which is watched by its signs of life
+
+
+class Results(Protocol):
+    """A store of results. Every function may raise DatabaseUnavailable."""
+
+    def find(self, stage: AnyStage, run_id: str) -> StageResult | None:
+        """A stored result, to which this run refers from now on as well.
+
+        Without one, a robot's stage is offered to robots.
+        """
+        ...
+
+    def begin(self, stage: AnyStage, run_id: str, worker: str) -> str | None:
+        """The lease under which a process begins a stage; None if it needs none."""
+        ...
+
+    def drop(self, stage: AnyStage) -> None:
+        """Forget the lease of a stage that led to no result and that no run wants any more."""
+        ...
+
+    def commit(
+        self,
+        stage: AnyStage,
+        result: StageResult,
+        execution: Execution,
+        lease: str | None,
+        run_ids: Sequence[str],
+    ) -> None:
+        """Store a result, and write its events to the runs that waited for it.
+
+        Raises LeaseLost if the stage was begun under another lease since.
+        """
+        ...
+
+    def note(self, stage: AnyStage, checkpoint: Checkpoint, run_ids: Sequence[str]) -> None:
+        """Store the checkpoint of a stage that goes on."""
+        ...
+
+
+class DatabaseResults:
+    """Results in the service's database; one function per transaction."""
+
+    def __init__(self, database: Database):
+        self._database = database
+
+    def find(self, stage: AnyStage, run_id: str) -> StageResult | None:
+        with self._database.write("find_result") as session:
+            result = stage_store.find_result(session, stage.digest)
+            if result is not None:
+                append_to_all(session, [run_id], events_of(stage, stage.read(result)))
+            elif stage.role == "robot":
+                visit_store.publish(session, stage, run_id, datetime.now(UTC))
+            return result
+
+    def begin(self, stage: AnyStage, run_id: str, worker: str) -> str | None:
+        if stage.role != "target":
+            return None
+        now = datetime.now(UTC)
+        with self._database.write("claim_simulated") as session:
+            return visit_store.claim_simulated(session, stage, run_id, worker, now, _LEASE_S)
+
+    def drop(self, stage: AnyStage) -> None:
+        visit_store.drop_simulated(self._database, stage.digest)
+
+    def commit(
+        self,
+        stage: AnyStage,
+        result: StageResult,
+        execution: Execution,
+        lease: str | None,
+        run_ids: Sequence[str],
+    ) -> None:
+        document = canonical_json(stage.document)
+        with self._database.write("commit_result") as session:
+            stage_store.add_result(session, stage.digest, document, result, execution)
+            append_to_all(session, run_ids, events_of(stage, stage.read(result)))
+            if lease is not None:
+                visit_store.finish(session, stage.digest, lease)
+
+    def note(self, stage: AnyStage, checkpoint: Checkpoint, run_ids: Sequence[str]) -> None:
+        with self._database.write("note_checkpoint") as session:
+            steps, content = checkpoint.steps, checkpoint.content
+            stage_store.note_checkpoint(session, stage.digest, steps, content)
+            append_to_all(session, run_ids, checkpoint.events)
+
+
+@dataclass(frozen=True)
+class Unavailable:
+    """The database cannot be used just now; the same may succeed in `RETRY_S`."""
+
+
+@dataclass(frozen=True)
+class Refused:
+    """The database refuses this for good, or has a defect."""
+
+    error: Exception
+
+
+def attempted(
+    trouble: str,
+    ids: Mapping[str, str | int],
+    action: Callable[P, T],
+    *args: P.args,
+    **kwargs: P.kwargs,
+) -> T | Unavailable | Refused:
+    """Call a function that uses the database for one stage; trouble is a value.
+
+    So trouble with one stage stops no other run. `trouble` says in the log what failed, and `ids`
+    for which stage.
+    """
+    try:
+        return action(*args, **kwargs)
+    except DatabaseUnavailable as error:
+        log.warning("%s just now: %s", trouble, error, extra=dict(ids))
+        return Unavailable()
+    except Exception as error:  # the database's trouble must not stop other runs
+        log.exception(trouble, extra=dict(ids))
+        return Refused(error)
+
+
+class Retries:
+    """Actions to repeat once the database can be used again, in their order."""
+
+    def __init__(self) -> None:
+        self._actions: list[tuple[str | None, Callable[[], None]]] = []
+        self._not_before = 0.0
+
+    def add(self, action: Callable[[], None], run_id: str | None = None) -> None:
+        """Repeat an action in `RETRY_S`; for a run, if that still wants it then."""
+        self._actions.append((run_id, action))
+        self._not_before = time.monotonic() + RETRY_S
+
+    def withdraw(self, run_id: str) -> None:
+        """Forget the actions for a run."""
+        self._actions = [entry for entry in self._actions if entry[0] != run_id]
+
+    def run_due(self) -> None:
+        """Carry out what is due; an action that fails again ends the round."""
+        while self._actions and time.monotonic() >= self._not_before:
+            _, action = self._actions.pop(0)
+            action()
