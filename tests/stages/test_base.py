@@ -14,6 +14,7 @@ from adr_service.stages.local import LocalStages
 from adr_service.tasks.catalogue import source_of
 from db import runs
 from tests.db.rows import EXECUTION, SPEC
+from tests.programs.smoke import drained
 from workers.results import DatabaseResults
 
 
@@ -61,14 +62,6 @@ class ThrowDice(Stage[Dice]):
 
 
 STAGE = ThrowDice(task="arm", count=5)
-
-
-def drained(program):
-    while True:
-        try:
-            next(program)
-        except StopIteration as stop:
-            return stop.value
 
 
 def test_a_kind_of_stage_needs_its_file_alone_to_run():
