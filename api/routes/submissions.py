@@ -10,6 +10,7 @@ from adr_service.json_values import sha256
 from adr_service.specs import AnyRun, BenchmarkSpec, RunSpec
 from api.service import Service
 from db import benchmarks as benchmark_store
+from db import datasets as dataset_store
 from db import runs as run_store
 from db.benchmarks import BenchmarkRecord
 from db.requests import Replayed, RequestKey
@@ -50,7 +51,12 @@ def start_benchmark(service: Service, spec: BenchmarkSpec, key: str | None) -> B
 
 def plan_here(service: Service, specs: list[RunSpec]) -> Plan:
     """Return the expected cost of runs on this cluster."""
-    return plan(specs, service.orchestrator.cores)
+
+    def recording(spec: AnyRun) -> bytes | None:
+        id = spec.dataset
+        return None if id is None else dataset_store.load_dataset(service.database, id)[1]
+
+    return plan(specs, service.orchestrator.cores, recording)
 
 
 def _request_key(key: str | None, spec: BaseModel) -> RequestKey | None:

@@ -56,6 +56,13 @@ def test_a_run_gives_a_distribution_and_a_policy(service, http, uploaded):
         service.client.delete(uploaded["id"])
 
 
+def test_a_dry_run_prices_the_recording(service, uploaded):
+    spec = {**SMOKE, "method": "droid", "target": {"kind": "recorded", "dataset": uploaded["id"]}}
+    plan = service.client.submit_run(spec, dry_run=True)["plan"]
+    assert (plan["trainings"], plan["target_transitions"]) == (1, 0)
+    assert plan["hours"] > 0
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
