@@ -32,7 +32,6 @@ class Visit:
 
     policy: bytes | None  # None: random actions
     data: bytes  # a TransitionDataset as .npz
-    transitions: int
 
 
 class Door(Protocol):
@@ -69,7 +68,7 @@ class Target:
         rollout = yield from self._stages.run(stage)
         self.rollouts += 1
         self.transitions += rollout.transitions
-        return Visit(policy, rollout.data, rollout.transitions)
+        return Visit(policy, rollout.data)
 
     def returns(
         self, policies: Sequence[bytes], iteration: int

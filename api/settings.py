@@ -48,7 +48,7 @@ class Settings(BaseSettings):
     max_connections: int | None = Field(
         None, ge=1, le=50_000, description="at once; default: as the limit on open files allows"
     )
-    max_live_runs: int = Field(10_000, ge=1, description="that wait or run at once")
+    max_live_runs: int = Field(10_000, ge=1, description="runs that may wait or run at once")
     ray_address: str = Field(
         "local",
         validation_alias=AliasChoices("adr_ray_address", "ray_address"),
@@ -58,7 +58,7 @@ class Settings(BaseSettings):
     dashboard: bool = True
     ray_dashboard_url: str = Field("", description="where browsers reach it, if not where Ray says")
     log_format: LogFormat = Field("text", description="of the log: text, or json, a line each")
-    lease_s: float = Field(60.0, ge=1, le=3600, description="of a robot that shows no life")
+    lease_s: float = Field(60.0, ge=1, le=3600, description="seconds until a silent robot loses its task")
 
     @model_validator(mode="after")
     def _loopback_or_token(self) -> Self:

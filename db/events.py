@@ -5,7 +5,6 @@ events_of(database, run_id, after=3)
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from sqlalchemy import func, select
@@ -19,6 +18,7 @@ from adr_service.events import (
     event_from_json,
     next_state,
 )
+from adr_service.json_values import Wire
 from db import visits
 from db.errors import NotFound
 from db.models import EventRow, RunRow
@@ -27,8 +27,7 @@ from db.session import CHUNK, Database
 _ITERATION = EventRow.type == "iteration_finished"
 
 
-@dataclass(frozen=True)
-class EventRecord:
+class EventRecord(Wire):
     """An event of a run, as it was written."""
 
     seq: int  # 1, 2, … within the run
@@ -103,7 +102,10 @@ def events_of(
     with database.read() as session:
         run_row(session, run_id)
         rows = session.scalars(query.order_by(EventRow.seq).limit(limit))
-        return [EventRecord(r.seq, r.created_at, event_from_json(r.body)) for r in rows]
+        return [
+            EventRecord(seq=r.seq, created_at=r.created_at, event=event_from_json(r.body))
+            for r in rows
+        ]
 
 
 def count_iterations(database: Database, run_ids: Sequence[str]) -> list[tuple[str, int]]:

@@ -27,7 +27,7 @@ from db.sqlite import Sqlite, check_log
 
 log = logging.getLogger(__name__)
 RETRY_S = 1.0  # after which a request that met DatabaseUnavailable is worth another try
-CHUNK = 10_000  # of a query's variables, of which SQLite has 32,766
+CHUNK = 10_000  # variables of one query; SQLite allows 32,766
 
 
 class Database:

@@ -17,7 +17,7 @@ from adr_service.events import IterationFinished
 from adr_service.methods.catalogue import methods
 from adr_service.randomness import stream
 from adr_service.specs import RunSpec, SimulatedTarget
-from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.tasks.catalogue import get_task, hidden_of, source_of
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ class ParameterEstimate:
 
 
 @dataclass(frozen=True)
-class Cost:
-    """Cost of one inference, mean over seeds."""
+class InferenceCost:
+    """InferenceCost of one inference, mean over seeds."""
 
     task: str
     variant: str
@@ -95,11 +95,11 @@ def table(outcomes: Sequence[Outcome]) -> list[Row]:
     return [_row(key, group) for key, group in _grouped(evaluated).items()]
 
 
-def costs(outcomes: Sequence[Outcome]) -> list[Cost]:
+def costs(outcomes: Sequence[Outcome]) -> list[InferenceCost]:
     """Costs of the inferences, in the table's order."""
     inferred = [outcome for outcome in outcomes if outcome.iteration.inferences]
     return [
-        Cost(
+        InferenceCost(
             *key,
             seeds=len(group),
             inference_steps=float(np.mean([o.iteration.inference_steps for o in group])),
@@ -274,7 +274,8 @@ def _normalised_std(outcome: Outcome) -> Vector:
 def decode(outcome: Outcome) -> list[Distribution]:
     """The distributions that the iteration's policies were trained on."""
     spec = outcome.spec
-    # the truth's own space is that of the vanilla source
-    variant = "vanilla" if spec.method.needs_truth else spec.variant
-    space = source_of(spec.task, variant).space
+    source = source_of(spec.task, spec.variant)
+    if spec.method.needs_truth:
+        source = hidden_of(spec.task, spec.variant).source
+    space = source.space
     return [distribution_from_json(space, given) for given in outcome.iteration.distributions]

@@ -15,7 +15,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from adr_service.benchmark.comparison import (
-    Cost,
+    InferenceCost,
     Outcome,
     ParameterEstimate,
     Row,
@@ -155,9 +155,9 @@ FIGURES: Mapping[str, Kind] = {
         "no method has inferred a distribution with a spread",
     ),
     "cost": Kind(
-        "Cost of the inferences",
+        "InferenceCost of the inferences",
         lambda outcome: bool(outcome.iteration.inferences),
-        Cost,
+        InferenceCost,
         costs,
         plot_cost,
         "no method has inferred anything",

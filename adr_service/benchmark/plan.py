@@ -22,7 +22,7 @@ from adr_service.randomness import stream
 from adr_service.simulation.batch import Simulations
 from adr_service.simulation.rollout import random_actions
 from adr_service.specs import AnyRun
-from adr_service.stages.base import PRIORITY, Cost, Machine, R, Result, Stage
+from adr_service.stages.base import PRIORITY, CoreSpeed, Cost, R, Result, Stage
 from adr_service.tasks.catalogue import get_task, variants_of
 
 _MEASURED_S = 0.05  # of simulating, to know the speed of a task
@@ -49,7 +49,7 @@ class Plan:
     )
 
 
-class ThisMachine:
+class MeasuredSpeed:
     """The speed of one core of this machine, measured."""
 
     @cache  # noqa: B019 - as long as the machine, which is one plan's
@@ -62,7 +62,7 @@ def plan(
     runs: Sequence[AnyRun], cores: int, recording: Callable[[AnyRun], bytes | None] | None = None
 ) -> Plan:
     """The cost of `runs` on `cores` cores; `recording` gives the dataset that a run names."""
-    costs = _Schedule(ThisMachine(), max(cores, 1))
+    costs = _Schedule(MeasuredSpeed(), max(cores, 1))
     for number, spec in enumerate(runs):
         content = None if recording is None else recording(spec)
         costs.start(run(spec, _PricedStages(f"run {number}"), content))
@@ -89,7 +89,7 @@ class _Ask:
 
 
 class _PricedStages:
-    """Stages of a plan: every wish goes to whoever iterates the program, with its answer."""
+    """Stages of a plan: the schedule gets each wish, and sends the results."""
 
     def __init__(self, run_id: str):
         self.run_id = run_id
@@ -125,8 +125,8 @@ class _Waiting:
 class _Schedule:
     """Cores that compute stages one after the other, as the dispatcher would place them."""
 
-    def __init__(self, machine: Machine, cores: int):
-        self._machine, self._free = machine, cores
+    def __init__(self, speed: CoreSpeed, cores: int):
+        self._speed, self._free = speed, cores
         self._now = 0.0
         self._ready: list[tuple[int, int, str]] = []  # priority, number, digest
         self._running: list[tuple[float, int, str]] = []  # end, number, digest
@@ -174,7 +174,7 @@ class _Schedule:
         job = self.priced.get(stage.digest)
         if job is None:
             number = len(self.priced)
-            job = _Job(stage, number, stage.cost(self._machine), stage.stand_in())
+            job = _Job(stage, number, stage.cost(self._speed), stage.stand_in())
             self.priced[stage.digest] = job
             if stage.role == "robot":  # which needs no core
                 self._begin(number, stage.digest)

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from adr_service.benchmark.comparison import Cost, ParameterEstimate, Row
+from adr_service.benchmark.comparison import InferenceCost, ParameterEstimate, Row
 from adr_service.methods.catalogue import methods
 
 _COLLECTOR_COLOURS = {"simopt": "#0072B2", "prior": "#666666", "random": "#E69F00"}
@@ -88,7 +88,7 @@ def plot_spread(estimates: Sequence[ParameterEstimate]) -> Figure:
     return figure
 
 
-def plot_cost(rows: Sequence[Cost]) -> Figure:
+def plot_cost(rows: Sequence[InferenceCost]) -> Figure:
     """Simulated steps and seconds of one inference over iterations."""
     tasks = list(dict.fromkeys((row.task, row.variant) for row in rows))
     figure, axes = _grid(len(tasks), len(_AXIS_LABELS))
@@ -161,7 +161,7 @@ def _spread_panel(axis: Axes, estimates: Sequence[ParameterEstimate]) -> int:
     return len(names)
 
 
-def _cost_panel(axis: Axes, rows: Sequence[Cost], measure: str) -> None:
+def _cost_panel(axis: Axes, rows: Sequence[InferenceCost], measure: str) -> None:
     """A line per method and collector, of one of the `_AXIS_LABELS`."""
     for method, collector in dict.fromkeys((row.method, row.collector) for row in rows):
         chosen = [row for row in rows if (row.method, row.collector) == (method, collector)]

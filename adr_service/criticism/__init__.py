@@ -1,0 +1,13 @@
+"""Criticism: what a simulator gets wrong, given measured data (docs/criticism.md says how).
+
+Read in this order: `measurements` (the data) and `nominal` (the model); `simulator` (predictions
+one control step ahead); `layout` and `linearisation` (residuals by episode, and how they would
+change); `noise` and `linear` (their likelihood); `evidence` (fits); `responses` and `scan` (every
+possible effect, linearised); `decision` and `naming` (which effects are causes);
+`flexible_force` and `sensor_spread` (causes that no effect moves on average); `gain` (worth on
+sealed episodes); `summary`, `verdict`, `extension`, `experiments`, `remarks`, `report`, `figures`
+(the answer); `pipeline` runs it all.
+
+Letters in shapes: `rows` measured rows, `N` transitions, `E` episodes, `T` the most transitions of
+an episode, `m` = 2 nv measured numbers of a row, `d` free parameters, `p` fitted columns.
+"""

@@ -133,12 +133,16 @@ def refine(fit: Fit, effects: Sequence[Effect], sensor: Vector) -> Fit | None:
     if best is None:
         return None
     step = best.normal.change()[0]
-    reached = best.normal.settled(fit.integration)
+    reached = best.normal.best_log_likelihood(fit.integration)
     for _ in range(_ROUNDS - 1):
         parameters = _moved(fit.simulator, best.parameters, step)
         moved = _strengthened(best.effects, step[fit.integration.stop :])
         tried = _evaluated(fit, before, parameters, moved, best.noise, sensor)
-        gained = -np.inf if tried is None else tried.normal.settled(fit.integration) - reached
+        gained = (
+            -np.inf
+            if tried is None
+            else tried.normal.best_log_likelihood(fit.integration) - reached
+        )
         if tried is None or gained <= 0:
             step = step / 2
             continue

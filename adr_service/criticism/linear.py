@@ -78,7 +78,7 @@ class Normal:
         count, p = apart.shape
         return model @ (apart.T @ apart) @ model * count / max(count - p, 1)
 
-    def settled(self, columns: slice = slice(None)) -> float:
+    def best_log_likelihood(self, columns: slice = slice(None)) -> float:
         """Log-likelihood of all episodes, with the prior, after the best change of these columns
         alone."""
         precision, mean = self.precision[columns], self.mean[columns]
@@ -103,7 +103,7 @@ def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
     damped.
     """
     whitener, normal = _judged(linear, start)
-    reached, damping = normal.settled(), _DAMPING[0]
+    reached, damping = normal.best_log_likelihood(), _DAMPING[0]
     for _ in range(_MOST_STEPS):
         left = linear.residual - linear.columns @ normal.change()[0]
         ascent, before = Ascent.of(whitener, left), reached
@@ -113,8 +113,8 @@ def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
             except np.linalg.LinAlgError:  # variances too far apart
                 damping *= _HARDER
                 continue
-            if tried[1].settled() >= before:
-                (whitener, normal), reached = tried, tried[1].settled()
+            if tried[1].best_log_likelihood() >= before:
+                (whitener, normal), reached = tried, tried[1].best_log_likelihood()
                 break
             damping *= _HARDER
         if reached - before < _SETTLED:

@@ -138,10 +138,10 @@ class Whitener:
     def sensor_errors(self, residual: Array3) -> tuple[Array3, np.ndarray]:
         """Estimates of the sensors' errors in each state (E, T + 1, m), and their covariance."""
         adjoint = self.adjoint(self.whiten(residual[..., None])[..., 0])
-        blame = _blame(self.chain, adjoint)
-        chance = _chances(self.chain, *self.inverse_blocks(), _matrices)
+        score = _score(self.chain, adjoint)
+        covariance = _score_covariance(self.chain, *self.inverse_blocks(), _matrices)
         sensor = self.noise.sensor
-        return blame * sensor, np.diag(sensor) - sensor[:, None] * chance * sensor
+        return score * sensor, np.diag(sensor) - sensor[:, None] * covariance * sensor
 
 
 @dataclass(frozen=True)
@@ -164,13 +164,13 @@ class Ascent:
         adjoint = whitener.adjoint(whitener.whiten(residual[..., None])[..., 0])
         diagonal, left = whitener.inverse_blocks()
         expected = np.diagonal(diagonal, axis1=2, axis2=3)
-        blame = _blame(chain, adjoint)
-        chance = _chances(chain, diagonal, left, _columnwise)
+        score = _score(chain, adjoint)
+        covariance = _score_covariance(chain, diagonal, left, _columnwise)
         spread, own = misfit_variance(chain, noise), np.arange(m)
         regimes = (mask & ~chain.stiff, mask & chain.stiff)
         gradient, moved = np.empty((3, m)), np.zeros((*adjoint.shape, 3 * m))
-        gradient[0] = noise.sensor * np.sum(blame**2 - chance, axis=(0, 1)) / 2
-        error = noise.sensor * blame
+        gradient[0] = noise.sensor * np.sum(score**2 - covariance, axis=(0, 1)) / 2
+        error = noise.sensor * score
         moved[..., own, own] = error[:, 1:] * mask[..., None]
         moved[..., :m] -= chain.transition * error[:, :-1, None, :]
         for number, where in enumerate(regimes, 1):
@@ -245,7 +245,7 @@ def misfit_variance(chain: Chain, noise: Noise) -> Array3:
     return noise.misfit[chain.stiff.astype(int)] / noise.weights[..., None]
 
 
-def _blame(chain: Chain, adjoint: Array3) -> Array3:
+def _score(chain: Chain, adjoint: Array3) -> Array3:
     """Score of each state's sensor noise (E, T + 1, m).
 
     A state's noise stands in the residual that ends there and, through F, in the next one.
@@ -260,7 +260,9 @@ def _blame(chain: Chain, adjoint: Array3) -> Array3:
 Product = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-def _chances(chain: Chain, diagonal: np.ndarray, left: np.ndarray, inner: Product) -> np.ndarray:
+def _score_covariance(
+    chain: Chain, diagonal: np.ndarray, left: np.ndarray, inner: Product
+) -> np.ndarray:
     """Covariances of those scores (E, T + 1, m, m) by `_matrices`, variances by `_columnwise`."""
     transition, mask = chain.transition, chain.mask[..., None, None]
     own = inner(np.broadcast_to(np.eye(diagonal.shape[2]), diagonal.shape), diagonal * mask)

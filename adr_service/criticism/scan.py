@@ -22,7 +22,7 @@ from adr_service.effects.base import Effect, sensors
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
 from adr_service.effects.models import element_of
 
-_ABSORBED = 1e2  # information on a strength, by itself over beside the fitted parameters, at most
+_ABSORBED = 1e2  # most that fitted parameters may divide the information on a strength by
 _UNSEEN = 1e8  # variance of a strength, in typical ones, that no sensible robot has
 
 

@@ -5,6 +5,9 @@
 
 States are in the sensors' coordinates, positions then velocities. An effect in a sensor is undone
 before the simulation and applied again after it.
+
+The engine is `mujoco.rollout`: one model, and for each prediction a state and a row of commands of
+its own. `mujoco.batch`, on which policies train, is for many models under one command each.
 """
 
 import os

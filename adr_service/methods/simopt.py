@@ -102,21 +102,21 @@ class SimOpt:
         progress: Progress,
     ) -> Update:
         settings, belief = self._settings, self.ask(problem, state)
-        replay = _ClosedLoop(problem, evidence, settings)
+        loop = _ClosedLoop(problem, evidence, settings)
         history: list[dict[str, Any]] = []
         for update in range(settings.updates):
             part = part_of(progress, update, settings.updates)
-            belief, facts = self._improved(belief, replay, rng, part)
+            belief, facts = self._improved(belief, loop, rng, part)
             history.append(facts)
         steps = settings.updates * settings.samples * len(evidence.data)
         return Update(belief.to_json(), steps, {"updates": history})
 
     def _improved(
-        self, belief: Gaussian, replay: "_ClosedLoop", rng: np.random.Generator, progress: Progress
+        self, belief: Gaussian, loop: "_ClosedLoop", rng: np.random.Generator, progress: Progress
     ) -> tuple[Gaussian, dict[str, Any]]:
         """The belief after one update, and the update's diagnostics."""
         draws = belief.sample(self._settings.samples, rng)
-        costs = replay.costs(draws.values, progress)
+        costs = loop.costs(draws.values, progress)
         coordinates = belief.space.normalise(draws.values)
         location, covariance, temperature = reps(
             coordinates, costs, belief.covariance, self._settings
@@ -125,7 +125,7 @@ class SimOpt:
             "median_cost": float(np.median(costs)),
             "temperature": temperature,
             "clipped_draws": draws.adjusted,
-            "diverged": replay.diverged,
+            "diverged": loop.diverged,
             "std": np.sqrt(np.diag(covariance)).tolist(),
         }
 

@@ -7,7 +7,7 @@ from adr_service.events import RunEvent
 from adr_service.methods.bayrn import BayRnSettings
 from adr_service.methods.catalogue import identity_of
 from adr_service.methods.udr import UdrSettings
-from adr_service.programs.steps import Inference, report, source_inputs, training
+from adr_service.programs.steps import Inference, evaluate_and_report, source_inputs, training
 from adr_service.programs.udr import boxes_of
 from adr_service.specs import RunSpec
 from adr_service.stages.base import Stages
@@ -20,7 +20,7 @@ def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[Run
     target, boxes = open_target(spec, stages), boxes_of(spec, UdrSettings(policies=initial))
     trained = yield from stages.all([training(spec, box) for box in boxes])
     returns = yield from target.returns([each.policy for each in trained], 0)
-    yield from report(target, 0, boxes, trained)
+    yield from evaluate_and_report(target, 0, boxes, trained)
     proposal, _ = yield from _propose(spec, stages, boxes, returns)
     for iteration in range(1, spec.iterations + 1):
         box = proposal.distribution
@@ -31,7 +31,7 @@ def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[Run
         proposal, digest = yield from _propose(spec, stages, boxes, returns)
         best = proposal.best
         inference = Inference(proposal, [digest])
-        yield from report(target, iteration, [boxes[best]], [trained[best]], inference)
+        yield from evaluate_and_report(target, iteration, [boxes[best]], [trained[best]], inference)
 
 
 def _propose(

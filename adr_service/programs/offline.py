@@ -11,7 +11,7 @@ from adr_service.distributions import Gaussian
 from adr_service.events import RunEvent
 from adr_service.methods.simopt import SimOptSettings
 from adr_service.programs.online import OnlineLoop
-from adr_service.programs.steps import infer, joined, problem_of, report, training
+from adr_service.programs.steps import evaluate_and_report, infer, joined, problem_of, training
 from adr_service.specs import RunSpec
 from adr_service.stages.base import Stages
 from adr_service.target import Recording, Target, Visit, open_target
@@ -24,7 +24,7 @@ def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[Run
     collector = OnlineLoop(spec.model_copy(update={"method": simopt}), stages, target)
     prior = Gaussian.prior(problem_of(spec).source.space)
     trained = yield from stages.run(training(spec, prior))
-    yield from report(target, 0, [prior], [trained])
+    yield from evaluate_and_report(target, 0, [prior], [trained])
     visits: list[Visit] = []
     for iteration in range(1, spec.iterations + 1):
         visits.append((yield from _collect(spec, collector, visits)))
@@ -38,7 +38,7 @@ def estimate_and_report(
     inference = yield from infer(spec, stages, data=data)
     estimate = inference.answer.distribution
     trained = yield from stages.run(training(spec, estimate))
-    yield from report(target, iteration, [estimate], [trained], inference)
+    yield from evaluate_and_report(target, iteration, [estimate], [trained], inference)
 
 
 def _collect(

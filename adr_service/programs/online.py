@@ -6,7 +6,14 @@ from typing import Any, cast
 from adr_service.distributions import Distribution
 from adr_service.events import RunEvent
 from adr_service.methods.base import OnlineSettings
-from adr_service.programs.steps import Inference, infer, joined, problem_of, report, training
+from adr_service.programs.steps import (
+    Inference,
+    evaluate_and_report,
+    infer,
+    joined,
+    problem_of,
+    training,
+)
 from adr_service.specs import RunSpec
 from adr_service.stages.base import Stages
 from adr_service.stages.infer import Inferred
@@ -18,7 +25,9 @@ def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[Run
     loop = OnlineLoop(spec, stages, open_target(spec, stages))
     for iteration in range(spec.iterations + 1):
         trained = yield from loop.train()
-        yield from report(loop.target, iteration, [loop.distribution], [trained], loop.inference)
+        yield from evaluate_and_report(
+            loop.target, iteration, [loop.distribution], [trained], loop.inference
+        )
         if iteration < spec.iterations:
             visit = yield from loop.visit(trained, iteration)
             yield from loop.update([visit])

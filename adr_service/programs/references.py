@@ -4,7 +4,7 @@ from collections.abc import Generator
 
 from adr_service.distributions import Distribution, Gaussian, Uniform
 from adr_service.events import RunEvent
-from adr_service.programs.steps import problem_of, report, training
+from adr_service.programs.steps import evaluate_and_report, problem_of, training
 from adr_service.specs import RunSpec
 from adr_service.stages.base import Stages
 from adr_service.stages.train_policy import TrainPolicy
@@ -16,7 +16,7 @@ def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[Run
     prior: Distribution = Gaussian.prior(problem_of(spec).source.space)
     stage = truth_training(spec) if spec.method.needs_truth else training(spec, prior)
     trained = yield from stages.run(stage)
-    yield from report(open_target(spec, stages), 0, [stage.distribution], [trained])
+    yield from evaluate_and_report(open_target(spec, stages), 0, [stage.distribution], [trained])
 
 
 def truth_training(spec: RunSpec) -> TrainPolicy:

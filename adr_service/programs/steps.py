@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from adr_service.distributions import Distribution
+from adr_service.errors import InvalidInput
 from adr_service.events import IterationFinished, RunEvent
 from adr_service.json_values import sha256
 from adr_service.methods.base import Problem
@@ -26,7 +27,7 @@ class Inference(Generic[Answer]):
     """An answer of a method, and the digests of the stages that computed it."""
 
     answer: Answer
-    stages: list[str]
+    digests: list[str]
 
 
 def problem_of(spec: RunSpec) -> Problem:
@@ -46,11 +47,25 @@ def training(spec: RunSpec, distribution: Distribution) -> TrainPolicy:
 
 
 def infer(
-    spec: RunSpec, stages: Stages, **evidence: Any
+    spec: RunSpec,
+    stages: Stages,
+    *,
+    data: bytes,
+    policy: bytes | None = None,
+    state: dict[str, Any] | None = None,
 ) -> Generator[RunEvent, None, Inference[Inferred]]:
-    """The answer of a run's method; where its settings have a grid, the best of all answers."""
+    """The answer of a run's method; if its settings have a grid, the best of all answers.
+
+    An online method needs its state, and the policy that made the data.
+    """
     asked = [
-        Infer(**source_inputs(spec), **identity_of_method(settings), **evidence)
+        Infer(
+            **source_inputs(spec),
+            **identity_of_method(settings),
+            data=data,
+            policy=policy,
+            state=state,
+        )
         for settings in spec.method.each
     ]
     answers = yield from stages.all(asked)
@@ -64,6 +79,11 @@ def _best(spec: RunSpec, asked: Sequence[Infer], answers: Sequence[Inferred]) ->
     """The answer with the smallest criterion, and in its diagnostics the criterion of each."""
     grid = spec.method.grid
     assert grid is not None
+    if any(grid.criterion not in answer.diagnostics for answer in answers):
+        raise InvalidInput(
+            f"{spec.method.name} chooses among several values of {grid.field} by the diagnostic "
+            f"{grid.criterion!r}, which its estimates do not have"
+        )
     criteria = [answer.diagnostics[grid.criterion] for answer in answers]
     best = answers[criteria.index(min(criteria))]
     values = [str(getattr(stage.method, grid.field)) for stage in asked]
@@ -82,7 +102,7 @@ def joined(visits: Sequence[Visit]) -> bytes:
     return TransitionDataset.concatenate(parts).to_npz()
 
 
-def report(
+def evaluate_and_report(
     target: Target | Recording,
     iteration: int,
     distributions: Sequence[Distribution],
@@ -104,7 +124,7 @@ def report(
         reached_threshold=[each.reached_threshold for each in trained],
         training_steps=[each.steps for each in trained],
         inference_steps=inference.answer.simulated_steps if inference else 0,
-        inferences=inference.stages if inference else [],
+        inferences=inference.digests if inference else [],
         returns=returns,
         diverged_episodes=sum(evaluation.diverged_episodes for evaluation in evaluations),
         diagnostics=inference.answer.diagnostics if inference else {},

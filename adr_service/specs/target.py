@@ -15,7 +15,7 @@ class SimulatedTarget(Wire):
     kind: Literal["simulated"] = "simulated"
     program: ClassVar[str | None] = None  # the method's
     effects: list[Effect] = Field(
-        default=[], max_length=100, description="that it has, and the source's file lacks"
+        default=[], max_length=100, description="effects of the target that the source's file lacks"
     )
 
 

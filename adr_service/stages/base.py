@@ -50,7 +50,7 @@ class Cost:
     policy_bytes: int = 0
 
 
-class Machine(Protocol):
+class CoreSpeed(Protocol):
     """The speed of one core, by which stages estimate their cost."""
 
     def steps_per_second(self, task: str) -> float:
@@ -109,7 +109,7 @@ class Stage(ABC, Generic[R]):
         ...
 
     @abstractmethod
-    def cost(self, machine: Machine) -> Cost:
+    def cost(self, speed: CoreSpeed) -> Cost:
         """The expected cost; where a stage may stop early, as if it did not."""
         ...
 

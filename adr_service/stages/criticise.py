@@ -10,7 +10,7 @@ from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.events import RunEvent
 from adr_service.progress import Progress
-from adr_service.stages.base import Cost, Machine, Result, Role, Stage
+from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage
 from adr_service.startup_time import preparing
 from adr_service.tasks.catalogue import get_task, source_of
 
@@ -65,7 +65,7 @@ class Criticise(Stage[Criticised]):
     def events(self, result: Criticised) -> list[RunEvent]:
         return []
 
-    def cost(self, machine: Machine) -> Cost:
+    def cost(self, speed: CoreSpeed) -> Cost:
         return Cost(_CRITICISM_S)
 
     def stand_in(self) -> Criticised:

@@ -8,7 +8,7 @@ import numpy as np
 from adr_service.events import RunEvent
 from adr_service.progress import Progress
 from adr_service.simulation.target import simulate_evaluation
-from adr_service.stages.base import Cost, Machine, Result, Role, Stage
+from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage
 from adr_service.tasks.catalogue import get_task
 from adr_service.training.policy import Policy
 
@@ -29,7 +29,7 @@ class Evaluate(Stage[TargetEvaluation]):
     role: ClassVar[Role] = "target"
     result: ClassVar = TargetEvaluation
 
-    variant: str
+    variant: str  # a domain; the field's name is part of the digest
     episodes: int
     seed: int
     policy: bytes
@@ -43,9 +43,9 @@ class Evaluate(Stage[TargetEvaluation]):
     def events(self, result: TargetEvaluation) -> list[RunEvent]:
         return []
 
-    def cost(self, machine: Machine) -> Cost:
+    def cost(self, speed: CoreSpeed) -> Cost:
         steps = self.episodes * get_task(self.task).horizon
-        return Cost(steps / machine.steps_per_second(self.task))
+        return Cost(steps / speed.steps_per_second(self.task))
 
     def stand_in(self) -> TargetEvaluation:
         return TargetEvaluation(returns=[0.0] * self.episodes, diverged_episodes=0)

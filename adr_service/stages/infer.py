@@ -15,7 +15,7 @@ from adr_service.methods.base import (
 )
 from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
-from adr_service.stages.base import Belief, Cost, Machine, Result, Role, Stage
+from adr_service.stages.base import Belief, CoreSpeed, Cost, Result, Role, Stage
 from adr_service.stages.stand_ins import gaussian
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.training.policy import Policy
@@ -44,7 +44,7 @@ class Infer(Stage[Inferred]):
     role: ClassVar[Role] = "inference"
     result: ClassVar = Inferred
 
-    variant: str
+    variant: str  # a domain; the field's name is part of the digest
     seed: int
     method: MethodSettings
     method_package: str | None = None
@@ -60,7 +60,7 @@ class Infer(Stage[Inferred]):
     def compute(self, rng: np.random.Generator, progress: Progress) -> Inferred:
         problem = Problem(get_task(self.task), source_of(self.task, self.variant))
         data = TransitionDataset.from_npz(self.data)
-        if self.policy is None or self.state is None:
+        if self.method.learns_from == "recordings":
             offline = cast(OfflineSettings, self.method).create()
             estimate = offline.fit(problem, data, rng, progress)
             return Inferred(
@@ -68,6 +68,8 @@ class Infer(Stage[Inferred]):
                 simulated_steps=estimate.simulated_steps,
                 diagnostics=estimate.diagnostics,
             )
+        assert self.policy is not None, "an online method learns from a visit of its policy"
+        assert self.state is not None, "an online method has a state"
         online = cast(OnlineSettings, self.method).create()
         evidence = Evidence(Policy.from_bytes(self.policy), data)
         update = online.tell(problem, self.state, evidence, rng, progress)
@@ -81,11 +83,11 @@ class Infer(Stage[Inferred]):
     def events(self, result: Inferred) -> list[RunEvent]:
         return []
 
-    def cost(self, machine: Machine) -> Cost:
+    def cost(self, speed: CoreSpeed) -> Cost:
         settings = cast(OfflineSettings | OnlineSettings, self.method)
         transitions = len(TransitionDataset.from_npz(self.data))
         steps = settings.planned_steps(len(self.space), transitions)
-        return Cost(steps / machine.steps_per_second(self.task))
+        return Cost(steps / speed.steps_per_second(self.task))
 
     def stand_in(self) -> Inferred:
         grid = self.method.grid

@@ -12,7 +12,7 @@ from adr_service.methods.bayrn import propose
 from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
 from adr_service.randomness import stream
-from adr_service.stages.base import Belief, Cost, Machine, Result, Role, Stage
+from adr_service.stages.base import Belief, CoreSpeed, Cost, Result, Role, Stage
 from adr_service.tasks.catalogue import source_of
 
 _FIT_S = 4.0  # of the Gaussian process and its acquisition, with the import of BoTorch
@@ -36,7 +36,7 @@ class Propose(Stage[Proposed]):
     role: ClassVar[Role] = "inference"
     result: ClassVar = Proposed
 
-    variant: str
+    variant: str  # a domain; the field's name is part of the digest
     seed: int
     method: MethodSettings
     method_package: str | None = None
@@ -64,7 +64,7 @@ class Propose(Stage[Proposed]):
     def events(self, result: Proposed) -> list[RunEvent]:
         return []
 
-    def cost(self, machine: Machine) -> Cost:
+    def cost(self, speed: CoreSpeed) -> Cost:
         return Cost(_FIT_S)
 
     def stand_in(self) -> Proposed:

@@ -12,7 +12,7 @@ from adr_service.npz import read_arrays
 from adr_service.progress import Progress
 from adr_service.simulation.batch import control_period
 from adr_service.simulation.replay import check_recorded
-from adr_service.stages.base import Cost, Machine, Result, Role, Stage
+from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage
 from adr_service.stages.stand_ins import trajectory
 from adr_service.tasks.catalogue import get_task
 from adr_service.transitions import TransitionDataset
@@ -50,7 +50,7 @@ class TargetEpisode(Stage[RobotEpisode]):
     def events(self, result: RobotEpisode) -> list[RunEvent]:
         return []
 
-    def cost(self, machine: Machine) -> Cost:
+    def cost(self, speed: CoreSpeed) -> Cost:
         metered = 0 if self.purpose == "evaluation" else self.transitions
         period = control_period(get_task(self.task))
         return Cost(self.transitions * period, target_transitions=metered)

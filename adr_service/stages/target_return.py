@@ -9,7 +9,7 @@ from pydantic import Field
 from adr_service.events import RunEvent
 from adr_service.progress import Progress
 from adr_service.simulation.target import simulate_evaluation
-from adr_service.stages.base import Cost, Machine, Result, Role, Stage
+from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage
 from adr_service.tasks.catalogue import get_task
 from adr_service.training.policy import Policy
 
@@ -30,7 +30,7 @@ class TargetReturn(Stage[EpisodeReturn]):
     role: ClassVar[Role] = "target"
     result: ClassVar = EpisodeReturn
 
-    variant: str
+    variant: str  # a domain; the field's name is part of the digest
     iteration: int
     seed: int
     policy: bytes
@@ -44,9 +44,9 @@ class TargetReturn(Stage[EpisodeReturn]):
     def events(self, result: EpisodeReturn) -> list[RunEvent]:
         return []
 
-    def cost(self, machine: Machine) -> Cost:
+    def cost(self, speed: CoreSpeed) -> Cost:
         horizon = get_task(self.task).horizon
-        return Cost(horizon / machine.steps_per_second(self.task), target_transitions=horizon)
+        return Cost(horizon / speed.steps_per_second(self.task), target_transitions=horizon)
 
     def stand_in(self) -> EpisodeReturn:
         return EpisodeReturn(earned=0.0, transitions=get_task(self.task).horizon)

@@ -9,7 +9,7 @@ from adr_service.events import RunEvent
 from adr_service.progress import Progress
 from adr_service.simulation.rollout import random_actions
 from adr_service.simulation.target import simulate_rollout
-from adr_service.stages.base import Cost, Machine, Result, Role, Stage
+from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage
 from adr_service.stages.stand_ins import trajectory
 from adr_service.tasks.catalogue import get_task
 from adr_service.training.policy import Policy
@@ -31,7 +31,7 @@ class TargetRollout(Stage[Rollout]):
     role: ClassVar[Role] = "target"
     result: ClassVar = Rollout
 
-    variant: str
+    variant: str  # a domain; the field's name is part of the digest
     transitions: int
     iteration: int
     seed: int
@@ -46,8 +46,8 @@ class TargetRollout(Stage[Rollout]):
     def events(self, result: Rollout) -> list[RunEvent]:
         return []
 
-    def cost(self, machine: Machine) -> Cost:
-        seconds = self.transitions / machine.steps_per_second(self.task)
+    def cost(self, speed: CoreSpeed) -> Cost:
+        seconds = self.transitions / speed.steps_per_second(self.task)
         return Cost(seconds, target_transitions=self.transitions)
 
     def stand_in(self) -> Rollout:

@@ -9,7 +9,7 @@ import numpy as np
 from adr_service.distributions import Distribution
 from adr_service.events import RunEvent, TrainingEvaluated
 from adr_service.progress import Checkpoint, Progress
-from adr_service.stages.base import Cost, Machine, Result, Role, Stage
+from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage
 from adr_service.startup_time import preparing
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.training.curve import Evaluation
@@ -45,7 +45,7 @@ class TrainPolicy(Stage[TrainedPolicy]):
     role: ClassVar[Role] = "trainer"
     result: ClassVar = TrainedPolicy
 
-    variant: str
+    variant: str  # a domain; the field's name is part of the digest
     seed: int
     distribution: Distribution
     training: TrainingSettings
@@ -74,7 +74,7 @@ class TrainPolicy(Stage[TrainedPolicy]):
     def events(self, result: TrainedPolicy) -> list[RunEvent]:
         return self._evaluated(result.curve)
 
-    def cost(self, machine: Machine) -> Cost:
+    def cost(self, speed: CoreSpeed) -> Cost:
         settings, task = self.training, get_task(self.task)
         assert settings.backend is not None, "validation has chosen one"
         fixed, proportional = _UPDATE_S[settings.backend]
@@ -85,7 +85,7 @@ class TrainPolicy(Stage[TrainedPolicy]):
         simulated = settings.max_steps + evaluations * settings.evaluation_episodes * task.horizon
         updating = rounds * (settings.gradient_steps * update + _VECTOR_STEP_S)
         return Cost(
-            seconds=simulated / machine.steps_per_second(self.task) + updating,
+            seconds=simulated / speed.steps_per_second(self.task) + updating,
             environment_steps=settings.max_steps,
             policy_bytes=settings.policy_bytes(len(task.columns), len(task.action_low)),
         )

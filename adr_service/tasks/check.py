@@ -24,11 +24,29 @@ def check_task(entry: Entry) -> None:
     try:
         if not entry.variants:
             raise InvalidInput("it has no variant; at least one is needed")
+        _check_vanilla(entry)
         for variant in entry.variants.values():
             _check_source(task, variant.source, variant.truth)
             _check_source(task, variant.hidden.source, variant.hidden.values)
     except InvalidInput as error:
         raise InvalidInput(f"task {task.name!r}: {error}") from error
+
+
+def _check_vanilla(entry: Entry) -> None:
+    """Raise InvalidInput unless the oracle can be trained: on the vanilla source, which can be the
+    truth of every variant."""
+    if "vanilla" not in entry.variants:
+        raise InvalidInput(
+            "it has no variant 'vanilla', on whose source the oracle is trained; it has "
+            f"{', '.join(entry.variants)}"
+        )
+    space = entry.variants["vanilla"].source.space
+    for name, variant in entry.variants.items():
+        if variant.hidden.source.space != space:
+            raise InvalidInput(
+                f"the truth of the variant {name!r} is not over the parameters of the source of "
+                f"'vanilla', which are {', '.join(space.names)}"
+            )
 
 
 def _check_source(task: Task, source: Source, values: Vector) -> None:

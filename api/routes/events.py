@@ -1,16 +1,13 @@
 """/v1/runs/{id}/events: the events of a run, page by page or as they happen."""
 
 from collections.abc import AsyncIterable
-from datetime import datetime
 from functools import partial
 from typing import Annotated
 
 import anyio
 from fastapi import APIRouter, Depends, Header, Query
 from fastapi.sse import EventSourceResponse, ServerSentEvent
-from pydantic import BaseModel
 
-from adr_service.events import RunEvent
 from api.routes.paging import Page, PageSize, page_of
 from api.routes.polling import EVERY_S
 from api.service import ServiceDependency
@@ -20,16 +17,6 @@ from db.events import EventRecord
 
 router = APIRouter(prefix="/v1/runs", tags=["runs"])
 _STREAMED = 500  # events at once
-
-
-class EventView(BaseModel):
-    seq: int
-    created_at: datetime
-    event: RunEvent
-
-
-def event_view(record: EventRecord) -> EventView:
-    return EventView(seq=record.seq, created_at=record.created_at, event=record.event)
 
 
 def _existing(run_id: str, service: ServiceDependency) -> str:
@@ -51,10 +38,10 @@ def events(
     service: ServiceDependency,
     after: Annotated[int, Query(ge=0, lt=2**63)] = 0,
     limit: PageSize = 100,
-) -> Page[EventView]:
+) -> Page[EventRecord]:
     """Events with a sequence number above `after`."""
     records = event_store.events_of(service.database, run_id, after=after, limit=limit + 1)
-    return page_of(records, limit, event_view, lambda record: record.seq)
+    return page_of(records, limit, lambda record: record, lambda record: record.seq)
 
 
 @router.get("/{run_id}/events/stream", response_class=EventSourceResponse)
@@ -71,7 +58,7 @@ async def stream(
         records = await anyio.to_thread.run_sync(page)
         for record in records:
             seen = record.seq
-            yield ServerSentEvent(id=str(seen), event=record.event.type, data=event_view(record))
+            yield ServerSentEvent(id=str(seen), event=record.event.type, data=record)
         if run.is_finished and len(records) < _STREAMED:
             yield ServerSentEvent(event="end", data={"state": run.state})
             return

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Response
 from pydantic import BaseModel
 
 from adr_service.events import StageFinished, TrainingEvaluated
+from adr_service.training.curve import Evaluation
 from api.routes.downloads import bytes_response
 from api.service import ServiceDependency
 from db import events as event_store
@@ -16,29 +17,23 @@ from db.events import EventRecord
 router = APIRouter(prefix="/v1/runs", tags=["runs"])
 
 
-class CurvePoint(BaseModel):
-    steps: int
-    mean_return: float  # on the source distribution
-    standard_error: float
-
-
 class TrainingView(BaseModel):
     """A policy's training, finished or not."""
 
     digest: str
     is_finished: bool
-    curve: list[CurvePoint]
+    curve: list[Evaluation]
     links: dict[str, str]
 
 
 def training_views(run_id: str, records: Sequence[EventRecord]) -> list[TrainingView]:
     """Return the trainings of a run, in the order of their first evaluation."""
-    curves: dict[str, list[CurvePoint]] = {}
+    curves: dict[str, list[Evaluation]] = {}
     finished: set[str] = set()
     for event in (record.event for record in records):
         if isinstance(event, TrainingEvaluated):
-            point = event.model_dump(include=set(CurvePoint.model_fields))
-            curves.setdefault(event.digest, []).append(CurvePoint(**point))
+            point = event.model_dump(include=set(Evaluation.model_fields))
+            curves.setdefault(event.digest, []).append(Evaluation(**point))
         elif isinstance(event, StageFinished):
             finished.add(event.digest)
     return [

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adr_service.benchmark.comparison import Cost, ParameterEstimate, Row
+from adr_service.benchmark.comparison import InferenceCost, ParameterEstimate, Row
 from adr_service.benchmark.plots import (
     plot_collection,
     plot_cost,
@@ -32,7 +32,7 @@ def estimate(**changes):
 def cost(**changes):
     given = {"task": "arm", "variant": "vanilla", "method": "dropo", "collector": "simopt"}
     given |= {"iteration": 1, "seeds": 2, "inference_steps": 500.0, "inference_seconds": 2.0}
-    return Cost(**{**given, **changes})
+    return InferenceCost(**{**given, **changes})
 
 
 def titles(figure):

@@ -70,7 +70,11 @@ def test_a_strong_prior_keeps_a_column_where_it_was(linear):
 
 def test_settling_all_columns_gains_at_least_as_much_as_some(linear):
     normal = normal_of(linear)
-    assert normal.settled() > normal.settled(slice(0, 1)) > normal.log_likelihood.sum()
+    assert (
+        normal.best_log_likelihood()
+        > normal.best_log_likelihood(slice(0, 1))
+        > normal.log_likelihood.sum()
+    )
 
 
 def test_the_inverse_of_a_column_without_information_is_zero():

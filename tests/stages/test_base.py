@@ -6,10 +6,19 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from adr_service.benchmark.plan import ThisMachine
+from adr_service.benchmark.plan import MeasuredSpeed
 from adr_service.distributions import Uniform
 from adr_service.parameters import ParameterSpace
-from adr_service.stages.base import Belief, Cost, Machine, Result, Role, Stage, StageResult, compute
+from adr_service.stages.base import (
+    Belief,
+    CoreSpeed,
+    Cost,
+    Result,
+    Role,
+    Stage,
+    StageResult,
+    compute,
+)
 from adr_service.stages.local import LocalStages
 from adr_service.tasks.catalogue import source_of
 from db import runs
@@ -53,8 +62,8 @@ class ThrowDice(Stage[Dice]):
     def events(self, result: Dice) -> list[Any]:
         return []
 
-    def cost(self, machine: Machine) -> Cost:
-        return Cost(self.count / machine.steps_per_second(self.task))
+    def cost(self, speed: CoreSpeed) -> Cost:
+        return Cost(self.count / speed.steps_per_second(self.task))
 
     def stand_in(self) -> Dice:
         space = self.space
@@ -73,7 +82,7 @@ def test_a_kind_of_stage_needs_its_file_alone_to_run():
 
 
 def test_a_kind_of_stage_needs_its_file_alone_to_be_priced():
-    assert STAGE.cost(ThisMachine()).seconds > 0
+    assert STAGE.cost(MeasuredSpeed()).seconds > 0
 
 
 def test_a_kind_of_stage_needs_its_file_alone_to_be_stored(file_database):
