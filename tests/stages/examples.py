@@ -1,4 +1,4 @@
-"""Small stages, told from others of their kind by a number."""
+"""Small stages, each with a number that sets it apart from others of its kind."""
 
 from adr_service.programs.references import truth_of
 from adr_service.specs import RunSpec
@@ -54,3 +54,13 @@ def episode(run_id="run_a", number=0):
 def criticism(seed=0):
     """A stage of the role `inference`."""
     return Criticise(task="arm", variant="vanilla", seed=seed, data=b"measured")
+
+
+class Speed:
+    """A core of a known speed."""
+
+    def __init__(self, rate=1000.0):
+        self.rate = rate
+
+    def steps_per_second(self, task):
+        return self.rate

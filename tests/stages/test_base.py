@@ -12,6 +12,7 @@ from adr_service.parameters import ParameterSpace
 from adr_service.stages.base import Belief, Cost, Machine, Result, Role, Stage, StageResult, compute
 from adr_service.stages.local import LocalStages
 from adr_service.tasks.catalogue import source_of
+from tests.generators import drained
 
 
 class Dice(Result):
@@ -58,14 +59,6 @@ class ThrowDice(Stage[Dice]):
 
 
 STAGE = ThrowDice(task="arm", count=5)
-
-
-def drained(program):
-    while True:
-        try:
-            next(program)
-        except StopIteration as stop:
-            return stop.value
 
 
 def test_a_kind_of_stage_needs_its_file_alone_to_run():
