@@ -1,5 +1,6 @@
 """Small stages, each with a number that sets it apart from others of its kind."""
 
+from adr_service.effects.base import Effect, domain_of
 from adr_service.programs.references import truth_of
 from adr_service.specs import RunSpec
 from adr_service.stages.criticise import Criticise
@@ -7,6 +8,11 @@ from adr_service.stages.evaluate import Evaluate
 from adr_service.stages.target_episode import TargetEpisode
 from adr_service.stages.target_rollout import TargetRollout
 from adr_service.stages.train_policy import TrainPolicy
+
+UNSTABLE = {
+    "task": "half_cheetah",  # which ends no episode itself
+    "variant": domain_of("vanilla", [Effect("joint_spring", "joint:bthigh", (-1e4,))]),
+}
 
 
 def training(seed=0, **changes):
