@@ -58,7 +58,9 @@ class Settings(BaseSettings):
     dashboard: bool = True
     ray_dashboard_url: str = Field("", description="where browsers reach it, if not where Ray says")
     log_format: LogFormat = Field("text", description="of the log: text, or json, a line each")
-    lease_s: float = Field(60.0, ge=1, le=3600, description="seconds until a silent robot loses its task")
+    lease_s: float = Field(
+        60.0, ge=1, le=3600, description="seconds until a silent robot loses its task"
+    )
 
     @model_validator(mode="after")
     def _loopback_or_token(self) -> Self:

@@ -27,6 +27,13 @@ def waving_policy(seed=3):
     return Policy(layers, "tanh", ARM.action_low, ARM.action_high)
 
 
+def still_policy(task):
+    """A policy whose action is always the middle of its range."""
+    weights = np.zeros((len(task.action_low), len(task.columns)), dtype=np.float32)
+    layers = ((weights, np.zeros(len(weights), dtype=np.float32)),)
+    return Policy(layers, "tanh", task.action_low, task.action_high)
+
+
 def recorded(policy, dynamics=PLANTED, episodes=1, steps=120, noise=0.0, seed=0):
     """Recordings of the policy on targets with these dynamics, (d,) or (episodes, d)."""
     rng = np.random.default_rng(seed)

@@ -4,7 +4,8 @@ from adr_service.errors import BudgetExceeded
 from adr_service.stages.local import LocalStages
 from adr_service.target import Target, open_target
 from tests.contracts.canned import CannedStages
-from tests.programs.smoke import drained, executed, iterations, smoke
+from tests.generators import drained
+from tests.programs.smoke import executed, iterations, smoke
 
 
 def test_a_target_counts_and_refuses_a_rollout_over_the_budget():

@@ -1,7 +1,7 @@
 """Checks of claims: each judges some cells by their intervals, and says the numbers.
 
     check = higher(Cell("hopper", "vanilla", "dropo"), Cell("hopper", "vanilla", "udr"))
-    verdict, evidence = check(measured)
+    verdict, evidence = check(Measured(outcomes))
 
 A comparison is supported or contradicted by its 95 % interval, and undecided if the interval does
 not settle it or if only one seed was run. A check without an interval (widths, costs) must hold

@@ -86,7 +86,8 @@ def _return_of(rewards: np.ndarray | None, steps: int) -> float:
     if rewards is None or rewards.dtype.kind not in "iuf" or rewards.shape != (steps,):
         given = "nothing" if rewards is None else f"{rewards.dtype} {rewards.shape}"
         raise InvalidInput(f"rewards must be ({steps},) numbers; given {given}")
-    earned = float(np.sum(rewards, dtype=np.float64))
+    with np.errstate(over="ignore", invalid="ignore"):  # the sum is refused below
+        earned = float(np.sum(rewards, dtype=np.float64))
     if not np.isfinite(earned):
         raise InvalidInput("rewards must be finite, and their sum")
     return earned

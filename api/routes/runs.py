@@ -77,7 +77,9 @@ def list_runs(
 async def get_run(
     run_id: str,
     service: ServiceDependency,
-    wait: Annotated[float, Query(ge=0, le=20, description="seconds to wait for another state")] = 0.0,
+    wait: Annotated[
+        float, Query(ge=0, le=20, description="seconds to wait for another state")
+    ] = 0.0,
 ) -> RunView:
     """State of a run; `wait` delays the answer until the state changes or the run ends."""
     record = first = await anyio.to_thread.run_sync(run_store.get_run, service.database, run_id)

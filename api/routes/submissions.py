@@ -18,7 +18,11 @@ from db.runs import RunRecord
 
 IdempotencyKey = Annotated[
     str | None,
-    Header(min_length=1, max_length=200, description="a request with the same key makes nothing new for a day"),
+    Header(
+        min_length=1,
+        max_length=200,
+        description="a request with the same key makes nothing new for a day",
+    ),
 ]
 
 

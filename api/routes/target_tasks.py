@@ -69,7 +69,9 @@ class Claim(Wire):
 
     worker: _Name
     tasks: list[_Name] = Field(min_length=1, max_length=100)
-    wait_s: float = Field(0.0, ge=0, le=20, description="seconds to wait for a task if none is free")
+    wait_s: float = Field(
+        0.0, ge=0, le=20, description="seconds to wait for a task if none is free"
+    )
 
 
 class Heartbeat(Wire):

@@ -11,6 +11,7 @@ from adr_service.programs import run
 from adr_service.specs import CriticismSpec, RunSpec
 from adr_service.stages.base import PRIORITY, Stage, events_of
 from tests.contracts.canned import CannedStages, canned
+from tests.stages.examples import Speed
 
 SMALL = {"task": "arm", "preset": "smoke", "training": {"backend": "sb3"}}
 
@@ -40,16 +41,6 @@ def examples():
 
 
 EXAMPLES = examples()
-
-
-class Speed:
-    """A core of a known speed."""
-
-    def __init__(self, rate=1000.0):
-        self.rate = rate
-
-    def steps_per_second(self, task):
-        return self.rate
 
 
 def kinds(stage: type[Stage] = Stage):

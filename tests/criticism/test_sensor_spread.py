@@ -4,12 +4,12 @@ import io
 
 import numpy as np
 import pytest
-from api.display import verdict_table
 from rich.console import Console
 
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.sensor_spread import lattice
+from api.cli.verdict_table import verdict_table
 from tests.hidden import arm
 
 

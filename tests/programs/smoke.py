@@ -15,12 +15,3 @@ def iterations(spec, stages):
 
 def executed(stages, kind):
     return [stage for stage in stages.executed if stage.kind == kind]
-
-
-def drained(program):
-    """The return value of a generator."""
-    while True:
-        try:
-            next(program)
-        except StopIteration as stop:
-            return stop.value

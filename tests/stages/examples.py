@@ -1,5 +1,6 @@
-"""Small stages, told from others of their kind by a number."""
+"""Small stages, each with a number that sets it apart from others of its kind."""
 
+from adr_service.effects.base import Effect, domain_of
 from adr_service.programs.references import truth_of
 from adr_service.specs import RunSpec
 from adr_service.stages.criticise import Criticise
@@ -7,6 +8,11 @@ from adr_service.stages.evaluate import Evaluate
 from adr_service.stages.target_episode import TargetEpisode
 from adr_service.stages.target_rollout import TargetRollout
 from adr_service.stages.train_policy import TrainPolicy
+
+UNSTABLE = {
+    "task": "half_cheetah",  # which ends no episode itself
+    "variant": domain_of("vanilla", [Effect("joint_spring", "joint:bthigh", (-1e4,))]),
+}
 
 
 def training(seed=0, **changes):
@@ -54,3 +60,13 @@ def episode(run_id="run_a", number=0):
 def criticism(seed=0):
     """A stage of the role `inference`."""
     return Criticise(task="arm", variant="vanilla", seed=seed, data=b"measured")
+
+
+class Speed:
+    """A core of a known speed."""
+
+    def __init__(self, rate=1000.0):
+        self.rate = rate
+
+    def steps_per_second(self, task):
+        return self.rate

@@ -19,19 +19,13 @@ from adr_service.stages.local import LocalStages
 from adr_service.training.policy import Policy
 from tests.service import until
 from tests.stages.examples import evaluation, training
+from tests.workers.marks import RAY
 from tests.workers.stores import Store
 from workers.cluster import RayOptions
 from workers.dispatcher import Dispatcher
 from workers.ray_stages import RayStages
 
-pytestmark = [
-    pytest.mark.ray,
-    # Ray and its own libraries
-    pytest.mark.filterwarnings("ignore::ResourceWarning"),
-    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
-    pytest.mark.filterwarnings("ignore::FutureWarning"),
-    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
-]
+pytestmark = RAY
 
 
 def long_training(seed):
@@ -39,13 +33,16 @@ def long_training(seed):
 
 
 @pytest.fixture(scope="module")
-def started(tmp_path_factory):
+def started(ray_folder):
     """A dispatcher on two cores, and its store."""
     store = Store()
-    folder = tmp_path_factory.mktemp("ray")
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     options = RayOptions(
-        cpus=2, dashboard=False, compile_cache=folder / "jax", folder=folder, keep_idle_s=8
+        cpus=2,
+        dashboard=False,
+        compile_cache=ray_folder / "jax",
+        folder=ray_folder,
+        keep_idle_s=8,
     )
     dispatcher = Dispatcher(options, store)
     dispatcher.start()

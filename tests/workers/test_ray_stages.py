@@ -7,6 +7,7 @@ import pytest
 
 from adr_service.errors import RunCancelled, StageFailed
 from adr_service.stages.base import StageResult
+from tests.generators import collect
 from tests.stages.examples import evaluation
 from workers.cluster import ClusterUnavailable
 from workers.ray_stages import RayStages
@@ -34,16 +35,6 @@ class Answers:
 
 def result(seed):
     return StageResult({"returns": [float(seed)], "diverged_episodes": 0})
-
-
-def collect(program):
-    """The events of a program, and its value."""
-    events = []
-    while True:
-        try:
-            events.append(next(program))
-        except StopIteration as end:
-            return events, end.value
 
 
 @pytest.fixture

@@ -1,0 +1,16 @@
+"""Running a generator to its end."""
+
+
+def collect(program):
+    """The values that a generator yields, and the value that it returns."""
+    values = []
+    while True:
+        try:
+            values.append(next(program))
+        except StopIteration as end:
+            return values, end.value
+
+
+def drained(program):
+    """The return value of a generator."""
+    return collect(program)[1]

@@ -1,0 +1,93 @@
+"""Inferences as stages, of an offline and of an online method."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adr_service.distributions import Gaussian, Uniform
+from adr_service.errors import InvalidInput
+from adr_service.methods.dropo import DropoSettings
+from adr_service.methods.simopt import SimOpt, SimOptSettings
+from adr_service.methods.sysid import SysidSettings
+from adr_service.stages.base import compute
+from adr_service.stages.infer import Infer
+from tests.planted import PLANTED, PROBLEM, SPACE, distance, recorded, waving_policy
+from tests.stages.examples import Speed
+
+SIMOPT = SimOptSettings(updates=1, samples=10)
+OFFLINE = Infer(
+    task="arm",
+    variant="vanilla",
+    seed=0,
+    method=SysidSettings(starts=1, iterations=10),
+    data=recorded(waving_policy(), steps=20).to_npz(),
+)
+ONLINE = replace(
+    OFFLINE,
+    method=SIMOPT,
+    state=SimOpt(SIMOPT).start(PROBLEM),
+    policy=waving_policy().to_bytes(),
+)
+
+
+@pytest.fixture(scope="module")
+def offline():
+    return OFFLINE.read(compute(OFFLINE))
+
+
+@pytest.fixture(scope="module")
+def online():
+    return ONLINE.read(compute(ONLINE))
+
+
+def test_an_offline_method_answers_in_the_space_of_its_variant(offline):
+    assert isinstance(offline.distribution, Uniform)
+    assert offline.distribution.space == OFFLINE.space == SPACE
+    assert distance(offline.distribution.mean) < distance(Gaussian.prior(SPACE).mean)
+    np.testing.assert_allclose(offline.distribution.mean, PLANTED, rtol=0.05)
+
+
+def test_an_offline_method_has_no_state_and_an_online_one_has(offline, online):
+    assert offline.state is None
+    assert online.state is not None
+    assert online.state != ONLINE.state
+
+
+def test_an_online_method_answers_with_the_distribution_of_its_new_state(online):
+    asked = SimOpt(SIMOPT).ask(PROBLEM, online.state)
+    assert online.distribution.to_json() == asked.to_json()
+
+
+def test_the_next_inference_goes_on_from_the_new_state(online):
+    following = replace(ONLINE, state=online.state)
+    second = following.read(compute(following))
+    assert second.distribution.to_json() != online.distribution.to_json()
+
+
+@pytest.mark.parametrize("stage", [OFFLINE, ONLINE], ids=["offline", "online"])
+def test_its_cost_covers_what_it_simulates(stage, request):
+    result = request.getfixturevalue("offline" if stage is OFFLINE else "online")
+    planned = stage.cost(Speed(1.0)).seconds
+    assert 0 < result.simulated_steps <= planned
+    assert stage.cost(Speed(10.0)).seconds == pytest.approx(planned / 10)
+
+
+def test_more_data_cost_more():
+    longer = replace(OFFLINE, data=recorded(waving_policy(), steps=40).to_npz())
+    assert longer.cost(Speed()).seconds > OFFLINE.cost(Speed()).seconds
+
+
+def test_a_stand_in_has_a_state_only_after_a_state():
+    assert OFFLINE.stand_in().state is None
+    assert ONLINE.stand_in().state is not None
+
+
+def test_a_stand_in_has_the_criterion_by_which_a_grid_is_decided():
+    gridded = replace(OFFLINE, method=DropoSettings())
+    assert DropoSettings.grid.criterion in gridded.stand_in().diagnostics
+
+
+def test_data_that_are_no_recording_are_refused():
+    with pytest.raises(InvalidInput, match=r"not a readable \.npz"):
+        compute(replace(OFFLINE, data=b"measured"))

@@ -1,0 +1,57 @@
+"""Proposals of BayRn as stages."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adr_service.distributions import Uniform
+from adr_service.methods.bayrn import BayRnSettings
+from adr_service.methods.udr import UdrSettings, random_bounds
+from adr_service.randomness import stream
+from adr_service.stages.base import compute
+from adr_service.stages.propose import Propose
+from tests.planted import SPACE
+from tests.stages.examples import Speed
+
+RETURNS = [0.0, 5.0, 1.0, 2.0]
+STAGE = Propose(
+    task="arm",
+    variant="vanilla",
+    seed=0,
+    method=BayRnSettings(initial=4),
+    distributions=random_bounds(SPACE, UdrSettings(policies=4), stream("boxes")),
+    returns=RETURNS,
+)
+
+
+@pytest.fixture(scope="module")
+def proposed():
+    return STAGE.read(compute(STAGE))
+
+
+def test_the_next_distribution_is_new_and_in_the_space_of_the_variant(proposed):
+    assert isinstance(proposed.distribution, Uniform)
+    assert proposed.distribution.space == STAGE.space == SPACE
+    known = [box.to_json() for box in STAGE.distributions]
+    assert proposed.distribution.to_json() not in known
+
+
+def test_the_best_is_the_one_with_the_highest_posterior_mean(proposed):
+    means = proposed.diagnostics["posterior_means"]
+    assert proposed.best == np.argmax(means) == np.argmax(RETURNS)
+    assert proposed.diagnostics["reported"] == proposed.best
+    assert proposed.diagnostics["returns_seen"] == RETURNS
+
+
+def test_it_simulates_nothing_and_costs_the_same_on_any_core(proposed):
+    assert proposed.simulated_steps == 0
+    slow, fast = (STAGE.cost(Speed(rate)) for rate in (1.0, 1e6))
+    assert slow == fast
+    assert slow.target_transitions == 0
+
+
+def test_a_stand_in_reports_the_latest_and_differs_by_digest():
+    other = replace(STAGE, seed=1)
+    assert STAGE.stand_in().best == len(RETURNS) - 1
+    assert STAGE.stand_in().distribution.to_json() != other.stand_in().distribution.to_json()

@@ -1,0 +1,115 @@
+"""A process that computes stages: each ending is a value, and signs of life go to the board."""
+
+import time
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import pytest
+import ray
+
+from adr_service.progress import Checkpoint
+from adr_service.stages.base import Cost, Result, Stage, compute
+from tests.db.rows import UNMEASURED
+from tests.planted import waving_policy
+from tests.stages.examples import evaluation
+from tests.workers.marks import RAY
+from workers.actors import Failed, Finished, StageActor, Stopped
+from workers.heartbeats import Board
+
+pytestmark = RAY
+PLACED = replace(UNMEASURED, attempt=3, cores=2)
+
+
+class Nothing(Result):
+    pass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wait(Stage[Nothing]):
+    """Report progress until it is stopped, or divide by zero."""
+
+    kind: ClassVar = "wait"
+    version: ClassVar = 1
+    role: ClassVar = "inference"
+    result: ClassVar = Nothing
+
+    divides: bool
+
+    def compute(self, rng, progress):
+        progress(0.5, checkpoint=Checkpoint(10, b"weights", ()), steps=10)
+        while not self.divides:
+            time.sleep(0.01)
+            progress(0.75)
+        return 1 / 0
+
+    def events(self, result):
+        return []
+
+    def cost(self, machine):
+        return Cost(0.0)
+
+    def stand_in(self):
+        return Nothing()
+
+
+@pytest.fixture
+def board(cluster):
+    board = ray.remote(Board).options(num_cpus=0).remote()
+    yield board
+    ray.kill(board)
+
+
+@pytest.fixture
+def actor():
+    return StageActor()
+
+
+def test_a_result_comes_with_its_measured_execution(actor, board):
+    stage = evaluation(policy=waving_policy().to_bytes())
+    before = time.time()
+    ending = actor.compute(stage, PLACED, board)
+    assert isinstance(ending, Finished)
+    assert ending.result == compute(stage)
+    execution = ending.execution
+    assert before <= execution.began <= execution.ended <= time.time()
+    assert 0 <= execution.preparing <= execution.cpu
+    assert {"python", "cpu", "mujoco", "numpy"} <= set(execution.provenance)
+
+
+def test_an_execution_keeps_the_dispatchers_part(actor, board):
+    stage = evaluation(policy=waving_policy().to_bytes())
+    first, second = (actor.compute(stage, PLACED, board).execution for _ in range(2))
+    for name in ("attempt", "started_by", "asked", "placed", "cores"):
+        assert getattr(first, name) == getattr(PLACED, name)
+    assert not second.is_first
+
+
+def test_an_error_of_ours_ends_as_its_code_and_its_message(actor, board):
+    ending = actor.compute(evaluation(policy=b"weights"), PLACED, board)
+    assert isinstance(ending, Failed)
+    assert ending.code == "invalid_input"
+    assert ending.message.startswith("not the bytes of a policy")
+
+
+def test_a_defect_ends_as_a_failure_with_the_place(actor, board):
+    ending = actor.compute(Wait(task="arm", divides=True), PLACED, board)
+    assert isinstance(ending, Failed)
+    assert ending.code == "internal"
+    assert ending.message.startswith("ZeroDivisionError: division by zero\n")
+    assert "return 1 / 0" in ending.message
+
+
+def test_a_stage_that_no_run_wants_is_stopped(actor, board):
+    stage = Wait(task="arm", divides=False)
+    ray.get(board.set_unwanted.remote(stage.digest, True))
+    assert actor.compute(stage, PLACED, board) == Stopped()
+
+
+def test_signs_of_life_have_the_progress_and_the_last_checkpoint(actor, board):
+    stage = Wait(task="arm", divides=False)
+    ray.get(board.set_unwanted.remote(stage.digest, True))
+    actor.compute(stage, PLACED, board)
+    (sign,), checkpoints = ray.get(board.news.remote())
+    assert sign.digest == stage.digest
+    assert 0 <= sign.fraction <= 0.75
+    assert set(checkpoints) <= {stage.digest}

@@ -1,0 +1,77 @@
+"""Cores and the actors on them: one busy actor per core, and warm ones first."""
+
+import pytest
+import ray
+
+from tests.workers.marks import RAY
+from workers.pool import Actor, Core, Pool
+
+pytestmark = RAY
+
+
+@pytest.fixture
+def run_id(request):
+    """An id of each test's own, because Ray frees the name of a dead actor late."""
+    return f"run_{request.node.name}"
+
+
+@pytest.fixture
+def pool(cluster):
+    """A pool of two cores; its processes end with the cluster."""
+    return Pool(keep_idle_s=600.0)
+
+
+def test_a_core_is_warm_for_a_role_if_one_of_its_actors_can_compute_it():
+    core = Core("node")
+    assert core.warm("trainer") is None
+    core.actors["inference"] = inference = Actor("inference", "inference", None, core)
+    assert core.warm("inference") is core.warm("target") is inference
+    assert core.warm("trainer") is None
+
+
+def test_a_visit_prefers_an_inference_actor_and_takes_a_trainer():
+    core = Core("node")
+    core.actors["trainer"] = trainer = Actor("trainer", "trainer", None, core)
+    assert core.warm("target") is trainer
+    core.actors["inference"] = inference = Actor("inference", "inference", None, core)
+    assert core.warm("target") is inference
+
+
+def test_there_are_as_many_actors_at_work_as_cores(pool, run_id):
+    assert (len(pool), pool.nodes) == (2, 1)
+    first, second = (pool.take("trainer", run_id, None) for _ in range(2))
+    assert first.core is not second.core
+    assert pool.take("target", "run_b", None) is None
+    pool.give_back(first)
+    assert pool.take("trainer", "run_b", None) is first
+
+
+def test_an_actor_is_named_after_its_first_run_and_its_role(pool, run_id):
+    actor = pool.take("target", run_id, None)
+    assert actor.name.startswith(f"adr:{run_id}:inference:")
+    pool.give_back(actor)
+    assert pool.take("inference", "run_b", None) is actor
+
+
+def test_after_a_loss_another_actor_of_another_name_is_started(pool, run_id):
+    lost = pool.take("trainer", run_id, None)
+    pool.lose(lost)
+    following = pool.take("trainer", run_id, None)
+    assert following.name != lost.name
+
+
+def test_the_only_node_is_taken_though_it_should_be_avoided(pool, run_id):
+    """The stage would wait for ever."""
+    node = pool.take("trainer", run_id, None).core.node
+    assert pool.take("trainer", run_id, avoid=node).core.node == node
+
+
+def test_idle_actors_end_and_busy_ones_stay(cluster, run_id):
+    pool = Pool(keep_idle_s=0.0)
+    idle, busy = (pool.take("trainer", run_id, None) for _ in range(2))
+    pool.give_back(idle)
+    pool.refresh()
+    assert idle.core.actors == {}
+    assert busy.core.actors == {"trainer": busy}
+    with pytest.raises(ray.exceptions.RayActorError):
+        ray.get(idle.handle.__ray_ready__.remote())
