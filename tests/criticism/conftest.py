@@ -1,8 +1,14 @@
-"""Measurements that the tests of criticism share."""
+"""Measurements, fits and a criticism that the tests of criticism share."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from adr_service.criticism.evidence import fit, refine, smoothed
+from adr_service.criticism.pipeline import criticise
+from adr_service.criticism.simulator import Simulator
+from adr_service.effects.base import Effect
 from benchmarks.planted import draw_case, hide
 from tests.hidden import arm, recorded
 
@@ -18,3 +24,45 @@ def clean():
     """The arrays of an arm without any effect; noise of 1 mrad and 10 mrad/s."""
     task, nominal = arm()
     return recorded(hide(task, nominal, np.random.default_rng(403), []).episodes(range(12)))
+
+
+@pytest.fixture(scope="session")
+def friction():
+    """The effect that `hidden` hides."""
+    return Effect("joint_coulomb_friction", "joint:elbow", (0.1,))
+
+
+@pytest.fixture(scope="session")
+def hidden(friction):
+    """A measurement of an arm with friction at the elbow."""
+    return hide(*arm(), np.random.default_rng(404), [friction])
+
+
+@pytest.fixture(scope="session")
+def baseline(hidden):
+    """A fit without the friction, to the first twelve episodes."""
+    data = hidden.episodes(range(12))
+    sensor = data.sensor_variance()
+    with Simulator(arm()[1], data, threads=1, finer=3) as simulator:
+        yield smoothed(fit(simulator, sensor), sensor)
+
+
+@pytest.fixture(scope="session")
+def sensor(baseline):
+    """The variances of the baseline's sensors, all unknown."""
+    return baseline.simulator.data.sensor_variance()
+
+
+@pytest.fixture(scope="session")
+def refined(baseline, sensor, friction):
+    """A fit with the friction, from half of its strength."""
+    return refine(baseline, [replace(friction, values=(0.05,))], sensor)
+
+
+@pytest.fixture(scope="session")
+def criticism():
+    """A criticism that names one hidden effect, by twelve episodes."""
+    case = draw_case(*arm(), np.random.default_rng(100), 0.3)
+    return criticise(
+        case.nominal, case.measurement.episodes(range(12)), np.random.default_rng(0), threads=1
+    )

@@ -1,30 +1,17 @@
-"""Files of a criticism: the page, its figures, the verdict and the extended model."""
+"""Files of a criticism: the page, the verdict and the extended model."""
 
 import json
 from xml.etree import ElementTree
 
-import numpy as np
-import pytest
-
-from adr_service.criticism.figures import draw_all
-from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.report import FILES, files_of, report_page
-from benchmarks.planted import draw_case
-from tests.hidden import arm
-
-
-@pytest.fixture(scope="module")
-def criticism():
-    case = draw_case(*arm(), np.random.default_rng(100), 0.3)
-    return criticise(
-        case.nominal, case.measurement.episodes(range(12)), np.random.default_rng(0), threads=1
-    )
 
 
 def test_a_named_cause_has_all_files(criticism):
     files = files_of(criticism, "arm")
     assert tuple(files) == FILES
-    assert json.loads(files["verdict.json"])["version"] == 1
+    verdict = json.loads(files["verdict.json"])
+    assert verdict["version"] == 1
+    assert json.dumps(verdict, allow_nan=False)
     assert json.loads(files["effects.json"])["effects"][0]["kind"] in files["report.html"].decode()
     ElementTree.fromstring(files["extended.xml"])  # noqa: S314 - our own bytes
 
@@ -46,21 +33,3 @@ def test_the_page_names_each_cause_and_its_alternatives(criticism):
             assert each.kind.replace("_", " ") in page
     for strength in criticism.verdict.causes[0].strengths:
         assert strength.interval in page
-
-
-def test_figures_are_svg_and_those_of_causes_need_a_cause(criticism):
-    figures = draw_all(criticism)
-    assert list(figures) == ["where", "ranking", "residual", "horizons", "trace"]
-    assert all("<svg" in svg for svg in figures.values())
-
-
-def test_the_residual_counts_every_transition_once(criticism):
-    residual = criticism.verdict.residual
-    assert residual.used + residual.diverged == 9 * 75  # three of twelve episodes are sealed
-    assert set(residual.moved) == set(criticism.baseline.simulator.nominal.space.names)
-
-
-def test_the_gain_is_inside_its_interval(criticism):
-    gain = criticism.verdict.gain
-    assert gain.low < gain.sse_removed < gain.high <= 1
-    assert set(gain.horizons) == {1, 5, 25}

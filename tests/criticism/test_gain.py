@@ -1,0 +1,78 @@
+"""The worth of an effect on episodes that nothing was fitted to."""
+
+import json
+
+import numpy as np
+import pytest
+
+from adr_service.criticism.gain import measure_gain
+from adr_service.criticism.measurements import Measurement
+from tests.hidden import recorded
+
+
+def gained(before, after, sealed, seed=0):
+    return measure_gain(before, after, sealed, np.random.default_rng(seed), threads=1)
+
+
+@pytest.fixture(scope="module")
+def sealed(hidden):
+    return hidden.episodes(range(12, 20))
+
+
+@pytest.fixture(scope="module")
+def gain(baseline, refined, sealed):
+    """The gain of the effect that the data have."""
+    return gained(baseline, refined, sealed)
+
+
+def test_a_fit_gains_nothing_over_itself(baseline, hidden):
+    gain = gained(baseline, baseline, hidden.episodes(range(12, 16)))
+    assert (gain.sse_removed, gain.low, gain.high) == (0.0, 0.0, 0.0)
+    assert all(before == after for before, after in gain.horizons.values())
+    np.testing.assert_array_equal(gain.trace.without, gain.trace.extended)
+
+
+def test_the_true_effect_gains_on_sealed_episodes(gain):
+    assert gain.low > 0
+    assert gain.explainable_fraction > 0.5
+    assert gain.diverged == (0, 0)
+    assert set(gain.horizons) == {1, 5, 25}
+    without, extended = gain.horizons[25]  # one step is mostly noise
+    assert extended < without
+
+
+def test_the_loss_of_the_true_effect_is_no_gain(baseline, refined, sealed):
+    assert gained(refined, baseline, sealed).high < 0
+
+
+def test_the_interval_contains_the_value(gain):
+    assert gain.low < gain.sse_removed < gain.high <= 1
+
+
+def test_the_random_numbers_only_move_the_interval(baseline, refined, sealed, gain):
+    again, other = (gained(baseline, refined, sealed, seed) for seed in (0, 1))
+    assert (again.low, again.high) == (gain.low, gain.high)
+    assert (other.low, other.high) != (gain.low, gain.high)
+    assert other.sse_removed == gain.sse_removed
+    assert other.horizons == gain.horizons
+
+
+def test_the_trace_starts_where_the_robot_was(gain):
+    trace = gain.trace
+    assert trace.time[0] == 0
+    assert trace.measured.shape == trace.without.shape == trace.extended.shape
+    for simulated in (trace.without, trace.extended):
+        np.testing.assert_array_equal(simulated[0], trace.measured[0])
+    errors = [np.abs(each - trace.measured).mean() for each in (trace.without, trace.extended)]
+    assert errors[1] < errors[0]
+
+
+def test_short_episodes_have_no_far_horizon(baseline, refined, sealed):
+    arrays = recorded(sealed)
+    rows = np.concatenate([np.arange(first, first + 7) for first, _ in sealed.spans()])
+    short = Measurement(**{name: values[rows] for name, values in arrays.items()})
+    assert set(gained(baseline, refined, short).horizons) == {1, 5}
+
+
+def test_a_gain_has_no_nan_in_json(gain):
+    assert json.dumps(gain.to_json(), allow_nan=False)
