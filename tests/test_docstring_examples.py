@@ -36,6 +36,7 @@ COMPILED = {
     "workers.tuning",
 }
 NAMES: dict[str, Callable[..., dict[str, Any]]] = {
+    "adr_service.benchmark.checks": names.outcomes,
     "adr_service.benchmark.claims": names.outcomes,
     "adr_service.benchmark.figures": names.outcomes,
     "adr_service.benchmark.plan": names.benchmark_spec,

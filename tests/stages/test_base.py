@@ -21,14 +21,10 @@ from adr_service.stages.base import (
 )
 from adr_service.stages.local import LocalStages
 from adr_service.tasks.catalogue import source_of
-<<<<<<< HEAD
 from db import runs
 from tests.db.rows import EXECUTION, SPEC
 from tests.generators import drained
 from workers.results import DatabaseResults
-=======
-from tests.generators import drained
->>>>>>> 8d75e209fa874bc19c2d548d792c58935eeafeae
 
 
 class Dice(Result):
