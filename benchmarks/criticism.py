@@ -13,7 +13,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -38,7 +38,7 @@ _MOST_TIED = 3
 
 
 def one(job: tuple[int, str, int]) -> dict[str, Any]:
-    """A case, diagnosed; what was hidden and what was found, or why nothing was."""
+    """One case with what was hidden and what criticism named, or with the error that ended it."""
     try:
         return _diagnosed(*job)
     except (AdrError, np.linalg.LinAlgError) as error:  # the others go on; the table counts it
@@ -47,48 +47,58 @@ def one(job: tuple[int, str, int]) -> dict[str, Any]:
 
 def _diagnosed(number: int, name: str, seed: int) -> dict[str, Any]:
     rng = np.random.default_rng([seed, number])
-    task = get_task(name)
-    nominal = Nominal.of_task(task, source_of(name, "vanilla"))
-    kind = rng.choice(["none", "outside", "two", "one"], p=[0.20, 0.15, 0.05, 0.60])
+    kind = str(rng.choice(["none", "outside", "two", "one"], p=[0.20, 0.15, 0.05, 0.60]))
     ratio = float(rng.choice(RATIOS)) if kind != "none" else 0.0
-    case: Case | None = None
-    while case is None:
-        try:
-            count = {"one": 1, "two": 2}.get(kind, 0)
-            case = draw_case(task, nominal, rng, ratio, count, kind == "outside")
-        except AdrError:
-            continue
+    case = _drawn(name, kind, ratio, rng)
     started = time.process_time()
-    found = criticise(case.nominal, case.measurement, rng, threads=1)
+    criticism = criticise(case.nominal, case.measurement, rng, threads=1)
     seconds = time.process_time() - started
-    verdict = found.verdict.to_json()
-    gain = found.verdict.gain
-    oracle = None if gain is None else _oracle(case, found)
-    detectable = verdict["residual"].pop("detectable")
     return {
         "number": number,
         "task": name,
         "hidden": kind,
         "ratio": ratio,
-        "causes": [[c.kind, c.location, c.values] for c in case.effects],
-        "outside": case.outside,
-        "verdict": verdict,
-        "detectable": [detectable.get(f"{c.kind} {c.location}") for c in case.effects],
-        "ranking": [[c.kind, c.location, c.gain] for c in found.candidates[:6]],
-        "oracle": None if oracle is None else oracle.to_json(),
+        **_compared(case, criticism),
         "seconds": seconds,
     }
 
 
-def _oracle(case: Case, found: Criticism) -> Gain:
+def _drawn(name: str, kind: str, ratio: float, rng: np.random.Generator) -> Case:
+    """The first case that can be simulated."""
+    task = get_task(name)
+    nominal = Nominal.of_task(task, source_of(name, "vanilla"))
+    count = {"one": 1, "two": 2}.get(kind, 0)
+    while True:
+        try:
+            return draw_case(task, nominal, rng, ratio, count, kind == "outside")
+        except AdrError:
+            continue
+
+
+def _compared(case: Case, criticism: Criticism) -> dict[str, Any]:
+    """The hidden effects beside the verdict."""
+    verdict = criticism.verdict.to_json()
+    oracle = None if criticism.verdict.gain is None else _oracle(case, criticism)
+    detectable = verdict["residual"].pop("detectable")
+    return {
+        "causes": [[c.kind, c.location, c.values] for c in case.effects],
+        "outside": case.outside,
+        "verdict": verdict,
+        "detectable": [detectable.get(f"{c.kind} {c.location}") for c in case.effects],
+        "ranking": [[c.kind, c.location, c.gain] for c in criticism.candidates[:6]],
+        "oracle": None if oracle is None else oracle.to_json(),
+    }
+
+
+def _oracle(case: Case, criticism: Criticism) -> Gain:
     """Gain of the true parameters and effects on the same episodes."""
-    truth = replace(found.final, parameters=case.truth, effects=case.effects)
+    truth = replace(criticism.final, parameters=case.truth, effects=case.effects)
     rng = np.random.default_rng(0)  # of intervals, which are not used
-    return measure_gain(found.baseline, truth, split(case.measurement)[1], rng, threads=1)
+    return measure_gain(criticism.baseline, truth, split(case.measurement)[1], rng, threads=1)
 
 
 def is_named(case: dict[str, Any], most_tied: int = _MOST_TIED) -> bool:
-    """Whether something was named, and all of it is hidden there, or tied with it."""
+    """True if criticism named something, and each name or one tied with it is hidden there."""
     verdict = case["verdict"]
     if not verdict["causes"]:
         return False
@@ -124,60 +134,73 @@ def errors_of(cases: Sequence[dict[str, Any]]) -> tuple[list[float], list[bool]]
         first = case["verdict"]["causes"][0]
         for kind, location, values in case["causes"]:
             if (first["kind"], first["location"]) == (kind, location):
-                found = next(iter(first["parameters"].values()))
-                errors.append(abs(found["value"] / values[0] - 1))
-                low, high = found["low"], found["high"]  # None: unbounded
+                strength = next(iter(first["parameters"].values()))
+                errors.append(abs(strength["value"] / values[0] - 1))
+                low, high = strength["low"], strength["high"]  # None: unbounded
                 is_low = low is None or low <= values[0]
                 covered.append(is_low and (high is None or values[0] <= high))
     return errors, covered
 
 
 def table(cases: Sequence[dict[str, Any]]) -> str:
-    lines: list[str] = []
+    """Shares, errors and gains over all cases that ended."""
     singles = [c for c in cases if c["hidden"] == "one"]
+    pairs = [c for c in cases if c["hidden"] == "two"]
+    right = [c for c in singles if is_named(c)]
+    lines = [
+        *_detections(singles),
+        *_alarms(cases),
+        f"two causes: all that was named is true {share(pairs, is_named)}",
+        *_strengths(right),
+        *_gains(right),
+        f"CPU seconds per case: median {np.median([c['seconds'] for c in cases]):.1f}",
+    ]
+    return "\n".join(lines)
+
+
+def _detections(singles: Sequence[dict[str, Any]]) -> Iterator[str]:
     for ratio in RATIOS:
         chosen = [c for c in singles if c["ratio"] == ratio]
-        lines.append(f"one cause, ratio {ratio:g}: named {share(chosen, is_named)}")
+        yield f"one cause, ratio {ratio:g}: named {share(chosen, is_named)}"
         among = [c for c in chosen if is_named(c, most_tied=99)]
-        lines.append(f"    in a tie of any size: {len(among)}")
+        yield f"    in a tie of any size: {len(among)}"
+
+
+def _alarms(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
     nulls = [c for c in cases if c["hidden"] == "none"]
-    lines.append(f"nothing hidden: false alarms {share(nulls, is_alarm)}")
+    yield f"nothing hidden: false alarms {share(nulls, is_alarm)}"
     for ratio in RATIOS:
         chosen = [c for c in cases if c["hidden"] == "outside" and c["ratio"] == ratio]
-        lines.append(f"outside, ratio {ratio:g}: called unknown {share(chosen, is_unknown)}")
+        yield f"outside, ratio {ratio:g}: called unknown {share(chosen, is_unknown)}"
     known = [c for c in cases if c["hidden"] in ("one", "two", "none")]
-    lines.append(f"false unknown: {share(known, is_unknown)}")
-    pairs = [c for c in cases if c["hidden"] == "two"]
-    lines.append(f"two causes: all that was named is true {share(pairs, is_named)}")
-    right = [c for c in singles if is_named(c)]
+    yield f"false unknown: {share(known, is_unknown)}"
+
+
+def _strengths(right: Sequence[dict[str, Any]]) -> Iterator[str]:
     errors, covered = errors_of(right)
     if errors:
-        lines.append(
+        yield (
             f"strength: median relative error {np.median(errors):.1%}; 95 % intervals cover "
             f"{np.mean(covered):.0%} of {len(covered)}"
         )
+
+
+def _gains(right: Sequence[dict[str, Any]]) -> Iterator[str]:
     seen = [c for c in right if c["oracle"] is not None and c["oracle"]["low"] > 0]
     if shares := [c["verdict"]["gain"]["sse_removed"] / c["oracle"]["sse_removed"] for c in seen]:
         most = sum(s >= 0.95 for s in shares)
-        lines.append(
+        yield (
             f"held-out gain: median {np.median(shares):.1%} of the oracle's, where that is above "
             f"nothing; {most} of {len(shares)} at least 95 %"
         )
-    lines.append(f"CPU seconds per case: median {np.median([c['seconds'] for c in cases]):.1f}")
-    return "\n".join(lines)
 
 
 def main(
     cases: str = "320", tasks: str = "arm,hopper,half_cheetah,walker2d", seed: str = "12"
 ) -> None:
-    names = tasks.split(",")
-    path, of = FOLDER / "criticism.json", {"tasks": tasks, "seed": int(seed), "code": _code()}
-    known = json.loads(path.read_text()) if path.exists() else {}
-    if known and {name: known.get(name) for name in of} != of:
-        path.rename(path.with_name(f"criticism-{known.get('seed')}-{known.get('code')}.json"))
-        known = {}
-    found: list[dict[str, Any]] = [c for c in known.get("cases", []) if c["number"] < int(cases)]
-    done = {case["number"] for case in found}
+    path, origin = FOLDER / "criticism.json", {"tasks": tasks, "seed": int(seed), "code": _code()}
+    ended = [case for case in _resumed(path, origin) if case["number"] < int(cases)]
+    done, names = {case["number"] for case in ended}, tasks.split(",")
     jobs = [
         (number, names[number % len(names)], int(seed))
         for number in range(int(cases))
@@ -186,31 +209,42 @@ def main(
     FOLDER.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         for case in pool.map(one, jobs):
-            found.append(case)
+            ended.append(case)
             whole = path.with_suffix(".part")
-            whole.write_text(json.dumps({**of, "cases": found}, indent=1))
+            whole.write_text(json.dumps({**origin, "cases": ended}, indent=1))
             whole.replace(path)
-            if "failed" in case:
-                print(
-                    f"{case['number']:4d} {case['task']:12s} failed: {case['failed']}", flush=True
-                )
-                continue
-            first = case["verdict"]["causes"][:1]
-            said = [f"{c['kind']} {c['location']}" for c in first] or [case["verdict"]["verdict"]]
-            tied = len(case["verdict"]["tied"][0]) if first else 0
-            hidden = [f"{k} {p}" for k, p, _ in case["causes"]] or [case["outside"] or "nothing"]
-            good = is_named(case) if case["causes"] else ""
-            print(
-                f"{case['number']:4d} {case['task']:12s} {case['ratio']:4g} {'+'.join(hidden):50s} "
-                f"-> {said[0]} (+{tied}) {good} {case['seconds']:.0f} s",
-                flush=True,
-            )
-    print(table([case for case in found if "failed" not in case]))
-    print(f"failed: {sum('failed' in case for case in found)} of {len(found)}")
+            print(_line(case), flush=True)
+    print(table([case for case in ended if "failed" not in case]))
+    print(f"failed: {sum('failed' in case for case in ended)} of {len(ended)}")
+
+
+def _resumed(path: Path, origin: dict[str, Any]) -> list[dict[str, Any]]:
+    """The cases of an interrupted run; those of another method or seed are set aside."""
+    known = json.loads(path.read_text()) if path.exists() else {}
+    if known and {name: known.get(name) for name in origin} != origin:
+        path.rename(path.with_name(f"criticism-{known.get('seed')}-{known.get('code')}.json"))
+        return []
+    return known.get("cases", [])
+
+
+def _line(case: dict[str, Any]) -> str:
+    """Text for one case as it ends."""
+    opening = f"{case['number']:4d} {case['task']:12s}"
+    if "failed" in case:
+        return f"{opening} failed: {case['failed']}"
+    first = case["verdict"]["causes"][:1]
+    named = [f"{c['kind']} {c['location']}" for c in first] or [case["verdict"]["verdict"]]
+    tied = len(case["verdict"]["tied"][0]) if first else 0
+    hidden = [f"{k} {p}" for k, p, _ in case["causes"]] or [case["outside"] or "nothing"]
+    good = is_named(case) if case["causes"] else ""
+    return (
+        f"{opening} {case['ratio']:4g} {'+'.join(hidden):50s} "
+        f"-> {named[0]} (+{tied}) {good} {case['seconds']:.0f} s"
+    )
 
 
 def _code() -> str:
-    """What the method is at present: a digest of its sources."""
+    """Digest of the sources of the present method."""
     root = Path(adr_service.__file__).parent
     folders = ("criticism", "effects", "simulation")
     files = [file for folder in folders for file in (root / folder).rglob("*.py")]
