@@ -39,8 +39,8 @@ class Job:
     attempt: int = 0
     lease: str | None = None  # of the attempt, if it visits the simulated target
     ref: Any = None  # of the running call
-    actor: Actor | None = None  # that computes it
-    since: float = field(default_factory=time.monotonic)  # it was asked for, or the attempt began
+    actor: Actor | None = None  # the process that computes it
+    since: float = field(default_factory=time.monotonic)  # start of the wait, or of the attempt
     sign: SignOfLife | None = None  # the last one of the attempt
     heard: float = 0.0  # when that came
     is_killed: bool = False  # the process of the attempt, because it was silent

@@ -183,7 +183,7 @@ class Orchestrator:
             try:
                 self._guard(record, flag)
             except Exception:
-                log.exception("the end of the run is not on its record")
+                log.exception("the end of the run could not be recorded")
                 raise
             finally:
                 with self._changing:
@@ -243,7 +243,7 @@ class Orchestrator:
         except RunCancelled:
             pass  # the service stops; when it starts again, these runs stop first
         except Exception:  # those of other batches are recorded all the same
-            log.exception("the end of cancelled runs is not on their record")
+            log.exception("the end of cancelled runs could not be recorded")
 
     def _when_possible(self, action: Callable[[], T]) -> T:
         """Call `action` until the database can be used; RunCancelled if the service stops."""
