@@ -16,10 +16,10 @@ from adr_service.training.curve import Evaluation
 from adr_service.training.policy import Policy
 from adr_service.training.settings import TrainingSettings
 
-# Seconds of one gradient step on one server core, measured in trainings of `hopper`
-# (docs/training.md): a part that does not shrink with the networks, and one in proportion to
+# Seconds of one gradient step on one server core, measured in trainings of `hopper` and of the
+# demo (docs/training.md): a part that does not shrink with the networks, and one in proportion to
 # them, for 2x128 and batches of 256
-_UPDATE_S = {"sbx": (0.0005, 0.0030), "sb3": (0.0025, 0.0125)}
+_UPDATE_S = {"sbx": (0.00005, 0.0030), "sb3": (0.0025, 0.0125)}
 _REFERENCE_WORK = 256 * 128**2  # batch size x weights between the hidden layers
 _VECTOR_STEP_S = 0.0007  # acting and storing, per step of all environments
 
