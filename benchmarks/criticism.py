@@ -88,7 +88,7 @@ def _oracle(case: Case, found: Criticism) -> Gain:
 
 
 def is_named(case: dict[str, Any], most_tied: int = _MOST_TIED) -> bool:
-    """Whether something was named, and all of it is hidden there, or tied with it."""
+    """True if causes are named and each is hidden there, or tied with a hidden one."""
     verdict = case["verdict"]
     if not verdict["causes"]:
         return False
@@ -210,7 +210,7 @@ def main(
 
 
 def _code() -> str:
-    """What the method is at present: a digest of its sources."""
+    """Digest of the sources of criticism, which stands for its present version."""
     root = Path(adr_service.__file__).parent
     folders = ("criticism", "effects", "simulation")
     files = [file for folder in folders for file in (root / folder).rglob("*.py")]
