@@ -1,5 +1,4 @@
-"""What an extended simulator is worth: target returns where an effect is hidden that no parameter
-can say.
+"""Worth of an extended simulator: returns on targets that hide an effect beyond all parameters.
 
     python -m benchmarks.extension [task, hopper] [seeds, 3] [preset, quick] [force in N, -10]
 

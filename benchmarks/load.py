@@ -216,7 +216,7 @@ def wait_for_training(client: AdrClient, benchmark: str) -> None:
 def routes(
     ids: Sequence[str], benchmarks: Sequence[str], rng: np.random.Generator
 ) -> dict[str, str]:
-    """What is asked for, by the name of the route."""
+    """Paths of the requests, by the name of the route."""
     run, benchmark = ids[rng.integers(len(ids))], benchmarks[rng.integers(len(benchmarks))]
     return {
         "GET /v1/runs": "/v1/runs",

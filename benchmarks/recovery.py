@@ -1,4 +1,4 @@
-"""What Hopper's masses can be recovered from: numbers of docs/decisions.md.
+"""Recovery of Hopper's masses from different data: numbers of docs/decisions.md.
 
 Distances of estimated means from the truth in [0, 4] coordinates, where the prior's is .70.
 First, DROPO (the best of four epsilons) and sysid on 500 transitions of DROPO's published clean

@@ -90,7 +90,7 @@ class Meter:
 
 
 def cpu_seconds() -> float:
-    """Of this process and its children, living or not."""
+    """CPU seconds of this process and its children, living or not."""
     me = psutil.Process()
     times = [p.cpu_times() for p in (me, *me.children(recursive=True))]
     return sum(t.user + t.system for t in times)

@@ -43,7 +43,7 @@ def postgresql() -> Iterator[Server]:
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """Of an empty database of each kind."""
+    """URL of an empty database, of each kind."""
     if request.param == "sqlite":
         return f"sqlite:///{tmp_path / 'adr.sqlite'}"
     return request.getfixturevalue("postgresql").new_database()
@@ -58,7 +58,7 @@ def database(database_url: str) -> Iterator[Database]:
 
 @pytest.fixture
 def file_database(tmp_path: Path) -> Iterator[Database]:
-    """One in SQLite, adr.sqlite, for what looks at the file."""
+    """A database in SQLite, adr.sqlite, for tests that look at the file."""
     opened = open_database(f"sqlite:///{tmp_path / 'adr.sqlite'}")
     yield opened
     opened.close()

@@ -22,8 +22,8 @@ T = TypeVar("T")
 class NotStarted(RuntimeError):
     """The service ended, or did not answer, before it was ready."""
 
-    def __init__(self, status: int | None, told: str):
-        super().__init__(f"the service did not start ({status}):\n{told}")
+    def __init__(self, status: int | None, log: str):
+        super().__init__(f"the service did not start ({status}):\n{log}")
         self.status = status
 
 

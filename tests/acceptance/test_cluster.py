@@ -16,7 +16,7 @@ pytestmark = [pytest.mark.ray, pytest.mark.slow]
 
 @pytest.fixture
 def secret(tmp_path):
-    """What every process of the cluster must know."""
+    """Environment with the token that all processes of a cluster share."""
     token = tmp_path / "token"
     token.write_text("t" * 40)
     return {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)}

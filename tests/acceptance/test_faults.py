@@ -61,8 +61,11 @@ def report(line: str) -> None:
 
 
 def with_a_death(folder: Path, failpoint: str, table: str) -> tuple[bool, int, int]:
-    """Whether the service died there; of how many stages runs were told the end but the result is
-    not on disk; and how many it then computed although their results were."""
+    """Let the service die at a failpoint, and start it again.
+
+    Returns whether it died there; how many stages are finished on a run's record without a stored
+    result; and how many stages it computed again in spite of a stored result.
+    """
     try:
         with start_service(folder, cpus=1, environment={"ADR_FAILPOINT": failpoint}) as running:
             try:
@@ -74,15 +77,15 @@ def with_a_death(folder: Path, failpoint: str, table: str) -> tuple[bool, int, i
     except NotStarted as death:
         if death.status != 137:
             raise
-    before, told = committed(folder), finished(folder)
+    stored, recorded = committed(folder), finished(folder)
     with start_service(folder, cpus=1) as running:
         assert everything(running.client) == table
-        again = len(before & set(running.started_stages))
-    return True, len(told - before), again
+        again = len(stored & set(running.started_stages))
+    return True, len(recorded - stored), again
 
 
 def everything(client: AdrClient) -> str:
-    """What a user may ask a service for, and may ask again; the benchmark's results."""
+    """Make every kind of request, as far as it was not made before; return the result table."""
     dataset = client.upload(RECORDING, "arm")["id"]
     known = client.list_all("benchmarks")
     benchmark = (known[0] if known else client.submit_benchmark(BENCHMARK))["id"]
@@ -109,7 +112,7 @@ def has_tables(database: sqlite3.Connection) -> bool:
 
 
 def finished(folder: Path) -> set[str]:
-    """Digests of the stages of whose end some run has been told."""
+    """Digests of the stages whose end is on the record of some run."""
     with closing(sqlite3.connect(folder / "adr.sqlite")) as database:
         if not has_tables(database):
             return set()

@@ -1,4 +1,4 @@
-"""What the service asks of a database, asked of PostgreSQL."""
+"""The service keeps its runs in PostgreSQL."""
 
 import httpx2
 import pytest

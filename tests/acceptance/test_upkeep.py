@@ -1,4 +1,4 @@
-"""What a service does when it starts: deletes what was kept long enough, takes up what is left."""
+"""The start of a service: it deletes expired runs, and goes on with unfinished ones."""
 
 from datetime import UTC, datetime, timedelta
 

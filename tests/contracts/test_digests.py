@@ -61,7 +61,7 @@ def specs():
 
 
 def asked(spec, content=None):
-    """What a run asks for, in order, and its events."""
+    """Kinds and digests of the stages that a run asks for, in order, and its events."""
     stages = CannedStages()
     events = list(run(spec, stages, content))
     return stages.asked, events

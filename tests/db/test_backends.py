@@ -22,7 +22,7 @@ def test_a_url_without_a_file_is_refused_with_the_accepted_forms(url):
     assert "secret" not in str(refused.value)
 
 
-@pytest.mark.parametrize("url", ["", "adr.sqlite", "postgresql://a:secret@host:port/adr"])
+@pytest.mark.parametrize("url", ["", "adr.sqlite", "postgresql+psycopg://me:secret@[::1/adr"])
 def test_an_unreadable_url_is_refused_without_its_password(url):
     with pytest.raises(InvalidInput, match="the database's URL cannot be read") as refused:
         parse_url(url)

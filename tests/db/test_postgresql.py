@@ -4,10 +4,8 @@ from contextlib import closing
 
 import pytest
 from sqlalchemy import text
-from typer.testing import CliRunner
 
 from adr_service.errors import InvalidInput
-from api.cli import app
 from db import runs, stages
 from db.errors import DatabaseInUse, DatabaseUnavailable
 from db.models import ResultsRow
@@ -81,20 +79,7 @@ def test_options_of_the_url_apply_to_tables_and_rows(url, postgresql):
         assert count(database, "s.runs") == 1
 
 
-@pytest.mark.parametrize("given", ["what?", "postgresql+psycopg://me:secret@[::1/adr"])
-def test_an_unreadable_url_is_refused_without_repeating_its_password(given):
-    with pytest.raises(InvalidInput, match="must be an SQLite file") as refused:
-        open_database(given)
-    assert "secret" not in str(refused.value)
-
-
 def test_an_absent_server_is_reported_without_the_password():
     with pytest.raises(DatabaseUnavailable, match="cannot be used just now") as refused:
         open_database("postgresql+psycopg://me:secret@127.0.0.1:9/adr")
     assert "secret" not in str(refused.value)
-
-
-def test_adr_db_refers_to_the_servers_own_tools(url, monkeypatch):
-    monkeypatch.setenv("ADR_DATABASE_URL", url)
-    refused = CliRunner().invoke(app, ["db", "check"])
-    assert "pg_dump" in str(refused.exception)

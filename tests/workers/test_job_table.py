@@ -54,7 +54,7 @@ def table():
 
 @pytest.fixture
 def at_once(monkeypatch):
-    """What the database could not do is due again at once."""
+    """Retry at once after the database could not be used."""
     monkeypatch.setattr(results, "RETRY_S", 0.0)
     monkeypatch.setattr("workers.job_table.RETRY_S", 0.0)
 

@@ -29,17 +29,3 @@ def test_every_rate_and_seed_is_tried_and_the_best_comes_first():
     assert returns == sorted(returns, reverse=True)
     assert {trial["steps"] for trial in trials} <= {240, 480}
     assert not any(trial["stopped_early"] and trial["steps"] == 480 for trial in trials)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("arm", "--rates", "fast"), "learning rates must be numbers"),
-        (("arm", "--rates", "0"), "learning rates must be positive; given [0.0]"),
-        (("amr", "--rates", "0.1"), "task: there is no task 'amr'"),
-    ],
-)
-def test_rates_that_cannot_be_tried_are_refused(adr_here, arguments, message):
-    code, _, errors = adr_here("tune", *arguments)
-    assert code == 2
-    assert message in errors.replace("\n", " ")

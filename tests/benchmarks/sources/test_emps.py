@@ -44,7 +44,7 @@ def test_friction_is_named_and_then_that_it_differs_by_direction(datasets):
 
 
 def squared_error(fitted, data):
-    """Of a step's velocity, which is that of the force in other units."""
+    """Squared error of a step's velocity, which is the force's in other units."""
     nominal, finer = fitted.simulator.nominal, fitted.simulator.finer
     with Simulator(nominal, data, finer=finer) as simulator:
         predicted = simulator.predict(fitted.parameters, fitted.effects, simulator.measured)

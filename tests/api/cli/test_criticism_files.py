@@ -1,0 +1,76 @@
+"""A criticism from files: the simulator that options name, and the files that are left."""
+
+from pathlib import Path
+
+import pytest
+
+from adr_service.criticism.report import FILES
+from adr_service.errors import InvalidInput
+from adr_service.progress import silent
+from adr_service.tasks.catalogue import get_task
+from api.cli.criticism_files import criticise_files, nominal_of, write
+
+MASS = "body:upper.mass=0.5:2"
+
+
+@pytest.fixture
+def model(tmp_path):
+    """The arm's MJCF as a file."""
+    path = tmp_path / "arm.xml"
+    path.write_text(get_task("arm").xml)
+    return path
+
+
+def test_a_task_has_its_own_parameters_and_the_variant_in_its_name():
+    nominal, name = nominal_of("arm", None, None, [])
+    assert name == "arm, vanilla"
+    assert len(nominal.space) == 4
+    assert nominal_of("arm", "noisy", None, [])[1] == "arm, noisy"
+
+
+def test_a_model_has_the_free_parameters_that_are_given(model):
+    nominal, name = nominal_of(None, None, model, [MASS])
+    assert name == "arm.xml"
+    (parameter,) = nominal.space.parameters
+    assert (parameter.address, parameter.low, parameter.high) == ("body:upper.mass", 0.5, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("task", "variant", "file", "free", "message"),
+    [
+        (None, None, None, [], "give either --task or --model"),
+        ("arm", None, "arm.xml", [], "give either --task or --model"),
+        (None, "noisy", "arm.xml", [], "--variant goes with --task"),
+        ("arm", None, None, [MASS], "--free goes with --model"),
+        (None, None, "nowhere.xml", [], "nowhere.xml cannot be read: it is no file"),
+        (None, None, "arm.xml", ["mass"], r"--free 'mass' is not ADDRESS=LOW:HIGH"),
+        (None, None, "arm.xml", ["mass=1"], r"--free 'mass=1' is not ADDRESS=LOW:HIGH"),
+    ],
+)
+def test_other_options_are_refused(model, task, variant, file, free, message):
+    path = None if file is None else model.parent / file
+    with pytest.raises(InvalidInput, match=message):
+        nominal_of(task, variant, path, free)
+
+
+def test_a_file_that_is_no_model_is_refused(tmp_path):
+    path = tmp_path / "letter.xml"
+    path.write_text("dear robot")
+    with pytest.raises(InvalidInput, match=r"MuJoCo cannot read .*letter\.xml"):
+        nominal_of(None, None, path, [])
+
+
+def test_files_of_an_earlier_criticism_are_deleted_and_others_stay(tmp_path):
+    out = tmp_path / "a" / "b"
+    write(out, dict.fromkeys(FILES, b"earlier"))
+    (out / "notes.txt").write_text("mine")
+    write(out, {"verdict.json": b"later"})
+    assert {path.name for path in out.iterdir()} == {"verdict.json", "notes.txt"}
+    assert (out / "verdict.json").read_bytes() == b"later"
+
+
+@pytest.mark.parametrize("name", ["nowhere.npz", "nowhere.csv"])
+def test_a_measurement_that_cannot_be_read_is_refused_by_its_path(tmp_path, name):
+    nominal, _ = nominal_of("arm", None, None, [])
+    with pytest.raises(InvalidInput, match=f"{name} cannot be read"):
+        criticise_files(nominal, "arm", Path(name), tmp_path, 0, silent)

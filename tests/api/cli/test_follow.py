@@ -1,0 +1,50 @@
+"""Following a run to its end: the results, and the exit status."""
+
+import pytest
+import typer
+
+from api.cli.follow import follow
+
+SPEC = {"task": "arm", "method": {"name": "simopt"}, "seed": 0}
+
+
+class Service:
+    """A client whose run has ended as the test says."""
+
+    def __init__(self, state, spec=SPEC, message=None):
+        error = {"code": "target_failed", "message": message} if message else None
+        self.end = {"id": "run_a", "state": state, "spec": spec, "progress": [], "error": error}
+
+    def watch(self, id):
+        yield self.end
+
+    def results(self, id):
+        return {"rows": [], "estimates": []}
+
+    def criticism(self, id):
+        return {"verdict": None}
+
+
+def test_a_run_that_succeeded_ends_without_an_error(capsys):
+    follow(Service("succeeded"), "run_a")
+    assert "1/1 runs done" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("state", ["failed", "cancelled"])
+def test_any_other_end_has_exit_status_1(state):
+    with pytest.raises(typer.Exit) as end:
+        follow(Service(state), "run_a")
+    assert end.value.exit_code == 1
+
+
+def test_the_reason_of_a_failure_is_an_error_and_no_markup(capsys):
+    with pytest.raises(typer.Exit):
+        follow(Service("failed", message="the gripper [bold]broke"), "run_a")
+    assert "the gripper [bold]broke" in capsys.readouterr().err
+
+
+def test_a_criticism_without_a_verdict_shows_its_state(capsys):
+    spec = {"kind": "criticism", "task": "arm", "seed": 0}
+    with pytest.raises(typer.Exit):
+        follow(Service("cancelled", spec), "run_a")
+    assert "cancelled: no verdict yet" in capsys.readouterr().out

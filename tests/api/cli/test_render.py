@@ -1,0 +1,17 @@
+"""Options of `adr render` that go together."""
+
+import pytest
+
+
+@pytest.mark.parametrize("given", [[], ["--policy", "p.bin", "--data", "d.npz"]], ids=str)
+def test_a_film_needs_either_a_policy_or_a_recording(adr_here, tmp_path, given):
+    code, _, errors = adr_here("render", str(tmp_path / "film.gif"), "--task", "arm", *given)
+    assert code == 2
+    assert "give either --policy or --data" in errors
+
+
+def test_a_parameter_needs_a_value(adr_here, tmp_path):
+    given = ["--task", "arm", "--data", "d.npz", "--set", "torso_mass"]
+    code, _, errors = adr_here("render", str(tmp_path / "film.gif"), *given)
+    assert code == 2
+    assert "torso_mass" in errors

@@ -1,0 +1,84 @@
+"""Heartbeats of an episode, with a service whose answers the test gives."""
+
+import threading
+
+import pytest
+
+from api.client import Refused, Unreachable
+from api.robot.heart import Heart
+
+CLAIMED = {"task": {"id": "task_a"}, "lease": "lease_a", "lease_s": 0.15}
+
+
+class Service:
+    """A client that answers every heartbeat in the same way."""
+
+    def __init__(self, answer):
+        self.answer, self.beats, self.asked = answer, [], threading.Event()
+
+    def heartbeat(self, *given):
+        self.beats.append(given)
+        if len(self.beats) == 3:
+            self.asked.set()
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+
+def test_heartbeats_renew_the_lease_with_the_number_of_steps():
+    service = Service({"cancel_requested": False})
+    with Heart(service, CLAIMED, pytest.fail) as heart:
+        heart.steps = 7
+        assert service.asked.wait(20)
+    assert service.beats[-1] == ("task_a", "lease_a", 7)
+
+
+@pytest.mark.parametrize(
+    ("answer", "why"),
+    [
+        ({"cancel_requested": True}, "its run was asked to stop"),
+        (Refused(409, "the lease is lost"), "the lease is lost"),
+        ({}, "the answer to a heartbeat cannot be read"),
+    ],
+)
+def test_an_episode_stops_for_good_with_the_reason(answer, why):
+    service = Service(answer)
+    with Heart(service, {**CLAIMED, "lease_s": 0.15}, pytest.fail) as heart:
+        stopped = threading.Event()
+        while not heart.why_stop():
+            stopped.wait(0.01)
+    assert why in heart.why_stop()
+    assert len(service.beats) == 1
+
+
+@pytest.mark.parametrize("answer", [Unreachable("no answer"), Refused(503, "not ready", 5.0)])
+def test_a_service_that_does_not_answer_stops_the_episode_when_the_lease_ends(answer):
+    service = Service(answer)
+    with Heart(service, CLAIMED, pytest.fail) as heart:
+        stopped = threading.Event()
+        while not heart.why_stop():
+            stopped.wait(0.01)
+    assert "did not answer for as long as the lease lasts" in heart.why_stop()
+    assert len(service.beats) > 1
+
+
+def test_a_call_that_does_not_return_is_reported_once():
+    reports, reported = [], threading.Event()
+
+    def hangs(why):
+        reports.append(why)
+        reported.set()
+
+    with (
+        Heart(Service({"cancel_requested": False}), CLAIMED, hangs) as heart,
+        heart.watching("step", 0.01),
+    ):
+        assert reported.wait(20)
+    assert reports == ["the environment's step did not return within 0.0 s"]
+    assert heart.why_stop() == reports[0]
