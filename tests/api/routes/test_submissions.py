@@ -1,0 +1,67 @@
+"""Submissions: one for each Idempotency-Key, stored before it starts."""
+
+import pytest
+
+from adr_service.specs import BenchmarkSpec, RunSpec
+from api.routes.submissions import plan_here, start_benchmark, start_run
+from api.service import QueueFull
+from db import runs
+from db.requests import KeyReused
+from tests.api.smoke import SMOKE
+from tests.api.standins import Service
+
+SPEC = RunSpec.model_validate(SMOKE)
+BENCHMARK = BenchmarkSpec.model_validate(
+    {"tasks": ["arm"], "methods": ["simopt"], "seeds": [0, 1], "preset": "smoke"}
+)
+
+
+@pytest.fixture
+def service(file_database):
+    return Service(file_database)
+
+
+def test_a_run_is_stored_and_started(service):
+    record = start_run(service, SPEC, None)
+    assert runs.get_run(service.database, record.id).spec == SPEC
+    assert service.orchestrator.started == [record.id]
+
+
+def test_without_a_key_every_request_is_another_run(service):
+    first, second = (start_run(service, SPEC, None) for _ in range(2))
+    assert first.id != second.id
+
+
+def test_the_same_key_answers_with_the_same_run(service):
+    first, again = (start_run(service, SPEC, "key") for _ in range(2))
+    assert again.id == first.id
+    assert len(list(runs.list_runs(service.database))) == 1
+
+
+def test_a_key_belongs_to_one_request(service):
+    start_run(service, SPEC, "key")
+    with pytest.raises(KeyReused):
+        start_run(service, SPEC.model_copy(update={"seed": 1}), "key")
+
+
+def test_a_refused_run_is_neither_stored_nor_started(service):
+    service.refusal = QueueFull("the queue is full")
+    with pytest.raises(QueueFull, match="the queue is full"):
+        start_run(service, SPEC, None)
+    assert list(runs.list_runs(service.database)) == []
+    assert service.orchestrator.started == []
+
+
+def test_a_benchmark_starts_all_its_runs_and_once_per_key(service):
+    first, again = (start_benchmark(service, BENCHMARK, "key") for _ in range(2))
+    assert again.id == first.id
+    started = set(service.orchestrator.started)
+    assert started == {run.id for run in runs.list_runs(service.database)}
+    assert len(started) == len(list(BENCHMARK.runs()))
+
+
+def test_a_plan_shares_the_trainings_of_equal_runs(service):
+    one, two = (plan_here(service, [SPEC] * n) for n in (1, 2))
+    other = plan_here(service, [SPEC, SPEC.model_copy(update={"seed": 1})])
+    assert one.trainings == two.trainings < other.trainings
+    assert one.cores == service.orchestrator.cores
