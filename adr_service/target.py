@@ -31,7 +31,7 @@ class Visit:
     """One metered rollout of one policy on the target."""
 
     policy: bytes | None  # None: random actions
-    data: bytes  # a TransitionDataset as .npz
+    data: TransitionDataset
 
 
 class Door(Protocol):
@@ -68,7 +68,7 @@ class Target:
         rollout = yield from self._stages.run(stage)
         self.rollouts += 1
         self.transitions += rollout.transitions
-        return Visit(policy, rollout.data)
+        return Visit(policy, TransitionDataset.from_npz(rollout.data))
 
     def returns(
         self, policies: Sequence[bytes], iteration: int

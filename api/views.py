@@ -64,7 +64,7 @@ def run_view(service: Service, record: RunRecord) -> RunView:
         created_at=record.created_at,
         updated_at=record.updated_at,
         error=error,
-        progress=list(activities),
+        progress=activities,
         spec=record.spec,
         links=_run_links(record),
     )

@@ -52,7 +52,7 @@ def check_log(url: str) -> None:
 
 
 class Sqlite:
-    """A file, with a lock file beside it.
+    """A file, which the service locks itself.
 
     It has a write-ahead log with full synchronisation: a committed transaction is on disk. The
     writer begins IMMEDIATE, so that it never has to give up half-way.

@@ -145,9 +145,7 @@ def complete(
 ) -> Visit:
     """Store the result of an episode of `steps`, and what `also` writes.
 
-    The same again changes nothing.
-
-    Raises NotFound and LeaseLost.
+    The same again changes nothing. Raises NotFound and LeaseLost.
     """
     with database.write("complete_task") as session:
         row = _row(session, id)

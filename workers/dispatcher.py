@@ -142,7 +142,7 @@ class Dispatcher:
             self._ticked = time.monotonic()
             if not self._cluster.is_alive:  # any question to it would block
                 self._restart_ray()
-            self._jobs.retries.run_due()
+            self._jobs.retries.run_due(self._stop.is_set)
             self._read_inbox()
             self._place_jobs()
             self._collect()
@@ -204,8 +204,8 @@ class Dispatcher:
         job.leave()
         try:
             ending = cast(Ending, ray.get(ref))
-        except RayTaskError as error:  # raised where only a defect of ours can
-            ending = Failed(FailureCode.INTERNAL, str(error))
+        except RayTaskError as error:
+            ending = _not_computed(error)
         except RayError as error:
             self._lose(job, actor, error)
             return
@@ -266,3 +266,10 @@ class Dispatcher:
         for job in self._jobs.running():
             job.leave()
             self._jobs.lose(job, "Ray has died")
+
+
+def _not_computed(error: RayTaskError) -> Failed:
+    """The failure of a stage that its process could not even unpack, or a defect of ours."""
+    is_lacking = "ModuleNotFoundError" in str(error)  # a method's package, on the node
+    code = FailureCode.UNKNOWN_NAME if is_lacking else FailureCode.INTERNAL
+    return Failed(code, str(error))

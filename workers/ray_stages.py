@@ -22,6 +22,7 @@ class RayStages:
     def all(self, stages: Sequence[Stage[R]]) -> Generator[RunEvent, None, list[R]]:
         futures = [self._dispatcher.submit(stage, self.run_id) for stage in stages]
         waiting: dict[Future[StageResult], Stage[R]] = dict(zip(futures, stages, strict=True))
+        results: dict[Future[StageResult], R] = {}
         while waiting:
             if self.is_cancelled():
                 raise RunCancelled("the run was asked to stop")
@@ -30,9 +31,9 @@ class RayStages:
             done, _ = wait(waiting, timeout=_POLL_S, return_when=FIRST_COMPLETED)
             for future in [f for f in futures if f in done]:
                 stage = waiting.pop(future)
-                result = stage.read(future.result())  # or raises the stage's failure
-                yield from events_of(stage, result)
-        return [s.read(future.result()) for s, future in zip(stages, futures, strict=True)]
+                results[future] = stage.read(future.result())  # or raises the stage's failure
+                yield from events_of(stage, results[future])
+        return [results[future] for future in futures]
 
     def run(self, stage: Stage[R]) -> Generator[RunEvent, None, R]:
         return (yield from self.all([stage]))[0]

@@ -163,8 +163,11 @@ class Retries:
         """Forget the actions for a run."""
         self._actions = [entry for entry in self._actions if entry[0] != run_id]
 
-    def run_due(self) -> None:
-        """Carry out what is due; an action that fails again ends the round."""
-        while self._actions and time.monotonic() >= self._not_before:
+    def run_due(self, is_stopping: Callable[[], bool] = lambda: False) -> None:
+        """Carry out what is due, until the service stops.
+
+        An action that fails again adds itself anew, which ends the round for `RETRY_S`.
+        """
+        while self._actions and time.monotonic() >= self._not_before and not is_stopping():
             _, action = self._actions.pop(0)
             action()

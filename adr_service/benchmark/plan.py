@@ -11,7 +11,6 @@ import heapq
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any, cast
 
 import numpy as np
@@ -22,7 +21,7 @@ from adr_service.randomness import stream
 from adr_service.simulation.batch import Simulations
 from adr_service.simulation.rollout import random_actions
 from adr_service.specs import AnyRun
-from adr_service.stages.base import PRIORITY, CoreSpeed, Cost, R, Result, Stage
+from adr_service.stages.base import PRIORITY, CoreSpeed, Cost, R, Result, Role, Stage
 from adr_service.tasks.catalogue import get_task, variants_of
 
 _MEASURED_S = 0.05  # of simulating, to know the speed of a task
@@ -52,26 +51,36 @@ class Plan:
 class MeasuredSpeed:
     """The speed of one core of this machine, measured."""
 
-    @cache  # noqa: B019 - as long as the machine, which is one plan's
+    def __init__(self) -> None:
+        self._rates: dict[str, float] = {}
+
     def steps_per_second(self, task: str) -> float:
         """Control steps of one core's time, whatever else it does."""
-        return _step_rate(task)
+        if task not in self._rates:
+            self._rates[task] = _step_rate(task)
+        return self._rates[task]
 
 
 def plan(
-    runs: Sequence[AnyRun], cores: int, recording: Callable[[AnyRun], bytes | None] | None = None
+    runs: Sequence[AnyRun],
+    cores: int,
+    recording: Callable[[AnyRun], bytes | None] | None = None,
+    speed: CoreSpeed | None = None,
 ) -> Plan:
-    """The cost of `runs` on `cores` cores; `recording` gives the dataset that a run names."""
-    costs = _Schedule(MeasuredSpeed(), max(cores, 1))
+    """The cost of `runs` on `cores` cores, by default of this machine's speed.
+
+    `recording` gives the dataset that a run names.
+    """
+    costs = _Schedule(speed or MeasuredSpeed(), max(cores, 1))
     for number, spec in enumerate(runs):
         content = None if recording is None else recording(spec)
         costs.start(run(spec, _PricedStages(f"run {number}"), content))
     seconds = costs.finish()
     distinct = list(costs.priced.values())
-    core_seconds = sum(job.cost.seconds for job in distinct if job.stage.role != "robot")
+    core_seconds = sum(job.cost.seconds for job in distinct if job.role != "robot")
     return Plan(
         runs=len(runs),
-        trainings=sum(job.stage.role == "trainer" for job in distinct),
+        trainings=sum(job.role == "trainer" for job in distinct),
         environment_steps=sum(job.cost.environment_steps for job in distinct),
         target_transitions=sum(job.cost.target_transitions for job in distinct),
         core_hours=core_seconds / 3600,
@@ -106,8 +115,7 @@ class _PricedStages:
 class _Job:
     """A stage that some programs wait for, once for all of them."""
 
-    stage: Stage[Any]
-    number: int
+    role: Role
     cost: Cost
     stand_in: Result
     is_done: bool = False
@@ -123,13 +131,17 @@ class _Waiting:
 
 
 class _Schedule:
-    """Cores that compute stages one after the other, as the dispatcher would place them."""
+    """Cores that compute stages one after the other, as the dispatcher would place them.
+
+    Each task has one robot, which runs one episode after the other.
+    """
 
     def __init__(self, speed: CoreSpeed, cores: int):
         self._speed, self._free = speed, cores
         self._now = 0.0
         self._ready: list[tuple[int, int, str]] = []  # priority, number, digest
         self._running: list[tuple[float, int, str]] = []  # end, number, digest
+        self._robots: dict[str, float] = {}  # by task, when its robot is free
         self.priced: dict[str, _Job] = {}
 
     def start(self, program: Program) -> None:
@@ -142,10 +154,10 @@ class _Schedule:
             while self._ready and self._free:
                 _, number, digest = heapq.heappop(self._ready)
                 self._free -= 1
-                self._begin(number, digest)
+                self._begin(number, digest, self._now)
             self._now, _, digest = heapq.heappop(self._running)
             job = self.priced[digest]
-            self._free += job.stage.role != "robot"
+            self._free += job.role != "robot"
             self._complete(job)
         return self._now
 
@@ -174,23 +186,27 @@ class _Schedule:
         job = self.priced.get(stage.digest)
         if job is None:
             number = len(self.priced)
-            job = _Job(stage, number, stage.cost(self._speed), stage.stand_in())
+            job = _Job(stage.role, stage.cost(self._speed), stage.stand_in())
             self.priced[stage.digest] = job
             if stage.role == "robot":  # which needs no core
-                self._begin(number, stage.digest)
+                free = max(self._now, self._robots.get(stage.task, 0.0))
+                self._robots[stage.task] = self._begin(number, stage.digest, free)
             else:
                 heapq.heappush(self._ready, (PRIORITY[stage.role], number, stage.digest))
         return job
 
-    def _begin(self, number: int, digest: str) -> None:
-        end = self._now + self.priced[digest].cost.seconds
+    def _begin(self, number: int, digest: str, at: float) -> float:
+        """Begin a stage; the time [s] at which it ends."""
+        end = at + self.priced[digest].cost.seconds
         heapq.heappush(self._running, (end, number, digest))
+        return end
 
     def _complete(self, job: _Job) -> None:
         job.is_done = True
         for entry in job.waiting:
             if all(each.is_done for each in entry.jobs):
                 self._go_on(entry.program, [each.stand_in for each in entry.jobs])
+        job.waiting.clear()
 
 
 def _step_rate(task_name: str) -> float:

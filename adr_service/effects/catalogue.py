@@ -3,7 +3,7 @@
     mechanism = get_mechanism("joint_spring")
 
 To add one, define a `Mechanism` in the file of its family, under its functions. A script adds one
-of its own by `add`.
+of its own by `add`, for its own process alone: a service's processes do not know it.
 """
 
 from adr_service.effects import actuators, bodies, contacts, joints, sensors, world

@@ -110,7 +110,8 @@ class MethodSettings(Wire):
     needs_truth: ClassVar[bool] = False  # trains on the hidden truth, in the target's own space
     is_reference: ClassVar[bool] = False  # part of every benchmark, to compare with
     is_level: ClassVar[bool] = False  # evaluated once, without iterations
-    collects: ClassVar[bool] = False  # its visits are the data of offline methods by default
+    # its visits are the data of offline methods by default; SimOpt's, which `RunSpec.simopt` holds
+    collects: ClassVar[bool] = False
     label: ClassVar[str] = ""  # in figures; empty: the name
     # in figures; ours are Okabe and Ito's colours, which colour-blind readers can distinguish
     colour: ClassVar[str] = "#882255"

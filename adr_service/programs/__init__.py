@@ -14,6 +14,7 @@ differs.
 from collections.abc import Generator
 from importlib import import_module
 
+from adr_service.errors import InvalidInput
 from adr_service.events import RunEvent
 from adr_service.specs import AnyRun
 from adr_service.stages.base import Stages
@@ -24,6 +25,11 @@ Program = Generator[RunEvent, None, None]
 def run(spec: AnyRun, stages: Stages, recording: bytes | None = None) -> Program:
     """Everything that happens in a run, in order; ends when the run has succeeded.
 
-    `recording` is the `.npz` of the dataset that a spec names.
+    `recording` is the `.npz` of the dataset that a spec names. Raises InvalidInput if the settings
+    of the method name a program that is not there.
     """
-    return import_module(spec.program).run(spec, stages, recording)
+    try:
+        program = import_module(spec.program)
+    except ModuleNotFoundError as error:
+        raise InvalidInput(f"there is no program {spec.program!r}: {error}") from error
+    return program.run(spec, stages, recording)

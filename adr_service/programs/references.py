@@ -2,7 +2,7 @@
 
 from collections.abc import Generator
 
-from adr_service.distributions import Distribution, Gaussian, Uniform
+from adr_service.distributions import Gaussian, Uniform
 from adr_service.events import RunEvent
 from adr_service.programs.steps import evaluate_and_report, problem_of, training
 from adr_service.specs import RunSpec
@@ -13,10 +13,13 @@ from adr_service.tasks.catalogue import hidden_of
 
 
 def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[RunEvent, None, None]:
-    prior: Distribution = Gaussian.prior(problem_of(spec).source.space)
-    stage = truth_training(spec) if spec.method.needs_truth else training(spec, prior)
+    stage = truth_training(spec) if spec.method.needs_truth else _prior_training(spec)
     trained = yield from stages.run(stage)
     yield from evaluate_and_report(open_target(spec, stages), 0, [stage.distribution], [trained])
+
+
+def _prior_training(spec: RunSpec) -> TrainPolicy:
+    return training(spec, Gaussian.prior(problem_of(spec).source.space))
 
 
 def truth_training(spec: RunSpec) -> TrainPolicy:

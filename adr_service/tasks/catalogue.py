@@ -19,14 +19,14 @@ from adr_service.plugins import installed, load, origin, package_of
 from adr_service.tasks.base import Entry, Hidden, Source, Task, Variant
 
 GROUP = "adr_service.tasks"
-_NO_TASKS = {"assets", "base", "catalogue", "check", "gymnasium_ids", "planar"}  # in the package
+_NO_TASKS = {"catalogue", "check"}  # modules of the package that import this one
 
 
 def _built_in() -> Mapping[str, Entry]:
     """The tasks of this package, those with few parameters first."""
     names = {module.name for module in pkgutil.iter_modules(tasks.__path__)} - _NO_TASKS
     modules = [importlib.import_module(f"{tasks.__name__}.{name}") for name in names]
-    entries: list[Entry] = [module.ENTRY for module in modules]
+    entries: list[Entry] = [module.ENTRY for module in modules if hasattr(module, "ENTRY")]
     return {entry.task.name: entry for entry in sorted(entries, key=_size)}
 
 

@@ -7,6 +7,7 @@ second, so we wait until somebody else does.
 
 import importlib.util
 import sys
+import threading
 from collections.abc import Sequence
 from importlib.abc import Loader
 from importlib.machinery import ModuleSpec
@@ -25,29 +26,38 @@ def register_with_gymnasium() -> None:
 
 
 class _AfterGymnasium:
-    """A finder on `sys.meta_path` that registers our ids after the import of Gymnasium."""
+    """A finder on `sys.meta_path` that registers our ids after the import of Gymnasium.
+
+    Others may look Gymnasium up without importing it, so it stays until an import has run.
+    """
+
+    def __init__(self) -> None:
+        self._looking = threading.local()  # a look-up by this finder itself must pass it by
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        if fullname != _GYMNASIUM:
+        if fullname != _GYMNASIUM or getattr(self._looking, "now", False):
             return None
-        sys.meta_path.remove(self)
-        spec = importlib.util.find_spec(fullname)
+        self._looking.now = True
+        try:
+            spec = importlib.util.find_spec(fullname)
+        finally:
+            self._looking.now = False
         if spec is not None and spec.loader is not None:
-            _register_after(spec.loader)
+            self._register_after(spec.loader)
         return spec
 
+    def _register_after(self, loader: Loader) -> None:
+        """Let a loader register our ids after it has executed its module."""
+        execute = loader.exec_module
 
-def _register_after(loader: Loader) -> None:
-    """Let a loader register our ids after it has executed its module."""
-    execute = loader.exec_module
+        def execute_and_register(module: ModuleType) -> None:
+            execute(module)
+            sys.meta_path.remove(self)
+            _register()
 
-    def execute_and_register(module: ModuleType) -> None:
-        execute(module)
-        _register()
-
-    loader.exec_module = execute_and_register
+        loader.exec_module = execute_and_register
 
 
 def _register() -> None:

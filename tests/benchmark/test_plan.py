@@ -3,11 +3,13 @@
 import pytest
 
 from adr_service.benchmark.plan import plan
+from adr_service.simulation.batch import control_period
 from adr_service.specs import BenchmarkSpec, CriticismSpec, RunSpec
 from adr_service.tasks.catalogue import get_task
 from adr_service.transitions import dataset_id
 from tests.programs.smoke import smoke
 from tests.recordings import recording
+from tests.stages.examples import Speed
 
 
 def test_the_plan_counts_the_stages_that_happen(benchmark):
@@ -27,8 +29,8 @@ KINDS = ("train_policy", "target_rollout", "target_return")
 
 def test_more_cores_take_less_time_and_the_same_core_hours():
     runs = list(BenchmarkSpec.model_validate(GRID).runs())
-    one, two, many = (plan(runs, cores) for cores in (1, 2, 1000))
-    assert one.hours == pytest.approx(one.core_hours, rel=0.3)  # speed is measured each time
+    one, two, many = (plan(runs, cores, speed=Speed()) for cores in (1, 2, 1000))
+    assert one.hours == pytest.approx(one.core_hours, rel=1e-9)  # one core is never idle
     assert one.hours > two.hours > many.hours > 0
     assert one.trainings == two.trainings == many.trainings
 
@@ -42,8 +44,24 @@ def test_one_after_the_other_is_no_faster_on_many_cores():
         RunSpec.model_validate({"task": "arm", "method": method, "preset": "demo"})
         for method in ("simopt", "udr")
     )
-    assert plan([simopt], 8).hours > 0.9 * plan([simopt], 1).hours
-    assert plan([udr], 3).hours < 0.6 * plan([udr], 1).hours
+    assert hours(simopt, 8) > 0.9 * hours(simopt, 1)
+    assert hours(udr, 3) < 0.4 * hours(udr, 1)
+
+
+def hours(spec, cores):
+    return plan([spec], cores, speed=Speed()).hours
+
+
+def test_one_robot_runs_one_episode_after_the_other():
+    spec = smoke("simopt", target={"kind": "external"}, evaluation_episodes=10)
+    episodes = 2 * 10 * 200 + 20  # evaluated twice, and visited once
+    assert hours(spec, 100) > episodes * control_period(get_task("arm")) / 3600
+
+
+def test_a_stage_is_priced_once_however_long_a_run_is():
+    """A plan's stages grow in proportion to the iterations, and so does its cost."""
+    few, many = (plan([smoke("dropo", iterations=n)], 1, speed=Speed()).trainings for n in (5, 50))
+    assert (few, many) == (1 + 4 + 5, 1 + 49 + 50)  # the prior, SimOpt's, and DROPO's
 
 
 def test_without_cores_there_is_no_time():

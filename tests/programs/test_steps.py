@@ -32,7 +32,7 @@ def test_the_cost_of_a_grid_is_the_sum_of_its_searches():
 
 def test_visits_are_joined_in_order_one_episode_each():
     parts = [recording("arm", n) for n in (5, 7)]
-    whole = TransitionDataset.from_npz(joined([Visit(None, p.to_npz()) for p in parts]))
+    whole = TransitionDataset.from_npz(joined([Visit(None, part) for part in parts]))
     assert whole.episode_count == 2
     np.testing.assert_array_equal(whole.actions, np.concatenate([p.actions for p in parts]))
 

@@ -24,6 +24,12 @@ def test_ids_are_registered_in_either_order_of_imports_and_without_mujoco(import
     assert "torso_mass" in done.stdout
 
 
+def test_ids_are_registered_after_somebody_has_looked_gymnasium_up():
+    lookup = "import adr_service, importlib.util; importlib.util.find_spec('gymnasium')"
+    done = python(f"{lookup}; import gymnasium; gymnasium.spec('adr/RandomArm-v0')")
+    assert done.returncode == 0, done.stderr
+
+
 def test_gymnasium_itself_imports_us_when_the_id_names_our_package():
     done = python("import gymnasium; print(gymnasium.make('adr_service:adr/RandomArm-v0'))")
     assert done.returncode == 0, done.stderr
