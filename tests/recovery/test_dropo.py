@@ -40,6 +40,7 @@ def test_dropo_recovers_the_published_hopper_masses(hopper_clean):
     np.testing.assert_allclose(estimate.distribution.mean, hopper.VANILLA.truth, rtol=0.02)
 
 
+@pytest.mark.slow  # the clean recording is recovered by the fast suite
 def test_dropo_recovers_hoppers_masses_from_noisy_transitions(hopper_noisy):
     """Tolerance: three times the distance with 200 transitions, .0064."""
     settings = DropoSettings(budget=1500, epsilon=1e-5)

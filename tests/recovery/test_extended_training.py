@@ -30,6 +30,7 @@ def returned(hidden, extension, seed):
     return np.array([e for e in events if e.type == "iteration_finished"][-1].returns)
 
 
+@pytest.mark.slow  # two minutes
 def test_policies_of_the_extended_simulator_return_more_on_a_target_that_hides_an_effect():
     """A spring that has to be held against, which no parameter can say."""
     hidden = Effect("joint_spring", "joint:shoulder", (12.0,))

@@ -38,6 +38,7 @@ def test_its_verdict_is_the_one_in_the_file_without_the_time_that_it_took(result
     assert result.verdict["seconds"] is None
 
 
+@pytest.mark.slow  # another criticism
 def test_it_is_the_same_to_the_byte_when_it_is_computed_again(stage, result):
     assert stage.read(compute(stage)) == result
 
