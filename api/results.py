@@ -104,7 +104,7 @@ def results_view(outcomes: Sequence[Outcome]) -> ResultsView:
 
 def _note(outcomes: Sequence[Outcome]) -> str:
     if any(outcome.spec.preset == "smoke" for outcome in outcomes):
-        return "preset 'smoke': a few hundred training steps; these numbers mean nothing"
+        return "preset 'smoke': tiny searches and trainings; these numbers mean nothing"
     if outcomes and all(isinstance(outcome.spec.target, RecordedTarget) for outcome in outcomes):
         return "a recorded target: there is nothing to evaluate the policy on"
     return "undiscounted target return / reward threshold; 95 % bootstrap interval"

@@ -53,7 +53,7 @@ def _in_work(stages: Iterable[tuple[Json, Json]]) -> list[str]:
         elif stage["state"] == "waiting":
             cores += 1
     parts = [f"; now {', '.join(running)}"] if running else []
-    parts += [f"; {cores} stages wait for a core"] if cores else []
+    parts += [f"; {_waiting(cores)} for a core"] if cores else []
     tasks = ", ".join(sorted(set(robots)))
     return parts + ([f"; {len(robots)} episodes wait for a robot of {tasks}"] if robots else [])
 
@@ -105,3 +105,7 @@ def _stages(runs: Iterable[Json]) -> list[tuple[Json, dict[str, Any]]]:
         for stage in run["progress"]:
             first.setdefault(stage["digest"], (run, stage))
     return list(first.values())
+
+
+def _waiting(stages: int) -> str:
+    return "1 stage waits" if stages == 1 else f"{stages} stages wait"

@@ -114,7 +114,9 @@ def _duration(hours: float) -> str:
     """
     if hours < 1 / 60:
         return "less than a minute"
-    return f"{60 * hours:.0f} minutes" if hours < 1 else f"{hours:.2g} hours"
+    if hours < 1:
+        return f"{60 * hours:.0f} minutes"
+    return f"{hours:.2g} hours" if hours < 10 else f"{hours:,.0f} hours"
 
 
 def cost_table(cost: Json) -> RenderableType:

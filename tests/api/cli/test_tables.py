@@ -64,7 +64,13 @@ def test_a_comparison_has_its_interval():
 
 @pytest.mark.parametrize(
     ("hours", "text"),
-    [(0.001, "less than a minute"), (0.25, "15 minutes"), (3, "3 hours"), (None, "no cores")],
+    [
+        (0.001, "less than a minute"),
+        (0.25, "15 minutes"),
+        (3, "3 hours"),
+        (990, "990 hours"),
+        (None, "no cores"),
+    ],
 )
 def test_a_plan_has_its_duration_in_words(hours, text):
     assert text in shown(plan_table({**PLAN, "hours": hours}))
