@@ -1,12 +1,16 @@
-"""How long a policy trains until it earns a task's reward threshold, on the ground truth.
+"""CPU seconds and environment steps until a policy earns its task's reward threshold.
 
-    python benchmarks/threshold.py [task, hopper] [preset, paper] [seeds, 3] [name=value …]
+    python benchmarks/threshold.py [TASK …] [--preset P] [--on truth] [--seeds N] [--set NAME=VALUE]
 
-The oracle's training of each seed, with a preset's settings (and changes of them), as the service
-computes it; as many processes at once as there are cores. Writes build/bench/threshold-TASK-PRESET
-as .json (per seed: seconds, CPU seconds, steps and the learning curve) and as .svg.
+Trains as the service does, the oracle's policy (`--on truth`) or the prior's (`--on prior`), on as
+many seeds at once as there are cores. Without tasks, on all four of the benchmark. Every training
+is kept in build/bench/threshold, so that a study that was stopped goes on where it was. Writes
+there, per task, a report (.json) and the learning curves (.svg), and prints a table.
+
+CPU seconds are those of the training's process, with its imports and compilations.
 """
 
+import argparse
 import json
 import math
 import os
@@ -15,59 +19,77 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
 from adr_service.events import TrainingEvaluated
-from adr_service.programs.references import truth_training
+from adr_service.programs.references import prior_training, truth_training
 from adr_service.progress import Checkpoint
 from adr_service.specs import RunSpec
 from adr_service.stages.base import compute
+from adr_service.stages.train_policy import TrainPolicy
 from adr_service.tasks.catalogue import get_task
 from workers.cluster import worker_environment
 
-FOLDER = Path("build/bench")
+FOLDER = Path("build/bench/threshold")
+TASKS = ("hopper", "half_cheetah", "walker2d", "humanoid")
 
 
-def main(task: str = "hopper", preset: str = "paper", seeds: str = "3", *changes: str) -> None:
-    environment = {**os.environ, **worker_environment(FOLDER.absolute() / "jax")}
+def options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("tasks", nargs="*", default=list(TASKS))
+    parser.add_argument("--preset", default="fast")
+    parser.add_argument("--on", choices=("truth", "prior"), default="truth")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--seed", type=int, help="train this one alone, in this process")
+    return parser.parse_args()
 
-    def one(seed: int) -> dict[str, Any]:
-        command = [sys.executable, __file__, "--seed", str(seed), task, preset, *changes]
-        done = subprocess.run(
-            command, env=environment, stdout=subprocess.PIPE, text=True, check=True
-        )
-        return json.loads(done.stdout.splitlines()[-1])
 
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        found = list(pool.map(one, range(int(seeds))))
-    threshold = get_task(task).reward_threshold
-    report = {
-        "task": task,
-        "preset": preset,
-        "changes": changes,
-        "threshold": threshold,
-        "reached": sum(f["reached"] for f in found),
-        # None: fewer than half of the seeds reached it
-        "median_steps": median([f["steps"] if f["reached"] else math.inf for f in found]),
-        "median_seconds": median([f["seconds"] if f["reached"] else math.inf for f in found]),
-        "seeds": found,
-    }
+def main(given: argparse.Namespace) -> None:
     FOLDER.mkdir(parents=True, exist_ok=True)
-    path = FOLDER / f"{'-'.join(('threshold', task, preset, *changes))}.json"
-    path.write_text(json.dumps(report, indent=1))
-    draw(report, path.with_suffix(".svg"))
-    print(
-        f"{task}, {preset}: {report['reached']} of {len(found)} seeds reached {threshold:g}; "
-        f"median steps {report['median_steps']}, seconds {report['median_seconds']}; {path}"
+    trainings = list(product(given.tasks, range(given.seeds)))
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        list(pool.map(lambda each: in_a_process_of_its_own(given, *each), trainings))
+    print("| task | reached | CPU seconds: median, range | steps: median, range | return |")
+    for task in given.tasks:
+        found = [
+            json.loads(kept(stage_of(given, task, seed)).read_text()) for seed in range(given.seeds)
+        ]
+        changes = "".join(f"-{each}" for each in given.set)
+        path = FOLDER / f"{task}-{given.preset}-{given.on}{changes}.json"
+        path.write_text(json.dumps(found, indent=1))
+        draw(task, given, found, path.with_suffix(".svg"))
+        print(row(task, found), flush=True)
+
+
+def in_a_process_of_its_own(given: argparse.Namespace, task: str, seed: int) -> None:
+    """Train, unless it has been done."""
+    if kept(stage_of(given, task, seed)).exists():
+        return
+    environment = {**os.environ, **worker_environment(Path("build/bench/jax").absolute())}
+    command = [sys.executable, "-W", "ignore::DeprecationWarning", __file__, task]
+    command += ["--preset", given.preset, "--on", given.on, "--seed", str(seed)]
+    command += [argument for each in given.set for argument in ("--set", each)]
+    subprocess.run(command, env=environment, check=True)
+
+
+def stage_of(given: argparse.Namespace, task: str, seed: int) -> TrainPolicy:
+    training = {name: read(value) for name, _, value in (s.partition("=") for s in given.set)}
+    method = {"truth": "oracle", "prior": "prior"}[given.on]
+    spec = RunSpec.model_validate(
+        {
+            "task": task,
+            "method": method,
+            "preset": given.preset,
+            "seed": seed,
+            "training": training,
+        }
     )
-
-
-def median(values: list[float]) -> float | None:
-    middle = statistics.median(values)
-    return middle if math.isfinite(middle) else None
+    return truth_training(spec) if given.on == "truth" else prior_training(spec)
 
 
 def read(value: str) -> Any:
@@ -77,49 +99,81 @@ def read(value: str) -> Any:
         return value
 
 
-def train(seed: str, task: str, preset: str, *changes: str) -> None:
-    """One training; its report as the last line of the output."""
-    training = {name: read(value) for name, _, value in (c.partition("=") for c in changes)}
-    given = {"task": task, "method": "oracle", "preset": preset, "seed": int(seed)}
-    spec = RunSpec.model_validate({**given, "training": training})
-    started, cpu = time.perf_counter(), time.process_time()
+def kept(stage: TrainPolicy) -> Path:
+    return FOLDER / f"{stage.digest}.json"
+
+
+def train(given: argparse.Namespace) -> None:
+    """One training; keeps its report."""
+    (task,) = given.tasks
+    stage = stage_of(given, task, given.seed)
+    curve: list[dict[str, float]] = []
 
     def progress(fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
         if checkpoint is not None:
             point = checkpoint.events[-1]
             assert isinstance(point, TrainingEvaluated)
-            seconds, earned = time.perf_counter() - started, point.mean_return
-            line = f"seed {seed}: {seconds:.0f} s, {point.steps} steps, return {earned:.1f}"
+            seen = point.model_dump(include={"steps", "mean_return", "standard_error"})
+            curve.append({"cpu_seconds": time.process_time(), **seen})
+            line = f"{task}, seed {given.seed}: {curve[-1]['cpu_seconds']:.0f} CPU s, "
+            line += f"{point.steps} steps, return {point.mean_return:.1f}"
             print(line, file=sys.stderr, flush=True)
 
-    values = compute(truth_training(spec), progress).values
+    started = time.perf_counter()
+    values = compute(stage, progress).values
     report = {
-        "seed": int(seed),
+        "task": task,
+        "seed": given.seed,
+        "training": stage.training.model_dump(),
+        "cpu_seconds": time.process_time(),
         "seconds": time.perf_counter() - started,
-        "cpu_seconds": time.process_time() - cpu,
         "steps": values["steps"],
         "reached": values["reached_threshold"],
-        "curve": values["curve"],
+        "source_return": values["source_return"],
+        "confirmation": values.get("confirmation"),
+        "diverged_episodes": values["diverged_episodes"],
+        "curve": curve,
     }
-    print(json.dumps(report))
+    kept(stage).write_text(json.dumps(report, indent=1))
 
 
-def draw(report: dict[str, Any], path: Path) -> None:
+def row(task: str, found: list[dict[str, Any]]) -> str:
+    reached = [each for each in found if each["reached"]]
+    cells = [task, f"{len(reached)} of {len(found)} seeds"]
+    for name, unit in (("cpu_seconds", 1), ("steps", 1000)):
+        values = [each[name] / unit if each["reached"] else math.inf for each in found]
+        numbers = (statistics.median(values), min(values), max(values))
+        median, least, most = ("–" if math.isinf(n) else f"{n:.0f}" for n in numbers)
+        cells.append(f"{median}, {least} to {most}" + (" thousand" if unit > 1 else ""))
+    returns = sorted(each["source_return"] for each in found)
+    cells.append(f"{returns[0]:.0f} to {returns[-1]:.0f}")
+    return f"| {' | '.join(cells)} |"
+
+
+def draw(task: str, given: argparse.Namespace, found: list[dict[str, Any]], path: Path) -> None:
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.subplots()
-    for found in report["seeds"]:
-        steps = [point["steps"] for point in found["curve"]]
-        means = [point["mean_return"] for point in found["curve"]]
-        axes.plot(steps, means, label=f"seed {found['seed']}")
-    axes.axhline(report["threshold"], color="black", linewidth=0.8, linestyle="--")
-    axes.set(xlabel="environment steps", ylabel="return on the ground truth")
-    axes.set_title(f"{report['task']}, preset {report['preset']}")
+    for each in found:
+        seconds, means, errors = (
+            [point[name] for point in each["curve"]]
+            for name in ("cpu_seconds", "mean_return", "standard_error")
+        )
+        (line,) = axes.plot(seconds, means, label=f"seed {each['seed']}", linewidth=1)
+        low = [mean - error for mean, error in zip(means, errors, strict=True)]
+        high = [mean + error for mean, error in zip(means, errors, strict=True)]
+        axes.fill_between(seconds, low, high, color=line.get_color(), alpha=0.3, linewidth=0)
+        if each["reached"]:
+            axes.plot(each["cpu_seconds"], each["source_return"], "o", color=line.get_color())
+    axes.axhline(get_task(task).reward_threshold, color="black", linewidth=0.8, linestyle="--")
+    axes.set(xlabel="CPU seconds", ylabel=f"return on the {given.on}, with one standard error")
+    axes.set_title(f"{task}, preset {given.preset}")
     axes.legend(frameon=False)
     figure.savefig(path)
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--seed"]:
-        train(*sys.argv[2:])
+    arguments = options()
+    if arguments.seed is None:
+        main(arguments)
     else:
-        main(*sys.argv[1:])
+        train(arguments)

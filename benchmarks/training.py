@@ -121,7 +121,7 @@ def ours(backend: str, meter: Meter, steps: int) -> None:
     from adr_service.distributions import Gaussian
     from adr_service.specs import RunSpec
     from adr_service.tasks.catalogue import get_task, source_of
-    from adr_service.training.sac import train
+    from adr_service.training.train import train
 
     most = WARM_UP + steps + ENVIRONMENTS
     given = {

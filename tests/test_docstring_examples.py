@@ -60,7 +60,7 @@ NAMES: dict[str, Callable[..., dict[str, Any]]] = {
     "adr_service.target": names.target,
     "adr_service.tasks.check": names.tasks,
     "adr_service.training.policy": names.policy_file,
-    "adr_service.training.sac": names.training,
+    "adr_service.training.train": names.training,
     "adr_service.transitions": names.recording_file,
     "api.connections": names.server,
     "api.uploads": names.upload,

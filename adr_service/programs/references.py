@@ -13,12 +13,12 @@ from adr_service.tasks.catalogue import hidden_of
 
 
 def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[RunEvent, None, None]:
-    stage = truth_training(spec) if spec.method.needs_truth else _prior_training(spec)
+    stage = truth_training(spec) if spec.method.needs_truth else prior_training(spec)
     trained = yield from stages.run(stage)
     yield from evaluate_and_report(open_target(spec, stages), 0, [stage.distribution], [trained])
 
 
-def _prior_training(spec: RunSpec) -> TrainPolicy:
+def prior_training(spec: RunSpec) -> TrainPolicy:
     return training(spec, Gaussian.prior(problem_of(spec).source.space))
 
 

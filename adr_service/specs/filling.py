@@ -8,6 +8,8 @@ from adr_service.specs.names import as_given
 from adr_service.specs.target import EXTERNAL_EPISODES
 
 _DEFAULT = "quick"
+# of a preset's training, what holds for every algorithm
+_BUDGET = ("backend", "max_steps", "evaluate_every", "stop_at_threshold")
 
 
 def filled_from_preset(given: dict[str, Any]) -> dict[str, Any]:
@@ -21,7 +23,7 @@ def filled_from_preset(given: dict[str, Any]) -> dict[str, Any]:
     preset = PRESETS[name if isinstance(name, str) and name in PRESETS else _DEFAULT]
     filled = {"preset": _DEFAULT, **preset["run"], **given}
     if isinstance(training := given.get("training", {}), dict):
-        filled["training"] = {**preset["run"]["training"], **training}
+        filled["training"] = {**_usual_training(preset, given.get("task"), training), **training}
     if "method" in given:
         filled["method"] = _filled_method(given["method"], preset["methods"])
     kind = _kind_of(filled.get("target"))
@@ -37,6 +39,15 @@ def learns_from_simopt(spec: dict[str, Any]) -> bool:
     method = spec.get("method")
     name = cast(dict[str, Any], method).get("name") if isinstance(method, dict) else method
     return name in names_of("recordings") and spec.get("collector", "simopt") == "simopt"
+
+
+def _usual_training(preset: dict[str, Any], task: Any, given: dict[str, Any]) -> dict[str, Any]:
+    """A preset's training of a task; for another algorithm, its budget alone."""
+    own = preset.get("trainings", {})
+    usual = own[task] if isinstance(task, str) and task in own else preset["run"]["training"]
+    if given.get("algorithm", usual.get("algorithm")) == usual.get("algorithm"):
+        return usual
+    return {name: value for name, value in usual.items() if name in _BUDGET}
 
 
 def _filled_method(given: Any, defaults: dict[str, dict[str, Any]]) -> Any:

@@ -193,8 +193,10 @@ def _split(fields: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, bytes]]
 
 def _as_json(value: Any) -> Any:
     """An input as JSON; bytes and JSON as they are."""
+    if hasattr(value, "to_json"):
+        return value.to_json()
     if isinstance(value, BaseModel):
         return value.model_dump()
     if isinstance(value, list):
         return [_as_json(each) for each in cast(list[Any], value)]
-    return value.to_json() if hasattr(value, "to_json") else value
+    return value

@@ -16,24 +16,18 @@ from adr_service.training.curve import Evaluation
 from adr_service.training.policy import Policy
 from adr_service.training.settings import TrainingSettings
 
-# Seconds of one gradient step on one server core, measured in trainings of `hopper` and of the
-# demo (docs/training.md): a part that does not shrink with the networks, and one in proportion to
-# them, for 2x128 and batches of 256
-_UPDATE_S = {"sbx": (0.00005, 0.0030), "sb3": (0.0025, 0.0125)}
-_REFERENCE_WORK = 256 * 128**2  # batch size x weights between the hidden layers
-_VECTOR_STEP_S = 0.0007  # acting and storing, per step of all environments
-
 
 class TrainedPolicy(Result):
     """A policy and its learning curve."""
 
     policy: bytes  # of the best evaluation
     steps: int  # of the environments
-    source_return: float  # of the best evaluation, so a little high
+    source_return: float  # of the confirmation, else of the best evaluation, so a little high
     reached_threshold: bool
     curve: list[Evaluation]
     adjusted_draws: int  # dynamics moved onto a bound of the space
     diverged_episodes: int
+    confirmation: Evaluation | None = None  # of the policy, on fresh draws
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,22 +47,22 @@ class TrainPolicy(Stage[TrainedPolicy]):
     def compute(self, rng: np.random.Generator, progress: Progress) -> TrainedPolicy:
         # importing PyTorch and JAX takes seconds: only trainers pay
         with preparing():
-            from adr_service.training.sac import train
+            from adr_service.training.train import train
 
         task = get_task(self.task)
         source = source_of(self.task, self.variant)
         training = train(
             task, source, self.distribution, self.training, rng, progress, self._checkpoint
         )
-        best = training.best.mean_return
         return TrainedPolicy(
             policy=training.policy.to_bytes(),
             steps=training.steps,
-            source_return=best,
-            reached_threshold=best >= task.reward_threshold,
+            source_return=training.best.mean_return,
+            reached_threshold=training.reached_threshold,
             curve=list(training.curve),
             adjusted_draws=training.adjusted_draws,
             diverged_episodes=training.diverged_episodes,
+            confirmation=None if self.training.confirmation is None else training.best,
         )
 
     def events(self, result: TrainedPolicy) -> list[RunEvent]:
@@ -76,24 +70,19 @@ class TrainPolicy(Stage[TrainedPolicy]):
 
     def cost(self, speed: CoreSpeed) -> Cost:
         settings, task = self.training, get_task(self.task)
-        assert settings.backend is not None, "validation has chosen one"
-        fixed, proportional = _UPDATE_S[settings.backend]
-        work = settings.batch_size * float(np.prod(settings.hidden[:2])) / _REFERENCE_WORK
-        update = fixed + proportional * work
-        rounds = settings.max_steps / settings.environments
-        evaluations = -(-settings.max_steps // settings.evaluate_every)
-        simulated = settings.max_steps + evaluations * settings.evaluation_episodes * task.horizon
-        updating = rounds * (settings.gradient_steps * update + _VECTOR_STEP_S)
+        evaluations = -(-settings.steps // settings.evaluate_every)
+        episodes = evaluations * settings.evaluation_episodes + (settings.confirmation or 0)
+        simulated = settings.steps + episodes * task.horizon
         return Cost(
-            seconds=simulated / speed.steps_per_second(self.task) + updating,
-            environment_steps=settings.max_steps,
+            seconds=simulated / speed.steps_per_second(self.task) + settings.learning_seconds(),
+            environment_steps=settings.steps,
             policy_bytes=settings.policy_bytes(len(task.columns), len(task.action_low)),
         )
 
     def stand_in(self) -> TrainedPolicy:
         return TrainedPolicy(
             policy=f"policy of {self.digest}".encode(),
-            steps=self.training.max_steps,
+            steps=self.training.steps,
             source_return=0.0,
             reached_threshold=False,
             curve=[],

@@ -11,6 +11,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 import safetensors.numpy
@@ -19,6 +20,7 @@ from safetensors import SafetensorError
 from adr_service.arrays import Matrix, Vector, frozen
 from adr_service.errors import InvalidInput
 
+Squash = Literal["tanh", "clip"]
 Layer = tuple[np.ndarray, np.ndarray]  # weight (out, in), bias (out,); float32
 
 
@@ -26,26 +28,35 @@ def _relu(x: np.ndarray) -> np.ndarray:
     return np.maximum(x, 0)
 
 
+def _clip(x: np.ndarray) -> np.ndarray:
+    return np.clip(x, -1, 1)
+
+
 _ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": _relu, "tanh": np.tanh}
+_SQUASHES: dict[Squash, Callable[[np.ndarray], np.ndarray]] = {"tanh": np.tanh, "clip": _clip}
 
 
 @dataclass(frozen=True)
 class Policy:
-    """The mode of a SAC actor: tanh(MLP(observation)), scaled to the action bounds.
+    """The mode of an actor: an MLP of the observation, squashed and scaled to the action bounds.
 
-    Haarnoja et al., arXiv 1801.01290, App. C: actions are tanh of a Gaussian.
+    SAC and CrossQ: tanh (Haarnoja et al., arXiv 1801.01290, App. C: actions are tanh of a
+    Gaussian). PPO: clipped, because its Gaussian has no bounds.
     """
 
     layers: tuple[Layer, ...]
     activation: str  # between layers: "relu" or "tanh"
     action_low: Vector  # (a,)
     action_high: Vector  # (a,)
+    squash: Squash = "tanh"  # to [-1, 1]
 
     def __post_init__(self) -> None:
         if self.activation not in _ACTIVATIONS:
             raise InvalidInput(
                 f"activation must be one of {sorted(_ACTIVATIONS)}: {self.activation!r}"
             )
+        if self.squash not in _SQUASHES:
+            raise InvalidInput(f"squash must be one of {sorted(_SQUASHES)}: {self.squash!r}")
         for (before, _), (after, _) in pairwise(self.layers):
             if after.shape[1] != before.shape[0]:
                 raise InvalidInput(f"layers do not fit: {before.shape} then {after.shape}")
@@ -57,7 +68,7 @@ class Policy:
         for weight, bias in self.layers[:-1]:
             hidden = activate(hidden @ weight.T + bias)
         weight, bias = self.layers[-1]
-        unit = np.tanh(hidden @ weight.T + bias).astype(np.float64)
+        unit = _SQUASHES[self.squash](hidden @ weight.T + bias).astype(np.float64)
         return self.action_low + (unit + 1) / 2 * (self.action_high - self.action_low)
 
     def to_bytes(self) -> bytes:
@@ -66,12 +77,14 @@ class Policy:
         for i, (weight, bias) in enumerate(self.layers):
             tensors[f"layer_{i}.weight"] = np.ascontiguousarray(weight)
             tensors[f"layer_{i}.bias"] = np.ascontiguousarray(bias)
-        description = {
+        description: dict[str, Any] = {
             "activation": self.activation,
             "layers": len(self.layers),
             "action_low": self.action_low.tolist(),
             "action_high": self.action_high.tolist(),
         }
+        if self.squash != "tanh":  # the only one at first, so it is not written
+            description["squash"] = self.squash
         return safetensors.numpy.save(tensors, {"policy": json.dumps(description, sort_keys=True)})
 
     @classmethod
@@ -89,4 +102,5 @@ class Policy:
             low, high = frozen(description["action_low"]), frozen(description["action_high"])
         except (SafetensorError, KeyError, ValueError) as error:
             raise InvalidInput(f"not the bytes of a policy: {error}") from error
-        return cls(layers, description["activation"], low, high)
+        squash = description.get("squash", "tanh")
+        return cls(layers, description["activation"], low, high, squash)

@@ -1,16 +1,32 @@
-"""Hyperparameters of policy training, importable without the libraries that train."""
+"""Algorithms of policy training with their hyperparameters; imports no library that trains."""
 
 import importlib.util
+from abc import abstractmethod
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from math import prod
+from typing import Annotated, Any, Literal, Self, TypeAlias, cast
 
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from adr_service.json_values import Wire
 
+Widths = Annotated[
+    list[Annotated[int, Field(ge=1, le=4096)]], Field(min_length=1, max_length=8)
+]  # units per hidden layer
 
-class TrainingSettings(Wire):
-    """Hyperparameters of one policy training; defaults are the paper's, else SB3's."""
+# Seconds on one server core, measured in trainings (docs/training.md). Of an update: a part that
+# does not shrink with the networks, and one in proportion to them, for `_WORK`
+_UPDATE_S = {
+    "sac": {"sbx": (0.00005, 0.0030), "sb3": (0.0025, 0.0125)},
+    "crossq": {"sbx": (0.0012, 0.0015), "sb3": (0.0050, 0.0100)},
+}
+_WORK = 256 * 128**2  # batch size x weights between the first two hidden layers
+_STEP_S = 0.0007  # acting and storing, per step of all environments
+_SAMPLE_S = {"sbx": 0.000002, "sb3": 0.000008}  # PPO's update per transition and epoch, for 2x64
+
+
+class _Settings(Wire):
+    """Settings that all algorithms have."""
 
     backend: Literal["sbx", "sb3"] | None = Field(
         None, description="null: sbx where it is installed, else sb3"
@@ -19,24 +35,28 @@ class TrainingSettings(Wire):
         5_000_000, ge=100, le=10**10, description="environment steps, all environments"
     )
     environments: int = Field(12, ge=1, le=1024)
-    gradient_steps: int = Field(
-        1, ge=1, le=10_000, description="updates per step of all environments"
-    )
-    hidden: list[Annotated[int, Field(ge=1, le=4096)]] = Field(
-        [128, 128], min_length=1, max_length=8, description="units per hidden layer"
-    )
+    hidden: Widths = Field([128, 128], description="units per hidden layer of the actor")
     activation: Literal["relu", "tanh"] = "tanh"
-    learning_rate: float | None = Field(None, gt=0, description="null: the task's own")
     batch_size: int = Field(256, ge=1, le=65_536)
-    buffer_size: int = Field(1_000_000, ge=1000, le=10**8)
-    learning_starts: int = Field(
-        100, ge=0, le=10**9, description="steps of uniformly random actions"
-    )
     gamma: float = Field(0.99, gt=0, lt=1)
-    tau: float = Field(0.005, gt=0, le=1)
     evaluate_every: int = Field(40_000, ge=100, le=10**9, description="environment steps")
     evaluation_episodes: int = Field(50, ge=1, le=10_000)
     stop_at_threshold: bool = True
+
+    @property
+    def steps(self) -> int:
+        """Environment steps of a training that nothing stops early."""
+        return self.max_steps
+
+    @property
+    def confirmation(self) -> int | None:
+        """Fresh episodes that must confirm the best evaluation; None: it stands as it is."""
+        return None
+
+    @abstractmethod
+    def learning_seconds(self) -> float:
+        """Expected seconds of acting and updating on one core, without simulations."""
+        ...
 
     def policy_bytes(self, observations: int, actions: int) -> int:
         """The size of an actor's weights, in float32."""
@@ -49,3 +69,138 @@ class TrainingSettings(Wire):
             installed = importlib.util.find_spec("sbx") is not None
             object.__setattr__(self, "backend", "sbx" if installed else "sb3")
         return self
+
+
+class _Confirmed(_Settings):
+    """Settings of algorithms that report a policy by fresh episodes, not by its best evaluation."""
+
+    evaluation_episodes: int = Field(10, ge=1, le=10_000, description="of a learning curve's point")
+    confirmation_episodes: int = Field(
+        50, ge=2, le=10_000, description="fresh ones, by which the best policy is reported"
+    )
+
+    @property
+    def confirmation(self) -> int | None:
+        return self.confirmation_episodes
+
+
+class SacSettings(_Settings):
+    """Soft Actor-Critic (Haarnoja et al., arXiv 1812.05905); defaults are the paper's of the
+    benchmark (Tiboni et al., Sec. 3.4), else SB3's."""
+
+    algorithm: Literal["sac"] = "sac"
+    gradient_steps: int = Field(
+        1, ge=1, le=10_000, description="updates per step of all environments"
+    )
+    learning_rate: float | None = Field(None, gt=0, description="null: the task's own")
+    buffer_size: int = Field(1_000_000, ge=1000, le=10**8)
+    learning_starts: int = Field(
+        100, ge=0, le=10**9, description="steps of uniformly random actions"
+    )
+    tau: float = Field(0.005, gt=0, le=1)
+
+    def learning_seconds(self) -> float:
+        return _learning_seconds(self, self.hidden)
+
+    def to_json(self) -> dict[str, Any]:
+        """What enters a digest: without the algorithm, because at first there was no other."""
+        return self.model_dump(exclude={"algorithm"})
+
+
+class CrossQSettings(_Confirmed):
+    """CrossQ (Bhatt et al., arXiv 1902.05605): SAC with batch renormalisation in the place of
+    target networks."""
+
+    algorithm: Literal["crossq"]
+    gradient_steps: int = Field(
+        1, ge=1, le=10_000, description="updates per step of all environments"
+    )
+    learning_rate: float = Field(0.001, gt=0)
+    buffer_size: int = Field(1_000_000, ge=1000, le=10**8)
+    learning_starts: int = Field(
+        1000, ge=0, le=10**9, description="steps of uniformly random actions"
+    )
+    critic_hidden: Widths = Field([128, 128], description="units per hidden layer of the critics")
+    policy_delay: int = Field(3, ge=1, le=100, description="critic updates per actor update")
+    activation: Literal["relu", "tanh"] = "relu"
+
+    def learning_seconds(self) -> float:
+        return _learning_seconds(self, self.critic_hidden)
+
+
+class PpoSettings(_Confirmed):
+    """Proximal Policy Optimisation (Schulman et al., arXiv 1707.06347) on normalised observations
+    and rewards."""
+
+    algorithm: Literal["ppo"]
+    environments: int = Field(32, ge=1, le=1024)
+    hidden: Widths = Field([64, 64], description="units per hidden layer of the actor and critic")
+    batch_size: int = Field(512, ge=2, le=65_536)
+    learning_rate: float = Field(0.0005, gt=0)
+    rollout_steps: int = Field(128, ge=1, le=65_536, description="of each environment")
+    epochs: int = Field(5, ge=1, le=1000, description="over the transitions of each rollout")
+    gae_lambda: float = Field(0.95, ge=0, le=1)
+    clip_range: float = Field(0.2, gt=0)
+    entropy_coefficient: float = Field(0.0, ge=0)
+    log_deviation: float = Field(
+        0.0, ge=-10, le=2, description="initial log standard deviation of actions in [-1, 1]"
+    )
+
+    @property
+    def transitions(self) -> int:
+        """Of one rollout of all environments."""
+        return self.rollout_steps * self.environments
+
+    @property
+    def steps(self) -> int:
+        """Environment steps of whole rollouts, of which a training consists."""
+        return self.max_steps - self.max_steps % self.transitions
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        rollout = f"{self.transitions} transitions of a rollout (rollout_steps x environments)"
+        if self.transitions % self.batch_size:
+            raise ValueError(
+                f"batch_size: {self.batch_size} given, which does not divide the {rollout}"
+            )
+        if self.max_steps < self.transitions:
+            raise ValueError(f"max_steps: {self.max_steps} given, fewer than the {rollout}")
+        return self
+
+    def learning_seconds(self) -> float:
+        assert self.backend is not None, "validation has chosen one"
+        updating = self.epochs * _SAMPLE_S[self.backend] * _between(self.hidden) / 64**2
+        return self.steps * (_STEP_S / self.environments + updating)
+
+
+def _between(widths: list[int]) -> int:
+    """Weights between the first two hidden layers."""
+    return prod(widths[:2])
+
+
+def _learning_seconds(settings: SacSettings | CrossQSettings, critic: list[int]) -> float:
+    """Of an algorithm that updates its networks at every step of all environments."""
+    assert settings.backend is not None, "validation has chosen one"
+    fixed, proportional = _UPDATE_S[settings.algorithm][settings.backend]
+    update = fixed + proportional * settings.batch_size * _between(critic) / _WORK
+    rounds = settings.max_steps / settings.environments
+    return rounds * (settings.gradient_steps * update + _STEP_S)
+
+
+def _algorithm(given: Any) -> Any:
+    if isinstance(given, dict):
+        return cast(dict[str, Any], given).get("algorithm", "sac")
+    return getattr(given, "algorithm", None)
+
+
+TrainingSettings: TypeAlias = Annotated[
+    Annotated[SacSettings, Tag("sac")]
+    | Annotated[CrossQSettings, Tag("crossq")]
+    | Annotated[PpoSettings, Tag("ppo")],
+    Discriminator(
+        _algorithm,
+        custom_error_type="unknown_algorithm",
+        custom_error_message="give training settings whose algorithm is 'sac' (the default), "
+        "'crossq' or 'ppo'",
+    ),
+]

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tests.training.test_sac import TINY  # a training of a second
+from tests.training.examples import TINY  # a training of a second
 
 
 @pytest.mark.ray

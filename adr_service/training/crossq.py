@@ -1,0 +1,111 @@
+"""CrossQ (Bhatt et al., arXiv 1902.05605), by SB3-Contrib and by SBX.
+
+Batch renormalisation stands before every layer. An actor that acts uses its running statistics,
+so that the renormalisation is part of the layer behind it, in which the exported policy has it.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from adr_service.simulation.vec_env import RandomizedVecEnv
+from adr_service.tasks.base import Task
+from adr_service.training.libraries import (
+    Library,
+    actor,
+    flax_layer,
+    jax_activation,
+    normalised,
+    torch_activation,
+    torch_layer,
+)
+from adr_service.training.policy import Layer, Policy
+from adr_service.training.settings import CrossQSettings
+
+_EPSILON = 0.001  # of both libraries, added to variances
+
+
+def _hyperparameters(settings: CrossQSettings, activation: Any, seed: int) -> dict[str, Any]:
+    return {
+        "learning_rate": settings.learning_rate,
+        # no larger than a training can fill, because allocating takes time
+        "buffer_size": min(settings.buffer_size, settings.max_steps + settings.environments),
+        "learning_starts": settings.learning_starts,
+        "batch_size": settings.batch_size,
+        "gamma": settings.gamma,
+        "train_freq": 1,
+        "gradient_steps": settings.gradient_steps,
+        "policy_delay": settings.policy_delay,
+        "seed": seed,
+        "policy_kwargs": {
+            "net_arch": {"pi": settings.hidden, "qf": settings.critic_hidden},
+            "activation_fn": activation,
+        },
+    }
+
+
+def _renormalised(layer: Layer, mean: Any, variance: Any, factor: Any, shift: Any) -> Layer:
+    """A layer with the batch renormalisation that stands before it."""
+    scale = np.asarray(factor) / np.sqrt(np.asarray(variance) + _EPSILON)
+    return normalised(layer, np.asarray(mean), scale, np.asarray(shift))
+
+
+class _Sb3:
+    """SB3-Contrib (PyTorch): the reference."""
+
+    def build(self, env: RandomizedVecEnv, task: Task, settings: CrossQSettings, seed: int) -> Any:
+        activation = torch_activation(settings.activation)
+        import sb3_contrib
+
+        common = _hyperparameters(settings, activation, seed)
+        return sb3_contrib.CrossQ("MlpPolicy", env, device="cpu", **common)
+
+    def policy(self, model: Any, task: Task, settings: CrossQSettings) -> Policy:
+        import torch
+        from sb3_contrib.common.torch_layers import BatchRenorm1d
+
+        found = model.policy.actor
+        linear = [m for m in found.latent_pi if isinstance(m, torch.nn.Linear)] + [found.mu]
+        before = [m for m in found.latent_pi if isinstance(m, BatchRenorm1d)]
+        layers = tuple(
+            _renormalised(
+                torch_layer(layer),
+                *(x.detach().numpy() for x in (norm.ra_mean, norm.ra_var, norm.scale, norm.bias)),
+            )
+            for layer, norm in zip(linear, before, strict=True)
+        )
+        return actor(task, settings.activation, layers)
+
+
+class _Sbx:
+    """SBX (JAX): the same interface with more updates per second."""
+
+    def build(self, env: RandomizedVecEnv, task: Task, settings: CrossQSettings, seed: int) -> Any:
+        activation = jax_activation(settings.activation)
+        from adr_service.training.fused import FusedCrossQ
+
+        return FusedCrossQ("MlpPolicy", env, **_hyperparameters(settings, activation, seed))
+
+    def policy(self, model: Any, task: Task, settings: CrossQSettings) -> Policy:
+        model.publish()
+        state = model.policy.actor_state
+        layers: list[Layer] = []
+        # the last Dense, the log deviation, follows the same renormalisation as the mean
+        for i in range(len(settings.hidden) + 1):
+            norm, statistics = (
+                tree[f"BatchRenorm_{i}"] for tree in (state.params, state.batch_stats)
+            )
+            layers.append(
+                _renormalised(
+                    flax_layer(state.params[f"Dense_{i}"]),
+                    statistics["mean"],
+                    statistics["var"],
+                    norm["scale"],
+                    norm["bias"],
+                )
+            )
+        return actor(task, settings.activation, tuple(layers))
+
+
+LIBRARIES: Mapping[str, Library] = {"sbx": _Sbx(), "sb3": _Sb3()}

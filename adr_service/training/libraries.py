@@ -1,0 +1,82 @@
+"""What the libraries that train have in common: SB3 on PyTorch, and SBX on JAX."""
+
+import importlib
+import importlib.util
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, Protocol
+
+import numpy as np
+
+from adr_service.errors import InvalidInput
+from adr_service.simulation.vec_env import RandomizedVecEnv
+from adr_service.startup_time import add_preparation, preparing
+from adr_service.tasks.base import Task
+from adr_service.training.policy import Layer, Policy, Squash
+
+
+class Library(Protocol):
+    """A library's implementation of an algorithm, with the interface of SB3."""
+
+    def build(self, env: RandomizedVecEnv, task: Task, settings: Any, seed: int) -> Any: ...
+    def policy(self, model: Any, task: Task, settings: Any) -> Policy: ...
+
+
+def torch_activation(name: str) -> Any:
+    """A PyTorch activation; makes PyTorch use one thread."""
+    with preparing():
+        import torch
+
+    torch.set_num_threads(1)
+    return {"relu": torch.nn.ReLU, "tanh": torch.nn.Tanh}[name]
+
+
+def jax_activation(name: str) -> Any:
+    """A Flax activation; raises InvalidInput where SBX is not installed."""
+    if importlib.util.find_spec("sbx") is None:
+        raise InvalidInput(
+            "backend 'sbx' needs the package sbx-rl (pip install sbx-rl); without it, use 'sb3'"
+        )
+    with preparing():
+        importlib.import_module("sbx")
+        import flax.linen
+    _count_compilations()
+    return {"relu": flax.linen.relu, "tanh": flax.linen.tanh}[name]
+
+
+@cache
+def _count_compilations() -> None:
+    """Count the time that JAX spends on compiling as preparation, once per process."""
+    import jax
+
+    def listen(event: str, duration_secs: float, **_: Any) -> None:
+        if event.startswith("/jax/core/compile/") and "trace" not in event:  # traces are nested
+            add_preparation(duration_secs)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+
+
+def torch_layer(linear: Any) -> Layer:
+    """The weights of a PyTorch `Linear`, copied."""
+    return linear.weight.detach().numpy().copy(), linear.bias.detach().numpy().copy()
+
+
+def flax_layer(dense: Mapping[str, Any]) -> Layer:
+    """The weights of a Flax `Dense`, copied."""
+    return np.array(dense["kernel"]).T.copy(), np.array(dense["bias"])
+
+
+def normalised(layer: Layer, mean: np.ndarray, scale: np.ndarray, shift: Any = 0.0) -> Layer:
+    """A layer that takes x in the place of (x - mean) * scale + shift; all of its input's width."""
+    weight, bias = layer
+    moved = bias + weight @ (shift - mean * scale)
+    return (weight * scale).astype(np.float32), moved.astype(np.float32)
+
+
+def actor(
+    task: Task, activation: str, layers: tuple[Layer, ...], squash: Squash = "tanh"
+) -> Policy:
+    """The policy of an actor's layers; raises InvalidInput where they are not finite."""
+    if not all(np.isfinite(weight).all() and np.isfinite(bias).all() for weight, bias in layers):
+        raise InvalidInput("training diverged: the actor's weights are not finite")
+    return Policy(layers, activation, task.action_low, task.action_high, squash)

@@ -1,0 +1,109 @@
+"""Proximal Policy Optimisation (Schulman et al., arXiv 1707.06347), by SB3 and by SBX.
+
+Observations and rewards are normalised. The exported policy has the normalisation in its first
+layer. Actions are those of the unit cube, scaled to the task's bounds, so that the first policies
+of every task explore with the same strength.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+from stable_baselines3.common.vec_env import VecEnvWrapper, VecNormalize
+
+from adr_service.simulation.vec_env import RandomizedVecEnv
+from adr_service.tasks.base import Task
+from adr_service.training.libraries import (
+    Library,
+    actor,
+    flax_layer,
+    jax_activation,
+    normalised,
+    torch_activation,
+    torch_layer,
+)
+from adr_service.training.policy import Policy
+from adr_service.training.settings import PpoSettings
+
+
+class _UnitActions(VecEnvWrapper):
+    """Environments whose actions are those of the unit cube, [-1, 1] each."""
+
+    def __init__(self, env: RandomizedVecEnv, task: Task):
+        self._low, self._high = task.action_low, task.action_high
+        super().__init__(env, action_space=gymnasium.spaces.Box(-1.0, 1.0, self._low.shape))
+
+    def reset(self) -> Any:
+        return self.venv.reset()
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self.venv.step_async(self._low + (actions + 1) / 2 * (self._high - self._low))
+
+    def step_wait(self) -> Any:
+        return self.venv.step_wait()
+
+
+def _hyperparameters(settings: PpoSettings, activation: Any, seed: int) -> dict[str, Any]:
+    return {
+        "learning_rate": settings.learning_rate,
+        "n_steps": settings.rollout_steps,
+        "batch_size": settings.batch_size,
+        "n_epochs": settings.epochs,
+        "gamma": settings.gamma,
+        "gae_lambda": settings.gae_lambda,
+        "clip_range": settings.clip_range,
+        "ent_coef": settings.entropy_coefficient,
+        "seed": seed,
+        "policy_kwargs": {
+            "net_arch": {"pi": settings.hidden, "vf": settings.hidden},
+            "activation_fn": activation,
+            "log_std_init": settings.log_deviation,
+        },
+    }
+
+
+class _Sb3:
+    """Stable-Baselines3 (PyTorch): the reference, with its `VecNormalize`."""
+
+    def build(self, env: RandomizedVecEnv, task: Task, settings: PpoSettings, seed: int) -> Any:
+        activation = torch_activation(settings.activation)
+        import stable_baselines3
+
+        normal = VecNormalize(
+            _UnitActions(env, task), gamma=settings.gamma, clip_obs=np.inf, clip_reward=np.inf
+        )
+        common = _hyperparameters(settings, activation, seed)
+        return stable_baselines3.PPO("MlpPolicy", normal, device="cpu", **common)
+
+    def policy(self, model: Any, task: Task, settings: PpoSettings) -> Policy:
+        import torch
+
+        found, normal = model.policy, model.get_vec_normalize_env()
+        inner = found.mlp_extractor.policy_net
+        linear = [m for m in inner if isinstance(m, torch.nn.Linear)] + [found.action_net]
+        first, *others = (torch_layer(layer) for layer in linear)
+        scale = 1 / np.sqrt(normal.obs_rms.var + normal.epsilon)
+        layers = (normalised(first, normal.obs_rms.mean, scale), *others)
+        return actor(task, settings.activation, layers, "clip")
+
+
+class _Sbx:
+    """SBX (JAX): the same interface with more steps per second."""
+
+    def build(self, env: RandomizedVecEnv, task: Task, settings: PpoSettings, seed: int) -> Any:
+        activation = jax_activation(settings.activation)
+        from adr_service.training.fused_ppo import FusedPpo
+
+        common = _hyperparameters(settings, activation, seed)
+        return FusedPpo("MlpPolicy", _UnitActions(env, task), **common)
+
+    def policy(self, model: Any, task: Task, settings: PpoSettings) -> Policy:
+        dense = model.policy.actor_state.params["params"]
+        count = len(settings.hidden) + 1
+        first, *others = (flax_layer(dense[f"Dense_{i}"]) for i in range(count))
+        layers = (normalised(first, *model.normalisation), *others)
+        return actor(task, settings.activation, layers, "clip")
+
+
+LIBRARIES: Mapping[str, Library] = {"sbx": _Sbx(), "sb3": _Sb3()}

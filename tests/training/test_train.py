@@ -1,0 +1,89 @@
+"""Trainings by all algorithms and backends: repeatable, cancellable, stopped at the threshold."""
+
+import numpy as np
+import pytest
+
+from adr_service.distributions import Gaussian, Uniform
+from adr_service.progress import StageCancelled
+from adr_service.randomness import stream
+from adr_service.simulation.vec_env import RandomizedVecEnv
+from adr_service.tasks.catalogue import get_task, variants_of
+from adr_service.training.train import LIBRARIES, train
+from tests.training.examples import settings
+
+ARM = get_task("arm")
+VANILLA = variants_of(ARM.name)["vanilla"]
+TRUTH = Uniform.point(VANILLA.source.space, VANILLA.hidden.values)
+PRIOR = Gaussian.prior(VANILLA.source.space)
+SBX = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+CASES = [
+    pytest.param(algorithm, backend, marks=SBX if backend == "sbx" else ())
+    for algorithm, backends in LIBRARIES.items()
+    for backend in backends
+]
+
+
+# what stops a training is the same for both backends, but PPO's rollouts on SBX are our own
+STOPPED = [("sac", "sb3"), ("crossq", "sb3"), ("ppo", "sb3"), pytest.param("ppo", "sbx", marks=SBX)]
+
+
+def trained(algorithm, backend, progress=lambda fraction, **facts: None, task=ARM):
+    given = settings(algorithm, backend)
+    return train(task, VANILLA.source, PRIOR, given, stream("test", 1), progress)
+
+
+@pytest.mark.parametrize(("algorithm", "backend"), CASES)
+class TestTrain:
+    def test_the_same_seed_gives_the_same_bytes_and_leaves_no_file(
+        self, algorithm, backend, tmp_path, monkeypatch
+    ):
+        """Whatever the state of NumPy's global generator."""
+        np.random.seed(1)  # noqa: NPY002
+        first = trained(algorithm, backend)
+        monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+        np.random.seed(2)  # noqa: NPY002
+        second = trained(algorithm, backend)
+        assert first.policy.to_bytes() == second.policy.to_bytes()
+        assert first.curve == second.curve
+        assert [point.steps for point in first.curve] == [240, 480]
+        assert first.steps == 480
+        assert not first.reached_threshold
+        assert list(tmp_path.iterdir()) == []
+
+    def test_the_policy_acts_as_the_librarys_own(self, algorithm, backend):
+        """Weights and normalisation are in the right layers: equal to float32's rounding."""
+        given = settings(algorithm, backend, max_steps=720)
+        env = RandomizedVecEnv(ARM, VANILLA.source, PRIOR, 12, np.random.default_rng(0))
+        library = LIBRARIES[algorithm][backend]
+        model = library.build(env, ARM, given, seed=1)
+        model.learn(720)
+        seen = np.random.default_rng(1).normal(size=(50, 4)).astype(np.float32)
+        policy = library.policy(model, ARM, given)
+        expected = model.predict(seen_by(model, seen), deterministic=True)[0]
+        np.testing.assert_allclose(policy.act(seen), np.clip(expected, -1, 1), atol=1e-5)
+
+
+@pytest.mark.parametrize(("algorithm", "backend"), STOPPED)
+class TestStop:
+    def test_training_stops_at_the_threshold(self, algorithm, backend):
+        """The arm's first evaluation already earns something."""
+        training = trained(algorithm, backend, task=type(ARM)(reward_threshold=0.01))
+        assert training.steps == 240
+        assert training.reached_threshold
+
+    def test_a_training_stops_when_its_progress_raises_a_cancellation(self, algorithm, backend):
+        def stop(fraction, **facts):
+            if fraction > 0.3:
+                raise StageCancelled
+
+        with pytest.raises(StageCancelled):
+            trained(algorithm, backend, progress=stop)
+
+
+def seen_by(model, observations):
+    """Observations as the library's own policy sees them."""
+    if hasattr(model, "normalisation"):
+        mean, scale = model.normalisation
+        return (observations - mean) * scale
+    normal = model.get_vec_normalize_env()
+    return observations if normal is None else normal.normalize_obs(observations)
