@@ -36,7 +36,7 @@ def test_while_another_process_holds_the_database_nothing_is_lost(http, service)
 def test_the_catalogue_lists_tasks_methods_and_presets(http):
     assert {task["name"] for task in http.get("/v1/tasks").json()} == set(BUILT_IN)
     assert "DropoSettings" in json.dumps(http.get("/v1/methods").json())
-    assert list(http.get("/v1/presets").json()) == ["smoke", "demo", "quick", "paper"]
+    assert list(http.get("/v1/presets").json()) == ["smoke", "demo", "quick", "fast", "paper"]
 
 
 def test_tasks_hide_the_true_parameters(http):
