@@ -1,143 +1,203 @@
-"""Ray Tune: the search for the learning rate that trains a task's policies best.
+"""Ray Tune: the search for the settings that train a task's policies soonest.
 
-    spec = RunSpec.model_validate({"task": "hopper", "method": "oracle", "preset": "paper"})
-    trials = tune(spec, rates=[3e-4, 1e-3], seeds=[0, 1], options=RayOptions())
+    spec = {"task": "hopper", "method": "oracle", "preset": "fast"}
+    grid = {"learning_rate": [3e-4, 1e-3], "epochs": [5, 10]}
+    trials = tune(spec, grid, seeds=[0, 1], options=RayOptions())
 
-Every trial is a training on the task's own ground truth (the oracle's), with one learning rate
-and one seed. Trials that fall behind are stopped early (asynchronous successive halving, Li et
-al. 2020): of three at the same step count, the best goes on. A search of its own, apart from the
-service: its best rate becomes a task's default in the code, or a spec's `training`.
+Every trial is a training of the oracle's policy (on the task's ground truth) or of the prior's,
+with one combination of settings and one seed. Trials that fall behind are stopped early
+(asynchronous successive halving, Li et al. 2020): of three that have used the same CPU time, the
+best goes on. A search of its own, apart from the service: what it finds becomes a preset in the
+code, or a spec's `training`.
 """
 
 import contextlib
-import math
+import statistics
 import sys
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
 from ray import tune as ray_tune
 from ray.tune.schedulers import ASHAScheduler
 
 from adr_service.errors import InvalidInput
 from adr_service.events import RunEvent, TrainingEvaluated
-from adr_service.programs.references import truth_training
+from adr_service.json_values import canonical_json, explain
+from adr_service.programs.references import prior_training, truth_training
 from adr_service.progress import Checkpoint
 from adr_service.specs import RunSpec
 from adr_service.stages.base import compute
-from adr_service.tasks.catalogue import get_task
-from adr_service.training.settings import TrainingSettings
+from adr_service.stages.train_policy import TrainPolicy
 from workers.cluster import Cluster, RayOptions
 
 _HALVING = 3
+Changes = dict[str, Any]  # settings of a training, by name
 
 
 @dataclass(frozen=True)
 class Trial:
     """One training of the search."""
 
-    learning_rate: float
+    changes: Changes  # the settings that it tries
     seed: int
     steps: int  # that it trained
+    cpu_seconds: float  # of its process, with imports and compilations
     best_return: float | None  # of its evaluations; None where it failed
     reached_threshold: bool
-    stopped_early: bool  # it had fallen behind
-    error: str | None = None  # a rate may be too high for any training
+    stopped_early: bool  # it had fallen behind, or used its CPU time
+    error: str | None = None  # settings may be such that no training succeeds
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """The trials of one combination of settings, one for each seed."""
+
+    trials: Sequence[Trial]
+
+    @property
+    def changes(self) -> Changes:
+        return self.trials[0].changes
+
+    @property
+    def reached(self) -> int:
+        """The number of trials that reached the threshold."""
+        return sum(trial.reached_threshold for trial in self.trials)
+
+    @property
+    def cpu_seconds(self) -> list[float]:
+        """Of the trials that reached the threshold, in order."""
+        return sorted(t.cpu_seconds for t in self.trials if t.reached_threshold)
+
+    @property
+    def returns(self) -> list[float]:
+        """The best returns of trials that did not fail, in order."""
+        return sorted(t.best_return for t in self.trials if t.best_return is not None)
+
+    @property
+    def rank(self) -> tuple[float, ...]:
+        """Sort key: most trials at the threshold, then the soonest, then the largest returns."""
+        median = statistics.median(self.cpu_seconds) if self.reached else 0.0
+        best = statistics.median(self.returns) if self.returns else -sys.float_info.max
+        return (-self.reached, median, -best)
+
+
+def candidates(trials: Sequence[Trial]) -> list[Candidate]:
+    """The trials by what they try, the best first."""
+    groups: dict[str, list[Trial]] = {}
+    for trial in trials:
+        groups.setdefault(canonical_json(trial.changes), []).append(trial)
+    return sorted((Candidate(group) for group in groups.values()), key=lambda each: each.rank)
 
 
 def tune(
-    spec: RunSpec, rates: Sequence[float], seeds: Sequence[int], options: RayOptions
+    given: Mapping[str, Any],
+    grid: Mapping[str, Sequence[Any]],
+    seeds: Sequence[int],
+    options: RayOptions,
+    cpu_seconds: float = 600.0,
 ) -> list[Trial]:
-    """One trial for every rate and seed, the best first; as many at once as there are cores."""
-    if not rates or not all(math.isfinite(rate) and rate > 0 for rate in rates):
-        raise InvalidInput(f"learning rates must be positive; given {list(rates)}")
+    """One trial for every combination of the grid's settings and every seed.
+
+    `given` is a run's spec, of method `oracle` or `prior`. As many trials run at once as there are
+    cores, none for longer than `cpu_seconds`.
+    """
+    trainings = [_spec(given, changes, seeds[0]) for changes in _combinations(grid)]
     cluster = Cluster(options)
     cluster.start()
     try:
         with tempfile.TemporaryDirectory() as folder:
-            tuner = _tuner(spec, rates, seeds, folder)
+            tuner = _tuner(given, grid, seeds, folder, cpu_seconds)
             with contextlib.redirect_stdout(sys.stderr):  # Tune announces itself
                 results = tuner.fit()
-            trials = [_trial(spec, result) for result in results]
+            found = [_trial(result) for result in results]
     finally:
         cluster.close()
-    return sorted(trials, key=_rank)
+    assert len(found) == len(trainings) * len(seeds)
+    return found
+
+
+def _combinations(grid: Mapping[str, Sequence[Any]]) -> list[Changes]:
+    return [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
+
+
+def _spec(given: Mapping[str, Any], changes: Changes, seed: int) -> RunSpec:
+    """The run that a trial trains a policy of. Raises InvalidInput."""
+    training = {**given.get("training", {}), **changes}
+    try:
+        return RunSpec.model_validate({**given, "training": training, "seed": seed})
+    except ValidationError as error:
+        raise InvalidInput(f"{changes}: {explain(error, 'spec')}") from error
 
 
 def _tuner(
-    spec: RunSpec, rates: Sequence[float], seeds: Sequence[int], folder: str
+    given: Mapping[str, Any],
+    grid: Mapping[str, Sequence[Any]],
+    seeds: Sequence[int],
+    folder: str,
+    cpu_seconds: float,
 ) -> ray_tune.Tuner:
-    grid = ray_tune.grid_search
+    halving = ASHAScheduler(
+        time_attr="cpu_seconds",
+        max_t=int(cpu_seconds),
+        grace_period=max(1, int(cpu_seconds / _HALVING**2)),
+        reduction_factor=_HALVING,
+    )
     return ray_tune.Tuner(
-        ray_tune.with_parameters(_train, spec=spec),
+        ray_tune.with_parameters(_train, given=given),
         param_space={
-            "learning_rate": grid(sorted(set(rates))),
-            "seed": grid(sorted(set(seeds))),
+            "changes": ray_tune.grid_search(_combinations(grid)),
+            "seed": ray_tune.grid_search(list(seeds)),
         },
-        tune_config=ray_tune.TuneConfig(
-            metric="mean_return", mode="max", scheduler=_halving(spec.training)
-        ),
+        tune_config=ray_tune.TuneConfig(metric="mean_return", mode="max", scheduler=halving),
         run_config=ray_tune.RunConfig(storage_path=Path(folder).as_uri(), verbose=0),
     )
 
 
-def _halving(training: TrainingSettings) -> ASHAScheduler:
-    """Asynchronous successive halving, that lets each trial be evaluated at least once."""
-    most = training.max_steps
-    return ASHAScheduler(
-        time_attr="steps",
-        max_t=most,
-        grace_period=min(most, max(training.evaluate_every, most // _HALVING**2)),
-        reduction_factor=_HALVING,
-    )
-
-
-def _train(config: dict[str, Any], spec: RunSpec) -> None:
+def _train(config: dict[str, Any], given: Mapping[str, Any]) -> None:
     """A trial, in a process of its own; reports every evaluation."""
 
-    def report(curve: Sequence[RunEvent]) -> None:
+    def report(curve: Sequence[RunEvent], reached: bool = False, finished: bool = False) -> None:
         points = [point for point in curve if isinstance(point, TrainingEvaluated)]
+        latest = points[-1].model_dump(include={"steps", "mean_return"})
         best = max(point.mean_return for point in points)
-        latest = points[-1].model_dump(include={"steps", "mean_return", "standard_error"})
-        ray_tune.report({**latest, "best_return": best})
+        state = {"reached_threshold": reached, "finished": finished}
+        used = time.process_time()
+        ray_tune.report({**latest, **state, "cpu_seconds": used, "best_return": best})
 
     def progress(fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
         if checkpoint is not None:
             report(checkpoint.events)
 
-    training = spec.training.model_copy(update={"learning_rate": config["learning_rate"]})
-    trial = spec.model_copy(update={"seed": config["seed"], "training": training})
-    stage = truth_training(trial)
-    report(stage.events(stage.read(compute(stage, progress))))
+    stage = _stage(_spec(given, config["changes"], config["seed"]))
+    trained = stage.read(compute(stage, progress))
+    report(stage.events(trained), trained.reached_threshold, finished=True)
 
 
-def _rank(trial: Trial) -> tuple[bool, float]:
-    """Sort key: trials that reached the threshold, soonest first; others by return; failed ones."""
-    if trial.best_return is None:
-        return (True, math.inf)
-    return (
-        not trial.reached_threshold,
-        trial.steps if trial.reached_threshold else -trial.best_return,
-    )
+def _stage(spec: RunSpec) -> TrainPolicy:
+    return truth_training(spec) if spec.method.needs_truth else prior_training(spec)
 
 
 def _last_line(error: Exception) -> str:
     return str(error).strip().splitlines()[-1]
 
 
-def _trial(spec: RunSpec, result: Any) -> Trial:
+def _trial(result: Any) -> Trial:
+    changes, seed = result.config["changes"], result.config["seed"]
     if result.error is not None:
-        rate, seed = result.config["learning_rate"], result.config["seed"]
-        return Trial(rate, seed, 0, None, False, False, _last_line(result.error))
-    metrics, threshold = result.metrics, get_task(spec.task).reward_threshold
-    reached = metrics["best_return"] >= threshold
+        return Trial(changes, seed, 0, 0.0, None, False, False, _last_line(result.error))
+    metrics = result.metrics
     return Trial(
-        learning_rate=metrics["config"]["learning_rate"],
-        seed=metrics["config"]["seed"],
+        changes=changes,
+        seed=seed,
         steps=metrics["steps"],
+        cpu_seconds=metrics["cpu_seconds"],
         best_return=metrics["best_return"],
-        reached_threshold=reached,
-        stopped_early=not reached and metrics["steps"] < spec.training.max_steps,
+        reached_threshold=metrics["reached_threshold"],
+        stopped_early=not metrics["finished"],
     )

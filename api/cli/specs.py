@@ -38,10 +38,11 @@ def assign(spec: dict[str, Any], assignments: Iterable[str] | None) -> None:
         path, equals, text = assignment.partition("=")
         if not equals:
             raise InvalidInput(f"--set needs name=value; given {assignment!r}")
-        _set(spec, path.split("."), _value(text))
+        _set(spec, path.split("."), read_value(text))
 
 
-def _value(text: str) -> Any:
+def read_value(text: str) -> Any:
+    """A value that is JSON, or else text."""
     try:
         return json.loads(text)
     except ValueError:

@@ -1,6 +1,9 @@
 """Results, costs and plans as tables on a terminal."""
 
+import json
+import statistics
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from rich.console import Group, RenderableType
 from rich.markup import escape
@@ -8,6 +11,9 @@ from rich.table import Table
 from rich.text import Text
 
 from api.client import Json
+
+if TYPE_CHECKING:  # imports Ray
+    from workers.tuning import Candidate
 
 
 def results_table(results: Json) -> RenderableType:
@@ -145,19 +151,28 @@ def _utilisation(used: Json | None, note: str) -> list[RenderableType]:
     return [Text(), shares, Text(headline), Text(note, style="dim")]
 
 
-def trials_table(trials: Sequence[Json]) -> RenderableType:
-    """The trials of a search, the best first."""
-    table = Table("learning rate", "seed", box=None, padding=(0, 2, 0, 0))
-    for heading in ("steps", "best return", "threshold"):
+def candidates_table(found: Sequence["Candidate"]) -> RenderableType:
+    """What a search has tried, the best first."""
+    table = Table("settings", box=None, padding=(0, 2, 0, 0))
+    for heading in ("threshold", "CPU seconds to it", "best returns"):
         table.add_column(heading, justify="right")
     table.add_column("")
-    for trial in trials:
+    for each in found:
+        errors = {trial.error for trial in each.trials if trial.error}
         table.add_row(
-            f"{trial['learning_rate']:g}",
-            str(trial["seed"]),
-            f"{trial['steps']:,}",
-            "–" if trial["best_return"] is None else f"{trial['best_return']:.0f}",
-            "reached" if trial["reached_threshold"] else "–",
-            escape(trial["error"] or "") or ("stopped early" if trial["stopped_early"] else ""),
+            escape(
+                ", ".join(f"{name}={json.dumps(value)}" for name, value in each.changes.items())
+            ),
+            f"{each.reached} of {len(each.trials)}",
+            _range(each.cpu_seconds),
+            _range(each.returns),
+            escape("; ".join(sorted(errors))),
         )
     return table
+
+
+def _range(values: Sequence[float]) -> str:
+    """The median of sorted values, and the least and the largest."""
+    if not values:
+        return "–"
+    return f"{statistics.median(values):.0f} [{values[0]:.0f}, {values[-1]:.0f}]"

@@ -1,4 +1,4 @@
-"""`adr tune`: a search over learning rates, in this process and on its own cluster."""
+"""`adr tune`: a search over settings of trainings, in this process and on its own cluster."""
 
 import os
 from collections.abc import Sequence
@@ -6,13 +6,11 @@ from dataclasses import asdict
 from typing import Annotated, Any
 
 import typer
-from pydantic import ValidationError
 
 from adr_service.errors import InvalidInput
-from adr_service.json_values import explain
 from api.cli.options import AsJson
-from api.cli.specs import assign
-from api.cli.tables import trials_table
+from api.cli.specs import assign, read_value
+from api.cli.tables import candidates_table
 from api.cli.terminal import console
 
 app = typer.Typer()
@@ -21,41 +19,45 @@ app = typer.Typer()
 @app.command()
 def tune(
     task: Annotated[str, typer.Argument(help="arm, hopper, half_cheetah, …")],
-    rates: Annotated[str, typer.Option(help="Learning rates, with commas between.")],
-    seeds: Annotated[int, typer.Option(help="Trainings per rate.", min=1)] = 2,
-    preset: Annotated[str, typer.Option(help="Preset of the trainings: quick, …")] = "quick",
+    over: Annotated[
+        list[str], typer.Option(help="Values of a setting to try, learning_rate=[0.0003,0.001].")
+    ],
+    seeds: Annotated[int, typer.Option(help="Trainings of each combination.", min=1)] = 2,
+    first_seed: Annotated[int, typer.Option(help="Take seeds that no result uses.", min=0)] = 1000,
+    preset: Annotated[str, typer.Option(help="Preset of the trainings.")] = "fast",
+    on_prior: Annotated[
+        bool, typer.Option("--on-prior", help="Train on the prior, not on the ground truth.")
+    ] = False,
     setting: Annotated[
         list[str] | None, typer.Option("--set", help="A field, training.max_steps=1000.")
     ] = None,
+    seconds: Annotated[float, typer.Option(help="CPU seconds of a training.", min=10)] = 600,
     cpus: Annotated[int | None, typer.Option(help="Trainings at once; default: all cores.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Search the learning rate that trains best on the ground truth; needs no service."""
-    spec: dict[str, Any] = {"task": task, "method": "oracle", "preset": preset}
+    """Search the settings that train to the threshold soonest; needs no service."""
+    spec: dict[str, Any] = {"task": task, "method": "prior" if on_prior else "oracle"}
+    spec["preset"] = preset
     assign(spec, setting)
-    trials = _search(spec, rates.split(","), seeds, cpus)
-    if as_json:
-        console.print_json(data=trials)
-    else:
-        console.print(trials_table(trials))
-
-
-def _search(
-    spec: dict[str, Any], rates: Sequence[str], seeds: int, cpus: int | None
-) -> list[dict[str, Any]]:
-    """Return the trials for the learning rates as typed, the best first."""
-    from adr_service.specs import RunSpec  # imports the simulator
-
-    try:
-        valid = RunSpec.model_validate(spec)
-        numbers = [float(rate) for rate in rates]
-    except ValidationError as error:
-        raise InvalidInput(explain(error, "spec")) from error
-    except ValueError as error:
-        raise InvalidInput(f"learning rates must be numbers: {error}") from error
+    grid = dict(_values(text) for text in over)
     from workers.cluster import RayOptions  # imports Ray
+    from workers.tuning import candidates
     from workers.tuning import tune as tune_on_ray
 
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray reports usage by default
     options = RayOptions(cpus=cpus, dashboard=False)
-    return [asdict(trial) for trial in tune_on_ray(valid, numbers, range(seeds), options)]
+    tried = range(first_seed, first_seed + seeds)
+    trials = tune_on_ray(spec, grid, tried, options, seconds)
+    if as_json:
+        console.print_json(data=[asdict(trial) for trial in trials])
+    else:
+        console.print(candidates_table(candidates(trials)))
+
+
+def _values(text: str) -> tuple[str, Sequence[Any]]:
+    """A setting's name and the values to try, of a text `name=[value,…]`."""
+    name, _, given = text.partition("=")
+    values = read_value(given)
+    if not isinstance(values, list) or not values:
+        raise InvalidInput(f"--over needs name=[value,…] with JSON values; given {text!r}")
+    return name.removeprefix("training."), values

@@ -1,18 +1,20 @@
 """Results, costs and plans as tables on a terminal."""
 
 import io
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
 from api.cli.tables import (
+    candidates_table,
     claims_table,
     comparisons_table,
     cost_table,
     plan_table,
     results_table,
-    trials_table,
 )
+from workers.tuning import Candidate, Trial
 
 ROW = {"task": "half_cheetah", "variant": "unmodeled", "method": "simopt", "iteration": 5}
 ROW |= {"collector": "simopt", "normalised_return": 0.99, "low": 0.12, "high": 1.03}
@@ -22,8 +24,15 @@ EMPTY = {"rows": [], "estimates": [], "comparisons": [], "note": "a note"}
 PLAN = {"runs": 2, "trainings": 3, "environment_steps": 12_000, "target_transitions": 40}
 PLAN |= {"core_hours": 0.5, "hours": 0.25, "cores": 2, "policies_mb": 1.5, "basis": "a guess"}
 COST = {"kinds": [], "utilisation": None, "note": "a note"}
-TRIAL = {"learning_rate": 0.001, "seed": 0, "steps": 1000, "best_return": 12.0, "error": None}
-TRIAL |= {"reached_threshold": True, "stopped_early": False}
+TRIAL = Trial(
+    changes={"hidden": [64, 64], "activation": "relu"},
+    seed=0,
+    steps=1000,
+    cpu_seconds=50.0,
+    best_return=12.0,
+    reached_threshold=True,
+    stopped_early=False,
+)
 
 
 def shown(table, width=80):
@@ -92,9 +101,16 @@ def test_utilisation_is_shown_once_it_is_known():
     assert "useful work 90.0%, orchestration 2.0% of 4 cores in 10 s" in text
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [({}, "reached"), ({"error": "it broke [x]"}, "[x]"), ({"stopped_early": True}, "early")],
-)
-def test_a_trial_says_how_it_ended(changes, text):
-    assert text in shown(trials_table([{**TRIAL, **changes}]))
+def test_a_candidate_has_the_median_and_range_of_its_trials():
+    reached = [replace(TRIAL, seed=i, cpu_seconds=float(s)) for i, s in enumerate((50, 40, 90))]
+    failed = replace(TRIAL, best_return=None, reached_threshold=False, error="it broke [x]")
+    text = shown(candidates_table([Candidate([*reached, failed])]), width=120)
+    assert 'hidden=[64, 64], activation="relu"' in text
+    assert "3 of 4" in text
+    assert "50 [40, 90]" in text
+    assert "it broke [x]" in text
+
+
+def test_a_candidate_of_which_nothing_is_known_has_dashes():
+    failed = replace(TRIAL, best_return=None, reached_threshold=False)
+    assert shown(candidates_table([Candidate([failed])])).count("–") == 2

@@ -6,12 +6,14 @@ import pytest
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("arm", "--rates", "fast"), "learning rates must be numbers"),
-        (("arm", "--rates", "0"), "learning rates must be positive; given [0.0]"),
-        (("amr", "--rates", "0.1"), "task: there is no task 'amr'"),
+        (("arm", "--over", "learning_rate=fast"), "--over needs name=[value,…] with JSON values"),
+        (("arm", "--over", "learning_rate=[]"), "given 'learning_rate=[]'"),
+        (("arm", "--over", "learning_rate=[0.1,0]"), "{'learning_rate': 0}: training"),
+        (("arm", "--over", "epoch=[1]"), "did you mean 'epochs'"),
+        (("amr", "--over", "epochs=[1]"), "task: there is no task 'amr'"),
     ],
 )
-def test_rates_that_cannot_be_tried_are_refused(adr_here, arguments, message):
+def test_settings_that_cannot_be_tried_are_refused(adr_here, arguments, message):
     code, _, errors = adr_here("tune", *arguments)
     assert code == 2
     assert message in errors.replace("\n", " ")
