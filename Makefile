@@ -48,7 +48,7 @@ bench-train: setup
 
 # about an hour on two cores
 bench-threshold: setup
-	$(BIN)/python benchmarks/threshold.py hopper paper 3
+	$(BIN)/python benchmarks/threshold.py
 
 bench-dropo: setup
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/dropo.py

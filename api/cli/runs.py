@@ -23,7 +23,7 @@ Task = Annotated[str | None, typer.Option(help="arm, hopper, half_cheetah, …")
 Method = Annotated[str | None, typer.Option(help="simopt, dropo, droid, udr, …")]
 Variant = Annotated[str | None, typer.Option(help="vanilla (the default), noisy or unmodeled.")]
 Seed = Annotated[int | None, typer.Option(help="0 by default.")]
-Preset = Annotated[str | None, typer.Option(help="smoke, demo, quick (the default) or paper.")]
+Preset = Annotated[str | None, typer.Option(help="quick (the default), fast, paper, …")]
 Dataset = Annotated[
     str | None, typer.Option(help="Learn from this uploaded recording, without a target.")
 ]
