@@ -73,10 +73,12 @@ class TrainPolicy(Stage[TrainedPolicy]):
         evaluations = -(-settings.steps // settings.evaluate_every)
         episodes = evaluations * settings.evaluation_episodes + (settings.confirmation or 0)
         simulated = settings.steps + episodes * task.horizon
+        observed, actions = len(task.columns), len(task.action_low)
+        learning = settings.learning_seconds(observed + actions)
         return Cost(
-            seconds=simulated / speed.steps_per_second(self.task) + settings.learning_seconds(),
+            seconds=simulated / speed.steps_per_second(self.task) + learning,
             environment_steps=settings.steps,
-            policy_bytes=settings.policy_bytes(len(task.columns), len(task.action_low)),
+            policy_bytes=settings.policy_bytes(observed, actions),
         )
 
     def stand_in(self) -> TrainedPolicy:

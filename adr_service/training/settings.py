@@ -15,12 +15,12 @@ Widths = Annotated[
 ]  # units per hidden layer
 
 # Seconds on one server core, measured in trainings (docs/training.md). Of an update: a part that
-# does not shrink with the networks, and one in proportion to them, for `_WORK`
+# does not shrink with the networks, and one in proportion to their weights, for `_WORK`
 _UPDATE_S = {
     "sac": {"sbx": (0.00005, 0.0030), "sb3": (0.0025, 0.0125)},
     "crossq": {"sbx": (0.0012, 0.0015), "sb3": (0.0050, 0.0100)},
 }
-_WORK = 256 * 128**2  # batch size x weights between the first two hidden layers
+_WORK = 256 * 128**2  # batch size x weights
 _STEP_S = 0.0007  # acting and storing, per step of all environments
 _SAMPLE_S = {"sbx": 0.000002, "sb3": 0.000008}  # PPO's update per transition and epoch, for 2x64
 
@@ -54,8 +54,11 @@ class _Settings(Wire):
         return None
 
     @abstractmethod
-    def learning_seconds(self) -> float:
-        """Expected seconds of acting and updating on one core, without simulations."""
+    def learning_seconds(self, inputs: int) -> float:
+        """Expected seconds of acting and updating on one core, without simulations.
+
+        `inputs` are those of a critic: observations and actions.
+        """
         ...
 
     def policy_bytes(self, observations: int, actions: int) -> int:
@@ -99,8 +102,8 @@ class SacSettings(_Settings):
     )
     tau: float = Field(0.005, gt=0, le=1)
 
-    def learning_seconds(self) -> float:
-        return _learning_seconds(self, self.hidden)
+    def learning_seconds(self, inputs: int) -> float:
+        return _learning_seconds(self, _between(self.hidden))
 
     def to_json(self) -> dict[str, Any]:
         """What enters a digest: without the algorithm, because at first there was no other."""
@@ -124,8 +127,9 @@ class CrossQSettings(_Confirmed):
     policy_delay: int = Field(3, ge=1, le=100, description="critic updates per actor update")
     activation: Literal["relu", "tanh"] = "relu"
 
-    def learning_seconds(self) -> float:
-        return _learning_seconds(self, self.critic_hidden)
+    def learning_seconds(self, inputs: int) -> float:
+        widths = self.critic_hidden
+        return _learning_seconds(self, inputs * widths[0] + _between(widths))
 
 
 class PpoSettings(_Confirmed):
@@ -167,7 +171,7 @@ class PpoSettings(_Confirmed):
             raise ValueError(f"max_steps: {self.max_steps} given, fewer than the {rollout}")
         return self
 
-    def learning_seconds(self) -> float:
+    def learning_seconds(self, inputs: int) -> float:
         assert self.backend is not None, "validation has chosen one"
         updating = self.epochs * _SAMPLE_S[self.backend] * _between(self.hidden) / 64**2
         return self.steps * (_STEP_S / self.environments + updating)
@@ -178,11 +182,14 @@ def _between(widths: list[int]) -> int:
     return prod(widths[:2])
 
 
-def _learning_seconds(settings: SacSettings | CrossQSettings, critic: list[int]) -> float:
-    """Of an algorithm that updates its networks at every step of all environments."""
+def _learning_seconds(settings: SacSettings | CrossQSettings, weights: int) -> float:
+    """Of an algorithm that updates its networks at every step of all environments.
+
+    `weights` are those of a critic that count.
+    """
     assert settings.backend is not None, "validation has chosen one"
     fixed, proportional = _UPDATE_S[settings.algorithm][settings.backend]
-    update = fixed + proportional * settings.batch_size * _between(critic) / _WORK
+    update = fixed + proportional * settings.batch_size * weights / _WORK
     rounds = settings.max_steps / settings.environments
     return rounds * (settings.gradient_steps * update + _STEP_S)
 

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adr_service.programs.references import prior_training
+from adr_service.specs import RunSpec
 from adr_service.stages.base import events_of
 from tests.stages.examples import Speed, training
 
@@ -118,3 +120,54 @@ def test_stand_ins_of_two_trainings_differ():
     other = replace(STAGE, seed=1)
     assert STAGE.stand_in().policy != other.stand_in().policy
     assert STAGE.stand_in().curve == []
+
+
+class TestAlgorithms:
+    def cost(self, task="arm", **changes):
+        given = {"task": task, "method": "prior", "preset": "fast", "training": changes}
+        spec = RunSpec.model_validate(given)
+        return prior_training(spec).cost(Speed(1e9))
+
+    @pytest.mark.parametrize(
+        ("algorithm", "changes"),
+        [
+            ("crossq", {"critic_hidden": [512, 512]}),
+            ("crossq", {"gradient_steps": 2}),
+            ("crossq", {"confirmation_episodes": 500}),
+            ("ppo", {"epochs": 20}),
+            ("ppo", {"hidden": [256, 256]}),
+            ("ppo", {"confirmation_episodes": 500}),
+        ],
+        ids=str,
+    )
+    def test_more_work_takes_longer(self, algorithm, changes):
+        once, more = self.cost(algorithm=algorithm), self.cost(algorithm=algorithm, **changes)
+        assert more.seconds > once.seconds
+
+    def test_crossqs_updates_take_longer_where_more_is_observed(self):
+        """Here simulations take no time."""
+        same = {"algorithm": "crossq", "max_steps": 100_000, "evaluation_episodes": 1}
+        assert self.cost("humanoid", **same).seconds > 2 * self.cost("hopper", **same).seconds
+
+    def test_ppo_uses_whole_rollouts(self):
+        cost = self.cost(algorithm="ppo", max_steps=10_000)
+        assert cost.environment_steps == 2 * 32 * 128
+
+
+def test_ppos_policy_is_reported_by_fresh_episodes():
+    stage = training(
+        algorithm="ppo",
+        backend="sb3",
+        max_steps=480,
+        hidden=[16, 16],
+        batch_size=32,
+        environments=12,
+        rollout_steps=8,
+        evaluate_every=240,
+        evaluation_episodes=4,
+        confirmation_episodes=6,
+    )
+    result = run(stage)
+    assert result.source_return == result.confirmation.mean_return
+    assert result.confirmation not in result.curve
+    assert stage.read(result.to_stored()) == result
