@@ -26,12 +26,13 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from adr_service.events import TrainingEvaluated
-from adr_service.programs.references import prior_training, truth_training
+from adr_service.programs.references import reference_training
 from adr_service.progress import Checkpoint
 from adr_service.specs import RunSpec
 from adr_service.stages.base import compute
 from adr_service.stages.train_policy import TrainPolicy
 from adr_service.tasks.catalogue import get_task
+from api.cli.specs import assign
 from workers.cluster import worker_environment
 
 FOLDER = Path("build/bench/threshold")
@@ -78,25 +79,10 @@ def in_a_process_of_its_own(given: argparse.Namespace, task: str, seed: int) -> 
 
 
 def stage_of(given: argparse.Namespace, task: str, seed: int) -> TrainPolicy:
-    training = {name: read(value) for name, _, value in (s.partition("=") for s in given.set)}
     method = {"truth": "oracle", "prior": "prior"}[given.on]
-    spec = RunSpec.model_validate(
-        {
-            "task": task,
-            "method": method,
-            "preset": given.preset,
-            "seed": seed,
-            "training": training,
-        }
-    )
-    return truth_training(spec) if given.on == "truth" else prior_training(spec)
-
-
-def read(value: str) -> Any:
-    try:
-        return json.loads(value)
-    except ValueError:
-        return value
+    spec = {"task": task, "method": method, "preset": given.preset, "seed": seed}
+    assign(spec, (f"training.{each}" for each in given.set))
+    return reference_training(RunSpec.model_validate(spec))
 
 
 def kept(stage: TrainPolicy) -> Path:

@@ -29,11 +29,10 @@ from ray.tune.schedulers import ASHAScheduler
 from adr_service.errors import InvalidInput
 from adr_service.events import RunEvent, TrainingEvaluated
 from adr_service.json_values import canonical_json, explain
-from adr_service.programs.references import prior_training, truth_training
+from adr_service.programs.references import reference_training
 from adr_service.progress import Checkpoint
 from adr_service.specs import RunSpec
 from adr_service.stages.base import compute
-from adr_service.stages.train_policy import TrainPolicy
 from workers.cluster import Cluster, RayOptions
 
 _HALVING = 3
@@ -71,7 +70,7 @@ class Candidate:
 
     @property
     def cpu_seconds(self) -> list[float]:
-        """Of the trials that reached the threshold, in order."""
+        """CPU seconds of the trials that reached the threshold, in order."""
         return sorted(t.cpu_seconds for t in self.trials if t.reached_threshold)
 
     @property
@@ -174,13 +173,9 @@ def _train(config: dict[str, Any], given: Mapping[str, Any]) -> None:
         if checkpoint is not None:
             report(checkpoint.events)
 
-    stage = _stage(_spec(given, config["changes"], config["seed"]))
+    stage = reference_training(_spec(given, config["changes"], config["seed"]))
     trained = stage.read(compute(stage, progress))
     report(stage.events(trained), trained.reached_threshold, finished=True)
-
-
-def _stage(spec: RunSpec) -> TrainPolicy:
-    return truth_training(spec) if spec.method.needs_truth else prior_training(spec)
 
 
 def _last_line(error: Exception) -> str:

@@ -13,9 +13,14 @@ from adr_service.tasks.catalogue import hidden_of
 
 
 def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[RunEvent, None, None]:
-    stage = truth_training(spec) if spec.method.needs_truth else prior_training(spec)
+    stage = reference_training(spec)
     trained = yield from stages.run(stage)
     yield from evaluate_and_report(open_target(spec, stages), 0, [stage.distribution], [trained])
+
+
+def reference_training(spec: RunSpec) -> TrainPolicy:
+    """The training of the reference that a run is: the prior, or the hidden truth."""
+    return truth_training(spec) if spec.method.needs_truth else prior_training(spec)
 
 
 def prior_training(spec: RunSpec) -> TrainPolicy:

@@ -6,6 +6,7 @@ from adr_service.methods.catalogue import methods, names_of
 from adr_service.presets import PRESETS
 from adr_service.specs.names import as_given
 from adr_service.specs.target import EXTERNAL_EPISODES
+from adr_service.training.settings import DEFAULT_ALGORITHM
 
 _DEFAULT = "quick"
 # of a preset's training, what holds for every algorithm
@@ -45,7 +46,8 @@ def _usual_training(preset: dict[str, Any], task: Any, given: dict[str, Any]) ->
     """A preset's training of a task; for another algorithm, its budget alone."""
     own = preset.get("trainings", {})
     usual = own[task] if isinstance(task, str) and task in own else preset["run"]["training"]
-    if given.get("algorithm", usual.get("algorithm")) == usual.get("algorithm"):
+    own_algorithm = usual.get("algorithm", DEFAULT_ALGORITHM)
+    if given.get("algorithm", own_algorithm) == own_algorithm:
         return usual
     return {name: value for name, value in usual.items() if name in _BUDGET}
 

@@ -62,5 +62,5 @@ def as_given(value: Any) -> Any:
     """The given fields of one of our values, and its tag, as JSON; other values as they are."""
     if not isinstance(value, Wire):
         return value
-    tags = [tag for tag in ("name", "kind") if tag in type(value).model_fields]
+    tags = [tag for tag in ("name", "kind", "algorithm") if tag in type(value).model_fields]
     return {tag: getattr(value, tag) for tag in tags} | value.model_dump(exclude_unset=True)

@@ -29,8 +29,7 @@ _EPSILON = 0.001  # of both libraries, added to variances
 def _hyperparameters(settings: CrossQSettings, activation: Any, seed: int) -> dict[str, Any]:
     return {
         "learning_rate": settings.learning_rate,
-        # no larger than a training can fill, because allocating takes time
-        "buffer_size": min(settings.buffer_size, settings.max_steps + settings.environments),
+        "buffer_size": settings.capacity,
         "learning_starts": settings.learning_starts,
         "batch_size": settings.batch_size,
         "gamma": settings.gamma,

@@ -20,8 +20,7 @@ from adr_service.training.settings import SacSettings
 def _hyperparameters(task: Task, settings: SacSettings, seed: int) -> dict[str, Any]:
     return {
         "learning_rate": settings.learning_rate or task.learning_rate,
-        # no larger than a training can fill, because allocating takes time
-        "buffer_size": min(settings.buffer_size, settings.max_steps + settings.environments),
+        "buffer_size": settings.capacity,
         "learning_starts": settings.learning_starts,
         "batch_size": settings.batch_size,
         "tau": settings.tau,

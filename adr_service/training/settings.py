@@ -2,9 +2,10 @@
 
 import importlib.util
 from abc import abstractmethod
+from collections.abc import Mapping
 from itertools import pairwise
 from math import prod
-from typing import Annotated, Any, Literal, Self, TypeAlias, cast
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias, cast
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -14,15 +15,9 @@ Widths = Annotated[
     list[Annotated[int, Field(ge=1, le=4096)]], Field(min_length=1, max_length=8)
 ]  # units per hidden layer
 
-# Seconds on one server core, measured in trainings (docs/training.md). Of an update: a part that
-# does not shrink with the networks, and one in proportion to their weights, for `_WORK`
-_UPDATE_S = {
-    "sac": {"sbx": (0.00005, 0.0030), "sb3": (0.0025, 0.0125)},
-    "crossq": {"sbx": (0.0012, 0.0015), "sb3": (0.0050, 0.0100)},
-}
-_WORK = 256 * 128**2  # batch size x weights
+DEFAULT_ALGORITHM: Literal["sac"] = "sac"
+_WORK = 256 * 128**2  # batch size x weights, for which the seconds of an update are given
 _STEP_S = 0.0007  # acting and storing, per step of all environments
-_SAMPLE_S = {"sbx": 0.000002, "sb3": 0.000008}  # PPO's update per transition and epoch, for 2x64
 
 
 class _Settings(Wire):
@@ -44,14 +39,16 @@ class _Settings(Wire):
     stop_at_threshold: bool = True
 
     @property
+    @abstractmethod
     def steps(self) -> int:
-        """Environment steps of a training that nothing stops early."""
-        return self.max_steps
+        """Environment steps of a whole training, which nothing stops early."""
+        ...
 
     @property
+    @abstractmethod
     def confirmation(self) -> int | None:
-        """Fresh episodes that must confirm the best evaluation; None: it stands as it is."""
-        return None
+        """Fresh episodes that confirm the best evaluation; None: it stands as it is."""
+        ...
 
     @abstractmethod
     def learning_seconds(self, inputs: int) -> float:
@@ -87,39 +84,76 @@ class _Confirmed(_Settings):
         return self.confirmation_episodes
 
 
-class SacSettings(_Settings):
-    """Soft Actor-Critic (Haarnoja et al., arXiv 1812.05905); defaults are the paper's of the
-    benchmark (Tiboni et al., Sec. 3.4), else SB3's."""
+class _OffPolicy(_Settings):
+    """Settings of algorithms that update at every step, on transitions from a replay buffer."""
 
-    algorithm: Literal["sac"] = "sac"
+    # Seconds of an update on one server core, by backend, measured in trainings (docs/training.md):
+    # a part that does not shrink with the networks, and one in proportion to them, for `_WORK`
+    update_seconds: ClassVar[Mapping[str, tuple[float, float]]]
+
     gradient_steps: int = Field(
         1, ge=1, le=10_000, description="updates per step of all environments"
     )
-    learning_rate: float | None = Field(None, gt=0, description="null: the task's own")
     buffer_size: int = Field(1_000_000, ge=1000, le=10**8)
     learning_starts: int = Field(
         100, ge=0, le=10**9, description="steps of uniformly random actions"
     )
-    tau: float = Field(0.005, gt=0, le=1)
+
+    @property
+    def steps(self) -> int:
+        return self.max_steps
+
+    @property
+    def capacity(self) -> int:
+        """Of the replay buffer: no larger than a training can fill, as allocating takes time."""
+        return min(self.buffer_size, self.max_steps + self.environments)
+
+    @abstractmethod
+    def critic_weights(self, inputs: int) -> int:
+        """The number of a critic's weights that determine how long an update takes."""
+        ...
 
     def learning_seconds(self, inputs: int) -> float:
-        return _learning_seconds(self, _between(self.hidden))
+        assert self.backend is not None, "validation has chosen one"
+        fixed, proportional = self.update_seconds[self.backend]
+        update = fixed + proportional * self.batch_size * self.critic_weights(inputs) / _WORK
+        rounds = self.max_steps / self.environments
+        return rounds * (self.gradient_steps * update + _STEP_S)
+
+
+class SacSettings(_OffPolicy):
+    """Soft Actor-Critic (Haarnoja et al., arXiv 1812.05905); defaults are the paper's of the
+    benchmark (Tiboni et al., Sec. 3.4), else SB3's."""
+
+    update_seconds: ClassVar = {"sbx": (0.00005, 0.0030), "sb3": (0.0025, 0.0125)}
+
+    algorithm: Literal["sac"] = DEFAULT_ALGORITHM
+    learning_rate: float | None = Field(None, gt=0, description="null: the task's own")
+    tau: float = Field(0.005, gt=0, le=1)
+
+    @property
+    def confirmation(self) -> int | None:
+        return None
+
+    def critic_weights(self, inputs: int) -> int:
+        return _between(self.hidden)
 
     def to_json(self) -> dict[str, Any]:
-        """What enters a digest: without the algorithm, because at first there was no other."""
+        """What enters a stage's digest.
+
+        It lacks the algorithm: the digests of results are older than the choice of one.
+        """
         return self.model_dump(exclude={"algorithm"})
 
 
-class CrossQSettings(_Confirmed):
+class CrossQSettings(_Confirmed, _OffPolicy):
     """CrossQ (Bhatt et al., arXiv 1902.05605): SAC with batch renormalisation in the place of
     target networks."""
 
+    update_seconds: ClassVar = {"sbx": (0.0012, 0.0015), "sb3": (0.0050, 0.0100)}
+
     algorithm: Literal["crossq"]
-    gradient_steps: int = Field(
-        1, ge=1, le=10_000, description="updates per step of all environments"
-    )
     learning_rate: float = Field(0.001, gt=0)
-    buffer_size: int = Field(1_000_000, ge=1000, le=10**8)
     learning_starts: int = Field(
         1000, ge=0, le=10**9, description="steps of uniformly random actions"
     )
@@ -127,14 +161,16 @@ class CrossQSettings(_Confirmed):
     policy_delay: int = Field(3, ge=1, le=100, description="critic updates per actor update")
     activation: Literal["relu", "tanh"] = "relu"
 
-    def learning_seconds(self, inputs: int) -> float:
-        widths = self.critic_hidden
-        return _learning_seconds(self, inputs * widths[0] + _between(widths))
+    def critic_weights(self, inputs: int) -> int:
+        return inputs * self.critic_hidden[0] + _between(self.critic_hidden)
 
 
 class PpoSettings(_Confirmed):
     """Proximal Policy Optimisation (Schulman et al., arXiv 1707.06347) on normalised observations
     and rewards."""
+
+    # of an update on one server core, per transition and epoch, for layers of 64 units
+    sample_seconds: ClassVar[Mapping[str, float]] = {"sbx": 0.000002, "sb3": 0.000008}
 
     algorithm: Literal["ppo"]
     environments: int = Field(32, ge=1, le=1024)
@@ -152,12 +188,12 @@ class PpoSettings(_Confirmed):
 
     @property
     def transitions(self) -> int:
-        """Of one rollout of all environments."""
+        """The number of transitions in a rollout, of all environments."""
         return self.rollout_steps * self.environments
 
     @property
     def steps(self) -> int:
-        """Environment steps of whole rollouts, of which a training consists."""
+        """Environment steps of a whole training: of all rollouts that `max_steps` allows."""
         return self.max_steps - self.max_steps % self.transitions
 
     @model_validator(mode="after")
@@ -173,7 +209,7 @@ class PpoSettings(_Confirmed):
 
     def learning_seconds(self, inputs: int) -> float:
         assert self.backend is not None, "validation has chosen one"
-        updating = self.epochs * _SAMPLE_S[self.backend] * _between(self.hidden) / 64**2
+        updating = self.epochs * self.sample_seconds[self.backend] * _between(self.hidden) / 64**2
         return self.steps * (_STEP_S / self.environments + updating)
 
 
@@ -182,21 +218,9 @@ def _between(widths: list[int]) -> int:
     return prod(widths[:2])
 
 
-def _learning_seconds(settings: SacSettings | CrossQSettings, weights: int) -> float:
-    """Of an algorithm that updates its networks at every step of all environments.
-
-    `weights` are those of a critic that count.
-    """
-    assert settings.backend is not None, "validation has chosen one"
-    fixed, proportional = _UPDATE_S[settings.algorithm][settings.backend]
-    update = fixed + proportional * settings.batch_size * weights / _WORK
-    rounds = settings.max_steps / settings.environments
-    return rounds * (settings.gradient_steps * update + _STEP_S)
-
-
 def _algorithm(given: Any) -> Any:
     if isinstance(given, dict):
-        return cast(dict[str, Any], given).get("algorithm", "sac")
+        return cast(dict[str, Any], given).get("algorithm", DEFAULT_ALGORITHM)
     return getattr(given, "algorithm", None)
 
 

@@ -1,5 +1,6 @@
 """Migrations: whole or not at all, from every earlier form."""
 
+import json
 import os
 import shutil
 import sqlite3
@@ -16,8 +17,10 @@ from typer.testing import CliRunner
 
 from adr_service.events import RunQueued
 from adr_service.json_values import sha256
+from adr_service.specs import BenchmarkExtension, RunSpec
+from adr_service.training.settings import SacSettings
 from api.cli import app
-from db import events, maintenance, results, runs, schema
+from db import benchmarks, events, maintenance, results, runs, schema
 from db.errors import DatabaseDamaged, DatabaseNewer
 from db.schema import alembic_config, head
 from db.session import Database, open_database
@@ -56,6 +59,41 @@ def test_rows_survive_all_migrations(database_url):
         assert [e.event for e in events.events_of(opened, "run_a")] == [event]
 
 
+def test_specs_from_before_the_choice_of_an_algorithm_keep_their_sac(database_url):
+    """The preset quick has trained by PPO since, and SAC's settings are not PPO's."""
+    command.upgrade(alembic_config(database_url), "0005")
+    given = {"task": "hopper", "method": "prior", "training": {"algorithm": "sac", "tau": 0.01}}
+    old = RunSpec.model_validate(given).model_dump(mode="json")
+    del old["training"]["algorithm"]
+    grid = {"tasks": ["hopper"], "methods": ["udr"], "seeds": [7], "training": {"tau": 0.01}}
+    with closing(Database(database_url)) as before, before.write("test") as session:
+        session.execute(
+            text(
+                "insert into benchmarks (id, created_at, spec) "
+                "values ('bench_a', '2026-01-01 00:00:00', :spec)"
+            ),
+            {"spec": json.dumps(grid)},
+        )
+        session.execute(
+            text(
+                "insert into runs (id, created_at, updated_at, task, variant, method, seed, "
+                "spec, state, submission, cancel_requested) values ('run_a', :now, :now, "
+                "'hopper', 'vanilla', 'prior', 0, :spec, 'queued', 1, :no)"
+            ),
+            {"spec": json.dumps(old), "now": "2026-01-01 00:00:00", "no": False},
+        )
+    with closing(open_database(database_url)) as opened:
+        assert runs.get_run(opened, "run_a").spec == RunSpec.model_validate(given)
+        wider = benchmarks.get_benchmark(opened, "bench_a").spec.extended(
+            BenchmarkExtension(seeds=[8])
+        )
+        for run in wider.runs():
+            assert isinstance(run, RunSpec)
+            trained = run.training
+            assert isinstance(trained, SacSettings)
+            assert (trained.max_steps, trained.gradient_steps, trained.tau) == (120_000, 12, 0.01)
+
+
 def test_before_an_upgrade_the_file_is_copied(tmp_path):
     url = f"sqlite:///{tmp_path / 'old.sqlite'}"
     command.upgrade(alembic_config(url), "0002")
@@ -63,7 +101,7 @@ def test_before_an_upgrade_the_file_is_copied(tmp_path):
         open_database(url).close()
         (copy,) = tmp_path.glob("old.sqlite.0002.*.bak")
     assert maintenance.revision_of(copy) == "0002"
-    assert maintenance.revision_of(tmp_path / "old.sqlite") == "0005"
+    assert maintenance.revision_of(tmp_path / "old.sqlite") == head()
 
 
 def test_a_failed_upgrade_leaves_the_file_and_no_copy(tmp_path):
@@ -162,7 +200,7 @@ def test_a_killed_upgrade_leaves_one_copy_however_often_it_is_killed(tmp_path):
     url = f"sqlite:///{tmp_path / 'old.sqlite'}"
     command.upgrade(alembic_config(url), "0003")
     script = f"from db.session import open_database; open_database({url!r})"
-    for name in ("migration_0004", "migration_0005", "upgrade:before"):
+    for name in ("migration_0004", "migration_0006", "upgrade:before"):
         killed = subprocess.run(
             [sys.executable, "-c", script],
             env={**os.environ, "ADR_FAILPOINT": name},
@@ -186,6 +224,7 @@ def test_a_released_migration_is_never_edited():
         "0003": "13ebde8e0765f1d805528df8af13bd4a",
         "0004": "f9455c8c1f54f6ec906ef9a9b2d4f08a",
         "0005": "0adbfbede86b6497ea2993d4a7101791",
+        "0006": "36aef7258166d4450d2148caf19697db",
     }
     files = Path(schema.__file__).parent.glob("migrations/versions/*.py")
     assert {file.name[:4]: sha256(file.read_bytes())[:32] for file in files} == known

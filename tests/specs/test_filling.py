@@ -5,8 +5,31 @@ from pydantic import ValidationError
 
 from adr_service.methods.simopt import SimOptSettings
 from adr_service.specs import BenchmarkSpec, RunSpec
+from adr_service.training.settings import PpoSettings, SacSettings
 
 GOOD = {"task": "arm", "method": "simopt", "preset": "smoke"}
+
+
+class TestTrainings:
+    @pytest.mark.parametrize("preset", ["smoke", "demo", "paper"])
+    def test_the_algorithm_of_a_preset_may_be_given_too(self, preset):
+        given = {"task": "hopper", "method": "prior", "preset": preset}
+        named = {**given, "training": {"algorithm": "sac"}}
+        assert RunSpec.model_validate(named) == RunSpec.model_validate(given)
+
+    def test_another_algorithm_takes_the_budget_of_the_preset_alone(self):
+        given = {"task": "humanoid", "method": "prior", "preset": "fast"}
+        assert RunSpec.model_validate(given).training.hidden == [256, 256]
+        training = {"algorithm": "ppo"}
+        filled = RunSpec.model_validate({**given, "training": training}).training
+        assert isinstance(filled, PpoSettings)
+        assert (filled.max_steps, filled.hidden) == (400_000, [64, 64])
+
+    def test_settings_of_a_class_are_of_its_algorithm(self):
+        """Their algorithm is a default, and defaults are the preset's otherwise."""
+        spec = RunSpec(task="hopper", method="prior", preset="fast", training=SacSettings(tau=0.01))
+        assert isinstance(spec.training, SacSettings)
+        assert spec.training.tau == 0.01
 
 
 class TestWhoCollects:
