@@ -33,12 +33,15 @@ class _Fused(OffPolicyAlgorithmJax):
     def _updated(
         self, learned: tuple[Any, ...], batch: ReplayBufferSamplesNp, steps: int, done: jax.Array
     ) -> tuple[Any, ...]:
-        """What was learned after `steps` more updates on parts of a batch; `done` came before."""
+        """Update on a batch, in `steps` equal parts; `done` updates came before.
+
+        `learned` and what is returned: critics, actor, temperature and key.
+        """
         ...
 
     @abstractmethod
     def _actor_variables(self, actor: Any) -> Any:
-        """What a state of the actor is applied with."""
+        """The variables of the actor's network, as `apply_fn` takes them."""
         ...
 
     def _setup_model(self) -> None:

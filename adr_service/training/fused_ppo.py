@@ -1,9 +1,9 @@
 """SBX's PPO with one compiled call per step and one per update of the networks.
 
 SBX's own rollouts ask for values, one call per step, and convert everything to PyTorch and back;
-its `train` makes one compiled call per minibatch and waits for its losses. Together that takes
-more time than the simulation. Here acting is one call, the values of a whole rollout are another,
-and all epochs over it are a third, which updates the networks by SBX's own `_one_update`.
+its `train` makes one compiled call per minibatch and waits for its losses. Here acting is one
+call, the values of a whole rollout are another, and all epochs over it are a third, which updates
+the networks by SBX's own `_one_update`.
 
 Observations are normalised by their running mean and deviation, rewards by the running deviation
 of the discounted return, as by SB3's `VecNormalize`, but updated once per rollout: the networks
@@ -34,6 +34,29 @@ class Rollout(NamedTuple):
     log_probabilities: np.ndarray  # (n,) of the actions when they were drawn
 
 
+_Cut = tuple[int, int, np.ndarray]  # step, environment, last observation
+
+
+class _Log:
+    """What happens in a rollout of t steps of n environments."""
+
+    def __init__(self, t: int, n: int, observation_space: Any, action_space: Any):
+        self.observations = np.empty((t + 1, n, *observation_space.shape), np.float32)
+        self.actions = np.empty((t, n, *action_space.shape), np.float32)  # as they were drawn
+        self.log_probabilities = np.empty((t, n), np.float32)
+        self.rewards = np.empty((t, n), np.float32)
+        self.dones = np.empty((t, n), np.bool_)
+        self.cut: list[_Cut] = []  # episodes that the time limit ended
+
+    def note(self, step: int, rewards: np.ndarray, dones: np.ndarray, infos: Any) -> None:
+        self.rewards[step], self.dones[step] = rewards, dones
+        self.cut += [
+            (step, i, infos[i]["terminal_observation"])
+            for i in np.flatnonzero(dones).tolist()
+            if infos[i]["TimeLimit.truncated"]
+        ]
+
+
 class FusedPpo(sbx.PPO):
     """PPO with a constant learning rate, normalised observations and rewards; logs no losses."""
 
@@ -61,38 +84,21 @@ class FusedPpo(sbx.PPO):
         self, env: VecEnv, callback: BaseCallback, rollout_buffer: Any, n_rollout_steps: int
     ) -> bool:
         """Fill a rollout; false where the callback has stopped the training."""
-        shape = (n_rollout_steps, env.num_envs)
-        observations = np.empty((shape[0] + 1, shape[1], *self.observation_space.shape), np.float32)
-        actions = np.empty((*shape, *self.action_space.shape), np.float32)
-        probabilities, rewards = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        dones = np.empty(shape, np.bool_)
-        cut: list[tuple[int, int, np.ndarray]] = []  # step, environment, last observation
+        log = _Log(n_rollout_steps, env.num_envs, self.observation_space, self.action_space)
         actor, normal = self.policy.actor_state, self.normalisation
         low, high = self.action_space.low, self.action_space.high
         for step in range(n_rollout_steps):
-            observations[step] = self._last_obs
-            drawn = self._act_compiled(actor, normal, observations[step], self.key)
-            actions[step], probabilities[step], self.key = drawn
-            self._last_obs, rewards[step], dones[step], infos = env.step(
-                np.clip(actions[step], low, high)
-            )
+            log.observations[step] = self._last_obs
+            drawn = self._act_compiled(actor, normal, log.observations[step], self.key)
+            log.actions[step], log.log_probabilities[step], self.key = drawn
+            self._last_obs, rewards, dones, infos = env.step(np.clip(log.actions[step], low, high))
             self.num_timesteps += env.num_envs
             if not callback.on_step():
                 return False
-            self._note_returns(rewards[step], dones[step])
-            cut += [
-                (step, i, infos[i]["terminal_observation"])
-                for i in np.flatnonzero(dones[step]).tolist()
-                if infos[i]["TimeLimit.truncated"]
-            ]
-        observations[-1] = self._last_obs
-        rewards /= np.sqrt(self._discounted.var + _SMALL)
-        self._continue(rewards, cut)
-        values = self._values(observations)
-        advantages = _advantages(rewards, values, dones, self.gamma, self.gae_lambda)
-        returns = advantages + values[:-1]
-        parts = (observations[:-1], actions, advantages, returns, probabilities)
-        self._rollout = Rollout(*(part.reshape(-1, *part.shape[2:]) for part in parts))
+            log.note(step, rewards, dones, infos)
+            self._note_returns(log.rewards[step], dones)
+        log.observations[-1] = self._last_obs
+        self._rollout = self._rollout_of(log)
         return True
 
     def train(self) -> None:
@@ -110,10 +116,20 @@ class FusedPpo(sbx.PPO):
         self._discounted.update(self._return)
         self._return[dones] = 0.0
 
-    def _continue(self, rewards: np.ndarray, cut: list[tuple[int, int, np.ndarray]]) -> None:
+    def _rollout_of(self, log: "_Log") -> Rollout:
+        log.rewards /= np.sqrt(self._discounted.var + _SMALL)
+        self._continue(log.rewards, log.cut)
+        values = self._values(log.observations)
+        advantages = _advantages(log.rewards, values, log.dones, self.gamma, self.gae_lambda)
+        returns = advantages + values[:-1]
+        parts = (log.observations[:-1], log.actions, advantages, returns, log.log_probabilities)
+        return Rollout(*(part.reshape(-1, *part.shape[2:]) for part in parts))
+
+    def _continue(self, rewards: np.ndarray, cut: list["_Cut"]) -> None:
         """Add the value of the state in which the time limit cut an episode to its last reward."""
         if not cut:
             return
+        # in multiples of the environments: another number of rows would be compiled anew
         last = np.zeros((self.n_envs * -(-len(cut) // self.n_envs), len(cut[0][2])), np.float32)
         last[: len(cut)] = [observation for *_, observation in cut]
         for (step, i, _), value in zip(cut, self._values(last), strict=False):

@@ -1,4 +1,4 @@
-"""What the libraries that train have in common: SB3 on PyTorch, and SBX on JAX."""
+"""What all algorithms need of the two libraries: SB3 on PyTorch, and SBX on JAX."""
 
 import importlib
 import importlib.util
@@ -67,7 +67,10 @@ def flax_layer(dense: Mapping[str, Any]) -> Layer:
 
 
 def normalised(layer: Layer, mean: np.ndarray, scale: np.ndarray, shift: Any = 0.0) -> Layer:
-    """A layer that takes x in the place of (x - mean) * scale + shift; all of its input's width."""
+    """The layer for x that does what the given one does for (x - mean) * scale + shift.
+
+    All three have the width of the input, or are one number.
+    """
     weight, bias = layer
     moved = bias + weight @ (shift - mean * scale)
     return (weight * scale).astype(np.float32), moved.astype(np.float32)

@@ -100,7 +100,7 @@ class Policy:
                 for i in range(description["layers"])
             )
             low, high = frozen(description["action_low"]), frozen(description["action_high"])
-        except (SafetensorError, KeyError, ValueError) as error:
+            squash = description.get("squash", "tanh")
+            return cls(layers, description["activation"], low, high, squash)
+        except (SafetensorError, KeyError, TypeError, ValueError) as error:
             raise InvalidInput(f"not the bytes of a policy: {error}") from error
-        squash = description.get("squash", "tanh")
-        return cls(layers, description["activation"], low, high, squash)

@@ -150,7 +150,7 @@ class CrossQSettings(_Confirmed, _OffPolicy):
     """CrossQ (Bhatt et al., arXiv 1902.05605): SAC with batch renormalisation in the place of
     target networks."""
 
-    update_seconds: ClassVar = {"sbx": (0.0012, 0.0015), "sb3": (0.0050, 0.0100)}
+    update_seconds: ClassVar = {"sbx": (0.0012, 0.0015), "sb3": (0.0110, 0.0008)}
 
     algorithm: Literal["crossq"]
     learning_rate: float = Field(0.001, gt=0)

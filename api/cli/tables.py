@@ -152,7 +152,7 @@ def _utilisation(used: Json | None, note: str) -> list[RenderableType]:
 
 
 def candidates_table(found: Sequence["Candidate"]) -> RenderableType:
-    """What a search has tried, the best first."""
+    """The candidates of a search, a row each, in the order given."""
     table = Table("settings", box=None, padding=(0, 2, 0, 0))
     for heading in ("threshold", "CPU seconds to it", "best returns"):
         table.add_column(heading, justify="right")

@@ -163,7 +163,7 @@ def test_one_update_is_the_same_in_both_backends(no_noise, algorithm, weights, a
 
 @pytest.mark.parametrize(("algorithm", "stock"), [("sac", "SAC"), ("crossq", "CrossQ")])
 def test_four_updates_are_those_of_the_stock_library(algorithm, stock):
-    """With its random numbers: equal to float32's rounding."""
+    """Both draw the same random numbers, so that only rounding differs."""
     import jax
     import sbx
 
@@ -186,7 +186,7 @@ def test_four_updates_are_those_of_the_stock_library(algorithm, stock):
 
 @pytest.mark.parametrize("algorithm", ["sac", "crossq"])
 def test_the_next_actions_come_from_the_updated_actor(no_noise, algorithm):
-    """Without noise, an action is the mode of the updated actor's distribution."""
+    """No noise is drawn here, so the action is the mode of the updated actor."""
     sbx = build(algorithm, "sbx", "tanh")
     sbx._n_updates = 2  # CrossQ's next update is one of the actor, too
     before, _ = sbx.predict(sbx._last_obs, deterministic=True)

@@ -23,18 +23,14 @@ STEPS, ENVIRONMENTS, RATE = 16, 4, 1e-2
 
 def build(backend, activation="tanh", **others):
     """A model whose update is one minibatch of a whole rollout, and its environments."""
-    given = settings(
-        "ppo",
-        backend,
-        activation=activation,
-        learning_rate=RATE,
-        environments=ENVIRONMENTS,
-        rollout_steps=STEPS,
-        batch_size=STEPS * ENVIRONMENTS,
-        epochs=1,
-        entropy_coefficient=0.01,
-        **others,
-    )
+    whole = {
+        "environments": ENVIRONMENTS,
+        "rollout_steps": STEPS,
+        "batch_size": STEPS * ENVIRONMENTS,
+        "epochs": 1,
+        "entropy_coefficient": 0.01,
+    }
+    given = settings("ppo", backend, activation=activation, learning_rate=RATE, **(whole | others))
     env = RandomizedVecEnv(
         ARM, SOURCE, Gaussian.prior(SOURCE.space), ENVIRONMENTS, np.random.default_rng(0)
     )
@@ -106,8 +102,35 @@ def test_one_update_is_the_same_in_both_backends(activation):
         assert differ.float().mean() < 0.01, name
 
 
+def test_an_epoch_updates_on_every_transition_once():
+    """The update that is called here counts the transitions that it is given."""
+    model = build("sbx", batch_size=16, epochs=3)
+    rollout = a_rollout()
+    count = len(rollout.advantages)
+    numbered = rollout._replace(returns=np.arange(count))
+    model._one_update = lambda seen, calls, *columns: (
+        (seen.at[columns[3]].add(1), calls + 1),
+        None,
+    )
+    compiled = model._compile()
+    seen, calls, _ = compiled(np.zeros(count), 0, model.normalisation, numbered, model.key)
+    assert calls == 3 * count / 16
+    np.testing.assert_array_equal(seen, np.full(count, 3))
+
+
+def test_three_epochs_are_three_updates_on_the_whole_rollout():
+    once, thrice = build("sbx"), build("sbx", epochs=3)
+    once._normal.update = lambda seen: None  # else it changes between the updates
+    for model, calls in ((once, 3), (thrice, 1)):
+        model._rollout = a_rollout()
+        for _ in range(calls):
+            model.train()
+    for name, expected in weights(once).items():
+        np.testing.assert_allclose(weights(thrice)[name], expected, rtol=1e-3, atol=1e-5)
+
+
 def test_advantages_are_those_of_sb3s_buffer():
-    """With episodes that end within the rollout and at its end."""
+    """Some episodes end within the rollout, some with its last step."""
     rng = np.random.default_rng(0)
     rewards, values = rng.normal(size=(STEPS, 3)), rng.normal(size=(STEPS + 1, 3))
     dones = rng.random((STEPS, 3)) < 0.2
