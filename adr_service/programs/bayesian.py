@@ -26,7 +26,7 @@ def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[Run
         box = proposal.distribution
         assert isinstance(box, Uniform)
         boxes.append(box)
-        trained.append((yield from stages.run(training(spec, box))))
+        trained.append((yield from stages.run(training(spec, box, trained[-1]))))
         returns += yield from target.returns([trained[-1].policy], iteration)
         proposal, digest = yield from _propose(spec, stages, boxes, returns)
         best = proposal.best

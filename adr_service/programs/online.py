@@ -42,10 +42,13 @@ class OnlineLoop:
         self._state: dict[str, Any] = method.start(problem)
         self.distribution: Distribution = method.ask(problem, self._state)
         self.inference: Inference[Inferred] | None = None
+        self._trained: TrainedPolicy | None = None
 
     def train(self) -> Generator[RunEvent, None, TrainedPolicy]:
         """A policy for the present distribution."""
-        return (yield from self._stages.run(training(self._spec, self.distribution)))
+        stage = training(self._spec, self.distribution, self._trained)
+        self._trained = yield from self._stages.run(stage)
+        return self._trained
 
     def visit(self, trained: TrainedPolicy, iteration: int) -> Generator[RunEvent, None, Visit]:
         """A trajectory of a policy on the target."""

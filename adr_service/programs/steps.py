@@ -41,9 +41,19 @@ def source_inputs(spec: RunSpec) -> dict[str, Any]:
     return {**identity_of(spec.task), "variant": spec.source_domain, "seed": spec.seed}
 
 
-def training(spec: RunSpec, distribution: Distribution) -> TrainPolicy:
-    """The training of a run's policy on a distribution."""
-    return TrainPolicy(**source_inputs(spec), distribution=distribution, training=spec.training)
+def training(
+    spec: RunSpec, distribution: Distribution, previous: TrainedPolicy | None = None
+) -> TrainPolicy:
+    """The training of a run's policy on a distribution.
+
+    It starts from the networks of the run's previous policy, if the run's settings want that.
+    """
+    return TrainPolicy(
+        **source_inputs(spec),
+        distribution=distribution,
+        training=spec.training,
+        start=None if previous is None else previous.networks,
+    )
 
 
 def infer(

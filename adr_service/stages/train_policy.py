@@ -28,6 +28,7 @@ class TrainedPolicy(Result):
     adjusted_draws: int  # dynamics moved onto a bound of the space
     diverged_episodes: int
     confirmation: Evaluation | None = None  # of the policy, on fresh draws
+    networks: bytes | None = None  # where the next training starts from them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,16 +44,25 @@ class TrainPolicy(Stage[TrainedPolicy]):
     seed: int
     distribution: Distribution
     training: TrainingSettings
+    start: bytes | None = None  # networks of the policy before; None: new ones
 
     def compute(self, rng: np.random.Generator, progress: Progress) -> TrainedPolicy:
         # importing PyTorch and JAX takes seconds: only trainers pay
         with preparing():
+            from adr_service.training import networks
             from adr_service.training.train import train
 
         task = get_task(self.task)
         source = source_of(self.task, self.variant)
         training = train(
-            task, source, self.distribution, self.training, rng, progress, self._checkpoint
+            task,
+            source,
+            self.distribution,
+            self.training,
+            rng,
+            progress,
+            self._checkpoint,
+            None if self.start is None else networks.from_bytes(self.start),
         )
         return TrainedPolicy(
             policy=training.policy.to_bytes(),
@@ -63,6 +73,7 @@ class TrainPolicy(Stage[TrainedPolicy]):
             adjusted_draws=training.adjusted_draws,
             diverged_episodes=training.diverged_episodes,
             confirmation=None if self.training.confirmation is None else training.best,
+            networks=networks.to_bytes(training.networks) if self._is_continued else None,
         )
 
     def events(self, result: TrainedPolicy) -> list[RunEvent]:
@@ -90,7 +101,12 @@ class TrainPolicy(Stage[TrainedPolicy]):
             curve=[],
             adjusted_draws=0,
             diverged_episodes=0,
+            networks=f"networks of {self.digest}".encode() if self._is_continued else None,
         )
+
+    @property
+    def _is_continued(self) -> bool:
+        return self.training.start == "previous"
 
     def _checkpoint(self, policy: Policy, curve: Sequence[Evaluation]) -> Checkpoint:
         return Checkpoint(curve[-1].steps, policy.to_bytes(), tuple(self._evaluated(curve)))

@@ -20,6 +20,7 @@ from adr_service.training.libraries import (
     torch_activation,
     torch_layer,
 )
+from adr_service.training.networks import OffPolicyFlax, OffPolicyTorch
 from adr_service.training.policy import Layer, Policy
 from adr_service.training.settings import CrossQSettings
 
@@ -50,7 +51,7 @@ def _renormalised(layer: Layer, mean: Any, variance: Any, factor: Any, shift: An
     return normalised(layer, np.asarray(mean), scale, np.asarray(shift))
 
 
-class _Sb3:
+class _Sb3(OffPolicyTorch):
     """SB3-Contrib (PyTorch): the reference."""
 
     def build(self, env: RandomizedVecEnv, task: Task, settings: CrossQSettings, seed: int) -> Any:
@@ -77,7 +78,7 @@ class _Sb3:
         return actor(task, settings.activation, layers)
 
 
-class _Sbx:
+class _Sbx(OffPolicyFlax):
     """SBX (JAX): the same interface with more updates per second."""
 
     def build(self, env: RandomizedVecEnv, task: Task, settings: CrossQSettings, seed: int) -> Any:

@@ -46,7 +46,7 @@ class _Fused(OffPolicyAlgorithmJax):
 
     def _setup_model(self) -> None:
         super()._setup_model()
-        self._arrays, self._tree = tree_flatten(self._learned)
+        self.adopt()
         self._compiled: dict[int, Callable[..., tuple[Arrays, jax.Array]]] = {}
         self._next_actions: jax.Array | None = None
 
@@ -69,6 +69,10 @@ class _Fused(OffPolicyAlgorithmJax):
         """Copy the learned arrays to `policy`, for all uses but `train`."""
         learned = tree_unflatten(self._tree, self._arrays)
         self.policy.qf_state, self.policy.actor_state, self.ent_coef_state, self.key = learned
+
+    def adopt(self) -> None:
+        """Learn on from the arrays of `policy`: the inverse of `publish`."""
+        self._arrays, self._tree = tree_flatten(self._learned)
 
     def _compile(self, gradient_steps: int) -> Callable[..., tuple[Arrays, jax.Array]]:
         tree = self._tree

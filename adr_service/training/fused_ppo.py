@@ -75,6 +75,11 @@ class FusedPpo(sbx.PPO):
         self._update_compiled = self._compile()
 
     @property
+    def statistics(self) -> dict[str, RunningMeanStd]:
+        """What observations and rewards are normalised by."""
+        return {"observations": self._normal, "returns": self._discounted}
+
+    @property
     def normalisation(self) -> tuple[np.ndarray, np.ndarray]:
         """The mean of the observations, and the factor that gives them unit variance; (s,) each."""
         scale = 1 / np.sqrt(self._normal.var + _SMALL)

@@ -12,6 +12,7 @@ from adr_service.errors import InvalidInput
 from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.startup_time import add_preparation, preparing
 from adr_service.tasks.base import Task
+from adr_service.training.networks import Networks
 from adr_service.training.policy import Layer, Policy, Squash
 
 
@@ -20,6 +21,14 @@ class Library(Protocol):
 
     def build(self, env: RandomizedVecEnv, task: Task, settings: Any, seed: int) -> Any: ...
     def policy(self, model: Any, task: Task, settings: Any) -> Policy: ...
+
+    def networks(self, model: Any) -> Networks:
+        """What a training starts from that continues this one."""
+        ...
+
+    def start(self, model: Any, networks: Networks) -> None:
+        """Put networks in the place of a model's first ones; they are of the same settings."""
+        ...
 
 
 def torch_activation(name: str) -> Any:

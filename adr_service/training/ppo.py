@@ -10,6 +10,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnvWrapper, VecNormalize
 
 from adr_service.simulation.vec_env import RandomizedVecEnv
@@ -22,6 +23,15 @@ from adr_service.training.libraries import (
     normalised,
     torch_activation,
     torch_layer,
+)
+from adr_service.training.networks import (
+    Networks,
+    flax_networks,
+    moments,
+    start_moments,
+    start_torch,
+    started_flax,
+    torch_networks,
 )
 from adr_service.training.policy import Policy
 from adr_service.training.settings import PpoSettings
@@ -87,6 +97,17 @@ class _Sb3:
         layers = (normalised(first, normal.obs_rms.mean, scale), *others)
         return actor(task, settings.activation, layers, "clip")
 
+    def networks(self, model: Any) -> Networks:
+        return torch_networks(model.policy) | moments(**self._statistics(model))
+
+    def start(self, model: Any, networks: Networks) -> None:
+        start_torch(model.policy, networks)
+        start_moments(networks, **self._statistics(model))
+
+    def _statistics(self, model: Any) -> dict[str, RunningMeanStd]:
+        normal = model.get_vec_normalize_env()
+        return {"observations": normal.obs_rms, "returns": normal.ret_rms}
+
 
 class _Sbx:
     """SBX (JAX): the same interface with more steps per second."""
@@ -104,6 +125,17 @@ class _Sbx:
         first, *others = (flax_layer(dense[f"Dense_{i}"]) for i in range(count))
         layers = (normalised(first, *model.normalisation), *others)
         return actor(task, settings.activation, layers, "clip")
+
+    def networks(self, model: Any) -> Networks:
+        policy = model.policy
+        kept = flax_networks(actor=policy.actor_state, critic=policy.vf_state)
+        return kept | moments(**model.statistics)
+
+    def start(self, model: Any, networks: Networks) -> None:
+        policy = model.policy
+        policy.actor_state = started_flax("actor", policy.actor_state, networks)
+        policy.vf_state = started_flax("critic", policy.vf_state, networks)
+        start_moments(networks, **model.statistics)
 
 
 LIBRARIES: Mapping[str, Library] = {"sbx": _Sbx(), "sb3": _Sb3()}

@@ -13,6 +13,7 @@ from adr_service.training.libraries import (
     torch_activation,
     torch_layer,
 )
+from adr_service.training.networks import OffPolicyFlax, OffPolicyTorch
 from adr_service.training.policy import Policy
 from adr_service.training.settings import SacSettings
 
@@ -31,7 +32,7 @@ def _hyperparameters(task: Task, settings: SacSettings, seed: int) -> dict[str, 
     }
 
 
-class _Sb3:
+class _Sb3(OffPolicyTorch):
     """Stable-Baselines3 (PyTorch): the reference."""
 
     def build(self, env: RandomizedVecEnv, task: Task, settings: SacSettings, seed: int) -> Any:
@@ -50,7 +51,7 @@ class _Sb3:
         return actor(task, settings.activation, tuple(torch_layer(m) for m in linear))
 
 
-class _Sbx:
+class _Sbx(OffPolicyFlax):
     """SBX (JAX), by the authors of SB3: the same interface with more updates per second."""
 
     def build(self, env: RandomizedVecEnv, task: Task, settings: SacSettings, seed: int) -> Any:

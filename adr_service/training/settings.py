@@ -17,6 +17,7 @@ Widths = Annotated[
 
 DEFAULT_ALGORITHM: Literal["sac"] = "sac"
 _WORK = 256 * 128**2  # batch size x weights, for which the seconds of an update are given
+_AT_FIRST = (("algorithm", "sac"), ("start", "scratch"))  # when there was no choice
 _STEP_S = 0.0007  # acting and storing, per step of all environments
 
 
@@ -37,6 +38,11 @@ class _Settings(Wire):
     evaluate_every: int = Field(40_000, ge=100, le=10**9, description="environment steps")
     evaluation_episodes: int = Field(50, ge=1, le=10_000)
     stop_at_threshold: bool = True
+    start: Literal["scratch", "previous"] = Field(
+        "scratch",
+        description="previous: where policies of a run follow one another, each starts from the "
+        "networks of the one before",
+    )
 
     @property
     @abstractmethod
@@ -62,6 +68,17 @@ class _Settings(Wire):
         """The size of an actor's weights, in float32."""
         widths = [observations, *self.hidden, actions]
         return 4 * sum((a + 1) * b for a, b in pairwise(widths))
+
+    def to_json(self) -> dict[str, Any]:
+        """What enters a stage's digest.
+
+        Choices that are newer than the digests of results are left out where they are as before.
+        """
+        return {
+            name: value
+            for name, value in self.model_dump().items()
+            if (name, value) not in _AT_FIRST
+        }
 
     @model_validator(mode="after")
     def _choose_backend(self) -> Self:
@@ -137,13 +154,6 @@ class SacSettings(_OffPolicy):
 
     def critic_weights(self, inputs: int) -> int:
         return _between(self.hidden)
-
-    def to_json(self) -> dict[str, Any]:
-        """What enters a stage's digest.
-
-        It lacks the algorithm: the digests of results are older than the choice of one.
-        """
-        return self.model_dump(exclude={"algorithm"})
 
 
 class CrossQSettings(_Confirmed, _OffPolicy):

@@ -27,6 +27,7 @@ from adr_service.training import crossq, ppo, sac
 from adr_service.training.curve import Evaluation
 from adr_service.training.judge import Judge
 from adr_service.training.libraries import Library
+from adr_service.training.networks import Networks
 from adr_service.training.policy import Policy
 from adr_service.training.settings import TrainingSettings
 
@@ -50,6 +51,7 @@ class Training:
     steps: int
     adjusted_draws: int  # dynamics moved onto a bound, see `Draws`
     diverged_episodes: int  # ended because the simulation diverged
+    networks: Networks  # of the last step, from which another training may start
 
 
 def train(
@@ -60,16 +62,20 @@ def train(
     rng: np.random.Generator,
     progress: Progress = silent,
     keep: Keep | None = None,
+    start: Networks | None = None,
 ) -> Training:
     """Train a policy for `distribution` on the task's source.
 
-    After every evaluation, progress is reported with the checkpoint that `keep` makes.
+    After every evaluation, progress is reported with the checkpoint that `keep` makes. `start` has
+    the networks of an earlier training with the same settings.
     """
     dynamics_rng, evaluation_rng, seed_rng = rng.spawn(3)
     env = RandomizedVecEnv(task, source, distribution, settings.environments, dynamics_rng)
     assert settings.backend is not None, "validation has chosen one"
     library = LIBRARIES[settings.algorithm][settings.backend]
     model = library.build(env, task, settings, integer_seed(seed_rng))
+    if start is not None:
+        library.start(model, start)
     judge = Judge(task, source, distribution, settings, evaluation_rng)
     monitor = _Monitor(library, judge, settings, progress, keep)
     model.set_logger(Logger(None, []))  # SB3's own makes a folder per training
@@ -84,6 +90,7 @@ def train(
         steps=model.num_timesteps,
         adjusted_draws=env.adjusted,
         diverged_episodes=env.diverged,
+        networks=library.networks(model),
     )
 
 

@@ -19,6 +19,23 @@ def test_each_inference_goes_on_from_the_state_of_the_one_before():
     assert second.state == first.read(compute(first)).state
 
 
+def test_a_policy_starts_from_the_networks_of_the_one_before_where_that_is_asked_for():
+    stages = LocalStages()
+    training = {"start": "previous"}
+    iterations(smoke("simopt", iterations=2, training=training), stages)
+    first, second, third = executed(stages, "train_policy")
+    assert first.start is None
+    assert second.start == first.read(compute(first)).networks
+    assert third.start == second.read(compute(second)).networks
+    assert third.start != second.start
+
+
+def test_policies_start_from_scratch_by_default():
+    stages = LocalStages()
+    iterations(smoke("simopt", iterations=1), stages)
+    assert [stage.start for stage in executed(stages, "train_policy")] == [None, None]
+
+
 def test_the_policy_of_a_visit_is_the_one_that_was_just_trained():
     stages = LocalStages()
     events = iterations(smoke("simopt", iterations=2), stages)

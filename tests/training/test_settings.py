@@ -61,7 +61,9 @@ def test_ppo_uses_whole_rollouts():
     assert settings("crossq", max_steps=300).steps == 300
 
 
-def test_a_digest_has_no_algorithm_where_it_is_sac():
-    """At first there was no other, and results outlive refactoring."""
-    assert "algorithm" not in settings("sac").to_json()
+def test_a_digest_has_no_choice_that_is_as_before_there_was_one():
+    """Results outlive refactoring."""
+    assert not {"algorithm", "start"} & settings("sac").to_json().keys()
     assert settings("sac").model_dump()["algorithm"] == "sac"
+    given = settings("ppo", start="previous").to_json()
+    assert (given["algorithm"], given["start"]) == ("ppo", "previous")

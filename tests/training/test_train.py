@@ -8,6 +8,7 @@ from adr_service.progress import StageCancelled
 from adr_service.randomness import stream
 from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.tasks.catalogue import get_task, variants_of
+from adr_service.training.networks import from_bytes, to_bytes
 from adr_service.training.train import LIBRARIES, train
 from tests.training.examples import settings
 
@@ -61,6 +62,25 @@ class TestTrain:
         policy = library.policy(model, ARM, given)
         expected = model.predict(seen_by(model, seen), deterministic=True)[0]
         np.testing.assert_allclose(policy.act(seen), np.clip(expected, -1, 1), atol=1e-5)
+
+    def test_a_model_that_is_started_from_networks_is_where_they_were(self, algorithm, backend):
+        """Its policy and all that it learns from, but its optimiser, are those that were left."""
+        given, library = settings(algorithm, backend), LIBRARIES[algorithm][backend]
+        models = []
+        for seed in (1, 2):
+            env = RandomizedVecEnv(ARM, VANILLA.source, PRIOR, 12, np.random.default_rng(0))
+            models.append(library.build(env, ARM, given, seed))
+        models[0].learn(480)
+        left = from_bytes(to_bytes(library.networks(models[0])))
+        library.start(models[1], left)
+        found = library.networks(models[1])
+        assert found.keys() == left.keys()
+        for name, expected in left.items():
+            np.testing.assert_array_equal(found[name], expected)
+        first, second = (library.policy(model, ARM, given).to_bytes() for model in models)
+        assert first == second
+        models[1].learn(480)
+        assert library.policy(models[1], ARM, given).to_bytes() != second
 
 
 @pytest.mark.parametrize(("algorithm", "backend"), STOPPED)
