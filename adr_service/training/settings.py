@@ -17,7 +17,11 @@ Widths = Annotated[
 
 DEFAULT_ALGORITHM: Literal["sac"] = "sac"
 _WORK = 256 * 128**2  # batch size x weights, for which the seconds of an update are given
-_AT_FIRST = (("algorithm", "sac"), ("start", "scratch"))  # when there was no choice
+_AT_FIRST = (
+    ("algorithm", "sac"),
+    ("start", "scratch"),
+    ("averaged_steps", 0),
+)  # when there was no choice
 _STEP_S = 0.0007  # acting and storing, per step of all environments
 
 
@@ -37,6 +41,12 @@ class _Settings(Wire):
     gamma: float = Field(0.99, gt=0, lt=1)
     evaluate_every: int = Field(40_000, ge=100, le=10**9, description="environment steps")
     evaluation_episodes: int = Field(50, ge=1, le=10_000)
+    averaged_steps: int = Field(
+        0,
+        ge=0,
+        le=10**9,
+        description="environment steps over which the policy's weights are averaged; 0: the last",
+    )
     stop_at_threshold: bool = True
     start: Literal["scratch", "previous"] = Field(
         "scratch",

@@ -24,6 +24,7 @@ from adr_service.randomness import integer_seed
 from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.tasks.base import Source, Task
 from adr_service.training import crossq, ppo, sac
+from adr_service.training.average import Average
 from adr_service.training.curve import Evaluation
 from adr_service.training.judge import Judge
 from adr_service.training.libraries import Library
@@ -81,7 +82,7 @@ def train(
     model.set_logger(Logger(None, []))  # SB3's own makes a folder per training
     model.learn(settings.steps, callback=monitor, log_interval=None)
     if not judge.curve or judge.curve[-1].steps < model.num_timesteps:
-        judge.evaluate(library.policy(model, task, settings), model.num_timesteps)
+        monitor.evaluate()
     return Training(
         policy=judge.policy,
         best=judge.reported(),
@@ -108,17 +109,28 @@ class _Monitor(BaseCallback):
         super().__init__()
         self._library, self._judge, self._settings = library, judge, settings
         self._progress, self._keep = progress, keep
+        self._average = Average(settings.averaged_steps) if settings.averaged_steps else None
         threshold = judge.task.reward_threshold
         self._stop_at = threshold if settings.stop_at_threshold else math.inf
 
     def _on_step(self) -> bool:
         judge, done = self._judge, self.num_timesteps
+        if self._average is not None and self._average.is_due(done):
+            self._policy()
         if done // self._settings.evaluate_every == len(judge.curve):
             self._report(None)
             return True
-        judge.evaluate(self._library.policy(self.model, judge.task, self._settings), done)
+        self.evaluate()
         self._report(None if self._keep is None else self._keep(judge.policy, judge.curve))
         return not judge.has_reached(self._stop_at)
+
+    def evaluate(self) -> None:
+        """Evaluate the present policy: the averaged one, where the settings ask for it."""
+        self._judge.evaluate(self._policy(), self.num_timesteps)
+
+    def _policy(self) -> Policy:
+        latest = self._library.policy(self.model, self._judge.task, self._settings)
+        return latest if self._average is None else self._average.add(latest, self.num_timesteps)
 
     def _report(self, checkpoint: Checkpoint | None) -> None:
         done, curve = self.num_timesteps, self._judge.curve

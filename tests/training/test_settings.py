@@ -63,7 +63,7 @@ def test_ppo_uses_whole_rollouts():
 
 def test_a_digest_has_no_choice_that_is_as_before_there_was_one():
     """Results outlive refactoring."""
-    assert not {"algorithm", "start"} & settings("sac").to_json().keys()
+    assert not {"algorithm", "start", "averaged_steps"} & settings("sac").to_json().keys()
     assert settings("sac").model_dump()["algorithm"] == "sac"
     given = settings("ppo", start="previous").to_json()
     assert (given["algorithm"], given["start"]) == ("ppo", "previous")

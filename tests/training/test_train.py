@@ -24,12 +24,20 @@ CASES = [
 ]
 
 
+def test_the_reported_policy_is_the_averaged_one_where_that_is_asked_for():
+    """Over so many steps that its weights hardly leave the first ones."""
+    first, last = (
+        trained("ppo", "sb3", averaged_steps=steps).policy.layers[-1][1] for steps in (10**9, 0)
+    )
+    assert np.abs(first).max() < 1e-6 < np.abs(last).max()
+
+
 # what stops a training is the same for both backends, but PPO's rollouts on SBX are our own
 STOPPED = [("sac", "sb3"), ("crossq", "sb3"), ("ppo", "sb3"), pytest.param("ppo", "sbx", marks=SBX)]
 
 
-def trained(algorithm, backend, progress=lambda fraction, **facts: None, task=ARM):
-    given = settings(algorithm, backend)
+def trained(algorithm, backend, progress=lambda fraction, **facts: None, task=ARM, **others):
+    given = settings(algorithm, backend, **others)
     return train(task, VANILLA.source, PRIOR, given, stream("test", 1), progress)
 
 
