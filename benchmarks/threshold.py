@@ -1,16 +1,20 @@
 """CPU seconds and environment steps until a policy earns its task's reward threshold.
 
-    python benchmarks/threshold.py [TASK …] [--preset P] [--on truth] [--seeds N] [--set NAME=VALUE]
+    python benchmarks/threshold.py [TASK …] [--preset P …] [--on truth] [--seeds N] [--seconds S]
+                                   [--set NAME=VALUE …]
 
 Trains as the service does, the oracle's policy (`--on truth`) or the prior's (`--on prior`), on as
-many seeds at once as there are cores. Without tasks, on all four of the benchmark. Every training
-is kept in build/bench/threshold, so that a study that was stopped goes on where it was. Writes
-there, per task, a report (.json) and the learning curves (.svg), and prints a table.
+many seeds at once as there are cores. Without tasks, on all four of the benchmark. With
+`--seconds`, trainings go on after the threshold, until they have used so many CPU seconds, for
+comparisons of presets. Every training is kept in build/bench/threshold, so that a study that was
+stopped goes on where it was. Writes there, per task, a report (.json) and the learning curves
+(.svg), and prints a table.
 
 CPU seconds are those of the training's process, with its imports and compilations.
 """
 
 import argparse
+import contextlib
 import json
 import math
 import os
@@ -27,7 +31,7 @@ from matplotlib.figure import Figure
 
 from adr_service.events import TrainingEvaluated
 from adr_service.programs.references import reference_training
-from adr_service.progress import Checkpoint
+from adr_service.progress import Checkpoint, StageCancelled
 from adr_service.specs import RunSpec
 from adr_service.stages.base import compute
 from adr_service.stages.train_policy import TrainPolicy
@@ -42,9 +46,10 @@ TASKS = ("hopper", "half_cheetah", "walker2d", "humanoid")
 def options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("tasks", nargs="*", default=list(TASKS))
-    parser.add_argument("--preset", default="fast")
+    parser.add_argument("--preset", nargs="+", default=["fast"])
     parser.add_argument("--on", choices=("truth", "prior"), default="truth")
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--seconds", type=int, help="train for so long, past the threshold")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--seed", type=int, help="train this one alone, in this process")
     return parser.parse_args()
@@ -52,47 +57,58 @@ def options() -> argparse.Namespace:
 
 def main(given: argparse.Namespace) -> None:
     FOLDER.mkdir(parents=True, exist_ok=True)
-    trainings = list(product(given.tasks, range(given.seeds)))
+    trainings = list(product(given.tasks, range(given.seeds), given.preset))
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         list(pool.map(lambda each: in_a_process_of_its_own(given, *each), trainings))
-    print("| task | reached | CPU seconds: median, range | steps: median, range | return |")
+    print(
+        "| task | preset | reached | CPU seconds: median, range | steps: median, range | return |"
+    )
     for task in given.tasks:
-        found = [
-            json.loads(kept(stage_of(given, task, seed)).read_text()) for seed in range(given.seeds)
-        ]
-        changes = "".join(f"-{each}" for each in given.set)
-        path = FOLDER / f"{task}-{given.preset}-{given.on}{changes}.json"
-        path.write_text(json.dumps(found, indent=1))
-        draw(task, given, found, path.with_suffix(".svg"))
-        print(row(task, found), flush=True)
+        found = {
+            preset: [
+                json.loads(kept(given, task, seed, preset).read_text())
+                for seed in range(given.seeds)
+            ]
+            for preset in given.preset
+        }
+        seconds = () if given.seconds is None else (f"{given.seconds}s",)
+        name = "-".join([task, *given.preset, given.on, *given.set, *seconds])
+        (FOLDER / f"{name}.json").write_text(json.dumps(found, indent=1))
+        draw(task, given, found, FOLDER / f"{name}.svg")
+        for preset, reports in found.items():
+            print(row(task, preset, reports), flush=True)
 
 
-def in_a_process_of_its_own(given: argparse.Namespace, task: str, seed: int) -> None:
+def in_a_process_of_its_own(given: argparse.Namespace, task: str, seed: int, preset: str) -> None:
     """Train, unless it has been done."""
-    if kept(stage_of(given, task, seed)).exists():
+    if kept(given, task, seed, preset).exists():
         return
     environment = {**os.environ, **worker_environment(Path("build/bench/jax").absolute())}
     command = [sys.executable, "-W", "ignore::DeprecationWarning", __file__, task]
-    command += ["--preset", given.preset, "--on", given.on, "--seed", str(seed)]
+    command += ["--preset", preset, "--on", given.on, "--seed", str(seed)]
     command += [argument for each in given.set for argument in ("--set", each)]
+    command += [] if given.seconds is None else ["--seconds", str(given.seconds)]
     subprocess.run(command, env=environment, check=True)
 
 
-def stage_of(given: argparse.Namespace, task: str, seed: int) -> TrainPolicy:
+def stage_of(given: argparse.Namespace, task: str, seed: int, preset: str) -> TrainPolicy:
     method = {"truth": "oracle", "prior": "prior"}[given.on]
-    spec = {"task": task, "method": method, "preset": given.preset, "seed": seed}
+    spec = {"task": task, "method": method, "preset": preset, "seed": seed}
     assign(spec, (f"training.{each}" for each in given.set))
+    if given.seconds is not None:
+        assign(spec, ["training.stop_at_threshold=false"])
     return reference_training(RunSpec.model_validate(spec))
 
 
-def kept(stage: TrainPolicy) -> Path:
-    return FOLDER / f"{stage.digest}.json"
+def kept(given: argparse.Namespace, task: str, seed: int, preset: str) -> Path:
+    seconds = "" if given.seconds is None else f"-{given.seconds}s"
+    return FOLDER / f"{stage_of(given, task, seed, preset).digest}{seconds}.json"
 
 
 def train(given: argparse.Namespace) -> None:
     """One training; keeps its report."""
-    (task,) = given.tasks
-    stage = stage_of(given, task, given.seed)
+    (task,), (preset,) = given.tasks, given.preset
+    stage = stage_of(given, task, given.seed, preset)
     curve: list[dict[str, float]] = []
 
     def progress(fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
@@ -101,31 +117,33 @@ def train(given: argparse.Namespace) -> None:
             assert isinstance(point, TrainingEvaluated)
             seen = point.model_dump(include={"steps", "mean_return", "standard_error"})
             curve.append({"cpu_seconds": time.process_time(), **seen})
-            line = f"{task}, seed {given.seed}: {curve[-1]['cpu_seconds']:.0f} CPU s, "
+            line = f"{task}, {preset}, seed {given.seed}: {curve[-1]['cpu_seconds']:.0f} CPU s, "
             line += f"{point.steps} steps, return {point.mean_return:.1f}"
             print(line, file=sys.stderr, flush=True)
+            if given.seconds is not None and time.process_time() > given.seconds:
+                raise StageCancelled
 
-    started = time.perf_counter()
-    values = compute(stage, progress).values
+    values: dict[str, Any] = {}
+    with contextlib.suppress(StageCancelled):
+        values = compute(stage, progress).values
     report = {
         "task": task,
         "seed": given.seed,
         "training": stage.training.model_dump(),
         "cpu_seconds": time.process_time(),
-        "seconds": time.perf_counter() - started,
-        "steps": values["steps"],
-        "reached": values["reached_threshold"],
-        "source_return": values["source_return"],
+        "steps": values.get("steps", curve[-1]["steps"]),
+        "reached": values.get("reached_threshold"),
+        "source_return": values.get("source_return", max(at["mean_return"] for at in curve)),
         "confirmation": values.get("confirmation"),
-        "diverged_episodes": values["diverged_episodes"],
+        "diverged_episodes": values.get("diverged_episodes"),
         "curve": curve,
     }
-    kept(stage).write_text(json.dumps(report, indent=1))
+    kept(given, task, given.seed, preset).write_text(json.dumps(report, indent=1))
 
 
-def row(task: str, found: list[dict[str, Any]]) -> str:
+def row(task: str, preset: str, found: list[dict[str, Any]]) -> str:
     reached = [each for each in found if each["reached"]]
-    cells = [task, f"{len(reached)} of {len(found)} seeds"]
+    cells = [task, preset, f"{len(reached)} of {len(found)} seeds"]
     for name, unit in (("cpu_seconds", 1), ("steps", 1000)):
         values = [each[name] / unit if each["reached"] else math.inf for each in found]
         numbers = (statistics.median(values), min(values), max(values))
@@ -136,23 +154,31 @@ def row(task: str, found: list[dict[str, Any]]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def draw(task: str, given: argparse.Namespace, found: list[dict[str, Any]], path: Path) -> None:
+def draw(
+    task: str, given: argparse.Namespace, found: dict[str, list[dict[str, Any]]], path: Path
+) -> None:
+    """The learning curves, coloured by preset where there are several, else by seed."""
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.subplots()
-    for each in found:
+    for i, (preset, each) in enumerate(
+        (p, each) for p, reports in found.items() for each in reports
+    ):
+        several = len(found) > 1
+        color = f"C{given.preset.index(preset) if several else i}"
+        label = (preset if each["seed"] == 0 else None) if several else f"seed {each['seed']}"
         seconds, means, errors = (
             [point[name] for point in each["curve"]]
             for name in ("cpu_seconds", "mean_return", "standard_error")
         )
-        (line,) = axes.plot(seconds, means, label=f"seed {each['seed']}", linewidth=1)
+        axes.plot(seconds, means, label=label, linewidth=1, color=color)
         low = [mean - error for mean, error in zip(means, errors, strict=True)]
         high = [mean + error for mean, error in zip(means, errors, strict=True)]
-        axes.fill_between(seconds, low, high, color=line.get_color(), alpha=0.3, linewidth=0)
+        axes.fill_between(seconds, low, high, color=color, alpha=0.3, linewidth=0)
         if each["reached"]:
-            axes.plot(each["cpu_seconds"], each["source_return"], "o", color=line.get_color())
+            axes.plot(each["cpu_seconds"], each["source_return"], "o", color=color)
     axes.axhline(get_task(task).reward_threshold, color="black", linewidth=0.8, linestyle="--")
     axes.set(xlabel="CPU seconds", ylabel=f"return on the {given.on}, with one standard error")
-    axes.set_title(f"{task}, preset {given.preset}")
+    axes.set_title(f"{task}, preset {' and '.join(given.preset)}")
     axes.legend(frameon=False)
     figure.savefig(path)
 
