@@ -194,11 +194,11 @@ class PpoSettings(_Confirmed):
 
     algorithm: Literal["ppo"]
     environments: int = Field(32, ge=1, le=1024)
-    hidden: Widths = Field([64, 64], description="units per hidden layer of the actor and critic")
+    hidden: Widths = Field([128, 128], description="units per hidden layer of the actor and critic")
     batch_size: int = Field(512, ge=2, le=65_536)
     learning_rate: float = Field(0.0005, gt=0)
     rollout_steps: int = Field(128, ge=1, le=65_536, description="of each environment")
-    epochs: int = Field(5, ge=1, le=1000, description="over the transitions of each rollout")
+    epochs: int = Field(10, ge=1, le=1000, description="over the transitions of each rollout")
     gae_lambda: float = Field(0.95, ge=0, le=1)
     clip_range: float = Field(0.2, gt=0)
     entropy_coefficient: float = Field(0.0, ge=0)
