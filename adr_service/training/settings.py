@@ -190,7 +190,7 @@ class PpoSettings(_Confirmed):
     and rewards."""
 
     # of an update on one server core, per transition and epoch, for layers of 64 units
-    sample_seconds: ClassVar[Mapping[str, float]] = {"sbx": 0.000002, "sb3": 0.000008}
+    sample_seconds: ClassVar[Mapping[str, float]] = {"sbx": 0.0000005, "sb3": 0.0000025}
 
     algorithm: Literal["ppo"]
     environments: int = Field(32, ge=1, le=1024)

@@ -23,7 +23,7 @@ class TestTrainings:
         training = {"algorithm": "ppo"}
         filled = RunSpec.model_validate({**given, "training": training}).training
         assert isinstance(filled, PpoSettings)
-        assert (filled.max_steps, filled.hidden) == (400_000, [64, 64])
+        assert (filled.max_steps, filled.hidden) == (1_000_000, [128, 128])
 
     def test_settings_of_a_class_are_of_its_algorithm(self):
         """Their algorithm is a default, and defaults are the preset's otherwise."""
