@@ -2,7 +2,7 @@
 
 - `smoke`: hundreds of steps, for tests. Its numbers mean nothing.
 - `demo`: minutes, for the task `arm`: policies of 40,000 steps.
-- `quick`: a first look at a task within an hour on two cores: the trainings of `fast`, two
+- `quick`: a first look at a task, in an hour or two on two cores: the trainings of `fast`, two
   iterations in the place of five, and smaller searches.
 - `fast`: the benchmark's protocol (Tiboni et al., Sec. 3.2), with the trainings that reach the
   thresholds in the least CPU time that we found (docs/training.md).
