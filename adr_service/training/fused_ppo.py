@@ -42,7 +42,7 @@ class _Log:
 
     def __init__(self, t: int, n: int, observation_space: Any, action_space: Any):
         self.observations = np.empty((t + 1, n, *observation_space.shape), np.float32)
-        self.actions = np.empty((t, n, *action_space.shape), np.float32)  # as they were drawn
+        self.actions = np.empty((t, n, *action_space.shape), action_space.dtype)  # as drawn
         self.log_probabilities = np.empty((t, n), np.float32)
         self.rewards = np.empty((t, n), np.float32)
         self.dones = np.empty((t, n), np.bool_)
@@ -58,7 +58,10 @@ class _Log:
 
 
 class FusedPpo(sbx.PPO):
-    """PPO with a constant learning rate, normalised observations and rewards; logs no losses."""
+    """PPO with a constant learning rate, normalised observations and rewards; logs no losses.
+
+    Its environments take actions as they are drawn, also out of bounds.
+    """
 
     # boxes and arrays, where SB3 has more kinds
     observation_space: Any
@@ -91,12 +94,11 @@ class FusedPpo(sbx.PPO):
         """Fill a rollout; false where the callback has stopped the training."""
         log = _Log(n_rollout_steps, env.num_envs, self.observation_space, self.action_space)
         actor, normal = self.policy.actor_state, self.normalisation
-        low, high = self.action_space.low, self.action_space.high
         for step in range(n_rollout_steps):
             log.observations[step] = self._last_obs
             drawn = self._act_compiled(actor, normal, log.observations[step], self.key)
             log.actions[step], log.log_probabilities[step], self.key = drawn
-            self._last_obs, rewards, dones, infos = env.step(np.clip(log.actions[step], low, high))
+            self._last_obs, rewards, dones, infos = env.step(log.actions[step])
             self.num_timesteps += env.num_envs
             if not callback.on_step():
                 return False

@@ -20,7 +20,7 @@ from safetensors import SafetensorError
 from adr_service.arrays import Matrix, Vector, frozen
 from adr_service.errors import InvalidInput
 
-Squash = Literal["tanh", "clip"]
+Squash = Literal["tanh", "clip", "choice"]
 Layer = tuple[np.ndarray, np.ndarray]  # weight (out, in), bias (out,); float32
 
 
@@ -28,12 +28,27 @@ def _relu(x: np.ndarray) -> np.ndarray:
     return np.maximum(x, 0)
 
 
-def _clip(x: np.ndarray) -> np.ndarray:
+def _tanh(x: np.ndarray, actions: int) -> np.ndarray:
+    return np.tanh(x)
+
+
+def _clip(x: np.ndarray, actions: int) -> np.ndarray:
     return np.clip(x, -1, 1)
 
 
+def _choice(x: np.ndarray, actions: int) -> np.ndarray:
+    """The most likely of evenly spaced values, from the logits (n, actions * bins) of all."""
+    logits = x.reshape(len(x), actions, -1)
+    return 2 * logits.argmax(axis=2) / (logits.shape[2] - 1) - 1
+
+
 _ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": _relu, "tanh": np.tanh}
-_SQUASHES: dict[Squash, Callable[[np.ndarray], np.ndarray]] = {"tanh": np.tanh, "clip": _clip}
+# from the last layer's outputs and the number of actions to actions in [-1, 1]
+_SQUASHES: dict[Squash, Callable[[np.ndarray, int], np.ndarray]] = {
+    "tanh": _tanh,
+    "clip": _clip,
+    "choice": _choice,
+}
 
 
 @dataclass(frozen=True)
@@ -41,7 +56,7 @@ class Policy:
     """The mode of an actor: an MLP of the observation, squashed and scaled to the action bounds.
 
     SAC and CrossQ: tanh (Haarnoja et al., arXiv 1801.01290, App. C: actions are tanh of a
-    Gaussian). PPO: clipped, because its Gaussian has no bounds.
+    Gaussian). PPO: clipped, because its Gaussian has no bounds, or the most likely of its bins.
     """
 
     layers: tuple[Layer, ...]
@@ -57,6 +72,12 @@ class Policy:
             )
         if self.squash not in _SQUASHES:
             raise InvalidInput(f"squash must be one of {sorted(_SQUASHES)}: {self.squash!r}")
+        bins, rest = divmod(len(self.layers[-1][1]), len(self.action_low))
+        if rest or (bins < 2 if self.squash == "choice" else bins != 1):
+            raise InvalidInput(
+                f"{len(self.layers[-1][1])} outputs do not fit {len(self.action_low)} actions by "
+                f"{self.squash!r}"
+            )
         for (before, _), (after, _) in pairwise(self.layers):
             if after.shape[1] != before.shape[0]:
                 raise InvalidInput(f"layers do not fit: {before.shape} then {after.shape}")
@@ -68,7 +89,8 @@ class Policy:
         for weight, bias in self.layers[:-1]:
             hidden = activate(hidden @ weight.T + bias)
         weight, bias = self.layers[-1]
-        unit = _SQUASHES[self.squash](hidden @ weight.T + bias).astype(np.float64)
+        unit = _SQUASHES[self.squash](hidden @ weight.T + bias, len(self.action_low))
+        unit = unit.astype(np.float64)
         return self.action_low + (unit + 1) / 2 * (self.action_high - self.action_low)
 
     def to_bytes(self) -> bytes:

@@ -2,7 +2,8 @@
 
 Observations and rewards are normalised. The exported policy has the normalisation in its first
 layer. Actions are those of the unit cube, scaled to the task's bounds, so that the first policies
-of every task explore with the same strength.
+of every task explore with the same strength. Each may be one of a few evenly spaced values
+(`action_bins`; Tang and Agrawal, arXiv 1901.10500): such policies explore the bounds, too.
 """
 
 from collections.abc import Mapping
@@ -33,22 +34,29 @@ from adr_service.training.networks import (
     started_flax,
     torch_networks,
 )
-from adr_service.training.policy import Policy
+from adr_service.training.policy import Policy, Squash
 from adr_service.training.settings import PpoSettings
 
 
 class _UnitActions(VecEnvWrapper):
-    """Environments whose actions are those of the unit cube, [-1, 1] each."""
+    """Environments whose actions are those of the unit cube, [-1, 1] each, or numbers of bins."""
 
-    def __init__(self, env: RandomizedVecEnv, task: Task):
-        self._low, self._high = task.action_low, task.action_high
-        super().__init__(env, action_space=gymnasium.spaces.Box(-1.0, 1.0, self._low.shape))
+    def __init__(self, env: RandomizedVecEnv, task: Task, bins: int | None):
+        self._low, self._high, self._bins = task.action_low, task.action_high, bins
+        space = gymnasium.spaces.Box(-1.0, 1.0, self._low.shape)
+        if bins is not None:
+            space = gymnasium.spaces.MultiDiscrete([bins] * len(self._low))
+        super().__init__(env, action_space=space)
 
     def reset(self) -> Any:
         return self.venv.reset()
 
     def step_async(self, actions: np.ndarray) -> None:
-        self.venv.step_async(self._low + (actions + 1) / 2 * (self._high - self._low))
+        if self._bins is None:
+            share = (np.clip(actions, -1, 1) + 1) / 2
+        else:
+            share = actions / (self._bins - 1)
+        self.venv.step_async(self._low + share * (self._high - self._low))
 
     def step_wait(self) -> Any:
         return self.venv.step_wait()
@@ -73,6 +81,10 @@ def _hyperparameters(settings: PpoSettings, activation: Any, seed: int) -> dict[
     }
 
 
+def _squash(settings: PpoSettings) -> Squash:
+    return "clip" if settings.action_bins is None else "choice"
+
+
 class _Sb3:
     """Stable-Baselines3 (PyTorch): the reference, with its `VecNormalize`."""
 
@@ -81,7 +93,10 @@ class _Sb3:
         import stable_baselines3
 
         normal = VecNormalize(
-            _UnitActions(env, task), gamma=settings.gamma, clip_obs=np.inf, clip_reward=np.inf
+            _UnitActions(env, task, settings.action_bins),
+            gamma=settings.gamma,
+            clip_obs=np.inf,
+            clip_reward=np.inf,
         )
         common = _hyperparameters(settings, activation, seed)
         return stable_baselines3.PPO("MlpPolicy", normal, device="cpu", **common)
@@ -95,7 +110,7 @@ class _Sb3:
         first, *others = (torch_layer(layer) for layer in linear)
         scale = 1 / np.sqrt(normal.obs_rms.var + normal.epsilon)
         layers = (normalised(first, normal.obs_rms.mean, scale), *others)
-        return actor(task, settings.activation, layers, "clip")
+        return actor(task, settings.activation, layers, _squash(settings))
 
     def networks(self, model: Any) -> Networks:
         return torch_networks(model.policy) | moments(**self._statistics(model))
@@ -117,14 +132,14 @@ class _Sbx:
         from adr_service.training.fused_ppo import FusedPpo
 
         common = _hyperparameters(settings, activation, seed)
-        return FusedPpo("MlpPolicy", _UnitActions(env, task), **common)
+        return FusedPpo("MlpPolicy", _UnitActions(env, task, settings.action_bins), **common)
 
     def policy(self, model: Any, task: Task, settings: PpoSettings) -> Policy:
         dense = model.policy.actor_state.params["params"]
         count = len(settings.hidden) + 1
         first, *others = (flax_layer(dense[f"Dense_{i}"]) for i in range(count))
         layers = (normalised(first, *model.normalisation), *others)
-        return actor(task, settings.activation, layers, "clip")
+        return actor(task, settings.activation, layers, _squash(settings))
 
     def networks(self, model: Any) -> Networks:
         policy = model.policy

@@ -17,11 +17,13 @@ Widths = Annotated[
 
 DEFAULT_ALGORITHM: Literal["sac"] = "sac"
 _WORK = 256 * 128**2  # batch size x weights, for which the seconds of an update are given
+# settings that were no choice at first, with what they were
 _AT_FIRST = (
     ("algorithm", "sac"),
     ("start", "scratch"),
     ("averaged_steps", 0),
-)  # when there was no choice
+    ("action_bins", None),
+)
 _STEP_S = 0.0007  # acting and storing, per step of all environments
 
 
@@ -205,6 +207,13 @@ class PpoSettings(_Confirmed):
     log_deviation: float = Field(
         0.0, ge=-10, le=2, description="initial log standard deviation of actions in [-1, 1]"
     )
+    action_bins: int | None = Field(
+        None,
+        ge=2,
+        le=101,
+        description="values that each action may take, evenly spaced over its bounds (Tang and "
+        "Agrawal, arXiv 1901.10500); null: actions are drawn from a Gaussian",
+    )
 
     @property
     def transitions(self) -> int:
@@ -225,7 +234,15 @@ class PpoSettings(_Confirmed):
             )
         if self.max_steps < self.transitions:
             raise ValueError(f"max_steps: {self.max_steps} given, fewer than the {rollout}")
+        if self.action_bins is not None and self.log_deviation != 0:
+            raise ValueError(
+                f"log_deviation: {self.log_deviation} given, but with action_bins there is no "
+                "Gaussian"
+            )
         return self
+
+    def policy_bytes(self, observations: int, actions: int) -> int:
+        return super().policy_bytes(observations, actions * (self.action_bins or 1))
 
     def learning_seconds(self, inputs: int) -> float:
         assert self.backend is not None, "validation has chosen one"

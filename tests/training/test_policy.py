@@ -51,6 +51,24 @@ def test_bytes_of_anything_else_are_refused(content):
         Policy.from_bytes(content)
 
 
+def test_a_choice_takes_the_most_likely_of_evenly_spaced_values():
+    """Of three values for each of two actions, whose bounds are -1 and 1, and -2 and 4."""
+    logits = np.array([0.0, 0.0, 1.0, 0.0, 2.0, 1.0], np.float32)
+    layer = (np.zeros((6, 4), np.float32), logits)
+    chosen = Policy((layer,), "relu", np.array([-1.0, -2.0]), np.array([1.0, 4.0]), "choice")
+    copy = Policy.from_bytes(chosen.to_bytes())
+    np.testing.assert_allclose(copy.act(np.zeros((5, 4))), np.tile([1.0, 1.0], (5, 1)))
+
+
+@pytest.mark.parametrize(
+    ("outputs", "squash"), [(3, "tanh"), (4, "clip"), (2, "choice"), (5, "choice")]
+)
+def test_outputs_that_do_not_fit_the_actions_are_refused(outputs, squash):
+    layer = (np.zeros((outputs, 4), np.float32), np.zeros(outputs, np.float32))
+    with pytest.raises(InvalidInput, match=f"{outputs} outputs do not fit 2 actions"):
+        Policy((layer,), "relu", np.full(2, -1.0), np.ones(2), squash)
+
+
 def test_layers_that_do_not_fit_are_refused():
     layers = policy().layers
     with pytest.raises(InvalidInput, match="do not fit"):

@@ -24,6 +24,21 @@ CASES = [
 ]
 
 
+@pytest.mark.parametrize("backend", ["sb3", pytest.param("sbx", marks=SBX)])
+def test_a_policy_that_chooses_among_bins_acts_as_the_librarys_own(backend):
+    given = settings("ppo", backend, action_bins=5)
+    env = RandomizedVecEnv(ARM, VANILLA.source, PRIOR, 12, np.random.default_rng(0))
+    library = LIBRARIES["ppo"][backend]
+    model = library.build(env, ARM, given, seed=1)
+    model.learn(480)
+    seen = np.random.default_rng(1).normal(size=(50, 4)).astype(np.float32)
+    numbers = model.predict(seen_by(model, seen), deterministic=True)[0]
+    assert len(np.unique(numbers)) > 1
+    policy = library.policy(model, ARM, given)
+    np.testing.assert_allclose(policy.act(seen), -1 + numbers / 2)
+    assert len(policy.to_bytes()) > given.policy_bytes(4, 2) > len(policy.to_bytes()) - 1000
+
+
 def test_the_reported_policy_is_the_averaged_one_where_that_is_asked_for():
     """Over so many steps that its weights hardly leave the first ones."""
     first, last = (
