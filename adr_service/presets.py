@@ -20,8 +20,6 @@ _FAST: dict[str, Any] = {
     "evaluate_every": 65_536,
 }
 _FAST_TRAININGS: dict[str, dict[str, Any]] = {
-    # a Gaussian's policies stay at gaits that keep a joint at its bound
-    "hopper": {**_FAST, "action_bins": 5, "learning_rate": 0.0003},
     "half_cheetah": {
         **_FAST,
         "max_steps": 8_000_000,
