@@ -67,7 +67,9 @@ def weights(sbx):
         for name, layer in layers.items()
         for kind, key in (("weight", "kernel"), ("bias", "bias"))
     }
-    return {"log_std": torch.as_tensor(np.array(actor["log_std"])), **found}
+    if "log_std" in actor:
+        found["log_std"] = torch.as_tensor(np.array(actor["log_std"]))
+    return found
 
 
 def fill(buffer, rollout):
@@ -80,17 +82,21 @@ def fill(buffer, rollout):
     buffer.pos, buffer.full, buffer.generator_ready = STEPS, True, False
 
 
-@pytest.mark.parametrize("activation", ["tanh", "relu"])
-def test_one_update_is_the_same_in_both_backends(activation):
+@pytest.mark.parametrize(("activation", "bins"), [("tanh", None), ("relu", None), ("tanh", 5)])
+def test_one_update_is_the_same_in_both_backends(activation, bins):
     """In the direction of Adam's first step: the learning rate times a gradient's sign.
 
     Not more closely, because SB3 clips the gradients of both networks together, SBX each of them:
     gradients near Adam's epsilon then move their weights by other parts of the learning rate.
     """
-    sbx, sb3 = build("sbx", activation), build("sb3", activation)
+    sbx, sb3 = (build(backend, activation, action_bins=bins) for backend in ("sbx", "sb3"))
     before = weights(sbx)
     sb3.policy.load_state_dict(before)
     rollout = a_rollout()
+    if bins is not None:
+        numbers = np.random.default_rng(4).integers(bins, size=rollout.actions.shape)
+        chance = np.full(len(numbers), -2 * np.log(bins), np.float32)  # of two actions
+        rollout = rollout._replace(actions=numbers, log_probabilities=chance)
     sbx._rollout = rollout
     sbx.train()
     fill(sb3.rollout_buffer, rollout)
