@@ -126,14 +126,16 @@ def train(given: argparse.Namespace) -> None:
     values: dict[str, Any] = {}
     with contextlib.suppress(StageCancelled):
         values = compute(stage, progress).values
+    best = max(point["mean_return"] for point in curve)
     report = {
         "task": task,
         "seed": given.seed,
         "training": stage.training.model_dump(),
         "cpu_seconds": time.process_time(),
         "steps": values.get("steps", curve[-1]["steps"]),
-        "reached": values.get("reached_threshold"),
-        "source_return": values.get("source_return", max(at["mean_return"] for at in curve)),
+        # of a training that was stopped by its time: by its evaluations, without confirmation
+        "reached": values.get("reached_threshold", best >= get_task(task).reward_threshold),
+        "source_return": values.get("source_return", best),
         "confirmation": values.get("confirmation"),
         "diverged_episodes": values.get("diverged_episodes"),
         "curve": curve,

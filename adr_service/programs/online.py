@@ -43,10 +43,14 @@ class OnlineLoop:
         self.distribution: Distribution = method.ask(problem, self._state)
         self.inference: Inference[Inferred] | None = None
         self._trained: TrainedPolicy | None = None
+        self._before: TrainedPolicy | None = None  # for the distribution before the present one
+        self._trained_on: Distribution | None = None
 
     def train(self) -> Generator[RunEvent, None, TrainedPolicy]:
-        """A policy for the present distribution."""
-        stage = training(self._spec, self.distribution, self._trained)
+        """A policy for the present distribution; the same one again while that is the same."""
+        if self._trained_on is not self.distribution:
+            self._trained_on, self._before = self.distribution, self._trained
+        stage = training(self._spec, self.distribution, self._before)
         self._trained = yield from self._stages.run(stage)
         return self._trained
 

@@ -1,8 +1,9 @@
 """The running mean of a policy's weights over a training's last steps.
 
 Weights that are learned with a constant learning rate move around a good point, and their mean is
-closer to it (Polyak and Juditsky, 1992). The mean is of the exported layers, which have the
-normalisation in them, so that it is the same for all algorithms.
+closer to it (Polyak and Juditsky, 1992, whose mean is uniform; this one is exponential). The mean
+is of the exported layers, which have the normalisation in them, so that it is the same for all
+algorithms.
 """
 
 import math
@@ -16,28 +17,31 @@ _SAMPLES = 20  # policies within the steps that are averaged over
 
 
 class Average:
-    """A mean with exponentially falling weights, over about `steps` environment steps."""
+    """A mean with exponentially falling weights, of 1/e after `steps` environment steps."""
 
     def __init__(self, steps: int):
         self._steps = steps
-        self._added_at: int | None = None  # environment steps before the last policy
-        self._mean: list[tuple[np.ndarray, np.ndarray]] = []  # layers in float64
+        self._added_at = -steps / _SAMPLES  # environment steps before the last policy
+        self._total = 0.0  # weight of all policies, which rises to 1
+        self._sums: list[tuple[np.ndarray, np.ndarray]] = []  # of weighted layers, in float64
 
     def is_due(self, done: int) -> bool:
         """True if it is time to add a policy, after `done` steps."""
-        return self._added_at is None or done - self._added_at >= self._steps / _SAMPLES
+        return done - self._added_at >= self._steps / _SAMPLES
 
     def add(self, policy: Policy, done: int) -> Policy:
-        """The policy with the mean of its own weights, after `done` steps, and of those before."""
-        if self._added_at is None:
-            self._mean = [
-                (weight.astype(float), bias.astype(float)) for weight, bias in policy.layers
+        """Add the policy after `done` steps; gives a policy with the mean of all weights."""
+        if not self._sums:
+            self._sums = [
+                (np.zeros(weight.shape), np.zeros(bias.shape)) for weight, bias in policy.layers
             ]
-            self._added_at = done
-        new = 1 - math.exp((self._added_at - done) / self._steps)
-        for mean, latest in zip(self._mean, policy.layers, strict=True):
-            for kept, part in zip(mean, latest, strict=True):
-                np.add(kept, new * (part - kept), out=kept)
-        self._added_at = done
-        layers = tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in self._mean)
+        old = math.exp((self._added_at - done) / self._steps)
+        self._added_at, self._total = done, old * self._total + (1 - old)
+        for sums, latest in zip(self._sums, policy.layers, strict=True):
+            for kept, part in zip(sums, latest, strict=True):
+                np.add(old * kept, (1 - old) * part, out=kept)
+        layers = tuple(
+            ((weight / self._total).astype(np.float32), (bias / self._total).astype(np.float32))
+            for weight, bias in self._sums
+        )
         return replace(policy, layers=layers)

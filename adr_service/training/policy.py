@@ -39,7 +39,8 @@ def _clip(x: np.ndarray, actions: int) -> np.ndarray:
 def _choice(x: np.ndarray, actions: int) -> np.ndarray:
     """The most likely of evenly spaced values, from the logits (n, actions * bins) of all."""
     logits = x.reshape(len(x), actions, -1)
-    return 2 * logits.argmax(axis=2) / (logits.shape[2] - 1) - 1
+    chosen = 2 * logits.argmax(axis=2) / (logits.shape[2] - 1) - 1
+    return np.where(np.isfinite(logits).all(axis=2), chosen, np.nan)
 
 
 _ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": _relu, "tanh": np.tanh}
@@ -72,6 +73,13 @@ class Policy:
             )
         if self.squash not in _SQUASHES:
             raise InvalidInput(f"squash must be one of {sorted(_SQUASHES)}: {self.squash!r}")
+        if not self.layers or not len(self.action_low) == len(self.action_high) > 0:
+            raise InvalidInput(
+                "a policy needs a layer, and as many lower as upper bounds of actions"
+            )
+        for weight, bias in self.layers:
+            if weight.ndim != 2 or bias.shape != (len(weight),):
+                raise InvalidInput(f"layers do not fit: {weight.shape} with {bias.shape}")
         bins, rest = divmod(len(self.layers[-1][1]), len(self.action_low))
         if rest or (bins < 2 if self.squash == "choice" else bins != 1):
             raise InvalidInput(

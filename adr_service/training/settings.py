@@ -47,7 +47,8 @@ class _Settings(Wire):
         0,
         ge=0,
         le=10**9,
-        description="environment steps over which the policy's weights are averaged; 0: the last",
+        description="environment steps after which a policy counts 1/e in the mean of weights "
+        "that is kept; 0: the last weights are kept",
     )
     stop_at_threshold: bool = True
     start: Literal["scratch", "previous"] = Field(
@@ -236,8 +237,8 @@ class PpoSettings(_Confirmed):
             raise ValueError(f"max_steps: {self.max_steps} given, fewer than the {rollout}")
         if self.action_bins is not None and self.log_deviation != 0:
             raise ValueError(
-                f"log_deviation: {self.log_deviation} given, but with action_bins there is no "
-                "Gaussian"
+                f"log_deviation: {self.log_deviation} given, perhaps by the preset, but with "
+                "action_bins there is no Gaussian; give 0"
             )
         return self
 

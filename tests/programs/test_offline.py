@@ -23,10 +23,12 @@ def test_an_offline_run_alone_runs_simopt_for_its_data():
     assert [event.target_rollouts for event in events] == [0, 1, 2, 3]
 
 
+@pytest.mark.parametrize("start", ["scratch", "previous"])
 @pytest.mark.parametrize(("collector", "policies"), [("prior", 1), ("random", 0)])
-def test_other_collectors_need_no_inference(collector, policies):
+def test_other_collectors_need_no_inference(collector, policies, start):
     stages = LocalStages()
-    iterations(smoke("droid", collector=collector, iterations=2), stages)
+    spec = smoke("droid", collector=collector, iterations=2, training={"start": start})
+    iterations(spec, stages)
     rollouts = executed(stages, "target_rollout")
     assert len({stage.policy for stage in rollouts} - {None}) == policies
     assert {stage.method.name for stage in executed(stages, "infer")} == {"droid"}

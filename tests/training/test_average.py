@@ -24,11 +24,20 @@ def test_the_mean_of_equal_policies_is_that_policy():
 
 def test_a_policy_weighs_less_the_longer_ago_it_was():
     average = Average(100)
-    average.add(policy(1.0), 0)
-    for done in (50, 100, 200):
+    for done in range(0, 1000, 5):
+        average.add(policy(1.0), done)
+    for done in (1050, 1100, 1200):
         ((weight, bias),) = average.add(policy(0.0), done).layers
-        np.testing.assert_allclose(weight, np.exp(-done / 100), rtol=1e-6)
-        np.testing.assert_allclose(bias, -np.exp(-done / 100), rtol=1e-6)
+        np.testing.assert_allclose(weight, np.exp(-(done - 995) / 100), rtol=1e-3)
+        np.testing.assert_allclose(bias, -np.exp(-(done - 995) / 100), rtol=1e-3)
+
+
+def test_the_first_policy_counts_no_more_than_the_others():
+    """Of two policies one step apart, the second has a little more than half of the weight."""
+    average = Average(100)
+    average.add(policy(1.0), 0)
+    ((weight, _),) = average.add(policy(0.0), 5).layers
+    np.testing.assert_allclose(weight, 1 / (1 + np.exp(0.05)), rtol=1e-6)
 
 
 def test_the_mean_of_noisy_weights_is_closer_to_their_centre():

@@ -43,11 +43,12 @@ def test_actions_stay_within_their_bounds():
         struct.pack("<Q", 2**40) + b"{}",
         struct.pack("<Q", 2) + b"{}",
         policy().to_bytes()[:-7],
+        policy().to_bytes().replace(b'\\"layers\\": 3', b'\\"layers\\": 0'),
     ],
-    ids=["empty", "nonsense", "huge header", "no tensors", "truncated"],
+    ids=["empty", "nonsense", "huge header", "no tensors", "truncated", "no layers"],
 )
 def test_bytes_of_anything_else_are_refused(content):
-    with pytest.raises(InvalidInput, match="not the bytes of a policy"):
+    with pytest.raises(InvalidInput, match=r"not the bytes of a policy|needs a layer"):
         Policy.from_bytes(content)
 
 
@@ -58,6 +59,7 @@ def test_a_choice_takes_the_most_likely_of_evenly_spaced_values():
     chosen = Policy((layer,), "relu", np.array([-1.0, -2.0]), np.array([1.0, 4.0]), "choice")
     copy = Policy.from_bytes(chosen.to_bytes())
     np.testing.assert_allclose(copy.act(np.zeros((5, 4))), np.tile([1.0, 1.0], (5, 1)))
+    assert np.isnan(copy.act(np.full((1, 4), np.nan))).all()
 
 
 @pytest.mark.parametrize(

@@ -40,11 +40,12 @@ def test_a_policy_that_chooses_among_bins_acts_as_the_librarys_own(backend):
 
 
 def test_the_reported_policy_is_the_averaged_one_where_that_is_asked_for():
-    """Over so many steps that its weights hardly leave the first ones."""
-    first, last = (
-        trained("ppo", "sb3", averaged_steps=steps).policy.layers[-1][1] for steps in (10**9, 0)
+    """Over many steps, its weights are about half-way from the first ones, whose bias is 0."""
+    mean, last = (
+        trained("ppo", "sb3", averaged_steps=steps, stop_at_threshold=False).policy.layers[-1][1]
+        for steps in (10**6, 0)
     )
-    assert np.abs(first).max() < 1e-6 < np.abs(last).max()
+    assert 0 < np.linalg.norm(mean) < np.linalg.norm(last)
 
 
 # what stops a training is the same for both backends, but PPO's rollouts on SBX are our own
