@@ -95,7 +95,7 @@ class _Fused(OffPolicyAlgorithmJax):
         buffer = self.replay_buffer
         assert buffer is not None
         rows = np.random.randint(0, buffer.size(), n)  # noqa: NPY002 - SB3's generator, which we seed
-        at = (rows, np.random.randint(0, buffer.n_envs, n))  # noqa: NPY002
+        at = (rows, np.random.randint(0, buffer.n_envs, n))  # noqa: NPY002 - the same
         return ReplayBufferSamplesNp(
             buffer.observations[at],
             buffer.actions[at],

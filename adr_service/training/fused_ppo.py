@@ -38,7 +38,7 @@ _Cut = tuple[int, int, np.ndarray]  # step, environment, last observation
 
 
 class _Log:
-    """What happens in a rollout of t steps of n environments."""
+    """A rollout of t steps of n environments, as it is being collected."""
 
     def __init__(self, t: int, n: int, observation_space: Any, action_space: Any):
         self.observations = np.empty((t + 1, n, *observation_space.shape), np.float32)
@@ -79,7 +79,7 @@ class FusedPpo(sbx.PPO):
 
     @property
     def statistics(self) -> dict[str, RunningMeanStd]:
-        """What observations and rewards are normalised by."""
+        """The running statistics by which observations and rewards are normalised."""
         return {"observations": self._normal, "returns": self._discounted}
 
     @property

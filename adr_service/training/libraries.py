@@ -1,4 +1,4 @@
-"""What all algorithms need of the two libraries: SB3 on PyTorch, and SBX on JAX."""
+"""The interface of a training library, and help with the two: SB3 on PyTorch, SBX on JAX."""
 
 import importlib
 import importlib.util
@@ -23,7 +23,7 @@ class Library(Protocol):
     def policy(self, model: Any, task: Task, settings: Any) -> Policy: ...
 
     def networks(self, model: Any) -> Networks:
-        """What a training starts from that continues this one."""
+        """The networks and statistics from which another training can continue."""
         ...
 
     def start(self, model: Any, networks: Networks) -> None:

@@ -1,4 +1,4 @@
-"""What a training leaves to one that continues it: networks and running statistics.
+"""Networks and running statistics, from which another training can continue.
 
 Optimisers and replay buffers are left out: they belong to the distribution that was trained on.
 """

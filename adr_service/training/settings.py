@@ -83,9 +83,9 @@ class _Settings(Wire):
         return 4 * sum((a + 1) * b for a, b in pairwise(widths))
 
     def to_json(self) -> dict[str, Any]:
-        """What enters a stage's digest.
+        """The settings in a stage's digest.
 
-        Choices that are newer than the digests of results are left out where they are as before.
+        Settings that are newer than stored results are left out where they change nothing.
         """
         return {
             name: value
@@ -135,7 +135,7 @@ class _OffPolicy(_Settings):
 
     @property
     def capacity(self) -> int:
-        """Of the replay buffer: no larger than a training can fill, as allocating takes time."""
+        """The size of the replay buffer: no larger than a training can fill, to save time."""
         return min(self.buffer_size, self.max_steps + self.environments)
 
     @abstractmethod

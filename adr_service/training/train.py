@@ -116,7 +116,7 @@ class _Monitor(BaseCallback):
     def _on_step(self) -> bool:
         judge, done = self._judge, self.num_timesteps
         if self._average is not None and self._average.is_due(done):
-            self._policy()
+            self._average.add(self._latest(), done)
         if done // self._settings.evaluate_every == len(judge.curve):
             self._report(None)
             return True
@@ -126,11 +126,13 @@ class _Monitor(BaseCallback):
 
     def evaluate(self) -> None:
         """Evaluate the present policy: the averaged one, where the settings ask for it."""
-        self._judge.evaluate(self._policy(), self.num_timesteps)
+        policy, done = self._latest(), self.num_timesteps
+        if self._average is not None:
+            policy = self._average.add(policy, done)
+        self._judge.evaluate(policy, done)
 
-    def _policy(self) -> Policy:
-        latest = self._library.policy(self.model, self._judge.task, self._settings)
-        return latest if self._average is None else self._average.add(latest, self.num_timesteps)
+    def _latest(self) -> Policy:
+        return self._library.policy(self.model, self._judge.task, self._settings)
 
     def _report(self, checkpoint: Checkpoint | None) -> None:
         done, curve = self.num_timesteps, self._judge.curve

@@ -33,7 +33,7 @@ def test_a_policy_weighs_less_the_longer_ago_it_was():
 
 
 def test_the_first_policy_counts_no_more_than_the_others():
-    """Of two policies one step apart, the second has a little more than half of the weight."""
+    """The later of two policies has a little more than half of the weight."""
     average = Average(100)
     average.add(policy(1.0), 0)
     ((weight, _),) = average.add(policy(0.0), 5).layers

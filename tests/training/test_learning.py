@@ -1,4 +1,4 @@
-"""That trainings learn, which takes minutes to see."""
+"""Trainings learn: slow tests, because it takes minutes to see."""
 
 import numpy as np
 import pytest

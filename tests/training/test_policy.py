@@ -53,7 +53,7 @@ def test_bytes_of_anything_else_are_refused(content):
 
 
 def test_a_choice_takes_the_most_likely_of_evenly_spaced_values():
-    """Of three values for each of two actions, whose bounds are -1 and 1, and -2 and 4."""
+    """Two actions with three values each; their bounds are -1 and 1, and -2 and 4."""
     logits = np.array([0.0, 0.0, 1.0, 0.0, 2.0, 1.0], np.float32)
     layer = (np.zeros((6, 4), np.float32), logits)
     chosen = Policy((layer,), "relu", np.array([-1.0, -2.0]), np.array([1.0, 4.0]), "choice")

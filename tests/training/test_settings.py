@@ -65,7 +65,7 @@ def test_ppo_uses_whole_rollouts():
     assert settings("crossq", max_steps=300).steps == 300
 
 
-def test_a_digest_has_no_choice_that_is_as_before_there_was_one():
+def test_a_digest_leaves_out_new_settings_that_change_nothing():
     """Results outlive refactoring."""
     assert not {"algorithm", "start", "averaged_steps"} & settings("sac").to_json().keys()
     assert settings("sac").model_dump()["algorithm"] == "sac"
