@@ -65,7 +65,7 @@ def counts(path: Path) -> dict[str, int]:
     with _reader(path) as connection:
         there = {name for (name,) in connection.execute("select name from sqlite_master")}
         return {
-            table: int(connection.execute(f"select count(*) from {table}").fetchone()[0])  # noqa: S608
+            table: int(connection.execute(f"select count(*) from {table}").fetchone()[0])  # noqa: S608 - names from `known`
             for table in known
             if table in there  # older databases lack some
         }
