@@ -58,7 +58,7 @@ class _Log:
 
 
 class FusedPpo(sbx.PPO):
-    """PPO with a constant learning rate, normalised observations and rewards; logs no losses.
+    """PPO with normalised observations and rewards; logs no losses.
 
     Its environments take actions as they are drawn, also out of bounds.
     """
@@ -112,6 +112,10 @@ class FusedPpo(sbx.PPO):
         """Update the networks on the rollout, then the normalisation by it."""
         rollout = self._rollout
         assert rollout is not None
+        self._update_learning_rate(
+            [state.opt_state[1] for state in (self.policy.actor_state, self.policy.vf_state)],
+            self.lr_schedule(self._current_progress_remaining),
+        )
         self.policy.actor_state, self.policy.vf_state, self.key = self._update_compiled(
             self.policy.actor_state, self.policy.vf_state, self.normalisation, rollout, self.key
         )

@@ -12,6 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnvWrapper, VecNormalize
 
 from adr_service.simulation.vec_env import RandomizedVecEnv
@@ -63,8 +64,10 @@ class _UnitActions(VecEnvWrapper):
 
 
 def _hyperparameters(settings: PpoSettings, activation: Any, seed: int) -> dict[str, Any]:
+    rate = settings.learning_rate
+    end = {"constant": rate, "linear": 0.0}[settings.learning_rate_schedule]
     return {
-        "learning_rate": settings.learning_rate,
+        "learning_rate": LinearSchedule(rate, end, end_fraction=1.0),
         "n_steps": settings.rollout_steps,
         "batch_size": settings.batch_size,
         "n_epochs": settings.epochs,

@@ -23,6 +23,7 @@ _AT_FIRST = (
     ("start", "scratch"),
     ("averaged_steps", 0),
     ("action_bins", None),
+    ("learning_rate_schedule", "constant"),
 )
 _STEP_S = 0.0007  # acting and storing, per step of all environments
 
@@ -200,6 +201,9 @@ class PpoSettings(_Confirmed):
     hidden: Widths = Field([128, 128], description="units per hidden layer of the actor and critic")
     batch_size: int = Field(512, ge=2, le=65_536)
     learning_rate: float = Field(0.0005, gt=0)
+    learning_rate_schedule: Literal["constant", "linear"] = Field(
+        "constant", description="linear: the rate falls to 0, which it reaches at max_steps"
+    )
     rollout_steps: int = Field(128, ge=1, le=65_536, description="of each environment")
     epochs: int = Field(10, ge=1, le=1000, description="over the transitions of each rollout")
     gae_lambda: float = Field(0.95, ge=0, le=1)

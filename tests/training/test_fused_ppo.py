@@ -5,6 +5,7 @@ import pytest
 import torch
 from gymnasium.spaces import Box
 from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 
 from adr_service.distributions import Gaussian
@@ -106,6 +107,36 @@ def test_one_update_is_the_same_in_both_backends(activation, bins):
         assert (after[name] - before[name]).abs().max() > 0.5 * RATE, name
         differ = (expected - after[name]).abs() > 0.5 * RATE
         assert differ.float().mean() < 0.01, name
+
+
+class Rates(BaseCallback):
+    """The learning rate of the update before each rollout; of the first, that of no update."""
+
+    def __init__(self):
+        super().__init__()
+        self.seen = []
+
+    def _on_step(self):
+        if self.n_calls % STEPS == 1:
+            policy = self.model.policy
+            if hasattr(policy, "actor_state"):
+                states = (policy.actor_state, policy.vf_state)
+                rates = [state.opt_state[1].hyperparams["learning_rate"] for state in states]
+            else:
+                rates = [group["lr"] for group in policy.optimizer.param_groups]
+            self.seen.append(rates)
+        return True
+
+
+@pytest.mark.parametrize("backend", ["sbx", "sb3"])
+@pytest.mark.parametrize(
+    ("schedule", "shares"), [("constant", [1, 1, 1, 1]), ("linear", [1, 0.75, 0.5, 0.25])]
+)
+def test_a_linear_learning_rate_falls_towards_zero(backend, schedule, shares):
+    model, rates = build(backend, learning_rate_schedule=schedule), Rates()
+    model.learn(4 * STEPS * ENVIRONMENTS, callback=rates)
+    for seen, share in zip(rates.seen, shares, strict=True):
+        np.testing.assert_allclose(seen, share * RATE)
 
 
 def test_an_epoch_updates_on_every_transition_once():
