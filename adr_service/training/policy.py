@@ -20,7 +20,7 @@ from safetensors import SafetensorError
 from adr_service.arrays import Matrix, Vector, frozen
 from adr_service.errors import InvalidInput
 
-Squash = Literal["tanh", "clip", "choice"]
+Squash = Literal["tanh", "clip", "bins"]
 Layer = tuple[np.ndarray, np.ndarray]  # weight (out, in), bias (out,); float32
 
 
@@ -36,11 +36,13 @@ def _clip(x: np.ndarray, actions: int) -> np.ndarray:
     return np.clip(x, -1, 1)
 
 
-def _choice(x: np.ndarray, actions: int) -> np.ndarray:
-    """The most likely of evenly spaced values, from the logits (n, actions * bins) of all."""
+def _bins(x: np.ndarray, actions: int) -> np.ndarray:
+    """The mean of evenly spaced values, from the logits (n, actions * bins) of all."""
     logits = x.reshape(len(x), actions, -1)
-    chosen = 2 * logits.argmax(axis=2) / (logits.shape[2] - 1) - 1
-    return np.where(np.isfinite(logits).all(axis=2), chosen, np.nan)
+    with np.errstate(invalid="ignore"):  # NaN stays NaN
+        chances = np.exp(logits - logits.max(axis=2, keepdims=True))
+    chances /= chances.sum(axis=2, keepdims=True)
+    return chances @ np.linspace(-1, 1, logits.shape[2], dtype=np.float32)
 
 
 _ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": _relu, "tanh": np.tanh}
@@ -48,16 +50,16 @@ _ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": _relu, "t
 _SQUASHES: dict[Squash, Callable[[np.ndarray, int], np.ndarray]] = {
     "tanh": _tanh,
     "clip": _clip,
-    "choice": _choice,
+    "bins": _bins,
 }
 
 
 @dataclass(frozen=True)
 class Policy:
-    """The mode of an actor: an MLP of the observation, squashed and scaled to the action bounds.
+    """An actor without noise: an MLP of the observation, squashed and scaled to the action bounds.
 
     SAC and CrossQ: tanh (Haarnoja et al., arXiv 1801.01290, App. C: actions are tanh of a
-    Gaussian). PPO: clipped, because its Gaussian has no bounds, or the most likely of its bins.
+    Gaussian). PPO: clipped, because its Gaussian has no bounds, or the mean of its bins.
     """
 
     layers: tuple[Layer, ...]
@@ -81,7 +83,7 @@ class Policy:
             if weight.ndim != 2 or bias.shape != (len(weight),):
                 raise InvalidInput(f"layers do not fit: {weight.shape} with {bias.shape}")
         bins, rest = divmod(len(self.layers[-1][1]), len(self.action_low))
-        if rest or (bins < 2 if self.squash == "choice" else bins != 1):
+        if rest or (bins < 2 if self.squash == "bins" else bins != 1):
             raise InvalidInput(
                 f"{len(self.layers[-1][1])} outputs do not fit {len(self.action_low)} actions by "
                 f"{self.squash!r}"

@@ -3,7 +3,9 @@
 Observations and rewards are normalised. The exported policy has the normalisation in its first
 layer. Actions are those of the unit cube, scaled to the task's bounds, so that the first policies
 of every task explore with the same strength. Each may be one of a few evenly spaced values
-(`action_bins`; Tang and Agrawal, arXiv 1901.10500): such policies explore the bounds, too.
+(`action_bins`; Tang and Agrawal, arXiv 1901.10500): such policies explore the bounds, too. Theirs
+takes the most likely value; the exported one takes the mean, which does not jump where two values
+are as likely.
 """
 
 from collections.abc import Mapping
@@ -85,7 +87,7 @@ def _hyperparameters(settings: PpoSettings, activation: Any, seed: int) -> dict[
 
 
 def _squash(settings: PpoSettings) -> Squash:
-    return "clip" if settings.action_bins is None else "choice"
+    return "clip" if settings.action_bins is None else "bins"
 
 
 class _Sb3:

@@ -52,18 +52,18 @@ def test_bytes_of_anything_else_are_refused(content):
         Policy.from_bytes(content)
 
 
-def test_a_choice_takes_the_most_likely_of_evenly_spaced_values():
+def test_bins_give_the_mean_of_evenly_spaced_values():
     """Two actions with three values each; their bounds are -1 and 1, and -2 and 4."""
-    logits = np.array([0.0, 0.0, 1.0, 0.0, 2.0, 1.0], np.float32)
-    layer = (np.zeros((6, 4), np.float32), logits)
-    chosen = Policy((layer,), "relu", np.array([-1.0, -2.0]), np.array([1.0, 4.0]), "choice")
-    copy = Policy.from_bytes(chosen.to_bytes())
-    np.testing.assert_allclose(copy.act(np.zeros((5, 4))), np.tile([1.0, 1.0], (5, 1)))
+    chances = np.array([0.1, 0.2, 0.7, 0.25, 0.5, 0.25], np.float32)
+    layer = (np.zeros((6, 4), np.float32), np.log(chances) + np.float32(3))
+    mean = Policy((layer,), "relu", np.array([-1.0, -2.0]), np.array([1.0, 4.0]), "bins")
+    copy = Policy.from_bytes(mean.to_bytes())
+    np.testing.assert_allclose(copy.act(np.zeros((5, 4))), np.tile([0.6, 1.0], (5, 1)), rtol=1e-6)
     assert np.isnan(copy.act(np.full((1, 4), np.nan))).all()
 
 
 @pytest.mark.parametrize(
-    ("outputs", "squash"), [(3, "tanh"), (4, "clip"), (2, "choice"), (5, "choice")]
+    ("outputs", "squash"), [(3, "tanh"), (4, "clip"), (2, "bins"), (5, "bins")]
 )
 def test_outputs_that_do_not_fit_the_actions_are_refused(outputs, squash):
     layer = (np.zeros((outputs, 4), np.float32), np.zeros(outputs, np.float32))
