@@ -17,7 +17,7 @@ BENCHMARK = {
     "methods": ["simopt", "dropo"],
     "seeds": [0],
     "preset": "smoke",
-    "training": {"max_steps": 1800, "evaluate_every": 900},
+    "training": {"max_steps": 1800, "evaluate_every": 900, "start": "previous"},
 }
 SLOW = [pytest.param(n, marks=pytest.mark.slow) for n in (1, 2, 3, 5, 6, 7, 8, 9, 10)]
 KILL_AFTER = [4, *SLOW]  # finished stages, of twelve
