@@ -112,8 +112,9 @@ class FusedPpo(sbx.PPO):
         """Update the networks on the rollout, then the normalisation by it."""
         rollout = self._rollout
         assert rollout is not None
+        states: list[Any] = [self.policy.actor_state, self.policy.vf_state]
         self._update_learning_rate(
-            [state.opt_state[1] for state in (self.policy.actor_state, self.policy.vf_state)],
+            [state.opt_state[1] for state in states],  # as SBX chains its optimisers
             self.lr_schedule(self._current_progress_remaining),
         )
         self.policy.actor_state, self.policy.vf_state, self.key = self._update_compiled(
