@@ -21,7 +21,7 @@ class TrainedPolicy(Result):
     """A policy and its learning curve."""
 
     policy: bytes  # of the best evaluation
-    steps: int  # of the environments
+    steps: int  # of the environments, also of networks that lost a race
     source_return: float  # of the confirmation, else of the best evaluation, so a little high
     reached_threshold: bool
     curve: list[Evaluation]
@@ -82,20 +82,23 @@ class TrainPolicy(Stage[TrainedPolicy]):
     def cost(self, speed: CoreSpeed) -> Cost:
         settings, task = self.training, get_task(self.task)
         evaluations = -(-settings.steps // settings.evaluate_every)
+        if settings.race is not None:
+            evaluations += settings.race.candidates
         episodes = evaluations * settings.evaluation_episodes + (settings.confirmation or 0)
-        simulated = settings.steps + episodes * task.horizon
+        steps = settings.steps + settings.lost_steps
+        simulated = steps + episodes * task.horizon
         observed, actions = len(task.columns), len(task.action_low)
-        learning = settings.learning_seconds(observed + actions)
+        learning = settings.learning_seconds(observed + actions) * steps / settings.steps
         return Cost(
             seconds=simulated / speed.steps_per_second(self.task) + learning,
-            environment_steps=settings.steps,
+            environment_steps=steps,
             policy_bytes=settings.policy_bytes(observed, actions),
         )
 
     def stand_in(self) -> TrainedPolicy:
         return TrainedPolicy(
             policy=f"policy of {self.digest}".encode(),
-            steps=self.training.steps,
+            steps=self.training.steps + self.training.lost_steps,
             source_return=0.0,
             reached_threshold=False,
             curve=[],

@@ -24,8 +24,16 @@ _AT_FIRST = (
     ("averaged_steps", 0),
     ("action_bins", None),
     ("learning_rate_schedule", "constant"),
+    ("race", None),
 )
 _STEP_S = 0.0007  # acting and storing, per step of all environments
+
+
+class Race(Wire):
+    """Several networks begin, each with its own random numbers, and the best of them goes on."""
+
+    candidates: int = Field(ge=2, le=100)
+    steps: int = Field(ge=100, le=10**9, description="environment steps of each candidate")
 
 
 class _Settings(Wire):
@@ -57,12 +65,22 @@ class _Settings(Wire):
         description="previous: where policies of a run follow one another, each starts from the "
         "networks of the one before",
     )
+    race: Race | None = Field(
+        None,
+        description="networks that train for a while, of which the one with the best evaluation "
+        "goes on; null: there is one from the start",
+    )
 
     @property
     @abstractmethod
     def steps(self) -> int:
-        """Environment steps of a whole training, which nothing stops early."""
+        """Environment steps of a policy whose training nothing stops early."""
         ...
+
+    @property
+    def lost_steps(self) -> int:
+        """Environment steps of the networks that lose the race."""
+        return 0 if self.race is None else (self.race.candidates - 1) * self.race.steps
 
     @property
     @abstractmethod
@@ -93,6 +111,19 @@ class _Settings(Wire):
             for name, value in self.model_dump().items()
             if (name, value) not in _AT_FIRST
         }
+
+    @model_validator(mode="after")
+    def _the_race_ends(self) -> Self:
+        if self.race is not None and self.race.steps >= self.max_steps:
+            raise ValueError(
+                f"race.steps: {self.race.steps} given; give fewer than max_steps, {self.max_steps}"
+            )
+        if self.race is not None and self.start == "previous":
+            raise ValueError(
+                "race: given with start: previous, where all candidates would be the same network; "
+                "give one of them"
+            )
+        return self
 
     @model_validator(mode="after")
     def _choose_backend(self) -> Self:

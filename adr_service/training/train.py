@@ -11,8 +11,9 @@ SB3 draws from NumPy's global generator, which it seeds from our stream.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
@@ -49,7 +50,7 @@ class Training:
     best: Evaluation  # of the policy
     reached_threshold: bool
     curve: tuple[Evaluation, ...]
-    steps: int
+    steps: int  # of the environments, also of networks that lost a race
     adjusted_draws: int  # dynamics moved onto a bound, see `Draws`
     diverged_episodes: int  # ended because the simulation diverged
     networks: Networks  # of the last step, from which another training may start
@@ -71,28 +72,45 @@ def train(
     the networks of an earlier training with the same settings.
     """
     dynamics_rng, evaluation_rng, seed_rng = rng.spawn(3)
-    env = RandomizedVecEnv(task, source, distribution, settings.environments, dynamics_rng)
     assert settings.backend is not None, "validation has chosen one"
     library = LIBRARIES[settings.algorithm][settings.backend]
-    model = library.build(env, task, settings, integer_seed(seed_rng))
-    if start is not None:
-        library.start(model, start)
+    environments: list[RandomizedVecEnv] = []
+
+    def build(rng: np.random.Generator) -> Any:
+        env = RandomizedVecEnv(task, source, distribution, settings.environments, rng)
+        environments.append(env)
+        model = library.build(env, task, settings, integer_seed(seed_rng))
+        model.set_logger(Logger(None, []))  # SB3's own makes a folder per training
+        return model
+
     judge = Judge(task, source, distribution, settings, evaluation_rng)
     monitor = _Monitor(library, judge, settings, progress, keep)
-    model.set_logger(Logger(None, []))  # SB3's own makes a folder per training
-    model.learn(settings.steps, callback=monitor, log_interval=None)
-    if not judge.curve or judge.curve[-1].steps < model.num_timesteps:
+    if settings.race is None:
+        model = build(dynamics_rng)
+    else:
+        rngs = dynamics_rng.spawn(settings.race.candidates)
+        model = monitor.winner(map(build, rngs), settings.race.steps)
+    if start is not None:
+        library.start(model, start)
+    _learn(model, settings, monitor)
+    if not judge.curve or monitor.steps > judge.curve[-1].steps:
         monitor.evaluate()
     return Training(
         policy=judge.policy,
         best=judge.reported(),
         reached_threshold=judge.has_reached(task.reward_threshold),
         curve=tuple(judge.curve),
-        steps=model.num_timesteps,
-        adjusted_draws=env.adjusted,
-        diverged_episodes=env.diverged,
+        steps=monitor.steps,
+        adjusted_draws=sum(env.adjusted for env in environments),
+        diverged_episodes=sum(env.diverged for env in environments),
         networks=library.networks(model),
     )
+
+
+def _learn(model: Any, settings: TrainingSettings, callback: BaseCallback) -> None:
+    """Train until the callback or the last step ends it; also on from where it was ended before."""
+    left = settings.steps - model.num_timesteps
+    model.learn(left, callback=callback, log_interval=None, reset_num_timesteps=False)
 
 
 class _Monitor(BaseCallback):
@@ -112,30 +130,69 @@ class _Monitor(BaseCallback):
         self._average = Average(settings.averaged_steps) if settings.averaged_steps else None
         threshold = judge.task.reward_threshold
         self._stop_at = threshold if settings.stop_at_threshold else math.inf
+        self._intervals = 0  # of evaluations, which have passed
+        self._lost = 0  # steps of the networks that lost the race
+
+    @property
+    def steps(self) -> int:
+        """Environment steps of all networks so far."""
+        return self._lost + self.num_timesteps
+
+    def winner(self, candidates: Iterable[Any], steps: int) -> Any:
+        """Train each model for so many steps; gives the one with the best evaluation."""
+        judge, best, most = self._judge, None, -math.inf
+        for model in candidates:
+            _learn(model, self._settings, _Race(steps, self._report))
+            policy = self._library.policy(model, judge.task, self._settings)
+            earned = judge.measured(policy, model.num_timesteps).mean_return
+            self._lost += model.num_timesteps
+            if earned > most:
+                best, most = model, earned
+        assert best is not None, "a race has candidates"
+        self._lost -= best.num_timesteps
+        return best
 
     def _on_step(self) -> bool:
         judge, done = self._judge, self.num_timesteps
         if self._average is not None and self._average.is_due(done):
             self._average.add(self._latest(), done)
-        if done // self._settings.evaluate_every == len(judge.curve):
-            self._report(None)
+        intervals = done // self._settings.evaluate_every
+        if intervals == self._intervals:
+            self._report(done)
             return True
+        self._intervals = intervals
         self.evaluate()
-        self._report(None if self._keep is None else self._keep(judge.policy, judge.curve))
+        self._report(done, None if self._keep is None else self._keep(judge.policy, judge.curve))
         return not judge.has_reached(self._stop_at)
 
     def evaluate(self) -> None:
         """Evaluate the present policy: the averaged one, where the settings ask for it."""
-        policy, done = self._latest(), self.num_timesteps
+        policy = self._latest()
         if self._average is not None:
-            policy = self._average.add(policy, done)
-        self._judge.evaluate(policy, done)
+            policy = self._average.add(policy, self.num_timesteps)
+        self._judge.evaluate(policy, self.steps)
 
     def _latest(self) -> Policy:
         return self._library.policy(self.model, self._judge.task, self._settings)
 
-    def _report(self, checkpoint: Checkpoint | None) -> None:
-        done, curve = self.num_timesteps, self._judge.curve
+    def _report(self, own: int, checkpoint: Checkpoint | None = None) -> None:
+        """Report progress after so many steps of the present network."""
+        done, curve = self._lost + own, self._judge.curve
         latest = curve[-1].mean_return if curve else None
-        fraction = done / self._settings.steps
+        fraction = done / (self._settings.steps + self._settings.lost_steps)
         self._progress(fraction, checkpoint=checkpoint, steps=done, source_return=latest)
+
+
+class _Race(BaseCallback):
+    """Ends a candidate's training at the first step after its last one, and reports progress.
+
+    So PPO has learned from the rollout that ends with the last step.
+    """
+
+    def __init__(self, steps: int, report: Callable[[int], None]):
+        super().__init__()
+        self._steps, self._report = steps, report
+
+    def _on_step(self) -> bool:
+        self._report(self.num_timesteps)
+        return self.num_timesteps <= self._steps

@@ -46,6 +46,12 @@ def test_json_gives_the_same_settings_back(algorithm, kind):
             {"algorithm": "ppo", "action_bins": 5, "log_deviation": -1},
             "with action_bins there is no Gaussian",
         ),
+        ({"race": {"candidates": 1, "steps": 1000}}, "greater than or equal to 2"),
+        ({"race": {"candidates": 2, "steps": 5_000_000}}, "fewer than max_steps, 5000000"),
+        (
+            {"race": {"candidates": 2, "steps": 1000}, "start": "previous"},
+            "race: given with start: previous",
+        ),
         ({"algorithm": "ppo", "max_steps": 4000}, "4000 given, fewer than the 4096 transitions"),
     ],
 )
@@ -67,7 +73,7 @@ def test_ppo_uses_whole_rollouts():
 
 def test_a_digest_leaves_out_new_settings_that_change_nothing():
     """Results outlive refactoring."""
-    assert not {"algorithm", "start", "averaged_steps"} & settings("sac").to_json().keys()
+    assert not {"algorithm", "start", "averaged_steps", "race"} & settings("sac").to_json().keys()
     assert settings("sac").model_dump()["algorithm"] == "sac"
     given = settings("ppo", start="previous").to_json()
     assert (given["algorithm"], given["start"]) == ("ppo", "previous")

@@ -8,6 +8,8 @@ from adr_service.progress import StageCancelled
 from adr_service.randomness import stream
 from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.tasks.catalogue import get_task, variants_of
+from adr_service.training import train as train_module
+from adr_service.training.judge import Judge
 from adr_service.training.networks import from_bytes, to_bytes
 from adr_service.training.train import LIBRARIES, train
 from tests.training.examples import settings
@@ -121,6 +123,57 @@ class TestStop:
 
         with pytest.raises(StageCancelled):
             trained(algorithm, backend, progress=stop)
+
+
+RACE = {"candidates": 3, "steps": 192}
+
+
+@pytest.mark.parametrize(("algorithm", "backend"), STOPPED)
+class TestRace:
+    def test_the_candidate_with_the_best_evaluation_goes_on(self, algorithm, backend, monkeypatch):
+        """From where it was, with its own last steps; the others' count as steps, too."""
+        trainings, returns = [], []
+
+        def learn(model, given, callback, learn=train_module._learn):
+            trainings.append((model, model.num_timesteps))
+            learn(model, given, callback)
+
+        def measured(self, policy, steps, measured=Judge.measured):
+            point = measured(self, policy, steps)
+            returns.append(point.mean_return)
+            return point
+
+        monkeypatch.setattr(train_module, "_learn", learn)
+        monkeypatch.setattr(Judge, "measured", measured)
+        training = trained(algorithm, backend, race=RACE, max_steps=960)
+        *candidates, (winner, at) = trainings
+        assert [steps for _, steps in candidates] == [0, 0, 0]
+        assert len(set(returns[:3])) == 3
+        assert winner is candidates[np.argmax(returns[:3])][0]
+        assert at == RACE["steps"] + 12  # the first step after its last one
+        assert training.steps == sum(model.num_timesteps for model, _ in candidates)
+        assert training.curve[0].steps == 2 * at + 240
+        assert training.curve[-1].steps == training.steps
+
+    def test_a_race_gives_the_same_bytes_twice(self, algorithm, backend):
+        first, second = (trained(algorithm, backend, race=RACE) for _ in range(2))
+        assert first.policy.to_bytes() == second.policy.to_bytes()
+        assert first.curve == second.curve
+
+    def test_a_race_reports_its_progress_and_can_be_cancelled(self, algorithm, backend):
+        seen = []
+
+        def stop(fraction, steps, **facts):
+            seen.append((fraction, steps))
+            if fraction > 0.3:
+                raise StageCancelled
+
+        with pytest.raises(StageCancelled):
+            trained(algorithm, backend, progress=stop, race=RACE)
+        total = 480 + 2 * RACE["steps"]
+        assert seen[0] == (12 / total, 12)
+        assert seen == sorted(seen)
+        assert seen[-1][1] > RACE["steps"] + 12  # in the second candidate's training
 
 
 def learned(model):
