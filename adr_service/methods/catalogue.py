@@ -92,4 +92,4 @@ _INFERRING = (OfflineSettings, OnlineSettings)
 if TYPE_CHECKING:
     AnyMethod = MethodSettings
 else:  # the tagged union of what is installed: its JSON schema lists them all
-    AnyMethod = Annotated[Union[tuple(methods().values())], Field(discriminator="name")]  # noqa: UP007 - of a computed tuple
+    AnyMethod = Annotated[Union[tuple(methods().values())], Field(discriminator="name")]  # noqa: UP007 - the tuple is computed

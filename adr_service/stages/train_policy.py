@@ -82,8 +82,8 @@ class TrainPolicy(Stage[TrainedPolicy]):
     def cost(self, speed: CoreSpeed) -> Cost:
         settings, task = self.training, get_task(self.task)
         evaluations = -(-settings.steps // settings.evaluate_every)
-        if settings.race is not None:
-            evaluations += settings.race.candidates
+        if settings.race is not None:  # the winner's first evaluations are those of the race
+            evaluations += settings.race.candidates - settings.race.steps // settings.evaluate_every
         episodes = evaluations * settings.evaluation_episodes + (settings.confirmation or 0)
         steps = settings.steps + settings.lost_steps
         simulated = steps + episodes * task.horizon

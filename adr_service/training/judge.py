@@ -42,11 +42,15 @@ class Judge:
 
     def evaluate(self, policy: Policy, steps: int) -> Evaluation:
         """A new point of the learning curve."""
-        point = self.measured(policy, steps)
+        point = self.measure(policy, steps)
         if self._best is None or point.mean_return > self._best[1].mean_return:
             self._best, self._confirmed = (policy, point), False
         self.curve.append(point)
         return point
+
+    def measure(self, policy: Policy, steps: int) -> Evaluation:
+        """An evaluation that is no part of the curve; the policy is not kept."""
+        return self._evaluated(self._few, policy, steps)
 
     def reported(self) -> Evaluation:
         """The evaluation of the best policy, on fresh draws where the settings ask for it."""
@@ -68,10 +72,6 @@ class Judge:
         point = self.reported()
         margin = 0.0 if self._many is None else point.standard_error
         return point.mean_return - margin >= threshold
-
-    def measured(self, policy: Policy, steps: int) -> Evaluation:
-        """An evaluation that is no part of the curve."""
-        return self._evaluated(self._few, policy, steps)
 
     def _evaluated(self, simulations: Simulations, policy: Policy, steps: int) -> Evaluation:
         n = simulations.n

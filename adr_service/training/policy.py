@@ -37,12 +37,12 @@ def _clip(x: np.ndarray, actions: int) -> np.ndarray:
 
 
 def _bins(x: np.ndarray, actions: int) -> np.ndarray:
-    """The mean of evenly spaced values, from the logits (n, actions * bins) of all."""
+    """The mean of evenly spaced values, from the logits of all bins (n, actions * bins)."""
     logits = x.reshape(len(x), actions, -1)
     with np.errstate(invalid="ignore"):  # NaN stays NaN
-        chances = np.exp(logits - logits.max(axis=2, keepdims=True))
-    chances /= chances.sum(axis=2, keepdims=True)
-    return chances @ np.linspace(-1, 1, logits.shape[2], dtype=np.float32)
+        probabilities = np.exp(logits - logits.max(axis=2, keepdims=True))
+    probabilities /= probabilities.sum(axis=2, keepdims=True)
+    return probabilities @ np.linspace(-1, 1, logits.shape[2], dtype=np.float32)
 
 
 _ACTIVATIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {"relu": _relu, "tanh": np.tanh}

@@ -43,7 +43,11 @@ class _Settings(Wire):
         None, description="null: sbx where it is installed, else sb3"
     )
     max_steps: int = Field(
-        5_000_000, ge=100, le=10**10, description="environment steps, all environments"
+        5_000_000,
+        ge=100,
+        le=10**10,
+        description="environment steps, of all environments; those of networks that lose a race "
+        "come on top",
     )
     environments: int = Field(12, ge=1, le=1024)
     hidden: Widths = Field([128, 128], description="units per hidden layer of the actor")
@@ -67,8 +71,8 @@ class _Settings(Wire):
     )
     race: Race | None = Field(
         None,
-        description="networks that train for a while, of which the one with the best evaluation "
-        "goes on; null: there is one from the start",
+        description="networks that train for a while, of which the one whose last weights have "
+        "the best evaluation goes on; null: there is one from the start",
     )
 
     @property
@@ -114,14 +118,17 @@ class _Settings(Wire):
 
     @model_validator(mode="after")
     def _the_race_ends(self) -> Self:
-        if self.race is not None and self.race.steps >= self.max_steps:
+        if self.race is None:
+            return self
+        if self.race.steps >= self.steps:
             raise ValueError(
-                f"race.steps: {self.race.steps} given; give fewer than max_steps, {self.max_steps}"
+                f"race.steps: {self.race.steps} given, perhaps by the preset; give fewer than the "
+                f"training's {self.steps}, or race: null"
             )
-        if self.race is not None and self.start == "previous":
+        if self.start == "previous":
             raise ValueError(
-                "race: given with start: previous, where all candidates would be the same network; "
-                "give one of them"
+                "race: given, perhaps by the preset, with start: previous, where all candidates "
+                "would be the same network; give race: null, or start: scratch"
             )
         return self
 
@@ -169,6 +176,15 @@ class _OffPolicy(_Settings):
     def capacity(self) -> int:
         """The size of the replay buffer: no larger than a training can fill, to save time."""
         return min(self.buffer_size, self.max_steps + self.environments)
+
+    @model_validator(mode="after")
+    def _candidates_learn(self) -> Self:
+        if self.race is not None and self.race.steps <= self.learning_starts:
+            raise ValueError(
+                f"race.steps: {self.race.steps} given; give more than learning_starts, "
+                f"{self.learning_starts}, before which nothing is learned"
+            )
+        return self
 
     @abstractmethod
     def critic_weights(self, inputs: int) -> int:
@@ -258,7 +274,7 @@ class PpoSettings(_Confirmed):
 
     @property
     def steps(self) -> int:
-        """Environment steps of a whole training: of all rollouts that `max_steps` allows."""
+        """Environment steps of all rollouts that `max_steps` allows."""
         return self.max_steps - self.max_steps % self.transitions
 
     @model_validator(mode="after")
@@ -270,6 +286,10 @@ class PpoSettings(_Confirmed):
             )
         if self.max_steps < self.transitions:
             raise ValueError(f"max_steps: {self.max_steps} given, fewer than the {rollout}")
+        if self.race is not None and self.race.steps % self.transitions:
+            raise ValueError(
+                f"race.steps: {self.race.steps} given, which is no multiple of the {rollout}"
+            )
         if self.action_bins is not None and self.log_deviation != 0:
             raise ValueError(
                 f"log_deviation: {self.log_deviation} given, perhaps by the preset, but with "

@@ -84,15 +84,16 @@ def train(
         return model
 
     judge = Judge(task, source, distribution, settings, evaluation_rng)
-    monitor = _Monitor(library, judge, settings, progress, keep)
+    lost = 0
     if settings.race is None:
         model = build(dynamics_rng)
     else:
-        rngs = dynamics_rng.spawn(settings.race.candidates)
-        model = monitor.winner(map(build, rngs), settings.race.steps)
+        candidates = map(build, dynamics_rng.spawn(settings.race.candidates))
+        model, lost = _winner(candidates, library, judge, settings, progress)
     if start is not None:
         library.start(model, start)
-    _learn(model, settings, monitor)
+    monitor = _Monitor(library, judge, settings, progress, keep, lost)
+    _learn(model, settings, settings.steps - model.num_timesteps, monitor)
     if not judge.curve or monitor.steps > judge.curve[-1].steps:
         monitor.evaluate()
     return Training(
@@ -107,13 +108,63 @@ def train(
     )
 
 
-def _learn(model: Any, settings: TrainingSettings, callback: BaseCallback) -> None:
-    """Train until the callback or the last step ends it; also on from where it was ended before."""
-    left = settings.steps - model.num_timesteps
-    model.learn(left, callback=callback, log_interval=None, reset_num_timesteps=False)
+def _learn(model: Any, settings: TrainingSettings, steps: int, callback: BaseCallback) -> None:
+    """Train for so many more steps. A learning rate that falls does so over the whole training."""
+    schedule = model.lr_schedule
+    part = (model.num_timesteps + steps) / settings.steps  # of the training, after these steps
+    model.lr_schedule = lambda remaining: schedule(1 - part * (1 - remaining))
+    model.learn(steps, callback=callback, log_interval=None, reset_num_timesteps=False)
+    model.lr_schedule = schedule
 
 
-class _Monitor(BaseCallback):
+def _winner(
+    candidates: Iterable[Any],
+    library: Library,
+    judge: Judge,
+    settings: TrainingSettings,
+    progress: Progress,
+) -> tuple[Any, int]:
+    """The candidate with the best evaluation after the race, and the steps of the others."""
+    assert settings.race is not None
+    best, most, total = None, -math.inf, 0
+    for model in candidates:
+        _learn(model, settings, settings.race.steps, _Candidate(settings, progress, total))
+        point = judge.measure(library.policy(model, judge.task, settings), model.num_timesteps)
+        total += model.num_timesteps
+        if point.mean_return > most:
+            best, most = model, point.mean_return
+    assert best is not None, "a race has candidates"
+    return best, total - best.num_timesteps
+
+
+class _Reporter(BaseCallback):
+    """Reports progress; other networks have taken `before` steps."""
+
+    def __init__(self, settings: TrainingSettings, progress: Progress, before: int):
+        super().__init__()
+        self._settings, self._progress, self._before = settings, progress, before
+
+    @property
+    def steps(self) -> int:
+        """Environment steps of all networks so far."""
+        return self._before + self.num_timesteps
+
+    def _report(self, checkpoint: Checkpoint | None, source_return: float | None) -> None:
+        fraction = self.steps / (self._settings.steps + self._settings.lost_steps)
+        self._progress(
+            fraction, checkpoint=checkpoint, steps=self.steps, source_return=source_return
+        )
+
+
+class _Candidate(_Reporter):
+    """Reports progress of a race."""
+
+    def _on_step(self) -> bool:
+        self._report(None, None)
+        return True
+
+
+class _Monitor(_Reporter):
     """Evaluates on schedule, reports progress and stops at the threshold."""
 
     def __init__(
@@ -123,34 +174,17 @@ class _Monitor(BaseCallback):
         settings: TrainingSettings,
         progress: Progress,
         keep: Keep | None,
+        lost: int,
     ):
-        super().__init__()
-        self._library, self._judge, self._settings = library, judge, settings
-        self._progress, self._keep = progress, keep
+        super().__init__(settings, progress, lost)
+        self._library, self._judge, self._keep = library, judge, keep
         self._average = Average(settings.averaged_steps) if settings.averaged_steps else None
         threshold = judge.task.reward_threshold
         self._stop_at = threshold if settings.stop_at_threshold else math.inf
-        self._intervals = 0  # of evaluations, which have passed
-        self._lost = 0  # steps of the networks that lost the race
+        self._intervals = 0  # between evaluations, that have passed
 
-    @property
-    def steps(self) -> int:
-        """Environment steps of all networks so far."""
-        return self._lost + self.num_timesteps
-
-    def winner(self, candidates: Iterable[Any], steps: int) -> Any:
-        """Train each model for so many steps; gives the one with the best evaluation."""
-        judge, best, most = self._judge, None, -math.inf
-        for model in candidates:
-            _learn(model, self._settings, _Race(steps, self._report))
-            policy = self._library.policy(model, judge.task, self._settings)
-            earned = judge.measured(policy, model.num_timesteps).mean_return
-            self._lost += model.num_timesteps
-            if earned > most:
-                best, most = model, earned
-        assert best is not None, "a race has candidates"
-        self._lost -= best.num_timesteps
-        return best
+    def _on_training_start(self) -> None:
+        self._intervals = self.num_timesteps // self._settings.evaluate_every
 
     def _on_step(self) -> bool:
         judge, done = self._judge, self.num_timesteps
@@ -158,41 +192,20 @@ class _Monitor(BaseCallback):
             self._average.add(self._latest(), done)
         intervals = done // self._settings.evaluate_every
         if intervals == self._intervals:
-            self._report(done)
+            self._report(None, judge.curve[-1].mean_return if judge.curve else None)
             return True
         self._intervals = intervals
-        self.evaluate()
-        self._report(done, None if self._keep is None else self._keep(judge.policy, judge.curve))
+        point = self.evaluate()
+        kept = None if self._keep is None else self._keep(judge.policy, judge.curve)
+        self._report(kept, point.mean_return)
         return not judge.has_reached(self._stop_at)
 
-    def evaluate(self) -> None:
+    def evaluate(self) -> Evaluation:
         """Evaluate the present policy: the averaged one, where the settings ask for it."""
         policy = self._latest()
         if self._average is not None:
             policy = self._average.add(policy, self.num_timesteps)
-        self._judge.evaluate(policy, self.steps)
+        return self._judge.evaluate(policy, self.steps)
 
     def _latest(self) -> Policy:
         return self._library.policy(self.model, self._judge.task, self._settings)
-
-    def _report(self, own: int, checkpoint: Checkpoint | None = None) -> None:
-        """Report progress after so many steps of the present network."""
-        done, curve = self._lost + own, self._judge.curve
-        latest = curve[-1].mean_return if curve else None
-        fraction = done / (self._settings.steps + self._settings.lost_steps)
-        self._progress(fraction, checkpoint=checkpoint, steps=done, source_return=latest)
-
-
-class _Race(BaseCallback):
-    """Ends a candidate's training at the first step after its last one, and reports progress.
-
-    So PPO has learned from the rollout that ends with the last step.
-    """
-
-    def __init__(self, steps: int, report: Callable[[int], None]):
-        super().__init__()
-        self._steps, self._report = steps, report
-
-    def _on_step(self) -> bool:
-        self._report(self.num_timesteps)
-        return self.num_timesteps <= self._steps

@@ -12,7 +12,7 @@ from adr_service.distributions import Gaussian
 from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.training.train import LIBRARIES
-from tests.training.examples import settings
+from tests.training.examples import learning_rates, settings
 
 pytest.importorskip("sbx")
 from adr_service.training.fused_ppo import Rollout, _advantages
@@ -118,13 +118,7 @@ class Rates(BaseCallback):
 
     def _on_step(self):
         if self.n_calls % STEPS == 1:
-            policy = self.model.policy
-            if hasattr(policy, "actor_state"):
-                states = (policy.actor_state, policy.vf_state)
-                rates = [state.opt_state[1].hyperparams["learning_rate"] for state in states]
-            else:
-                rates = [group["lr"] for group in policy.optimizer.param_groups]
-            self.seen.append(rates)
+            self.seen.append(learning_rates(self.model))
         return True
 
 
@@ -132,7 +126,7 @@ class Rates(BaseCallback):
 @pytest.mark.parametrize(
     ("schedule", "shares"), [("constant", [1, 1, 1, 1]), ("linear", [1, 0.75, 0.5, 0.25])]
 )
-def test_a_linear_learning_rate_falls_towards_zero(backend, schedule, shares):
+def test_the_learning_rate_follows_its_schedule(backend, schedule, shares):
     model, rates = build(backend, learning_rate_schedule=schedule), Rates()
     model.learn(4 * STEPS * ENVIRONMENTS, callback=rates)
     for seen, share in zip(rates.seen, shares, strict=True):

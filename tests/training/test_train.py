@@ -12,7 +12,7 @@ from adr_service.training import train as train_module
 from adr_service.training.judge import Judge
 from adr_service.training.networks import from_bytes, to_bytes
 from adr_service.training.train import LIBRARIES, train
-from tests.training.examples import settings
+from tests.training.examples import learning_rates, settings
 
 ARM = get_task("arm")
 VANILLA = variants_of(ARM.name)["vanilla"]
@@ -128,32 +128,39 @@ class TestStop:
 RACE = {"candidates": 3, "steps": 192}
 
 
-@pytest.mark.parametrize(("algorithm", "backend"), STOPPED)
+@pytest.mark.parametrize(("algorithm", "backend"), CASES)
 class TestRace:
     def test_the_candidate_with_the_best_evaluation_goes_on(self, algorithm, backend, monkeypatch):
-        """From where it was, with its own last steps; the others' count as steps, too."""
-        trainings, returns = [], []
+        """From where it was, without new episodes; the others' steps count, too."""
+        calls, returns, resets = [], [], []
+        learn, measure, reset = train_module._learn, Judge.measure, RandomizedVecEnv.reset
 
-        def learn(model, given, callback, learn=train_module._learn):
-            trainings.append((model, model.num_timesteps))
-            learn(model, given, callback)
+        def spied_learn(model, *others):
+            calls.append((model, model.num_timesteps))
+            learn(model, *others)
 
-        def measured(self, policy, steps, measured=Judge.measured):
-            point = measured(self, policy, steps)
+        def spied_measure(*given):
+            point = measure(*given)
             returns.append(point.mean_return)
             return point
 
-        monkeypatch.setattr(train_module, "_learn", learn)
-        monkeypatch.setattr(Judge, "measured", measured)
+        def spied_reset(env):
+            resets.append(env)
+            return reset(env)
+
+        monkeypatch.setattr(train_module, "_learn", spied_learn)
+        monkeypatch.setattr(Judge, "measure", spied_measure)
+        monkeypatch.setattr(RandomizedVecEnv, "reset", spied_reset)
         training = trained(algorithm, backend, race=RACE, max_steps=960)
-        *candidates, (winner, at) = trainings
+        *candidates, (winner, at) = calls
         assert [steps for _, steps in candidates] == [0, 0, 0]
         assert len(set(returns[:3])) == 3
         assert winner is candidates[np.argmax(returns[:3])][0]
-        assert at == RACE["steps"] + 12  # the first step after its last one
-        assert training.steps == sum(model.num_timesteps for model, _ in candidates)
-        assert training.curve[0].steps == 2 * at + 240
-        assert training.curve[-1].steps == training.steps
+        assert at == RACE["steps"]
+        assert len(resets) == 3
+        assert training.steps == 2 * RACE["steps"] + 960
+        expected = [2 * RACE["steps"] + own for own in (240, 480, 720, 960)]
+        assert [point.steps for point in training.curve] == expected
 
     def test_a_race_gives_the_same_bytes_twice(self, algorithm, backend):
         first, second = (trained(algorithm, backend, race=RACE) for _ in range(2))
@@ -165,15 +172,32 @@ class TestRace:
 
         def stop(fraction, steps, **facts):
             seen.append((fraction, steps))
-            if fraction > 0.3:
+            if steps > 600:
                 raise StageCancelled
 
+        trained(algorithm, backend, progress=lambda *given, **facts: seen.append(given), race=RACE)
+        assert max(seen) == (1.0,)
+        seen.clear()
         with pytest.raises(StageCancelled):
-            trained(algorithm, backend, progress=stop, race=RACE)
-        total = 480 + 2 * RACE["steps"]
-        assert seen[0] == (12 / total, 12)
-        assert seen == sorted(seen)
-        assert seen[-1][1] > RACE["steps"] + 12  # in the second candidate's training
+            trained(algorithm, backend, progress=stop, race={**RACE, "candidates": 4})
+        total = 480 + 3 * RACE["steps"]
+        assert seen == [(done / total, done) for done in range(12, 613, 12)]
+
+
+@pytest.mark.parametrize("backend", ["sb3", pytest.param("sbx", marks=SBX)])
+def test_a_learning_rate_falls_on_after_a_race(backend, monkeypatch):
+    """Over the winner's whole training, not over the race."""
+    models, learn = [], train_module._learn
+
+    def spied(model, *others):
+        learn(model, *others)
+        models.append(learning_rates(model))
+
+    monkeypatch.setattr(train_module, "_learn", spied)
+    changes = {"learning_rate": 0.01, "learning_rate_schedule": "linear"}
+    trained("ppo", backend, race=RACE, max_steps=960, **changes)
+    for rates, share in zip(models, [0.8, 0.8, 0.8, 0.0], strict=True):
+        np.testing.assert_allclose(rates, 0.01 * share, atol=1e-9)
 
 
 def learned(model):
