@@ -85,7 +85,7 @@ class TrainPolicy(Stage[TrainedPolicy]):
         if settings.race is not None:  # the winner's first evaluations are those of the race
             evaluations += settings.race.candidates - settings.race.steps // settings.evaluate_every
         episodes = evaluations * settings.evaluation_episodes + (settings.confirmation or 0)
-        steps = settings.steps + settings.lost_steps
+        steps = settings.all_steps
         simulated = steps + episodes * task.horizon
         observed, actions = len(task.columns), len(task.action_low)
         learning = settings.learning_seconds(observed + actions) * steps / settings.steps
@@ -98,7 +98,7 @@ class TrainPolicy(Stage[TrainedPolicy]):
     def stand_in(self) -> TrainedPolicy:
         return TrainedPolicy(
             policy=f"policy of {self.digest}".encode(),
-            steps=self.training.steps + self.training.lost_steps,
+            steps=self.training.all_steps,
             source_return=0.0,
             reached_threshold=False,
             curve=[],

@@ -71,8 +71,8 @@ class _Settings(Wire):
     )
     race: Race | None = Field(
         None,
-        description="networks that train for a while, of which the one whose last weights have "
-        "the best evaluation goes on; null: there is one from the start",
+        description="several networks train for a while, and the one with the best evaluation goes "
+        "on, by its last weights; null: there is only one",
     )
 
     @property
@@ -82,9 +82,10 @@ class _Settings(Wire):
         ...
 
     @property
-    def lost_steps(self) -> int:
-        """Environment steps of the networks that lose the race."""
-        return 0 if self.race is None else (self.race.candidates - 1) * self.race.steps
+    def all_steps(self) -> int:
+        """`steps`, and those of the networks that lose the race."""
+        lost = 0 if self.race is None else (self.race.candidates - 1) * self.race.steps
+        return self.steps + lost
 
     @property
     @abstractmethod

@@ -150,7 +150,7 @@ class _Reporter(BaseCallback):
         return self._before + self.num_timesteps
 
     def _report(self, checkpoint: Checkpoint | None, source_return: float | None) -> None:
-        fraction = self.steps / (self._settings.steps + self._settings.lost_steps)
+        fraction = self.steps / self._settings.all_steps
         self._progress(
             fraction, checkpoint=checkpoint, steps=self.steps, source_return=source_return
         )

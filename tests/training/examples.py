@@ -30,7 +30,7 @@ def settings(algorithm="sac", backend="sb3", **others):
 
 
 def learning_rates(model):
-    """Those of the last update of a PPO model, of all its optimisers."""
+    """The rates at which the optimisers of a PPO model made their last update."""
     if not hasattr(model.policy, "actor_state"):
         return [group["lr"] for group in model.policy.optimizer.param_groups]
     states = (model.policy.actor_state, model.policy.vf_state)
