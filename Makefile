@@ -28,7 +28,7 @@ lint: setup
 	$(BIN)/pyright
 
 test: lint
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -m "not slow" --durations 10 --numprocesses 2 --dist loadfile --no-loadscope-reorder
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -m "not slow" --durations 10 --numprocesses 2 --no-loadscope-reorder
 
 test-slow: setup
 	$(BIN)/pytest -m slow --timeout 3600

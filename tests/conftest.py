@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from xdist.scheduler import LoadFileScheduling
 
 from adr_service.transitions import TransitionDataset
 from api.cli import main
@@ -14,6 +15,18 @@ from db.session import Database, open_database
 from tests.postgresql import Server, start_server
 from tests.recordings import load_hopper
 from tests.service import RunningService, start_service
+
+
+class _ByFile(LoadFileScheduling):
+    """The tests of a file run in one process, and so do those that share a benchmark."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        path = super()._split_scope(nodeid)
+        return "tests/benchmark" if path.startswith("tests/benchmark/") else path
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> LoadFileScheduling:
+    return _ByFile(config, log)
 
 
 @pytest.fixture(scope="session")

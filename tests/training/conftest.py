@@ -1,17 +1,25 @@
 """Trainings by JAX compile the same functions again and again."""
 
 import importlib.util
+import os
 
 import pytest
 
 
 @pytest.fixture(scope="session", autouse=True)
 def compile_cache(tmp_path_factory):
-    """Compiled functions are kept for the session, as the service's workers keep them."""
+    """Compiled functions are kept for the session, as the service's workers keep them.
+
+    Its processes share them. Compiling takes longer than a small training, so it optimises little.
+    """
     if importlib.util.find_spec("jax") is None:
         return
     import jax
 
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path_factory.mktemp("jax")))
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:  # whose folder lies in that of all processes
+        folder = folder.parent
+    jax.config.update("jax_disable_most_optimizations", True)
+    jax.config.update("jax_compilation_cache_dir", str(folder / "jax"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
