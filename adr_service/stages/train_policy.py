@@ -21,7 +21,7 @@ class TrainedPolicy(Result):
     """A policy and its learning curve."""
 
     policy: bytes  # of the best evaluation
-    steps: int  # of the environments, also of networks that lost a race
+    steps: int  # of the environments
     source_return: float  # of the confirmation, else of the best evaluation, so a little high
     reached_threshold: bool
     curve: list[Evaluation]
@@ -82,23 +82,20 @@ class TrainPolicy(Stage[TrainedPolicy]):
     def cost(self, speed: CoreSpeed) -> Cost:
         settings, task = self.training, get_task(self.task)
         evaluations = -(-settings.steps // settings.evaluate_every)
-        if settings.race is not None:  # the winner's first evaluations are those of the race
-            evaluations += settings.race.candidates - settings.race.steps // settings.evaluate_every
         episodes = evaluations * settings.evaluation_episodes + (settings.confirmation or 0)
-        steps = settings.all_steps
-        simulated = steps + episodes * task.horizon
+        simulated = settings.steps + episodes * task.horizon
         observed, actions = len(task.columns), len(task.action_low)
-        learning = settings.learning_seconds(observed + actions) * steps / settings.steps
+        learning = settings.learning_seconds(observed + actions)
         return Cost(
             seconds=simulated / speed.steps_per_second(self.task) + learning,
-            environment_steps=steps,
+            environment_steps=settings.steps,
             policy_bytes=settings.policy_bytes(observed, actions),
         )
 
     def stand_in(self) -> TrainedPolicy:
         return TrainedPolicy(
             policy=f"policy of {self.digest}".encode(),
-            steps=self.training.all_steps,
+            steps=self.training.steps,
             source_return=0.0,
             reached_threshold=False,
             curve=[],

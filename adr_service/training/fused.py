@@ -26,7 +26,7 @@ Arrays = list[jax.Array]
 class _Fused(OffPolicyAlgorithmJax):
     """An algorithm with a constant learning rate, one-step returns and no dropout; logs no losses.
 
-    Call `publish` before any use of its policy but by `learn`.
+    Call `learn` once per model, and `publish` before any other use of its policy.
     """
 
     @abstractmethod

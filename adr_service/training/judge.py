@@ -42,22 +42,18 @@ class Judge:
 
     def evaluate(self, policy: Policy, steps: int) -> Evaluation:
         """A new point of the learning curve."""
-        point = self.measure(policy, steps)
+        point = self._measured(self._few, policy, steps)
         if self._best is None or point.mean_return > self._best[1].mean_return:
             self._best, self._confirmed = (policy, point), False
         self.curve.append(point)
         return point
-
-    def measure(self, policy: Policy, steps: int) -> Evaluation:
-        """An evaluation that is no part of the curve; the policy is not kept."""
-        return self._evaluated(self._few, policy, steps)
 
     def reported(self) -> Evaluation:
         """The evaluation of the best policy, on fresh draws where the settings ask for it."""
         assert self._best is not None
         policy, point = self._best
         if self._many is not None and not self._confirmed:
-            self._best = policy, self._evaluated(self._many, policy, point.steps)
+            self._best = policy, self._measured(self._many, policy, point.steps)
             self._confirmed = True
         return self._best[1]
 
@@ -73,7 +69,7 @@ class Judge:
         margin = 0.0 if self._many is None else point.standard_error
         return point.mean_return - margin >= threshold
 
-    def _evaluated(self, simulations: Simulations, policy: Policy, steps: int) -> Evaluation:
+    def _measured(self, simulations: Simulations, policy: Policy, steps: int) -> Evaluation:
         n = simulations.n
         simulations.set_dynamics(self._distribution.sample(n, self._rng).values)
         initial = self.task.initial(n, self._rng)

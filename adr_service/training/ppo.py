@@ -82,6 +82,7 @@ def _hyperparameters(settings: PpoSettings, activation: Any, seed: int) -> dict[
             "net_arch": {"pi": settings.hidden, "vf": settings.hidden},
             "activation_fn": activation,
             "log_std_init": settings.log_deviation,
+            "ortho_init": settings.ortho_init,
         },
     }
 

@@ -24,16 +24,8 @@ _AT_FIRST = (
     ("averaged_steps", 0),
     ("action_bins", None),
     ("learning_rate_schedule", "constant"),
-    ("race", None),
 )
 _STEP_S = 0.0007  # acting and storing, per step of all environments
-
-
-class Race(Wire):
-    """Several networks begin, each with its own random numbers, and the best of them goes on."""
-
-    candidates: int = Field(ge=2, le=100)
-    steps: int = Field(ge=100, le=10**9, description="environment steps of each candidate")
 
 
 class _Settings(Wire):
@@ -43,11 +35,7 @@ class _Settings(Wire):
         None, description="null: sbx where it is installed, else sb3"
     )
     max_steps: int = Field(
-        5_000_000,
-        ge=100,
-        le=10**10,
-        description="environment steps, of all environments; those of networks that lose a race "
-        "come on top",
+        5_000_000, ge=100, le=10**10, description="environment steps, of all environments"
     )
     environments: int = Field(12, ge=1, le=1024)
     hidden: Widths = Field([128, 128], description="units per hidden layer of the actor")
@@ -69,23 +57,12 @@ class _Settings(Wire):
         description="previous: where policies of a run follow one another, each starts from the "
         "networks of the one before",
     )
-    race: Race | None = Field(
-        None,
-        description="several networks train for a while, and the one with the best evaluation goes "
-        "on, by its last weights; null: there is only one",
-    )
 
     @property
     @abstractmethod
     def steps(self) -> int:
         """Environment steps of a policy whose training nothing stops early."""
         ...
-
-    @property
-    def all_steps(self) -> int:
-        """`steps`, and those of the networks that lose the race."""
-        lost = 0 if self.race is None else (self.race.candidates - 1) * self.race.steps
-        return self.steps + lost
 
     @property
     @abstractmethod
@@ -116,22 +93,6 @@ class _Settings(Wire):
             for name, value in self.model_dump().items()
             if (name, value) not in _AT_FIRST
         }
-
-    @model_validator(mode="after")
-    def _the_race_ends(self) -> Self:
-        if self.race is None:
-            return self
-        if self.race.steps >= self.steps:
-            raise ValueError(
-                f"race.steps: {self.race.steps} given, perhaps by the preset; give fewer than the "
-                f"training's {self.steps}, or race: null"
-            )
-        if self.start == "previous":
-            raise ValueError(
-                "race: given, perhaps by the preset, with start: previous, where all candidates "
-                "would be the same network; give race: null, or start: scratch"
-            )
-        return self
 
     @model_validator(mode="after")
     def _choose_backend(self) -> Self:
@@ -177,15 +138,6 @@ class _OffPolicy(_Settings):
     def capacity(self) -> int:
         """The size of the replay buffer: no larger than a training can fill, to save time."""
         return min(self.buffer_size, self.max_steps + self.environments)
-
-    @model_validator(mode="after")
-    def _candidates_learn(self) -> Self:
-        if self.race is not None and self.race.steps <= self.learning_starts:
-            raise ValueError(
-                f"race.steps: {self.race.steps} given; give more than learning_starts, "
-                f"{self.learning_starts}, before which nothing is learned"
-            )
-        return self
 
     @abstractmethod
     def critic_weights(self, inputs: int) -> int:
@@ -260,6 +212,11 @@ class PpoSettings(_Confirmed):
     log_deviation: float = Field(
         0.0, ge=-10, le=2, description="initial log standard deviation of actions in [-1, 1]"
     )
+    ortho_init: bool = Field(
+        True,
+        description="the actor's last layer begins orthogonal and small, so that the first mean "
+        "actions are near zero (Andrychowicz et al., arXiv 2006.05990)",
+    )
     action_bins: int | None = Field(
         None,
         ge=2,
@@ -287,10 +244,6 @@ class PpoSettings(_Confirmed):
             )
         if self.max_steps < self.transitions:
             raise ValueError(f"max_steps: {self.max_steps} given, fewer than the {rollout}")
-        if self.race is not None and self.race.steps % self.transitions:
-            raise ValueError(
-                f"race.steps: {self.race.steps} given, which is no multiple of the {rollout}"
-            )
         if self.action_bins is not None and self.log_deviation != 0:
             raise ValueError(
                 f"log_deviation: {self.log_deviation} given, perhaps by the preset, but with "

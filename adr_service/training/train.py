@@ -11,9 +11,8 @@ SB3 draws from NumPy's global generator, which it seeds from our stream.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
@@ -50,7 +49,7 @@ class Training:
     best: Evaluation  # of the policy
     reached_threshold: bool
     curve: tuple[Evaluation, ...]
-    steps: int  # of the environments, also of networks that lost a race
+    steps: int
     adjusted_draws: int  # dynamics moved onto a bound, see `Draws`
     diverged_episodes: int  # ended because the simulation diverged
     networks: Networks  # of the last step, from which another training may start
@@ -72,99 +71,31 @@ def train(
     the networks of an earlier training with the same settings.
     """
     dynamics_rng, evaluation_rng, seed_rng = rng.spawn(3)
+    env = RandomizedVecEnv(task, source, distribution, settings.environments, dynamics_rng)
     assert settings.backend is not None, "validation has chosen one"
     library = LIBRARIES[settings.algorithm][settings.backend]
-    environments: list[RandomizedVecEnv] = []
-
-    def build(rng: np.random.Generator) -> Any:
-        env = RandomizedVecEnv(task, source, distribution, settings.environments, rng)
-        environments.append(env)
-        model = library.build(env, task, settings, integer_seed(seed_rng))
-        model.set_logger(Logger(None, []))  # SB3's own makes a folder per training
-        return model
-
-    judge = Judge(task, source, distribution, settings, evaluation_rng)
-    lost = 0
-    if settings.race is None:
-        model = build(dynamics_rng)
-    else:
-        candidates = map(build, dynamics_rng.spawn(settings.race.candidates))
-        model, lost = _winner(candidates, library, judge, settings, progress)
+    model = library.build(env, task, settings, integer_seed(seed_rng))
     if start is not None:
         library.start(model, start)
-    monitor = _Monitor(library, judge, settings, progress, keep, lost)
-    _learn(model, settings, settings.steps - model.num_timesteps, monitor)
-    if not judge.curve or monitor.steps > judge.curve[-1].steps:
+    judge = Judge(task, source, distribution, settings, evaluation_rng)
+    monitor = _Monitor(library, judge, settings, progress, keep)
+    model.set_logger(Logger(None, []))  # SB3's own makes a folder per training
+    model.learn(settings.steps, callback=monitor, log_interval=None)
+    if not judge.curve or judge.curve[-1].steps < model.num_timesteps:
         monitor.evaluate()
     return Training(
         policy=judge.policy,
         best=judge.reported(),
         reached_threshold=judge.has_reached(task.reward_threshold),
         curve=tuple(judge.curve),
-        steps=monitor.steps,
-        adjusted_draws=sum(env.adjusted for env in environments),
-        diverged_episodes=sum(env.diverged for env in environments),
+        steps=model.num_timesteps,
+        adjusted_draws=env.adjusted,
+        diverged_episodes=env.diverged,
         networks=library.networks(model),
     )
 
 
-def _learn(model: Any, settings: TrainingSettings, steps: int, callback: BaseCallback) -> None:
-    """Train for so many more steps. A learning rate that falls does so over the whole training."""
-    schedule = model.lr_schedule
-    part = (model.num_timesteps + steps) / settings.steps  # of the training, after these steps
-    model.lr_schedule = lambda remaining: schedule(1 - part * (1 - remaining))
-    model.learn(steps, callback=callback, log_interval=None, reset_num_timesteps=False)
-    model.lr_schedule = schedule
-
-
-def _winner(
-    candidates: Iterable[Any],
-    library: Library,
-    judge: Judge,
-    settings: TrainingSettings,
-    progress: Progress,
-) -> tuple[Any, int]:
-    """The candidate with the best evaluation after the race, and the steps of the others."""
-    assert settings.race is not None
-    best, most, total = None, -math.inf, 0
-    for model in candidates:
-        _learn(model, settings, settings.race.steps, _Candidate(settings, progress, total))
-        point = judge.measure(library.policy(model, judge.task, settings), model.num_timesteps)
-        total += model.num_timesteps
-        if point.mean_return > most:
-            best, most = model, point.mean_return
-    assert best is not None, "a race has candidates"
-    return best, total - best.num_timesteps
-
-
-class _Reporter(BaseCallback):
-    """Reports progress; other networks have taken `before` steps."""
-
-    def __init__(self, settings: TrainingSettings, progress: Progress, before: int):
-        super().__init__()
-        self._settings, self._progress, self._before = settings, progress, before
-
-    @property
-    def steps(self) -> int:
-        """Environment steps of all networks so far."""
-        return self._before + self.num_timesteps
-
-    def _report(self, checkpoint: Checkpoint | None, source_return: float | None) -> None:
-        fraction = self.steps / self._settings.all_steps
-        self._progress(
-            fraction, checkpoint=checkpoint, steps=self.steps, source_return=source_return
-        )
-
-
-class _Candidate(_Reporter):
-    """Reports progress of a race."""
-
-    def _on_step(self) -> bool:
-        self._report(None, None)
-        return True
-
-
-class _Monitor(_Reporter):
+class _Monitor(BaseCallback):
     """Evaluates on schedule, reports progress and stops at the threshold."""
 
     def __init__(
@@ -174,38 +105,37 @@ class _Monitor(_Reporter):
         settings: TrainingSettings,
         progress: Progress,
         keep: Keep | None,
-        lost: int,
     ):
-        super().__init__(settings, progress, lost)
-        self._library, self._judge, self._keep = library, judge, keep
+        super().__init__()
+        self._library, self._judge, self._settings = library, judge, settings
+        self._progress, self._keep = progress, keep
         self._average = Average(settings.averaged_steps) if settings.averaged_steps else None
         threshold = judge.task.reward_threshold
         self._stop_at = threshold if settings.stop_at_threshold else math.inf
-        self._intervals = 0  # between evaluations, that have passed
-
-    def _on_training_start(self) -> None:
-        self._intervals = self.num_timesteps // self._settings.evaluate_every
 
     def _on_step(self) -> bool:
         judge, done = self._judge, self.num_timesteps
         if self._average is not None and self._average.is_due(done):
             self._average.add(self._latest(), done)
-        intervals = done // self._settings.evaluate_every
-        if intervals == self._intervals:
-            self._report(None, judge.curve[-1].mean_return if judge.curve else None)
+        if done // self._settings.evaluate_every == len(judge.curve):
+            self._report(None)
             return True
-        self._intervals = intervals
-        point = self.evaluate()
-        kept = None if self._keep is None else self._keep(judge.policy, judge.curve)
-        self._report(kept, point.mean_return)
+        self.evaluate()
+        self._report(None if self._keep is None else self._keep(judge.policy, judge.curve))
         return not judge.has_reached(self._stop_at)
 
-    def evaluate(self) -> Evaluation:
+    def evaluate(self) -> None:
         """Evaluate the present policy: the averaged one, where the settings ask for it."""
-        policy = self._latest()
+        policy, done = self._latest(), self.num_timesteps
         if self._average is not None:
-            policy = self._average.add(policy, self.num_timesteps)
-        return self._judge.evaluate(policy, self.steps)
+            policy = self._average.add(policy, done)
+        self._judge.evaluate(policy, done)
 
     def _latest(self) -> Policy:
         return self._library.policy(self.model, self._judge.task, self._settings)
+
+    def _report(self, checkpoint: Checkpoint | None) -> None:
+        done, curve = self.num_timesteps, self._judge.curve
+        latest = curve[-1].mean_return if curve else None
+        fraction = done / self._settings.steps
+        self._progress(fraction, checkpoint=checkpoint, steps=done, source_return=latest)

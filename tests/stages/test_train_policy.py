@@ -104,18 +104,6 @@ class TestCost:
         saved = self.seconds(rate=1e3) - self.seconds(rate=1e4)
         assert saved == pytest.approx(simulated * (1e-3 - 1e-4))
 
-    def test_networks_that_lose_a_race_cost_their_steps_and_an_evaluation(self):
-        """The winner's evaluation in the race takes the place of its first one."""
-        changes = {**TINY, "evaluation_episodes": 1, "evaluate_every": 120}
-        raced, plain = (
-            training(**changes, race=given).cost(Speed(1000.0))
-            for given in ({"candidates": 3, "steps": 120}, None)
-        )
-        assert raced.environment_steps == 480 + 2 * 120
-        evaluation = 200 / 1000
-        learned = plain.seconds - 4 * evaluation
-        assert raced.seconds == pytest.approx(1.5 * learned + 6 * evaluation)
-
     def test_the_faster_library_costs_less(self):
         assert self.seconds(backend="sbx") < self.seconds(backend="sb3")
 

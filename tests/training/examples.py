@@ -27,11 +27,3 @@ def settings(algorithm="sac", backend="sb3", **others):
     """Settings of an algorithm; `others` are those that are not as in `TINY`."""
     given = {"algorithm": algorithm, "backend": backend, **TINY, **_OTHERS[algorithm]}
     return TypeAdapter(TrainingSettings).validate_python({**given, **others})
-
-
-def learning_rates(model):
-    """The rates at which the optimisers of a PPO model made their last update."""
-    if not hasattr(model.policy, "actor_state"):
-        return [group["lr"] for group in model.policy.optimizer.param_groups]
-    states = (model.policy.actor_state, model.policy.vf_state)
-    return [float(state.opt_state[1].hyperparams["learning_rate"]) for state in states]

@@ -12,7 +12,7 @@ from adr_service.distributions import Gaussian
 from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.training.train import LIBRARIES
-from tests.training.examples import learning_rates, settings
+from tests.training.examples import settings
 
 pytest.importorskip("sbx")
 from adr_service.training.fused_ppo import Rollout, _advantages
@@ -118,7 +118,13 @@ class Rates(BaseCallback):
 
     def _on_step(self):
         if self.n_calls % STEPS == 1:
-            self.seen.append(learning_rates(self.model))
+            policy = self.model.policy
+            if hasattr(policy, "actor_state"):
+                states = (policy.actor_state, policy.vf_state)
+                rates = [state.opt_state[1].hyperparams["learning_rate"] for state in states]
+            else:
+                rates = [group["lr"] for group in policy.optimizer.param_groups]
+            self.seen.append(rates)
         return True
 
 

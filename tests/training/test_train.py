@@ -8,11 +8,9 @@ from adr_service.progress import StageCancelled
 from adr_service.randomness import stream
 from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.tasks.catalogue import get_task, variants_of
-from adr_service.training import train as train_module
-from adr_service.training.judge import Judge
 from adr_service.training.networks import from_bytes, to_bytes
 from adr_service.training.train import LIBRARIES, train
-from tests.training.examples import learning_rates, settings
+from tests.training.examples import settings
 
 ARM = get_task("arm")
 VANILLA = variants_of(ARM.name)["vanilla"]
@@ -40,6 +38,17 @@ def test_a_policy_of_bins_takes_the_mean_of_the_librarys_draws(backend):
     policy = library.policy(model, ARM, given)
     np.testing.assert_allclose(policy.act(seen), expected, atol=0.05)
     assert len(policy.to_bytes()) > given.policy_bytes(4, 2) > len(policy.to_bytes()) - 1000
+
+
+@pytest.mark.parametrize("backend", ["sb3", pytest.param("sbx", marks=SBX)])
+def test_ppos_first_mean_actions_are_near_zero_with_orthogonal_layers(backend):
+    seen = np.random.default_rng(1).normal(size=(50, 4)).astype(np.float32)
+    env = RandomizedVecEnv(ARM, VANILLA.source, PRIOR, 12, np.random.default_rng(0))
+    library, sizes = LIBRARIES["ppo"][backend], []
+    for given in (settings("ppo", backend), settings("ppo", backend, ortho_init=False)):
+        policy = library.policy(library.build(env, ARM, given, seed=1), ARM, given)
+        sizes.append(np.abs(policy.act(seen)).max())
+    assert sizes[0] < 0.1 < sizes[1]
 
 
 def test_the_reported_policy_is_the_averaged_one_where_that_is_asked_for():
@@ -123,81 +132,6 @@ class TestStop:
 
         with pytest.raises(StageCancelled):
             trained(algorithm, backend, progress=stop)
-
-
-RACE = {"candidates": 3, "steps": 192}
-
-
-@pytest.mark.parametrize(("algorithm", "backend"), CASES)
-class TestRace:
-    def test_the_candidate_with_the_best_evaluation_goes_on(self, algorithm, backend, monkeypatch):
-        """From where it was, without new episodes; the others' steps count, too."""
-        calls, returns, resets = [], [], []
-        learn, measure, reset = train_module._learn, Judge.measure, RandomizedVecEnv.reset
-
-        def spied_learn(model, *others):
-            calls.append((model, model.num_timesteps))
-            learn(model, *others)
-
-        def spied_measure(*given):
-            point = measure(*given)
-            returns.append(point.mean_return)
-            return point
-
-        def spied_reset(env):
-            resets.append(env)
-            return reset(env)
-
-        monkeypatch.setattr(train_module, "_learn", spied_learn)
-        monkeypatch.setattr(Judge, "measure", spied_measure)
-        monkeypatch.setattr(RandomizedVecEnv, "reset", spied_reset)
-        training = trained(algorithm, backend, race=RACE, max_steps=960)
-        *candidates, (winner, at) = calls
-        assert [steps for _, steps in candidates] == [0, 0, 0]
-        assert len(set(returns[:3])) == 3
-        assert winner is candidates[np.argmax(returns[:3])][0]
-        assert at == RACE["steps"]
-        assert len(resets) == 3
-        assert training.steps == 2 * RACE["steps"] + 960
-        expected = [2 * RACE["steps"] + own for own in (240, 480, 720, 960)]
-        assert [point.steps for point in training.curve] == expected
-
-    def test_a_race_gives_the_same_bytes_twice(self, algorithm, backend):
-        first, second = (trained(algorithm, backend, race=RACE) for _ in range(2))
-        assert first.policy.to_bytes() == second.policy.to_bytes()
-        assert first.curve == second.curve
-
-    def test_a_race_reports_its_progress_and_can_be_cancelled(self, algorithm, backend):
-        seen = []
-
-        def stop(fraction, steps, **facts):
-            seen.append((fraction, steps))
-            if steps > 600:
-                raise StageCancelled
-
-        trained(algorithm, backend, progress=lambda *given, **facts: seen.append(given), race=RACE)
-        assert max(seen) == (1.0,)
-        seen.clear()
-        with pytest.raises(StageCancelled):
-            trained(algorithm, backend, progress=stop, race={**RACE, "candidates": 4})
-        total = 480 + 3 * RACE["steps"]
-        assert seen == [(done / total, done) for done in range(12, 613, 12)]
-
-
-@pytest.mark.parametrize("backend", ["sb3", pytest.param("sbx", marks=SBX)])
-def test_a_learning_rate_falls_on_after_a_race(backend, monkeypatch):
-    """Over the winner's whole training, not over the race."""
-    models, learn = [], train_module._learn
-
-    def spied(model, *others):
-        learn(model, *others)
-        models.append(learning_rates(model))
-
-    monkeypatch.setattr(train_module, "_learn", spied)
-    changes = {"learning_rate": 0.01, "learning_rate_schedule": "linear"}
-    trained("ppo", backend, race=RACE, max_steps=960, **changes)
-    for rates, share in zip(models, [0.8, 0.8, 0.8, 0.0], strict=True):
-        np.testing.assert_allclose(rates, 0.01 * share, atol=1e-9)
 
 
 def learned(model):
