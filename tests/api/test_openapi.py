@@ -53,7 +53,7 @@ def test_every_route_has_a_description_and_a_problem(described):
 @pytest.mark.parametrize(
     ("phases", "examples", "least"),
     [
-        ("examples,fuzzing,stateful", 2, 100),
+        ("examples,fuzzing", 2, 100),
         pytest.param("examples,coverage,fuzzing,stateful", 40, 2000, marks=pytest.mark.slow),
     ],
 )
