@@ -46,7 +46,7 @@ bench-sim: setup
 bench-train: setup
 	$(BIN)/python benchmarks/training.py
 
-# about an hour on two cores
+# half an hour on two cores
 bench-threshold: setup
 	$(BIN)/python benchmarks/threshold.py
 

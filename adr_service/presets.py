@@ -2,10 +2,10 @@
 
 - `smoke`: hundreds of steps, for tests. Its numbers mean nothing.
 - `demo`: minutes, for the task `arm`: policies of 40,000 steps.
-- `quick`: a first look at a task, in one to three hours on two cores: the trainings of `fast`,
-  two iterations in the place of five, and smaller searches.
+- `quick`: a first look at a task, in half an hour to three hours on two cores: the trainings of
+  `fast`, two iterations in the place of five, and smaller searches.
 - `fast`: the benchmark's protocol (Tiboni et al., Sec. 3.2), with trainings that need little CPU
-  time; not all reach their thresholds yet (docs/training.md).
+  time (docs/training.md).
 - `paper`: the same protocol with the published trainings (Sec. 3.4).
 
 `trainings` has the training of tasks that need one of their own.
