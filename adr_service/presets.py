@@ -1,7 +1,7 @@
 """Named budgets, from seconds to weeks: defaults for all fields that a spec leaves out.
 
 - `smoke`: hundreds of steps, for tests. Its numbers mean nothing.
-- `demo`: minutes, for the task `arm`: policies of 40,000 steps.
+- `demo`: minutes, for the task `arm`: policies of 65,536 steps.
 - `quick`: a first look at a task, in half an hour to three hours on two cores: the trainings of
   `fast`, two iterations in the place of five, and smaller searches.
 - `fast`: the benchmark's protocol (Tiboni et al., Sec. 3.2), with trainings that need little CPU
@@ -84,14 +84,12 @@ PRESETS: dict[str, dict[str, Any]] = {
             "transitions": 200,
             "evaluation_episodes": 50,
             "training": {
-                "max_steps": 40_000,
-                "gradient_steps": 6,
+                "algorithm": "ppo",
+                "max_steps": 65_536,
+                "rollout_steps": 64,
                 "hidden": [64, 64],
-                "activation": "relu",
-                "batch_size": 128,
-                "learning_starts": 1000,
-                "evaluate_every": 2500,
-                "evaluation_episodes": 24,
+                "learning_rate": 0.001,
+                "evaluate_every": 8192,
             },
         },
         "methods": {

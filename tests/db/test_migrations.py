@@ -67,13 +67,7 @@ def test_specs_from_before_the_choice_of_an_algorithm_keep_their_sac(database_ur
     del old["training"]["algorithm"]
     grid = {"tasks": ["hopper"], "methods": ["udr"], "seeds": [7], "training": {"tau": 0.01}}
     with closing(Database(database_url)) as before, before.write("test") as session:
-        session.execute(
-            text(
-                "insert into benchmarks (id, created_at, spec) "
-                "values ('bench_a', '2026-01-01 00:00:00', :spec)"
-            ),
-            {"spec": json.dumps(grid)},
-        )
+        _insert_benchmark(session, grid)
         session.execute(
             text(
                 "insert into runs (id, created_at, updated_at, task, variant, method, seed, "
@@ -84,14 +78,45 @@ def test_specs_from_before_the_choice_of_an_algorithm_keep_their_sac(database_ur
         )
     with closing(open_database(database_url)) as opened:
         assert runs.get_run(opened, "run_a").spec == RunSpec.model_validate(given)
-        wider = benchmarks.get_benchmark(opened, "bench_a").spec.extended(
-            BenchmarkExtension(seeds=[8])
-        )
-        for run in wider.runs():
-            assert isinstance(run, RunSpec)
-            trained = run.training
+        for trained in _trainings_when_extended(opened):
             assert isinstance(trained, SacSettings)
             assert (trained.max_steps, trained.gradient_steps, trained.tau) == (120_000, 12, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, {"algorithm": "sac", "max_steps": 40_000, "gradient_steps": 6}),
+        ({"tau": 0.01}, {"algorithm": "sac", "max_steps": 40_000, "tau": 0.01}),
+        ({"algorithm": "ppo"}, {"algorithm": "ppo", "max_steps": 40_000, "epochs": 10}),
+    ],
+)
+def test_benchmarks_from_before_the_demo_trained_by_ppo_keep_their_trainings(
+    database_url, given, expected
+):
+    command.upgrade(alembic_config(database_url), "0006")
+    grid = {"tasks": ["arm"], "methods": ["udr"], "seeds": [7], "preset": "demo", "training": given}
+    with closing(Database(database_url)) as before, before.write("test") as session:
+        _insert_benchmark(session, grid)
+    with closing(open_database(database_url)) as opened:
+        for trained in _trainings_when_extended(opened):
+            assert trained.model_dump().items() >= expected.items()
+
+
+def _insert_benchmark(session, grid):
+    session.execute(
+        text(
+            "insert into benchmarks (id, created_at, spec) "
+            "values ('bench_a', '2026-01-01 00:00:00', :spec)"
+        ),
+        {"spec": json.dumps(grid)},
+    )
+
+
+def _trainings_when_extended(opened):
+    """The trainings of the benchmark's runs, after another seed was added to it."""
+    wider = benchmarks.get_benchmark(opened, "bench_a").spec.extended(BenchmarkExtension(seeds=[8]))
+    return [run.training for run in wider.runs()]
 
 
 def test_before_an_upgrade_the_file_is_copied(tmp_path):
@@ -225,6 +250,7 @@ def test_a_released_migration_is_never_edited():
         "0004": "f9455c8c1f54f6ec906ef9a9b2d4f08a",
         "0005": "0adbfbede86b6497ea2993d4a7101791",
         "0006": "36aef7258166d4450d2148caf19697db",
+        "0007": "8f32081e5203fef72f0022e28c24a4c9",
     }
     files = Path(schema.__file__).parent.glob("migrations/versions/*.py")
     assert {file.name[:4]: sha256(file.read_bytes())[:32] for file in files} == known

@@ -11,7 +11,7 @@ GOOD = {"task": "arm", "method": "simopt", "preset": "smoke"}
 
 
 class TestTrainings:
-    @pytest.mark.parametrize("preset", ["smoke", "demo", "paper"])
+    @pytest.mark.parametrize("preset", ["smoke", "paper"])
     def test_the_algorithm_of_a_preset_may_be_given_too(self, preset):
         given = {"task": "hopper", "method": "prior", "preset": preset}
         named = {**given, "training": {"algorithm": "sac"}}

@@ -82,7 +82,7 @@ def test_an_older_database_is_upgraded(tmp_path):
     command.upgrade(alembic_config(f"sqlite:///{tmp_path / 'adr.sqlite'}"), "0001")
     assert "is sound" in adr(tmp_path, "check").output.replace("\n", "")
     shown = adr(tmp_path, "upgrade").output.replace("\n", "")
-    assert shown.endswith("revision 0001 -> 0006")
+    assert shown.endswith("revision 0001 -> 0007")
 
 
 def test_damage_is_listed_with_advice(database, tmp_path):
