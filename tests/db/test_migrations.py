@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from adr_service.events import RunQueued
 from adr_service.json_values import sha256
 from adr_service.specs import BenchmarkExtension, RunSpec
-from adr_service.training.settings import SacSettings
+from adr_service.training.settings import PpoSettings, SacSettings
 from api.cli import app
 from db import benchmarks, events, maintenance, results, runs, schema
 from db.errors import DatabaseDamaged, DatabaseNewer
@@ -38,21 +38,13 @@ def test_migrations_make_the_tables_of_the_models(database):
 def test_rows_survive_all_migrations(database_url):
     """The second recreates `runs` in SQLite, whose deletion would take the events along."""
     command.upgrade(alembic_config(database_url), "0001")
-    row = {"spec": SPEC.model_dump_json(), "now": "2026-01-01 00:00:00", "no": False}
     event = RunQueued(submission=1)
     values = {"key": event.key, "type": event.type, "body": event.model_dump_json()}
     with closing(Database(database_url)) as old, old.write("test") as session:
-        session.execute(
-            text(
-                "insert into runs (id, created_at, updated_at, task, variant, method, seed, "
-                "spec, state, submission, cancel_requested) values ('run_a', :now, :now, "
-                "'arm', 'vanilla', 'prior', 0, :spec, 'queued', 1, :no)"
-            ),
-            row,
-        )
+        _insert_run(session, SPEC.model_dump(mode="json"))
         session.execute(
             text("insert into events values ('run_a', 1, :key, :type, :body, :now)"),
-            {**values, "now": row["now"]},
+            {**values, "now": "2026-01-01 00:00:00"},
         )
     with closing(open_database(database_url)) as opened:
         assert runs.get_run(opened, "run_a").spec == SPEC
@@ -68,14 +60,7 @@ def test_specs_from_before_the_choice_of_an_algorithm_keep_their_sac(database_ur
     grid = {"tasks": ["hopper"], "methods": ["udr"], "seeds": [7], "training": {"tau": 0.01}}
     with closing(Database(database_url)) as before, before.write("test") as session:
         _insert_benchmark(session, grid)
-        session.execute(
-            text(
-                "insert into runs (id, created_at, updated_at, task, variant, method, seed, "
-                "spec, state, submission, cancel_requested) values ('run_a', :now, :now, "
-                "'hopper', 'vanilla', 'prior', 0, :spec, 'queued', 1, :no)"
-            ),
-            {"spec": json.dumps(old), "now": "2026-01-01 00:00:00", "no": False},
-        )
+        _insert_run(session, old)
     with closing(open_database(database_url)) as opened:
         assert runs.get_run(opened, "run_a").spec == RunSpec.model_validate(given)
         for trained in _trainings_when_extended(opened):
@@ -83,12 +68,45 @@ def test_specs_from_before_the_choice_of_an_algorithm_keep_their_sac(database_ur
             assert (trained.max_steps, trained.gradient_steps, trained.tau) == (120_000, 12, 0.01)
 
 
+@pytest.mark.parametrize("backend", ["sb3", "sbx"])
+def test_ppo_runs_from_before_the_choice_of_first_weights_name_their_librarys(
+    database_url, backend
+):
+    """SB3's were orthogonal, SBX's were not; runs by other algorithms stay as they are."""
+    command.upgrade(alembic_config(database_url), "0006")
+    training = {"algorithm": "ppo", "backend": backend}
+    given = {"task": "walker2d", "method": "prior", "preset": "fast", "training": training}
+    old = RunSpec.model_validate(given).model_dump(mode="json")
+    del old["training"]["ortho_init"]
+    with closing(Database(database_url)) as before, before.write("test") as session:
+        _insert_run(session, old)
+        _insert_run(session, SPEC.model_dump(mode="json"), "run_b")
+    with closing(open_database(database_url)) as opened:
+        (ppo, other) = (runs.get_run(opened, id).spec for id in ("run_a", "run_b"))
+        assert isinstance(ppo, RunSpec)
+        assert isinstance(ppo.training, PpoSettings)
+        assert ppo.training.ortho_init == (backend == "sb3")
+        assert other == SPEC
+
+
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
         ({}, {"algorithm": "sac", "max_steps": 40_000, "gradient_steps": 6}),
         ({"tau": 0.01}, {"algorithm": "sac", "max_steps": 40_000, "tau": 0.01}),
-        ({"algorithm": "ppo"}, {"algorithm": "ppo", "max_steps": 40_000, "epochs": 10}),
+        (
+            {"algorithm": "crossq"},
+            {"algorithm": "crossq", "max_steps": 40_000, "critic_hidden": [128, 128]},
+        ),
+        (
+            {"algorithm": "ppo", "batch_size": 4096},
+            {
+                "max_steps": 40_000,
+                "rollout_steps": 128,
+                "hidden": [128, 128],
+                "learning_rate": 5e-4,
+            },
+        ),
     ],
 )
 def test_benchmarks_from_before_the_demo_trained_by_ppo_keep_their_trainings(
@@ -101,6 +119,18 @@ def test_benchmarks_from_before_the_demo_trained_by_ppo_keep_their_trainings(
     with closing(open_database(database_url)) as opened:
         for trained in _trainings_when_extended(opened):
             assert trained.model_dump().items() >= expected.items()
+
+
+def _insert_run(session, spec, id="run_a"):
+    row = {"id": id, "spec": json.dumps(spec), "now": "2026-01-01 00:00:00", "no": False}
+    session.execute(
+        text(
+            "insert into runs (id, created_at, updated_at, task, variant, method, seed, "
+            "spec, state, submission, cancel_requested) values (:id, :now, :now, "
+            "'hopper', 'vanilla', 'prior', 0, :spec, 'queued', 1, :no)"
+        ),
+        row,
+    )
 
 
 def _insert_benchmark(session, grid):
@@ -250,7 +280,7 @@ def test_a_released_migration_is_never_edited():
         "0004": "f9455c8c1f54f6ec906ef9a9b2d4f08a",
         "0005": "0adbfbede86b6497ea2993d4a7101791",
         "0006": "36aef7258166d4450d2148caf19697db",
-        "0007": "8f32081e5203fef72f0022e28c24a4c9",
+        "0007": "24312f688af840e2971069b723dc4bfd",
     }
     files = Path(schema.__file__).parent.glob("migrations/versions/*.py")
     assert {file.name[:4]: sha256(file.read_bytes())[:32] for file in files} == known
