@@ -17,20 +17,25 @@ _SAMPLES = 20  # policies within the steps that are averaged over
 
 
 class Average:
-    """A mean with exponentially falling weights, of 1/e after `steps` environment steps."""
+    """The mean of policies, whose shares fall to 1/e after `steps` environment steps.
 
-    def __init__(self, steps: int):
+    Policies are added 20 times in so many steps, or every `at_least_every` steps where those are
+    fewer.
+    """
+
+    def __init__(self, steps: int, at_least_every: float = math.inf):
         self._steps = steps
-        self._added_at = -steps / _SAMPLES  # environment steps before the last policy
-        self._total = 0.0  # weight of all policies, which rises to 1
+        self._interval = min(steps / _SAMPLES, at_least_every)
+        self._added_at = -self._interval  # environment steps before the last policy
+        self._total = 0.0  # share of all policies, which rises to 1
         self._sums: list[tuple[np.ndarray, np.ndarray]] = []  # of weighted layers, in float64
 
     def is_due(self, done: int) -> bool:
         """True if it is time to add a policy, after `done` steps."""
-        return done - self._added_at >= self._steps / _SAMPLES
+        return done - self._added_at >= self._interval
 
     def add(self, policy: Policy, done: int) -> Policy:
-        """Add the policy after `done` steps; gives a policy with the mean of all weights."""
+        """Add the policy after `done` steps, and return the policy with the mean weights."""
         if not self._sums:
             self._sums = [
                 (np.zeros(weight.shape), np.zeros(bias.shape)) for weight, bias in policy.layers

@@ -109,7 +109,11 @@ class _Monitor(BaseCallback):
         super().__init__()
         self._library, self._judge, self._settings = library, judge, settings
         self._progress, self._keep = progress, keep
-        self._average = Average(settings.averaged_steps) if settings.averaged_steps else None
+        self._average = (
+            Average(settings.averaged_steps, at_least_every=settings.evaluate_every)
+            if settings.averaged_steps
+            else None
+        )
         threshold = judge.task.reward_threshold
         self._stop_at = threshold if settings.stop_at_threshold else math.inf
 

@@ -40,6 +40,17 @@ def test_the_first_policy_counts_no_more_than_the_others():
     np.testing.assert_allclose(weight, 1 / (1 + np.exp(0.05)), rtol=1e-6)
 
 
+def test_the_first_policy_counts_no_more_where_evaluations_come_sooner():
+    """Three policies with about a third of the weight each, of which the first has ones."""
+    average = Average(10**6, at_least_every=240)
+    assert average.is_due(12)
+    average.add(policy(1.0), 12)
+    assert not average.is_due(200)
+    average.add(policy(0.0), 240)
+    ((weight, _),) = average.add(policy(0.0), 480).layers
+    np.testing.assert_allclose(weight, 252 / 720, rtol=1e-3)
+
+
 def test_the_mean_of_noisy_weights_is_closer_to_their_centre():
     """By exponential weights over 20 samples, the variance falls to a 40th."""
     rng, average = np.random.default_rng(0), Average(1000)

@@ -52,7 +52,7 @@ def test_ppos_first_mean_actions_are_near_zero_with_orthogonal_layers(backend):
 
 
 def test_the_reported_policy_is_the_averaged_one_where_that_is_asked_for():
-    """Over many steps, its weights are about half-way from the first ones, whose bias is 0."""
+    """Over many steps all policies count alike, and the first one's bias is 0."""
     mean, last = (
         trained("ppo", "sb3", averaged_steps=steps, stop_at_threshold=False).policy.layers[-1][1]
         for steps in (10**6, 0)
