@@ -1,14 +1,15 @@
 """CPU seconds and environment steps until a policy earns its task's reward threshold.
 
-    python benchmarks/threshold.py [TASK …] [--preset P …] [--on truth] [--seeds N] [--seconds S]
-                                   [--set NAME=VALUE …]
+    python benchmarks/threshold.py [TASK …] [--preset P …] [--on truth] [--seeds N] [--first-seed K]
+                                   [--seconds S] [--set NAME=VALUE …]
 
 Trains as the service does, the oracle's policy (`--on truth`) or the prior's (`--on prior`), on as
 many seeds at once as there are cores. Without tasks, on all four of the benchmark. With
 `--seconds`, trainings go on after the threshold, until they have used so many CPU seconds, for
-comparisons of presets. Every training is kept in build/bench/threshold, so that a study that was
-stopped goes on where it was. Writes there, per task, a report (.json) and the learning curves
-(.svg), and prints a table.
+comparisons of presets; they have reached it with the first evaluation that earns it, without
+confirmation. Every training is kept in build/bench/threshold, so that a study that was stopped goes
+on where it was. Writes there, per task, a report (.json) and the learning curves (.svg), and prints
+a table.
 
 CPU seconds are those of the training's process, with its imports and compilations.
 """
@@ -49,6 +50,7 @@ def options() -> argparse.Namespace:
     parser.add_argument("--preset", nargs="+", default=["fast"])
     parser.add_argument("--on", choices=("truth", "prior"), default="truth")
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--seconds", type=int, help="train for so long, past the threshold")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--seed", type=int, help="train this one alone, in this process")
@@ -57,7 +59,8 @@ def options() -> argparse.Namespace:
 
 def main(given: argparse.Namespace) -> None:
     FOLDER.mkdir(parents=True, exist_ok=True)
-    trainings = list(product(given.tasks, range(given.seeds), given.preset))
+    seeds = range(given.first_seed, given.first_seed + given.seeds)
+    trainings = list(product(given.tasks, seeds, given.preset))
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         list(pool.map(lambda each: in_a_process_of_its_own(given, *each), trainings))
     print(
@@ -65,14 +68,12 @@ def main(given: argparse.Namespace) -> None:
     )
     for task in given.tasks:
         found = {
-            preset: [
-                json.loads(kept(given, task, seed, preset).read_text())
-                for seed in range(given.seeds)
-            ]
+            preset: [json.loads(kept(given, task, seed, preset).read_text()) for seed in seeds]
             for preset in given.preset
         }
         seconds = () if given.seconds is None else (f"{given.seconds}s",)
-        name = "-".join([task, *given.preset, given.on, *given.set, *seconds])
+        first = () if given.first_seed == 0 else (f"from-{given.first_seed}",)
+        name = "-".join([task, *given.preset, given.on, *given.set, *seconds, *first])
         (FOLDER / f"{name}.json").write_text(json.dumps(found, indent=1))
         draw(task, given, found, FOLDER / f"{name}.svg")
         for preset, reports in found.items():
@@ -126,21 +127,37 @@ def train(given: argparse.Namespace) -> None:
     values: dict[str, Any] = {}
     with contextlib.suppress(StageCancelled):
         values = compute(stage, progress).values
-    best = max(point["mean_return"] for point in curve)
     report = {
         "task": task,
         "seed": given.seed,
         "training": stage.training.model_dump(),
-        "cpu_seconds": time.process_time(),
-        "steps": values.get("steps", curve[-1]["steps"]),
-        # of a training that was stopped by its time: by its evaluations, without confirmation
-        "reached": values.get("reached_threshold", best >= get_task(task).reward_threshold),
-        "source_return": values.get("source_return", best),
+        **(outcome_of_result(values) if values else outcome_by_evaluations(task, curve)),
         "confirmation": values.get("confirmation"),
         "diverged_episodes": values.get("diverged_episodes"),
         "curve": curve,
     }
     kept(given, task, given.seed, preset).write_text(json.dumps(report, indent=1))
+
+
+def outcome_of_result(values: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "cpu_seconds": time.process_time(),
+        "steps": values["steps"],
+        "reached": values["reached_threshold"],
+        "source_return": values["source_return"],
+    }
+
+
+def outcome_by_evaluations(task: str, curve: list[dict[str, float]]) -> dict[str, Any]:
+    """The outcome of a training that its time has stopped: its first point at the threshold."""
+    earned = [each for each in curve if each["mean_return"] >= get_task(task).reward_threshold]
+    point = earned[0] if earned else max(curve, key=lambda each: each["mean_return"])
+    return {
+        "cpu_seconds": point["cpu_seconds"],
+        "steps": point["steps"],
+        "reached": bool(earned),
+        "source_return": point["mean_return"],
+    }
 
 
 def row(task: str, preset: str, found: list[dict[str, Any]]) -> str:
@@ -167,7 +184,8 @@ def draw(
     ):
         several = len(found) > 1
         color = f"C{given.preset.index(preset) if several else i}"
-        label = (preset if each["seed"] == 0 else None) if several else f"seed {each['seed']}"
+        begins = each["seed"] == given.first_seed
+        label = (preset if begins else None) if several else f"seed {each['seed']}"
         seconds, means, errors = (
             [point[name] for point in each["curve"]]
             for name in ("cpu_seconds", "mean_return", "standard_error")
