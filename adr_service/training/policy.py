@@ -77,7 +77,9 @@ class Policy:
             raise InvalidInput(f"squash must be one of {sorted(_SQUASHES)}: {self.squash!r}")
         if not self.layers or not len(self.action_low) == len(self.action_high) > 0:
             raise InvalidInput(
-                "a policy needs a layer, and as many lower as upper bounds of actions"
+                "a policy needs a layer, and as many lower as upper bounds of actions: "
+                f"{len(self.layers)} layers, {len(self.action_low)} lower and "
+                f"{len(self.action_high)} upper bounds"
             )
         for weight, bias in self.layers:
             if weight.ndim != 2 or bias.shape != (len(weight),):
@@ -134,5 +136,5 @@ class Policy:
             low, high = frozen(description["action_low"]), frozen(description["action_high"])
             squash = description.get("squash", "tanh")
             return cls(layers, description["activation"], low, high, squash)
-        except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        except (SafetensorError, KeyError, TypeError, ValueError, InvalidInput) as error:
             raise InvalidInput(f"not the bytes of a policy: {error}") from error

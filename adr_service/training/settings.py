@@ -215,7 +215,8 @@ class PpoSettings(_Confirmed):
     ortho_init: bool = Field(
         True,
         description="the actor's last layer begins orthogonal and small, so that the first mean "
-        "actions are near zero (Andrychowicz et al., arXiv 2006.05990)",
+        "actions are near zero (Andrychowicz et al., arXiv 2006.05990); with sb3 all other layers "
+        "begin orthogonal, too",
     )
     action_bins: int | None = Field(
         None,
@@ -246,8 +247,9 @@ class PpoSettings(_Confirmed):
             raise ValueError(f"max_steps: {self.max_steps} given, fewer than the {rollout}")
         if self.action_bins is not None and self.log_deviation != 0:
             raise ValueError(
-                f"log_deviation: {self.log_deviation} given, perhaps by the preset, but with "
-                "action_bins there is no Gaussian; give 0"
+                f"log_deviation: {self.log_deviation} and action_bins: {self.action_bins} given, "
+                "one of them perhaps by the preset, but bins have no Gaussian; give log_deviation "
+                "0 or action_bins null"
             )
         return self
 

@@ -48,7 +48,7 @@ def test_actions_stay_within_their_bounds():
     ids=["empty", "nonsense", "huge header", "no tensors", "truncated", "no layers"],
 )
 def test_bytes_of_anything_else_are_refused(content):
-    with pytest.raises(InvalidInput, match=r"not the bytes of a policy|needs a layer"):
+    with pytest.raises(InvalidInput, match="not the bytes of a policy"):
         Policy.from_bytes(content)
 
 

@@ -44,7 +44,7 @@ def test_json_gives_the_same_settings_back(algorithm, kind):
         ({"algorithm": "ppo", "batch_size": 500}, "500 given, which does not divide the 4096"),
         (
             {"algorithm": "ppo", "action_bins": 5, "log_deviation": -1},
-            "with action_bins there is no Gaussian",
+            "action_bins: 5 given",
         ),
         ({"algorithm": "ppo", "max_steps": 4000}, "4000 given, fewer than the 4096 transitions"),
     ],
