@@ -44,12 +44,12 @@ class OnlineLoop:
         self.inference: Inference[Inferred] | None = None
         self._trained: TrainedPolicy | None = None
         self._before: TrainedPolicy | None = None  # for the distribution before the present one
-        self._trained_on: Distribution | None = None
 
     def train(self) -> Generator[RunEvent, None, TrainedPolicy]:
-        """A policy for the present distribution; the same one again while that is the same."""
-        if self._trained_on is not self.distribution:
-            self._trained_on, self._before = self.distribution, self._trained
+        """Train a policy for the present distribution.
+
+        Until `update` changes that, further calls ask for the same stage.
+        """
         stage = training(self._spec, self.distribution, self._before)
         self._trained = yield from self._stages.run(stage)
         return self._trained
@@ -67,3 +67,4 @@ class OnlineLoop:
         answer = self.inference.answer
         assert answer.state is not None, "an online method has a state"
         self._state, self.distribution = answer.state, answer.distribution
+        self._before = self._trained
