@@ -3,9 +3,9 @@
 Observations and rewards are normalised. The exported policy has the normalisation in its first
 layer. Actions are those of the unit cube, scaled to the task's bounds, so that the first policies
 of every task explore with the same strength. Each may be one of a few evenly spaced values
-(`action_bins`; Tang and Agrawal, arXiv 1901.10500): such policies explore the bounds, too. Theirs
-takes the most likely value; the exported one takes the mean, which does not jump where two values
-are as likely.
+(`action_bins`; Tang and Agrawal, arXiv 1901.10500): such policies explore the bounds, too. In that
+paper a policy takes the most likely value. The exported one takes the mean, which does not jump
+where two values are as likely.
 """
 
 from collections.abc import Mapping
