@@ -41,7 +41,7 @@ def test_the_first_policy_counts_no_more_than_the_others():
 
 
 def test_the_first_policy_counts_no_more_where_evaluations_come_sooner():
-    """Three policies with about a third of the weight each, of which the first has ones."""
+    """Three policies count about alike; the first one's weights are 1, the others' are 0."""
     average = Average(10**6, at_least_every=240)
     assert average.is_due(12)
     average.add(policy(1.0), 12)
