@@ -11,10 +11,12 @@ GOOD = {"task": "arm", "method": "simopt", "preset": "smoke"}
 
 
 class TestTrainings:
-    @pytest.mark.parametrize("preset", ["smoke", "paper"])
-    def test_the_algorithm_of_a_preset_may_be_given_too(self, preset):
+    @pytest.mark.parametrize(
+        ("preset", "algorithm"), [("smoke", "sac"), ("demo", "ppo"), ("paper", "sac")]
+    )
+    def test_the_algorithm_of_a_preset_may_be_given_too(self, preset, algorithm):
         given = {"task": "hopper", "method": "prior", "preset": preset}
-        named = {**given, "training": {"algorithm": "sac"}}
+        named = {**given, "training": {"algorithm": algorithm}}
         assert RunSpec.model_validate(named) == RunSpec.model_validate(given)
 
     def test_another_algorithm_takes_the_budget_of_the_preset_alone(self):

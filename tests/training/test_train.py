@@ -57,7 +57,7 @@ def test_the_reported_policy_is_the_averaged_one_where_that_is_asked_for():
         trained("ppo", "sb3", averaged_steps=steps, stop_at_threshold=False).policy.layers[-1][1]
         for steps in (10**6, 0)
     )
-    assert 0 < np.linalg.norm(mean) < np.linalg.norm(last)
+    assert 0.1 < np.linalg.norm(mean) / np.linalg.norm(last) < 0.9
 
 
 # what stops a training is the same for both backends, but PPO's rollouts on SBX are our own
