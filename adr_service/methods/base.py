@@ -11,13 +11,17 @@ its name and colour in figures (docs/add-a-method.md).
 """
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Protocol, Self, cast
 
 import numpy as np
 
+from adr_service.arrays import Vector
 from adr_service.distributions import Distribution
+from adr_service.errors import InvalidInput
 from adr_service.json_values import Wire
+from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
 from adr_service.tasks.base import Source, Task
 from adr_service.training.policy import Policy
@@ -95,6 +99,13 @@ class OnlineMethod(Protocol):
         ...
 
 
+def at_bound(space: ParameterSpace, mean: Vector) -> list[str]:
+    """Names of the parameters whose estimate is within a hundredth of the range of a bound."""
+    x, near = space.normalise(mean), space.WIDTH / 100
+    corners = (x < near) | (x > space.WIDTH - near)
+    return [name for name, corner in zip(space.names, corners, strict=True) if corner]
+
+
 Data = Literal["nothing", "returns", "visits", "recordings"]
 
 
@@ -133,13 +144,25 @@ class MethodSettings(Wire):
 
 @dataclass(frozen=True)
 class Grid:
-    """A setting that may have several values, tried side by side; the best answer counts.
-
-    An answer is best if `criterion` is smallest among its diagnostics.
-    """
+    """A setting that may have several values, tried side by side; the best answer counts."""
 
     field: str  # of the settings
-    criterion: str
+    criterion: str  # of the answers' diagnostics; smaller is better
+    TIE: ClassVar[float] = 0.01  # relative difference of two criteria that decides nothing
+
+    def best(self, criteria: Sequence[float]) -> int:
+        """Index of the best answer: the first one within `TIE` of the smallest criterion.
+
+        Raises InvalidInput if no criterion is finite.
+        """
+        finite = [criterion for criterion in criteria if np.isfinite(criterion)]
+        if not finite:
+            raise InvalidInput(
+                f"no {self.field} gives an answer that predicts: each {self.criterion} is one of "
+                f"{list(criteria)}"
+            )
+        limit = (1 + self.TIE) * min(finite)
+        return next(i for i, criterion in enumerate(criteria) if criterion <= limit)
 
 
 class OfflineSettings(MethodSettings):

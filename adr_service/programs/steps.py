@@ -86,7 +86,7 @@ def infer(
 
 
 def _best(spec: RunSpec, asked: Sequence[Infer], answers: Sequence[Inferred]) -> Inferred:
-    """The answer with the smallest criterion, and in its diagnostics the criterion of each."""
+    """The grid's best answer, and in its diagnostics the criterion of each."""
     grid = spec.method.grid
     assert grid is not None
     if any(grid.criterion not in answer.diagnostics for answer in answers):
@@ -95,7 +95,7 @@ def _best(spec: RunSpec, asked: Sequence[Infer], answers: Sequence[Inferred]) ->
             f"{grid.criterion!r}, which its estimates do not have"
         )
     criteria = [answer.diagnostics[grid.criterion] for answer in answers]
-    best = answers[criteria.index(min(criteria))]
+    best = answers[grid.best(criteria)]
     values = [str(getattr(stage.method, grid.field)) for stage in asked]
     tried = dict(zip(values, criteria, strict=True))
     return best.model_copy(

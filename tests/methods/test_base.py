@@ -2,10 +2,12 @@
 
 from typing import ClassVar, Literal
 
+import numpy as np
 import pytest
 from pydantic import Field, ValidationError
 
-from adr_service.methods.base import Data, Grid, MethodSettings, OfflineSettings
+from adr_service.errors import InvalidInput
+from adr_service.methods.base import Data, Grid, MethodSettings, OfflineSettings, at_bound
 from adr_service.methods.simopt import SimOptSettings
 from tests.planted import PROBLEM, SPACE
 
@@ -30,6 +32,30 @@ class TestEach:
 
     def test_settings_without_a_grid_stand_for_themselves(self):
         assert SimOptSettings().each == [SimOptSettings()]
+
+
+class TestTheBestOfAGrid:
+    grid = Grid("width", criterion="error")
+
+    def test_the_smallest_criterion_is_best(self):
+        assert self.grid.best([3.0, 1.0, 2.0]) == 1
+
+    def test_of_criteria_within_a_hundredth_the_first_is_best(self):
+        assert self.grid.best([3.381e-4, 3.375e-4, 1e-3]) == 0
+        assert self.grid.best([3.5e-4, 3.375e-4, 1e-3]) == 1
+
+    def test_an_answer_that_predicts_nothing_is_never_best(self):
+        assert self.grid.best([np.nan, np.inf, 2.0]) == 2
+
+    def test_without_a_finite_criterion_there_is_no_best(self):
+        with pytest.raises(InvalidInput, match=r"no width gives .* error is one of \[nan, nan\]"):
+            self.grid.best([np.nan, np.nan])
+
+
+def test_estimates_within_a_hundredth_of_the_range_are_at_the_bound():
+    x = np.array([0.03, 0.05, 3.95, 3.97])
+    first, _, _, last = SPACE.names
+    assert at_bound(SPACE, SPACE.denormalise(x)) == [first, last]
 
 
 @pytest.mark.parametrize(
