@@ -71,10 +71,11 @@ PRESETS: dict[str, dict[str, Any]] = {
         "methods": {
             "udr": {"policies": 2},
             "bayrn": {"initial": 2},
-            "simopt": {"updates": 2, "samples": 20},
-            "simopt_1": {"updates": 3, "samples": 20},
+            # a full covariance needs more samples than Humanoid has parameters
+            "simopt": {"updates": 2, "samples": 40},
+            "simopt_1": {"updates": 3, "samples": 40},
             "droid": {"budget": 30},
-            "dropo": {"budget": 20, "samples_per_parameter": 3, "epsilon": 1e-4},
+            "dropo": {"budget": 4, "samples_per_parameter": 3, "epsilon": 1e-4},
             "sysid": {"starts": 1, "iterations": 3},
         },
     },
@@ -98,7 +99,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "simopt": {"samples": 500},
             "simopt_1": {"samples": 500},
             "droid": {"budget": 500},
-            "dropo": {"budget": 800, "samples_per_parameter": 4, "epsilon": 1e-4},
+            "dropo": {"samples_per_parameter": 4, "epsilon": 1e-4},
         },
     },
     "quick": {
@@ -115,7 +116,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "simopt": {"samples": 300},
             "simopt_1": {"samples": 300},
             "droid": {"budget": 500},
-            "dropo": {"budget": 1500, "epsilon": [1e-5, 1e-4, 1e-3]},
+            "dropo": {"epsilon": [1e-5, 1e-4, 1e-3]},
         },
     },
     "fast": {

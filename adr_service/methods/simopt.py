@@ -16,6 +16,8 @@ Where we differ, and why:
 - Costs are divided by the distance of their 90th percentile from the best before each update. So
   the minimum temperature has no unit, and one outlier does not decide it.
 - The search for the temperature starts at 1 instead of 10, because costs have that scale.
+- The new covariance is that of the weighted samples, as in REPS. Guided policy search damps it by
+  default, so that it keeps its shape; the setting `covariance_damping` does (docs/decisions.md).
 - While the new covariance is singular, the temperature doubles. Their code adds 1e-4, then twice as
   much each time.
 """
@@ -24,11 +26,13 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
+from scipy.linalg import eigh
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.distributions import Gaussian
+from adr_service.errors import InvalidInput
 from adr_service.methods.base import Evidence, OnlineSettings, Problem, Update
 from adr_service.progress import Progress, part_of
 from adr_service.simulation.batch import Simulations
@@ -38,6 +42,7 @@ from adr_service.tasks.base import State
 
 _LEAST_RATIO = 1e-12  # of the new variance to the old, below which the fit is singular
 _FIRST_TEMPERATURE = 1.0  # of the search for the best one
+_MOST_TEMPERATURE = 1e12  # beyond which weights are equal
 _SPREAD_PERCENTILE = 90  # of the costs, whose distance from the best is the unit
 
 
@@ -48,7 +53,12 @@ class _Settings(OnlineSettings):
     )
     # guided policy search's defaults
     kl_threshold: float = Field(1.0, gt=0, description="trust region of one update [nat]")
-    covariance_damping: float = Field(2.0, gt=0)
+    covariance_damping: float = Field(
+        0.0,
+        ge=0,
+        description="0: the covariance is that of the weighted samples; above 0 (guided policy "
+        "search: 2), it keeps its shape and changes by the damped scale alone",
+    )
     min_temperature: float = Field(1e-3, gt=0)
     # SimuRLacra's discrepancy
     l1_weight: float = Field(0.5, ge=0)
@@ -190,17 +200,28 @@ def reps(
     spread = np.percentile(costs, _SPREAD_PERCENTILE) - costs.min()
     scaled = (costs - costs.min()) / (spread if spread > 0 else 1.0)
     eta = _temperature(scaled, settings)
-    while True:
+    while eta < _MOST_TEMPERATURE:
         weights = np.exp(-scaled / eta)  # w_i ~ exp(-(c_i - min c) / eta)
         weights /= weights.sum()
         mean = weights @ samples  # mu = sum_i w_i x_i
         centred = samples - mean
         likely = (weights[:, None] * centred).T @ centred  # S = sum_i w_i (x_i - mu)(x_i - mu)'
-        ratio = np.trace(np.linalg.solve(covariance, likely)) / len(mean)  # tr(S_old^-1 S) / d
-        if ratio > _LEAST_RATIO:
-            # S_new = (tr(S_old^-1 S) / d)^(1 / damping) S_old: the shape never changes
-            return mean, ratio ** (1 / settings.covariance_damping) * covariance, eta
-        eta *= 2  # one sample has all the weight, so there is no spread to fit
+        new = _damped(likely, covariance, settings.covariance_damping)
+        if eigh(new, covariance, eigvals_only=True)[0] > _LEAST_RATIO:
+            return mean, new, eta
+        eta *= 2  # too few samples have the weight for a spread in every direction
+    raise InvalidInput(
+        f"{len(samples)} samples of {len(covariance)} parameters have no spread in some direction; "
+        "SimOpt needs more samples than parameters, or covariance_damping above 0"
+    )
+
+
+def _damped(likely: Matrix, old: Matrix, damping: float) -> Matrix:
+    """The new covariance (d, d): the most likely one, or the old one with a damped scale."""
+    if damping == 0:
+        return likely
+    ratio = np.trace(np.linalg.solve(old, likely)) / len(old)  # tr(S_old^-1 S) / d
+    return ratio ** (1 / damping) * old  # the shape never changes
 
 
 def _temperature(costs: Vector, settings: _Settings) -> float:

@@ -49,7 +49,7 @@ class TestBenchmark:
             BenchmarkSpec.model_validate_json(spec.model_dump_json(exclude_unset=True)),
         ):
             (run,) = known.runs()
-            assert (run.method.updates, run.method.samples) == (1, 20)
+            assert (run.method.updates, run.method.samples) == (1, 40)
 
     def test_overrides_reach_every_run(self):
         for run in self.spec(iterations=3, training={"max_steps": 700}).runs():

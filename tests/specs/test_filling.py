@@ -39,7 +39,7 @@ class TestWhoCollects:
 
     def test_an_offline_run_names_the_simopt_that_it_learns_from(self):
         spec = RunSpec.model_validate({"task": "arm", "method": "droid", "preset": "smoke"})
-        assert spec.simopt == SimOptSettings(updates=2, samples=20)  # the preset's
+        assert spec.simopt == SimOptSettings(updates=2, samples=40)  # the preset's
         assert RunSpec.model_validate_json(spec.model_dump_json()) == spec
         other = {"task": "arm", "method": "droid", "preset": "smoke", "simopt": {"name": "simopt"}}
         other["simopt"]["samples"] = 30
