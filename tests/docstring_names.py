@@ -17,9 +17,12 @@ from adr_service.benchmark.comparison import Outcome
 from adr_service.distributions import Gaussian
 from adr_service.effects.base import Effect
 from adr_service.events import IterationFinished
+from adr_service.methods.dropo import Likelihood, deviations
+from adr_service.progress import silent
+from adr_service.search.trust_region import Bounds
 from adr_service.simulation.replay import Replay
 from adr_service.specs import BenchmarkSpec, RunSpec
-from adr_service.tasks.catalogue import catalogue, get_task, hidden_of, source_of
+from adr_service.tasks.catalogue import catalogue, get_task, source_of
 from adr_service.training.policy import Policy
 from api.client import AdrClient
 from api.settings import Settings
@@ -176,12 +179,21 @@ def loss(_: Path) -> Names:
     return {"np": np, "rng": np.random.default_rng(0), "loss": lambda x: float(x @ x)}
 
 
-def replayed(_: Path) -> Names:
-    hidden = hidden_of("arm", "vanilla")
-    replay = Replay(get_task("arm"), hidden.source, recording("arm", 10), 8, 1)
-    low, high = 0.95 * hidden.values, 1.05 * hidden.values
-    draws = np.array([hidden.values])
-    return {"replay": replay, "low": low, "high": high, "draws": draws, **_rng()}
+def likelihood(_: Path) -> Names:
+    """DROPO's loss of a recording of the arm."""
+    source = source_of("arm", "vanilla")
+    replay = Replay(get_task("arm"), source, recording("arm", 10), 8, 1)
+    levels = np.random.default_rng(0).random((12, len(source.space)))
+    low, high = deviations(source.space)
+    return {
+        "evaluate": Likelihood(source.space, levels, replay, 1e-4).evaluate,
+        "measured": replay.targets,
+        "epsilon": 1e-4,
+        "bounds": Bounds(source.space.low, source.space.high, low, high),
+        "mean": (source.space.low + source.space.high) / 2,
+        "std": high,
+        "silent": silent,
+    }
 
 
 def _rng() -> Names:

@@ -40,7 +40,7 @@ class Infer(Stage[Inferred]):
     """
 
     kind: ClassVar = "infer"
-    version: ClassVar = 2
+    version: ClassVar = 3  # DROPO's trust region, SimOpt's full covariance
     role: ClassVar[Role] = "inference"
     result: ClassVar = Inferred
 

@@ -137,10 +137,13 @@ def test_equal_streams_give_equal_answers_whatever_the_global_generator_is(name)
 
 @every_inferring
 def test_another_stream_gives_another_answer_if_the_method_draws_from_it(name):
+    """Latin hypercubes spawn a stream; converged searches may not show from where they started."""
     streams = [stream("one"), stream("other")]
     before = copy.deepcopy(streams[0].bit_generator.state)
     one, other = (answer(name, rng)[0].to_json() for rng in streams)
-    assert (one != other) == (streams[0].bit_generator.state != before)
+    has_drawn = streams[0].bit_generator.state != before
+    has_spawned = streams[0].bit_generator.seed_seq.n_children_spawned > 0
+    assert one != other if has_drawn else one == other or has_spawned
 
 
 @every_inferring

@@ -121,6 +121,34 @@ def test_benchmarks_from_before_the_demo_trained_by_ppo_keep_their_trainings(
             assert trained.model_dump().items() >= expected.items()
 
 
+@pytest.mark.parametrize(("exact", "search"), [(False, "trust_region"), (True, "cma_es")])
+def test_runs_from_before_the_choice_of_a_search_name_theirs(database_url, exact, search):
+    command.upgrade(alembic_config(database_url), "0007")
+    given = {"task": "hopper", "method": {"name": "dropo", "search": search}}
+    old = RunSpec.model_validate(given).model_dump(mode="json")
+    del old["method"]["search"]
+    old["method"]["exact"] = exact
+    with closing(Database(database_url)) as before, before.write("test") as session:
+        _insert_run(session, old)
+        _insert_run(session, SPEC.model_dump(mode="json"), "run_b")
+    with closing(open_database(database_url)) as opened:
+        (dropo, other) = (runs.get_run(opened, id).spec for id in ("run_a", "run_b"))
+        assert dropo == RunSpec.model_validate(given)
+        assert other == SPEC
+
+
+def test_benchmarks_from_before_the_full_covariance_keep_their_simopt(database_url):
+    command.upgrade(alembic_config(database_url), "0007")
+    methods = ["simopt", {"name": "simopt_1", "samples": 300}, "droid"]
+    grid = {"tasks": ["hopper"], "methods": methods, "seeds": [7]}
+    with closing(Database(database_url)) as before, before.write("test") as session:
+        _insert_benchmark(session, grid)
+    with closing(open_database(database_url)) as opened:
+        runs_of = {run.method.name: run for run in _runs_when_extended(opened)}
+        damped = runs_of["simopt"].method, runs_of["simopt_1"].method, runs_of["droid"].simopt
+        assert [settings.covariance_damping for settings in damped] == [2, 2, 2]
+
+
 def _insert_run(session, spec, id="run_a"):
     row = {"id": id, "spec": json.dumps(spec), "now": "2026-01-01 00:00:00", "no": False}
     session.execute(
@@ -145,8 +173,12 @@ def _insert_benchmark(session, grid):
 
 def _trainings_when_extended(opened):
     """The trainings of the benchmark's runs, after another seed was added to it."""
+    return [run.training for run in _runs_when_extended(opened)]
+
+
+def _runs_when_extended(opened):
     wider = benchmarks.get_benchmark(opened, "bench_a").spec.extended(BenchmarkExtension(seeds=[8]))
-    return [run.training for run in wider.runs()]
+    return list(wider.runs())
 
 
 def test_before_an_upgrade_the_file_is_copied(tmp_path):
@@ -281,6 +313,7 @@ def test_a_released_migration_is_never_edited():
         "0005": "0adbfbede86b6497ea2993d4a7101791",
         "0006": "36aef7258166d4450d2148caf19697db",
         "0007": "24312f688af840e2971069b723dc4bfd",
+        "0008": "ff025481dce45f09496bf45cc4b73ed3",
     }
     files = Path(schema.__file__).parent.glob("migrations/versions/*.py")
     assert {file.name[:4]: sha256(file.read_bytes())[:32] for file in files} == known
