@@ -1,92 +1,246 @@
-"""Recovery of Hopper's masses from different data: numbers of docs/decisions.md.
+"""Recovery of the hidden truth by every method that infers a distribution.
 
-Distances of estimated means from the truth in [0, 4] coordinates, where the prior's is .70.
-First, DROPO (the best of four epsilons) and sysid on 500 transitions of DROPO's published clean
-recording (`ADR_DATASETS`, docs/datasets.md), with Gaussian noise put on every observation, also
-on those that replays start from. Then SimOpt's 25 updates on one rollout of each of three
-policies that stand.
+    python benchmarks/recovery.py [--tasks T …] [--variants V …] [--methods M …]
+                                  [--data random prior] [--seeds N]
 
-    python benchmarks/recovery.py
+Each cell records 200 transitions on the simulated target, by random actions or by the policy that
+the preset `fast` trains on the prior (in as many episodes as it takes), and infers once, with the
+method's default settings. SimOpt simulates the policy, so it has no cell with random actions. Every
+cell and every policy is kept in build/bench/recovery, so that a study that was stopped goes on
+where it was. Prints a table of medians over seeds, and writes the cells to recovery.json there:
+
+    distance      root mean square over parameters of the estimate's mean from the truth, in [0, 4]
+    log_score     log density of the truth under the estimate [nat], and under the prior; none for
+                  sysid, whose estimate is a point
+    loss          DROPO's negative log likelihood per transition, which is always simulated, and
+                  what its model had predicted for it
+    at_bound      parameters whose mean is at a bound of the search, and whose deviation is as wide
+                  as it may be
+    steps, cpu_seconds      control steps simulated; of all values of a grid together
 """
 
+import argparse
+import json
 import os
-from dataclasses import replace
+import statistics
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from itertools import groupby, product
+from multiprocessing import get_context
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from adr_service.benchmark.truth import estimation_error
-from adr_service.methods.base import Evidence, Problem
-from adr_service.methods.dropo import Dropo, DropoSettings
-from adr_service.methods.simopt import SimOpt, SimOptSettings
-from adr_service.methods.sysid import Sysid, SysidSettings
-from adr_service.progress import silent
-from adr_service.randomness import stream
-from adr_service.simulation.target import simulate_rollout
-from adr_service.tasks.catalogue import get_task, variants_of
-from adr_service.training.policy import Policy
+from adr_service.distributions import Gaussian, Uniform
+from adr_service.methods.base import OnlineSettings
+from adr_service.methods.catalogue import identity_of, methods, names_of
+from adr_service.programs.references import prior_training
+from adr_service.programs.steps import problem_of, source_inputs
+from adr_service.specs import RunSpec
+from adr_service.stages.base import compute
+from adr_service.stages.infer import Infer, Inferred
+from adr_service.stages.target_rollout import TargetRollout
+from adr_service.tasks.catalogue import identity_of as identity_of_task
+from adr_service.tasks.catalogue import variant_of
 from adr_service.transitions import TransitionDataset
+from workers.cluster import worker_environment
 
-HOPPER, VANILLA = get_task("hopper"), variants_of("hopper")["vanilla"]
-PROBLEM = Problem(HOPPER, VANILLA.source)
-RECORDING = "dropo_hopper/hopper10000/hoppermass_n10000"
-
-
-def distance(mean: np.ndarray) -> float:
-    return estimation_error("hopper", "vanilla", mean)
-
-
-def from_noisy_states(recording: TransitionDataset, variance: float) -> None:
-    rng = stream("recovery", variance)
-    shape, std = recording.observations.shape, variance**0.5
-    noisy = replace(
-        recording,
-        observations=recording.observations + rng.normal(0, std, shape),
-        next_observations=recording.next_observations + rng.normal(0, std, shape),
-    )
-    print(f"noise of variance {variance:g} on 500 transitions:")
-    found = []
-    for epsilon in (1e-5, 1e-4, 1e-3, 1e-2):
-        method = Dropo(DropoSettings(budget=1500, epsilon=epsilon))
-        mean = method.fit(PROBLEM, noisy, stream("dropo"), silent).distribution.mean
-        found.append(f"{epsilon:g}: {distance(mean):.3f}")
-    print(f"  DROPO, by epsilon: {', '.join(found)}")
-    fitted = Sysid(SysidSettings(starts=2)).fit(PROBLEM, noisy, stream("sysid"), silent)
-    print(f"  sysid: {distance(fitted.distribution.mean):.3f}")
+FOLDER = Path("build/bench/recovery")
+TASKS = ("hopper", "half_cheetah", "walker2d", "humanoid")
+VARIANTS = ("vanilla", "noisy", "unmodeled")
+TRANSITIONS = 200
+COLUMNS = (
+    "task",
+    "variant",
+    "data",
+    "method",
+    "distance",
+    "prior's",
+    "log score",
+    "prior's",
+    "loss, predicted",
+    "at bound: means, deviations",
+    "million steps",
+    "CPU s",
+)
 
 
-def standing(rng: np.random.Generator) -> Policy:
-    """A random PD controller of Hopper's joints."""
-    stiffness, damping = rng.uniform(0, 6), rng.uniform(0, 0.6)
-    weights = np.zeros((3, 11), np.float32)
-    for joint in range(3):
-        weights[joint, 2 + joint], weights[joint, 8 + joint] = -stiffness, -damping
-        weights[joint, 1] = rng.normal(0, 3)
-    layer = (weights, rng.normal(0, 0.3, 3).astype(np.float32))
-    return Policy((layer,), "tanh", HOPPER.action_low, HOPPER.action_high)
+@dataclass(frozen=True)
+class Cell:
+    task: str
+    variant: str
+    data: str  # who acts: random or prior
+    method: str
+    seed: int
+
+    @property
+    def spec(self) -> RunSpec:
+        names = {name: getattr(self, name) for name in ("task", "variant", "method", "seed")}
+        return RunSpec.model_validate({**names, "preset": "fast"})
 
 
-def from_standing_policies() -> None:
-    rng, found = stream("standing"), []
-    while len(found) < 3:
-        policy = standing(rng)
-        data = simulate_rollout(HOPPER, "vanilla", policy.act, 200, stream("rollout"))
-        if len(data) < 200:  # it fell
-            continue
-        method = SimOpt(SimOptSettings(updates=25, samples=200))
-        state = method.start(PROBLEM)
-        update = method.tell(PROBLEM, state, Evidence(policy, data), stream("simopt"), silent)
-        costs = [u["median_cost"] for u in update.diagnostics["updates"]]
-        mean = method.ask(PROBLEM, update.state).mean
-        found.append(f"{distance(mean):.2f} (cost divided by {costs[0] / costs[-1]:.0f})")
-    print(f"SimOpt on rollouts of three policies that stand: {', '.join(found)}")
+def options() -> argparse.Namespace:
+    inferring = [*names_of("visits"), *names_of("recordings")]
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--tasks", nargs="+", default=TASKS)
+    parser.add_argument("--variants", nargs="+", default=VARIANTS)
+    parser.add_argument("--methods", nargs="+", default=inferring)
+    parser.add_argument("--data", nargs="+", default=["random", "prior"])
+    parser.add_argument("--seeds", type=int, default=3)
+    return parser.parse_args()
+
+
+def main(given: argparse.Namespace) -> None:
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    os.environ.update(worker_environment(Path("build/bench/jax").absolute()))
+    with ProcessPoolExecutor(
+        len(os.sched_getaffinity(0)), mp_context=get_context("spawn"), max_tasks_per_child=1
+    ) as pool:
+        rows = list(pool.map(measured, cells(given)))
+    (FOLDER / "recovery.json").write_text(json.dumps(rows, indent=1))
+    print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
+    rows.sort(key=where)
+    for _, group in groupby(rows, key=where):
+        print(line(list(group)))
+
+
+def cells(given: argparse.Namespace) -> Iterator[Cell]:
+    """All cells, seeds outermost, so that a stopped study has whole repetitions."""
+    for seed in range(given.seeds):
+        for names in product(given.tasks, given.variants, given.data, given.methods):
+            cell = Cell(*names, seed)
+            if cell.data == "prior" or methods()[cell.method].learns_from == "recordings":
+                yield cell
+
+
+def measured(cell: Cell) -> dict[str, Any]:
+    """The row of a cell, computed unless it was before."""
+    spec = cell.spec
+    policy = policy_of(spec) if cell.data == "prior" else None
+    stages = inferences(spec, recorded(spec, policy), policy)
+    path = FOLDER / f"{stages[0].digest}.json"
+    if not path.exists():
+        row = {**asdict(cell), **inferred(spec, stages)}
+        path.write_text(json.dumps(row, indent=1))
+        print(row, file=sys.stderr, flush=True)
+    return json.loads(path.read_text())
+
+
+def policy_of(spec: RunSpec) -> bytes:
+    """The policy that the preset trains on the prior, trained unless it was before."""
+    stage = prior_training(spec)
+    path = FOLDER / f"{stage.digest}.policy"
+    if not path.exists():
+        # another process may train the same one; the bytes are the same
+        trained = stage.read(compute(stage)).policy
+        unfinished = path.with_suffix(f".{os.getpid()}")
+        unfinished.write_bytes(trained)
+        unfinished.replace(path)
+    return path.read_bytes()
+
+
+def recorded(spec: RunSpec, policy: bytes | None) -> bytes:
+    """As many episodes as it takes to record the transitions."""
+    parts: list[TransitionDataset] = []
+    while (missing := TRANSITIONS - sum(map(len, parts))) > 0:
+        rollout = TargetRollout(
+            **identity_of_task(spec.task),
+            variant=spec.target_domain,
+            seed=spec.seed,
+            transitions=missing,
+            iteration=len(parts),
+            policy=policy,
+        )
+        parts.append(TransitionDataset.from_npz(rollout.read(compute(rollout)).data))
+    return TransitionDataset.concatenate(parts).to_npz()
+
+
+def inferences(spec: RunSpec, data: bytes, policy: bytes | None) -> list[Infer]:
+    """The inferences of a method, one for each value of its grid."""
+    method, state = spec.method, None
+    if isinstance(method, OnlineSettings):
+        state = method.create().start(problem_of(spec))
+    return [
+        Infer(
+            **source_inputs(spec),
+            **identity_of(settings),
+            data=data,
+            policy=None if state is None else policy,
+            state=state,
+        )
+        for settings in method.each
+    ]
+
+
+def inferred(spec: RunSpec, stages: list[Infer]) -> dict[str, Any]:
+    """Quality and cost of the best answer."""
+    started = time.process_time()
+    answers = [stage.read(compute(stage)) for stage in stages]
+    seconds = time.process_time() - started
+    grid, best = spec.method.grid, answers[0]
+    if grid is not None:
+        best = answers[grid.best([each.diagnostics[grid.criterion] for each in answers])]
+    pair, estimate = variant_of(spec.task, spec.variant), best.distribution
+    prior, truth = Gaussian.prior(pair.source.space), pair.truth[None]
+    is_point = isinstance(estimate, Uniform)
+    facts = best.diagnostics
+    return {
+        "distance": estimation_error(spec.task, spec.variant, estimate.mean),
+        "prior_distance": estimation_error(spec.task, spec.variant, prior.mean),
+        "log_score": None if is_point else float(estimate.log_prob(truth)[0]),
+        "prior_log_score": float(prior.log_prob(truth)[0]),
+        "epsilon": facts.get("epsilon"),
+        "loss": facts.get("loss_per_window"),
+        "predicted_loss": predicted(best),
+        "stopped_by": facts.get("stopped_by"),
+        "at_bound": [len(facts.get("at_bound", [])), len(facts.get("widest", []))],
+        "steps": sum(each.simulated_steps for each in answers),
+        "cpu_seconds": seconds,
+    }
+
+
+def predicted(answer: Inferred) -> float | None:
+    """The loss that DROPO's model had predicted for the Gaussian that became its estimate."""
+    loss = answer.diagnostics.get("loss_per_window")
+    path = answer.diagnostics.get("path", [])
+    known = (s["predicted_loss_per_window"] for s in path if s["loss_per_window"] == loss)
+    return next(known, None)
+
+
+def where(row: dict[str, Any]) -> tuple[int, int, str, str]:
+    place = TASKS.index(row["task"]), VARIANTS.index(row["variant"])
+    return *place, row["data"], row["method"]
+
+
+def line(rows: list[dict[str, Any]]) -> str:
+    """One line of the table: medians, and the range of the distance."""
+
+    def median(name: str, unit: float = 1.0) -> float:
+        return statistics.median(row[name] / unit for row in rows)
+
+    distances = [row["distance"] for row in rows]
+    scored = all(row["log_score"] is not None for row in rows)
+    simulated = all(row["loss"] is not None for row in rows)
+    first = rows[0]
+    parts = [
+        first["task"],
+        first["variant"],
+        first["data"],
+        first["method"],
+        f"{median('distance'):.3f} ({min(distances):.3f} to {max(distances):.3f})",
+        f"{median('prior_distance'):.2f}",
+        f"{median('log_score'):.1f}" if scored else "",
+        f"{median('prior_log_score'):.1f}",
+        f"{median('loss'):.2f}, {median('predicted_loss'):.2f}" if simulated else "",
+        ", ".join(str(sum(row["at_bound"][i] for row in rows) / len(rows)) for i in (0, 1)),
+        f"{median('steps', 1e6):.2f}",
+        f"{median('cpu_seconds'):.0f}",
+    ]
+    return f"| {' | '.join(parts)} |"
 
 
 if __name__ == "__main__":
-    folder = Path(os.environ["ADR_DATASETS"]) / RECORDING
-    published = TransitionDataset.from_npy(
-        folder, dt=0.008, columns=HOPPER.columns, origin=RECORDING
-    ).first(500)
-    for variance in (1e-5, 1e-4):
-        from_noisy_states(published, variance)
-    from_standing_policies()
+    main(options())
