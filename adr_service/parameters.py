@@ -84,3 +84,8 @@ class ParameterSpace:
     def denormalise(self, coordinates: Vector) -> Vector:
         """The inverse of `normalise`."""
         return self.low + np.asarray(coordinates) * (self.high - self.low) / self.WIDTH
+
+    def at_bound(self, values: Vector) -> list[str]:
+        """Names of the parameters within a hundredth of their range of a bound, or beyond it."""
+        x, near = self.normalise(values), self.WIDTH / 100
+        return [self.names[i] for i in np.flatnonzero((x < near) | (x > self.WIDTH - near))]

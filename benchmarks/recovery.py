@@ -41,7 +41,7 @@ from adr_service.programs.references import prior_training
 from adr_service.programs.steps import problem_of, source_inputs
 from adr_service.specs import RunSpec
 from adr_service.stages.base import compute
-from adr_service.stages.infer import Infer, Inferred
+from adr_service.stages.infer import Infer
 from adr_service.stages.target_rollout import TargetRollout
 from adr_service.tasks.catalogue import identity_of as identity_of_task
 from adr_service.tasks.catalogue import variant_of
@@ -194,20 +194,12 @@ def inferred(spec: RunSpec, stages: list[Infer]) -> dict[str, Any]:
         "prior_log_score": float(prior.log_prob(truth)[0]),
         "epsilon": facts.get("epsilon"),
         "loss": facts.get("loss_per_window"),
-        "predicted_loss": predicted(best),
+        "predicted_loss": facts.get("predicted_loss_per_window"),
         "stopped_by": facts.get("stopped_by"),
-        "at_bound": [len(facts.get("at_bound", [])), len(facts.get("widest", []))],
+        "at_bound": [len(facts["at_bound"]), len(facts.get("widest", []))],
         "steps": sum(each.simulated_steps for each in answers),
         "cpu_seconds": seconds,
     }
-
-
-def predicted(answer: Inferred) -> float | None:
-    """The loss that DROPO's model had predicted for the Gaussian that became its estimate."""
-    loss = answer.diagnostics.get("loss_per_window")
-    path = answer.diagnostics.get("path", [])
-    known = (s["predicted_loss_per_window"] for s in path if s["loss_per_window"] == loss)
-    return next(known, None)
 
 
 def where(row: dict[str, Any]) -> tuple[int, int, str, str]:

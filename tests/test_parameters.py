@@ -65,6 +65,12 @@ def test_vectors_of_a_space_follow_the_order_of_its_parameters():
     assert not SPACE.low.flags.writeable
 
 
+def test_values_within_a_hundredth_of_the_range_are_at_the_bound():
+    assert SPACE.at_bound(SPACE.denormalise(np.array([0.03, 2.0]))) == ["mass"]
+    assert SPACE.at_bound(SPACE.denormalise(np.array([0.05, 3.97]))) == ["damping"]
+    assert SPACE.at_bound(SPACE.denormalise(np.array([-1.0, 5.0]))) == ["mass", "damping"]
+
+
 def test_a_subset_has_the_given_order():
     assert SPACE.subset(("damping", "mass")).names == ("damping", "mass")
     assert len(SPACE.subset(())) == 0

@@ -17,11 +17,9 @@ from typing import Any, ClassVar, Literal, Protocol, Self, cast
 
 import numpy as np
 
-from adr_service.arrays import Vector
 from adr_service.distributions import Distribution
 from adr_service.errors import InvalidInput
 from adr_service.json_values import Wire
-from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
 from adr_service.tasks.base import Source, Task
 from adr_service.training.policy import Policy
@@ -97,13 +95,6 @@ class OnlineMethod(Protocol):
     ) -> Update:
         """The state after `evidence` of a policy trained on the distribution of `ask`."""
         ...
-
-
-def at_bound(space: ParameterSpace, mean: Vector) -> list[str]:
-    """Names of the parameters whose estimate is within a hundredth of the range of a bound."""
-    x, near = space.normalise(mean), space.WIDTH / 100
-    corners = (x < near) | (x > space.WIDTH - near)
-    return [name for name, corner in zip(space.names, corners, strict=True) if corner]
 
 
 Data = Literal["nothing", "returns", "visits", "recordings"]

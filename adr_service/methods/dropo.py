@@ -28,7 +28,7 @@ from scipy.stats import qmc
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.distributions import TruncatedGaussian
 from adr_service.errors import InvalidInput
-from adr_service.methods.base import Estimate, Grid, OfflineSettings, Problem, at_bound
+from adr_service.methods.base import Estimate, Grid, OfflineSettings, Problem
 from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
 from adr_service.search.cma_es import strategy
@@ -107,7 +107,6 @@ class Dropo:
                 "evaluations": likelihood.evaluations,
                 "diverged_evaluations": likelihood.diverged,
                 "epsilon": self._epsilon,
-                "at_bound": at_bound(space, best.mean),
                 "widest": _widest(space, best.std),
                 **facts,
             },
@@ -203,7 +202,12 @@ def by_trust_region(
         }
         for step in path.steps
     ]
-    return best, {"stopped_by": path.stopped_by, "path": steps}
+    best_step = min(path.steps, key=lambda step: step.loss)
+    return best, {
+        "predicted_loss_per_window": best_step.predicted_loss / windows,
+        "stopped_by": path.stopped_by,
+        "path": steps,
+    }
 
 
 def by_cma_es(
@@ -244,4 +248,4 @@ _SEARCHES: Mapping[str, _Search] = MappingProxyType(
 def _widest(space: ParameterSpace, std: Vector) -> list[str]:
     """Names of the parameters whose standard deviation is the largest that the search allows."""
     _, high = deviations(space)
-    return [name for name, wide in zip(space.names, std >= 0.99 * high, strict=True) if wide]
+    return [space.names[i] for i in np.flatnonzero(std >= 0.99 * high)]

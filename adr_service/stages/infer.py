@@ -5,6 +5,7 @@ from typing import Any, ClassVar, cast
 
 import numpy as np
 
+from adr_service.distributions import Distribution
 from adr_service.events import RunEvent
 from adr_service.methods.base import (
     Evidence,
@@ -66,19 +67,24 @@ class Infer(Stage[Inferred]):
             return Inferred(
                 distribution=estimate.distribution,
                 simulated_steps=estimate.simulated_steps,
-                diagnostics=estimate.diagnostics,
+                diagnostics=self._remarked(estimate.distribution, estimate.diagnostics),
             )
         assert self.policy is not None, "an online method learns from a visit of its policy"
         assert self.state is not None, "an online method has a state"
         online = cast(OnlineSettings, self.method).create()
         evidence = Evidence(Policy.from_bytes(self.policy), data)
         update = online.tell(problem, self.state, evidence, rng, progress)
+        distribution = online.ask(problem, update.state)
         return Inferred(
-            distribution=online.ask(problem, update.state),
+            distribution=distribution,
             state=update.state,
             simulated_steps=update.simulated_steps,
-            diagnostics=update.diagnostics,
+            diagnostics=self._remarked(distribution, update.diagnostics),
         )
+
+    def _remarked(self, distribution: Distribution, found: dict[str, Any]) -> dict[str, Any]:
+        """A method's diagnostics, and the parameters whose mean is at a bound of the search."""
+        return {**found, "at_bound": self.space.at_bound(distribution.mean)}
 
     def events(self, result: Inferred) -> list[RunEvent]:
         return []

@@ -47,6 +47,7 @@ def docs(request: Request) -> Response:
 @router.get("/runs/{run_id}")
 def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
     record = run_store.get_run(service.database, run_id)
+    outcomes = outcomes_of(service, [record])
     return _templates.TemplateResponse(
         request,
         "run.html",
@@ -55,7 +56,8 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
             "remedy": None if record.error_code is None else remedy_of(record.error_code),
             "is_finished": record.is_finished,
             "events": event_store.events_of(service.database, run_id),
-            **_results(service, outcomes_of(service, [record])),
+            "inferences": [each.iteration for each in outcomes if each.iteration.diagnostics],
+            **_results(service, outcomes),
         },
     )
 

@@ -7,7 +7,7 @@ import pytest
 from pydantic import Field, ValidationError
 
 from adr_service.errors import InvalidInput
-from adr_service.methods.base import Data, Grid, MethodSettings, OfflineSettings, at_bound
+from adr_service.methods.base import Data, Grid, MethodSettings, OfflineSettings
 from adr_service.methods.simopt import SimOptSettings
 from tests.planted import PROBLEM, SPACE
 
@@ -50,12 +50,6 @@ class TestTheBestOfAGrid:
     def test_without_a_finite_criterion_there_is_no_best(self):
         with pytest.raises(InvalidInput, match=r"no width gives .* error is one of \[nan, nan\]"):
             self.grid.best([np.nan, np.nan])
-
-
-def test_estimates_within_a_hundredth_of_the_range_are_at_the_bound():
-    x = np.array([0.03, 0.05, 3.95, 3.97])
-    first, _, _, last = SPACE.names
-    assert at_bound(SPACE, SPACE.denormalise(x)) == [first, last]
 
 
 @pytest.mark.parametrize(

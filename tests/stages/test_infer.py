@@ -91,3 +91,12 @@ def test_a_stand_in_has_the_criterion_by_which_a_grid_is_decided():
 def test_data_that_are_no_recording_are_refused():
     with pytest.raises(InvalidInput, match=r"not a readable \.npz"):
         compute(replace(OFFLINE, data=b"measured"))
+
+
+def test_a_mean_at_a_bound_is_named(offline, online):
+    assert offline.diagnostics["at_bound"] == online.diagnostics["at_bound"] == []
+    heavy = PLANTED.copy()
+    heavy[0] = SPACE.high[0]
+    data = recorded(waving_policy(), heavy, steps=20).to_npz()
+    stage = replace(OFFLINE, data=data)
+    assert stage.read(compute(stage)).diagnostics["at_bound"] == [SPACE.names[0]]
