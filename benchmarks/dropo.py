@@ -9,7 +9,8 @@ ADR_DATASETS (docs/datasets.md). Writes build/bench/dropo.json, for both searche
     means_over_truth         of the masses
     loss, loss_se            mean loss over fresh sets of draws, lower is better, and its standard
                              error
-    speedup                  of the trust region, which has converged
+    stopped_by               of the trust region
+    speedup                  of the trust region
 """
 
 import json
@@ -71,6 +72,7 @@ def measured(
     return {
         "seconds": seconds,
         "evaluations": estimate.diagnostics["evaluations"],
+        "stopped_by": estimate.diagnostics.get("stopped_by"),
         "means_over_truth": (
             estimate.distribution.mean / hidden_of("hopper", "vanilla").values
         ).tolist(),

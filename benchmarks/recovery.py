@@ -10,12 +10,12 @@ cell and every policy is kept in build/bench/recovery, so that a study that was 
 where it was. Prints a table of medians over seeds, and writes the cells to recovery.json there:
 
     distance      root mean square over parameters of the estimate's mean from the truth, in [0, 4]
-    log_score     log density of the truth under the estimate [nat], and under the prior; none for
-                  sysid, whose estimate is a point
+    log_score     log density of the truth under a Gaussian of the estimate's mean and deviations
+                  [nat], and under the prior; none for sysid, whose estimate is a point
     loss          DROPO's negative log likelihood per transition, which is always simulated, and
                   what its model had predicted for it
-    at_bound      parameters whose mean is at a bound of the search, and whose deviation is as wide
-                  as it may be
+    at_bound      number of parameters whose mean is at a bound of the search, and of those whose
+                  deviation is as wide as it may be
     steps, cpu_seconds      control steps simulated; of all values of a grid together
 """
 
@@ -33,8 +33,12 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from scipy.stats import norm
+
+from adr_service.arrays import Vector
 from adr_service.benchmark.truth import estimation_error
-from adr_service.distributions import Gaussian, Uniform
+from adr_service.distributions import Distribution, Gaussian, Uniform
+from adr_service.json_values import canonical_json, sha256
 from adr_service.methods.base import OnlineSettings
 from adr_service.methods.catalogue import identity_of, methods, names_of
 from adr_service.programs.references import prior_training
@@ -85,10 +89,13 @@ class Cell:
 def options() -> argparse.Namespace:
     inferring = [*names_of("visits"), *names_of("recordings")]
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--tasks", nargs="+", default=TASKS)
-    parser.add_argument("--variants", nargs="+", default=VARIANTS)
-    parser.add_argument("--methods", nargs="+", default=inferring)
-    parser.add_argument("--data", nargs="+", default=["random", "prior"])
+    for name, known in (
+        ("tasks", TASKS),
+        ("variants", VARIANTS),
+        ("methods", inferring),
+        ("data", ("random", "prior")),
+    ):
+        parser.add_argument(f"--{name}", nargs="+", choices=known, default=known)
     parser.add_argument("--seeds", type=int, default=3)
     return parser.parse_args()
 
@@ -99,7 +106,10 @@ def main(given: argparse.Namespace) -> None:
     with ProcessPoolExecutor(
         len(os.sched_getaffinity(0)), mp_context=get_context("spawn"), max_tasks_per_child=1
     ) as pool:
-        rows = list(pool.map(measured, cells(given)))
+        wanted = list(cells(given))
+        acted = {(c.task, c.variant, c.seed): c.spec for c in wanted if c.data == "prior"}
+        list(pool.map(policy_of, acted.values()))
+        rows = list(pool.map(measured, wanted))
     (FOLDER / "recovery.json").write_text(json.dumps(rows, indent=1))
     print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
     rows.sort(key=where)
@@ -121,11 +131,11 @@ def measured(cell: Cell) -> dict[str, Any]:
     spec = cell.spec
     policy = policy_of(spec) if cell.data == "prior" else None
     stages = inferences(spec, recorded(spec, policy), policy)
-    path = FOLDER / f"{stages[0].digest}.json"
+    path = FOLDER / f"{sha256(canonical_json([each.digest for each in stages]))}.json"
     if not path.exists():
         row = {**asdict(cell), **inferred(spec, stages)}
-        path.write_text(json.dumps(row, indent=1))
         print(row, file=sys.stderr, flush=True)
+        keep(path, json.dumps(row, indent=1).encode())
     return json.loads(path.read_text())
 
 
@@ -134,12 +144,15 @@ def policy_of(spec: RunSpec) -> bytes:
     stage = prior_training(spec)
     path = FOLDER / f"{stage.digest}.policy"
     if not path.exists():
-        # another process may train the same one; the bytes are the same
-        trained = stage.read(compute(stage)).policy
-        unfinished = path.with_suffix(f".{os.getpid()}")
-        unfinished.write_bytes(trained)
-        unfinished.replace(path)
+        keep(path, stage.read(compute(stage)).policy)
     return path.read_bytes()
+
+
+def keep(path: Path, content: bytes) -> None:
+    """Write a file as a whole or not at all."""
+    unfinished = path.with_suffix(f".{os.getpid()}")
+    unfinished.write_bytes(content)
+    unfinished.replace(path)
 
 
 def recorded(spec: RunSpec, policy: bytes | None) -> bytes:
@@ -184,14 +197,12 @@ def inferred(spec: RunSpec, stages: list[Infer]) -> dict[str, Any]:
     if grid is not None:
         best = answers[grid.best([each.diagnostics[grid.criterion] for each in answers])]
     pair, estimate = variant_of(spec.task, spec.variant), best.distribution
-    prior, truth = Gaussian.prior(pair.source.space), pair.truth[None]
-    is_point = isinstance(estimate, Uniform)
-    facts = best.diagnostics
+    prior, facts = Gaussian.prior(pair.source.space), best.diagnostics
     return {
         "distance": estimation_error(spec.task, spec.variant, estimate.mean),
         "prior_distance": estimation_error(spec.task, spec.variant, prior.mean),
-        "log_score": None if is_point else float(estimate.log_prob(truth)[0]),
-        "prior_log_score": float(prior.log_prob(truth)[0]),
+        "log_score": log_score(estimate, pair.truth),
+        "prior_log_score": log_score(prior, pair.truth),
         "epsilon": facts.get("epsilon"),
         "loss": facts.get("loss_per_window"),
         "predicted_loss": facts.get("predicted_loss_per_window"),
@@ -200,6 +211,15 @@ def inferred(spec: RunSpec, stages: list[Infer]) -> dict[str, Any]:
         "steps": sum(each.simulated_steps for each in answers),
         "cpu_seconds": seconds,
     }
+
+
+def log_score(estimate: Distribution, truth: Vector) -> float | None:
+    """Log density of the truth (d,) [nat]; DROPO's own is 0 beyond two deviations."""
+    if isinstance(estimate, Uniform):
+        return None
+    if isinstance(estimate, Gaussian):
+        return float(estimate.log_prob(truth[None])[0])
+    return float(norm.logpdf(truth, estimate.mean, estimate.std).sum())
 
 
 def where(row: dict[str, Any]) -> tuple[int, int, str, str]:
@@ -227,7 +247,7 @@ def line(rows: list[dict[str, Any]]) -> str:
         f"{median('log_score'):.1f}" if scored else "",
         f"{median('prior_log_score'):.1f}",
         f"{median('loss'):.2f}, {median('predicted_loss'):.2f}" if simulated else "",
-        ", ".join(str(sum(row["at_bound"][i] for row in rows) / len(rows)) for i in (0, 1)),
+        ", ".join(f"{sum(r['at_bound'][i] for r in rows) / len(rows):.1f}" for i in (0, 1)),
         f"{median('steps', 1e6):.2f}",
         f"{median('cpu_seconds'):.0f}",
     ]

@@ -141,19 +141,19 @@ class Grid:
     criterion: str  # of the answers' diagnostics; smaller is better
     TIE: ClassVar[float] = 0.01  # relative difference of two criteria that decides nothing
 
-    def best(self, criteria: Sequence[float]) -> int:
+    def best(self, criteria: Sequence[float | None]) -> int:
         """Index of the best answer: the first one within `TIE` of the smallest criterion.
 
-        Raises InvalidInput if no criterion is finite.
+        Raises InvalidInput if no criterion is a finite number.
         """
-        finite = [criterion for criterion in criteria if np.isfinite(criterion)]
-        if not finite:
+        known = {i: c for i, c in enumerate(criteria) if c is not None and np.isfinite(c)}
+        if not known:
             raise InvalidInput(
                 f"no {self.field} gives an answer that predicts: each {self.criterion} is one of "
                 f"{list(criteria)}"
             )
-        limit = (1 + self.TIE) * min(finite)
-        return next(i for i, criterion in enumerate(criteria) if criterion <= limit)
+        least = min(known.values())
+        return next(i for i, c in known.items() if c <= least + self.TIE * abs(least))
 
 
 class OfflineSettings(MethodSettings):

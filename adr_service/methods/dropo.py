@@ -38,7 +38,7 @@ from adr_service.transitions import TransitionDataset
 
 _WORST = 1e12  # loss of a candidate whose simulation diverged; CMA-ES compares ranks only
 _TOGETHER = 16  # simulations at a time; changes no bit
-_EVALUATIONS = 12  # of one trust-region search; 5 to 30 on all tasks (docs/decisions.md)
+_EVALUATIONS = 20  # of one trust-region search; 6 to 35 on all tasks (docs/decisions.md)
 
 _Several = Annotated[list[PositiveFloat], Field(min_length=2, max_length=100)]
 
@@ -54,8 +54,8 @@ class DropoSettings(OfflineSettings):
     )
     epsilon: PositiveFloat | _Several = Field(
         [1e-6, 1e-5, 1e-4, 1e-3, 1e-2],
-        description="variance added to every observed column; of several values, the one whose "
-        "estimated mean predicts best (Sec. IV-A)",
+        description="variance added to every observed column; of several values, the first of "
+        "those whose estimated means predict best, to a hundredth (Sec. IV-A)",
     )
     steps: int = Field(1, ge=1, le=10_000, description="control steps per replayed window (lambda)")
 
@@ -98,12 +98,13 @@ class Dropo:
         search = _SEARCHES[settings.search]
         best, facts = search(likelihood, settings.budget, rng, progress)
         windows = len(replay.targets)
+        error = float(replay.mean_squared_error(best.mean[None])[0])
         return Estimate(
             TruncatedGaussian(space, best.mean, best.std),
             simulated_steps=likelihood.evaluations * len(levels) * windows * settings.steps,
             diagnostics={
                 "loss_per_window": best.loss / windows,
-                "mean_squared_error": float(replay.mean_squared_error(best.mean[None])[0]),
+                "mean_squared_error": error if np.isfinite(error) else None,
                 "evaluations": likelihood.evaluations,
                 "diverged_evaluations": likelihood.diverged,
                 "epsilon": self._epsilon,
@@ -158,8 +159,9 @@ def decode(space: ParameterSpace, x: Vector) -> TruncatedGaussian:
 def deviations(space: ParameterSpace) -> tuple[Vector, Vector]:
     """The least and the largest standard deviations of the search, (d,) each."""
     width = space.high - space.low
-    # the authors' `stdev_lower_bound` and `stdev_upper_bound`
-    return np.minimum(1e-5, width / 8 - 1e-5), width / 4
+    # the authors' `stdev_upper_bound`, and above ranges of .001 their `stdev_lower_bound`, which is
+    # negative for very small ones
+    return np.minimum(1e-5, width / 100), width / 4
 
 
 class Likelihood:
@@ -176,10 +178,11 @@ class Likelihood:
         draws = TruncatedGaussian(self.space, mean, std).quantile(self._levels)
         predictions = self.replay.predict(draws)
         self.evaluations += 1
-        if not np.all(np.isfinite(predictions)):
+        loss = np.inf
+        if np.all(np.isfinite(predictions)):
+            loss = -log_likelihood(predictions, self.replay.targets, self.epsilon)
+        else:
             self.diverged += 1
-            return Evaluation(mean, std, np.inf, draws, predictions)
-        loss = -log_likelihood(predictions, self.replay.targets, self.epsilon)
         return Evaluation(mean, std, loss, draws, predictions)
 
 
@@ -196,18 +199,23 @@ def by_trust_region(
     best, path = search.minimise(middle, high, budget=budget, progress=progress)
     steps = [
         {
-            "loss_per_window": step.loss / windows if np.isfinite(step.loss) else None,
-            "predicted_loss_per_window": step.predicted_loss / windows,
+            "loss_per_window": _per_window(step.loss, windows),
+            "predicted_loss_per_window": _per_window(step.predicted_loss, windows),
             "radius": step.radius,
         }
         for step in path.steps
     ]
     best_step = min(path.steps, key=lambda step: step.loss)
     return best, {
-        "predicted_loss_per_window": best_step.predicted_loss / windows,
+        "predicted_loss_per_window": _per_window(best_step.predicted_loss, windows),
         "stopped_by": path.stopped_by,
         "path": steps,
     }
+
+
+def _per_window(loss: float | None, windows: int) -> float | None:
+    """A loss for JSON, which has no number for a diverged or an unpredicted one."""
+    return None if loss is None or not np.isfinite(loss) else loss / windows
 
 
 def by_cma_es(

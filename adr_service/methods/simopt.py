@@ -40,7 +40,7 @@ from adr_service.simulation.replay import check_recorded
 from adr_service.simulation.rollout import follow
 from adr_service.tasks.base import State
 
-_LEAST_RATIO = 1e-12  # of the new variance to the old, below which the fit is singular
+_LEAST_RATIO = 1e-9  # of the new variance to the old, below which the fit is singular
 _FIRST_TEMPERATURE = 1.0  # of the search for the best one
 _MOST_TEMPERATURE = 1e12  # beyond which weights are equal
 _SPREAD_PERCENTILE = 90  # of the costs, whose distance from the best is the unit
@@ -206,22 +206,19 @@ def reps(
         mean = weights @ samples  # mu = sum_i w_i x_i
         centred = samples - mean
         likely = (weights[:, None] * centred).T @ centred  # S = sum_i w_i (x_i - mu)(x_i - mu)'
-        new = _damped(likely, covariance, settings.covariance_damping)
-        if eigh(new, covariance, eigvals_only=True)[0] > _LEAST_RATIO:
-            return mean, new, eta
+        # ratios of the new variances to the old ones, in the directions in which they are extreme
+        ratios = eigh(likely, covariance, eigvals_only=True)
+        if settings.covariance_damping == 0 and ratios[0] > _LEAST_RATIO:
+            return mean, likely, eta
+        ratio = ratios.mean()  # tr(S_old^-1 S) / d
+        if settings.covariance_damping > 0 and ratio > _LEAST_RATIO:
+            # S_new = (tr(S_old^-1 S) / d)^(1 / damping) S_old: the shape never changes
+            return mean, ratio ** (1 / settings.covariance_damping) * covariance, eta
         eta *= 2  # too few samples have the weight for a spread in every direction
     raise InvalidInput(
         f"{len(samples)} samples of {len(covariance)} parameters have no spread in some direction; "
         "SimOpt needs more samples than parameters, or covariance_damping above 0"
     )
-
-
-def _damped(likely: Matrix, old: Matrix, damping: float) -> Matrix:
-    """The new covariance (d, d): the most likely one, or the old one with a damped scale."""
-    if damping == 0:
-        return likely
-    ratio = np.trace(np.linalg.solve(old, likely)) / len(old)  # tr(S_old^-1 S) / d
-    return ratio ** (1 / damping) * old  # the shape never changes
 
 
 def _temperature(costs: Vector, settings: _Settings) -> float:

@@ -5,8 +5,8 @@
 
 `evaluate` simulates draws of a Gaussian and returns the negative log likelihood of `measured`
 (w, s) under the mean and covariance of the predictions, plus `epsilon` on the diagonal, summed
-over windows. The draws of two Gaussians must differ by shift and scale alone (common random
-numbers).
+over windows. The draws of two Gaussians should differ by shift and scale alone (common random
+numbers). Where a feasible bound cuts them, the linear model is less exact, not the search.
 
 Each step linearises the predictions by regression on the draws (statistical linearisation, Särkkä:
 "Bayesian Filtering and Smoothing", 2013, Sec. 5.4), and minimises the likelihood of that linear
@@ -30,6 +30,7 @@ _MOST_RADIUS = 2.0  # standard deviations, or their logarithms; the draws end th
 _LEAST_RADIUS = 0.02  # below it, the roughness of the loss hides its slope
 _NEGLIGIBLE = 0.01  # gain of log likelihood for which no step is worth its simulation [nat]
 _POOR, _GOOD = 0.25, 0.75  # ratios of the gain to the model's (Algorithm 4.1)
+_USUAL = 30  # evaluations of a search
 _NARROWER = 4.0  # divides the deviations of a start that diverges
 
 
@@ -59,7 +60,7 @@ class Step:
     """One evaluation of a search, and what the linear model had predicted for it [nat]."""
 
     loss: float
-    predicted_loss: float
+    predicted_loss: float | None  # None: of the start
     radius: float
 
 
@@ -87,31 +88,39 @@ class TrustRegion:
 
         A start whose draws diverge is narrowed until they do not.
         """
-        best, spent = self._start(mean, std, budget)
-        model, radius = _Model(Linearisation.around(best, self.measured, self.epsilon)), 1.0
-        steps = [Step(best.loss, best.loss, radius)]
+        best, spent = self._start(mean, std, budget, progress)
+        model, radius = self._model(best), 1.0
+        steps = [Step(best.loss, None, radius)]
         while radius >= _LEAST_RADIUS:
-            move, predicted = model.least(*self._room(best, radius, model.linear.notable))
-            if best.loss - predicted < _NEGLIGIBLE:
-                return best, Path(steps, "converged")
+            move, expected = model.least(*self._room(best, radius, model.linear.notable))
+            if expected < _NEGLIGIBLE:
+                if not model.moves:
+                    return best, Path(steps, "converged")
+                # the correction may hide a descent
+                model, radius = self._model(best), radius / 2
+                continue
             if spent == budget:
                 return best, Path(steps, "budget")
             tried, spent = self.evaluate(*self._moved(best, move)), spent + 1
-            steps.append(Step(tried.loss, predicted, radius))
-            gain = (best.loss - tried.loss) / (best.loss - predicted)
+            steps.append(Step(tried.loss, best.loss - expected, radius))
+            radius = _adapted(radius, (best.loss - tried.loss) / expected)
             if tried.loss < best.loss:
-                best = tried
-                model = _Model(Linearisation.around(best, self.measured, self.epsilon))
+                best, model = tried, self._model(tried)
             else:
-                model = model.corrected(move, tried.loss)
-            radius = _adapted(radius, gain)
-            progress(spent / budget, evaluations=spent, loss=best.loss)
+                model = model.corrected(move, tried.loss - best.loss)
+            progress(_fraction(spent, budget), evaluations=spent, loss=best.loss)
         return best, Path(steps, "rough")
 
-    def _start(self, mean: Vector, std: Vector, budget: int) -> tuple[Evaluation, int]:
+    def _model(self, at: Evaluation) -> "_Model":
+        return _Model(Linearisation.around(at, self.measured, self.epsilon))
+
+    def _start(
+        self, mean: Vector, std: Vector, budget: int, progress: Progress
+    ) -> tuple[Evaluation, int]:
         """The first Gaussian that does not diverge, and the evaluations until it."""
         for spent in range(1, budget + 1):
             start = self.evaluate(mean, std)
+            progress(_fraction(spent, budget), evaluations=spent)
             if np.isfinite(start.loss):
                 return start, spent
             if np.all(std <= self.bounds.std_low):
@@ -140,6 +149,11 @@ class TrustRegion:
             np.clip(at.mean + at.std * shift, bounds.mean_low, bounds.mean_high),
             np.clip(at.std * np.exp(growth), bounds.std_low, bounds.std_high),
         )
+
+
+def _fraction(spent: int, budget: int) -> float:
+    """Share of the evaluations that a search usually takes."""
+    return min(spent / min(budget, _USUAL), 1.0)
 
 
 def _adapted(radius: float, gain: float) -> float:
@@ -222,17 +236,17 @@ class _Model:
 
     linear: Linearisation
     moves: tuple[Vector, ...] = ()  # (2d,) each
-    missed: tuple[float, ...] = ()  # loss that the linear model did not see there [nat]
+    missed: tuple[float, ...] = ()  # rise of the loss that the linear model did not see there [nat]
 
-    def corrected(self, move: Vector, loss: float) -> "_Model":
-        """The model that knows the loss of a move, if the move did not diverge."""
-        if not np.isfinite(loss):
+    def corrected(self, move: Vector, rise: float) -> "_Model":
+        """The model that knows how a move raised the loss, if it did not diverge."""
+        if not np.isfinite(rise):
             return self
-        missed = loss - self.linear.loss(move)[0]
+        missed = rise - (self.linear.loss(move)[0] - self.linear.loss(np.zeros(len(move)))[0])
         return _Model(self.linear, (*self.moves, move), (*self.missed, missed))
 
     def least(self, low: Vector, high: Vector) -> tuple[Vector, float]:
-        """The move (2d,) between two moves that the model likes best, and its loss."""
+        """The best move (2d,) between two moves, and by how much it should lower the loss."""
         slopes, squares = self._correction(len(low))
 
         def loss(move: Vector) -> tuple[float, Vector]:
@@ -240,16 +254,18 @@ class _Model:
             value += float(slopes @ move + squares @ move**2)
             return value, gradient + slopes + 2 * squares * move
 
-        box = np.stack([low, high], axis=1)
-        found = minimize(loss, np.zeros(len(low)), jac=True, method="L-BFGS-B", bounds=box)
-        return np.asarray(found.x), float(found.fun)
+        none, box = np.zeros(len(low)), np.stack([low, high], axis=1)
+        found = minimize(loss, none, jac=True, method="L-BFGS-B", bounds=box)
+        return np.asarray(found.x), self.linear.loss(none)[0] - float(found.fun)
 
     def _correction(self, n: int) -> tuple[Vector, Vector]:
         """Factors (n,) of the coordinates and of their squares."""
         if not self.moves:
             return np.zeros(n), np.zeros(n)
         moves = np.array(self.moves)
-        unit = np.abs(moves).max()  # of which a linear and a square part are as large
+        room = np.concatenate([self.linear.notable, np.ones(n // 2)])
+        # in units of the longest move, a coordinate and its square weigh the same
+        unit = room * np.abs(moves / room).max()
         features = np.concatenate([moves / unit, (moves / unit) ** 2], axis=1)
         factors = np.linalg.lstsq(features, np.array(self.missed), rcond=1e-6)[0]
         slopes, squares = np.split(np.asarray(factors, dtype=np.float64), 2)

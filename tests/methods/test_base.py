@@ -45,7 +45,10 @@ class TestTheBestOfAGrid:
         assert self.grid.best([3.5e-4, 3.375e-4, 1e-3]) == 1
 
     def test_an_answer_that_predicts_nothing_is_never_best(self):
-        assert self.grid.best([np.nan, np.inf, 2.0]) == 2
+        assert self.grid.best([np.nan, np.inf, None, 2.0, -np.inf]) == 3
+
+    def test_criteria_may_be_negative(self):
+        assert self.grid.best([-1.0, -3.0, -3.01]) == 1
 
     def test_without_a_finite_criterion_there_is_no_best(self):
         with pytest.raises(InvalidInput, match=r"no width gives .* error is one of \[nan, nan\]"):

@@ -79,7 +79,7 @@ class TestCost:
 
     @pytest.mark.parametrize("search", ["trust_region", "cma_es"])
     def test_the_plan_is_about_the_cost(self, search):
-        """Within a factor of four: a trust-region search takes 5 to 35 evaluations."""
+        """Within a factor of four: a trust-region search takes 6 to 35 evaluations."""
         data = recorded(waving_policy(), steps=20)
         budget = 60 if search == "cma_es" else 5000
         settings = DropoSettings(

@@ -22,6 +22,7 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
+    """The version before cannot read runs of a SimOpt without damping."""
     _rewrite("runs", lambda spec: _of_run(spec, _exact))
     _rewrite("benchmarks", lambda spec: _of_benchmark(spec, _exact))
 
@@ -44,17 +45,21 @@ def _kept(method: Any) -> Any:
 
 def _searching(method: Any) -> Any:
     """DROPO's `exact` was a choice of the search; the emulated one is gone."""
-    if not isinstance(method, dict) or "exact" not in method:
+    if not _is_dropo(method) or "exact" not in method:
         return method
     others = {name: value for name, value in method.items() if name != "exact"}
     return {**others, "search": "cma_es" if method["exact"] else "trust_region"}
 
 
 def _exact(method: Any) -> Any:
-    if not isinstance(method, dict) or "search" not in method:
+    if not _is_dropo(method) or "search" not in method:
         return method
     others = {name: value for name, value in method.items() if name != "search"}
     return {**others, "exact": method["search"] == "cma_es"}
+
+
+def _is_dropo(method: Any) -> bool:
+    return isinstance(method, dict) and method["name"] == "dropo"
 
 
 def _rewrite(table: str, change: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
