@@ -12,7 +12,7 @@ from adr_service.errors import AdrError
 from api.cli import app, upkeep
 from db import events, maintenance, runs
 from db.errors import DatabaseInUse
-from db.schema import alembic_config
+from db.schema import alembic_config, head
 from db.session import open_database
 from tests.db.rows import SPEC
 from workers.sessions import Sessions
@@ -82,7 +82,7 @@ def test_an_older_database_is_upgraded(tmp_path):
     command.upgrade(alembic_config(f"sqlite:///{tmp_path / 'adr.sqlite'}"), "0001")
     assert "is sound" in adr(tmp_path, "check").output.replace("\n", "")
     shown = adr(tmp_path, "upgrade").output.replace("\n", "")
-    assert shown.endswith("revision 0001 -> 0007")
+    assert shown.endswith(f"revision 0001 -> {head()}")
 
 
 def test_damage_is_listed_with_advice(database, tmp_path):
