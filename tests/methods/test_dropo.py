@@ -122,7 +122,7 @@ def test_a_parameter_at_its_bound_is_recovered():
 
 
 def test_deviations_at_their_largest_are_named():
-    """With noise that the simulator cannot have, and an epsilon that is too small for it."""
+    """The simulator has no such noise, and epsilon is smaller than it."""
     noisy = recorded(waving_policy(), noise=0.3)
     widest = fit(noisy, "wide", epsilon=1e-6).diagnostics["widest"]
     assert widest
