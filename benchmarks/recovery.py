@@ -38,7 +38,7 @@ from scipy.stats import norm
 from adr_service.arrays import Vector
 from adr_service.benchmark.truth import estimation_error
 from adr_service.distributions import Distribution, Gaussian, Uniform
-from adr_service.json_values import canonical_json, sha256
+from adr_service.json_values import sha256
 from adr_service.methods.base import OnlineSettings
 from adr_service.methods.catalogue import identity_of, methods, names_of
 from adr_service.programs.references import prior_training
@@ -131,7 +131,7 @@ def measured(cell: Cell) -> dict[str, Any]:
     spec = cell.spec
     policy = policy_of(spec) if cell.data == "prior" else None
     stages = inferences(spec, recorded(spec, policy), policy)
-    path = FOLDER / f"{sha256(canonical_json([each.digest for each in stages]))}.json"
+    path = FOLDER / f"{sha256(''.join(each.digest for each in stages).encode())}.json"
     if not path.exists():
         row = {**asdict(cell), **inferred(spec, stages)}
         print(row, file=sys.stderr, flush=True)
@@ -235,7 +235,7 @@ def line(rows: list[dict[str, Any]]) -> str:
 
     distances = [row["distance"] for row in rows]
     scored = all(row["log_score"] is not None for row in rows)
-    simulated = all(row["loss"] is not None for row in rows)
+    simulated = all(row["predicted_loss"] is not None for row in rows)
     first = rows[0]
     parts = [
         first["task"],

@@ -17,6 +17,7 @@ Every accepted Gaussian was simulated, so no loss is a guess.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -111,8 +112,8 @@ class TrustRegion:
             progress(_fraction(spent, budget), evaluations=spent, loss=best.loss)
         return best, Path(steps, "rough")
 
-    def _model(self, at: Evaluation) -> "_Model":
-        return _Model(Linearisation.around(at, self.measured, self.epsilon))
+    def _model(self, at: Evaluation) -> "CorrectedModel":
+        return CorrectedModel(Linearisation.around(at, self.measured, self.epsilon))
 
     def _start(
         self, mean: Vector, std: Vector, budget: int, progress: Progress
@@ -196,7 +197,7 @@ class Linearisation:
         slopes = slopes.reshape(-1, w, s).transpose(1, 2, 0)
         return cls(measured - middle, slopes, centre, spread, residual)
 
-    @property
+    @cached_property
     def notable(self) -> Vector:
         """Shifts (d,) that cost half a nat, at least one standard deviation.
 
@@ -227,7 +228,7 @@ class Linearisation:
 
 
 @dataclass(frozen=True)
-class _Model:
+class CorrectedModel:
     """The linear model's loss, corrected so that it is right at the moves that were no gain.
 
     What the predictions leave over also changes with a move, which the linear model does not see.
@@ -238,28 +239,30 @@ class _Model:
     moves: tuple[Vector, ...] = ()  # (2d,) each
     missed: tuple[float, ...] = ()  # rise of the loss that the linear model did not see there [nat]
 
-    def corrected(self, move: Vector, rise: float) -> "_Model":
+    def corrected(self, move: Vector, rise: float) -> "CorrectedModel":
         """The model that knows how a move raised the loss, if it did not diverge."""
         if not np.isfinite(rise):
             return self
         missed = rise - (self.linear.loss(move)[0] - self.linear.loss(np.zeros(len(move)))[0])
-        return _Model(self.linear, (*self.moves, move), (*self.missed, missed))
+        return CorrectedModel(self.linear, (*self.moves, move), (*self.missed, missed))
+
+    def loss(self, move: Vector) -> tuple[float, Vector]:
+        """The negative log likelihood after a move (2d,), and its gradient."""
+        slopes, squares = self._correction
+        value, gradient = self.linear.loss(move)
+        value += float(slopes @ move + squares @ move**2)
+        return value, gradient + slopes + 2 * squares * move
 
     def least(self, low: Vector, high: Vector) -> tuple[Vector, float]:
         """The best move (2d,) between two moves, and by how much it should lower the loss."""
-        slopes, squares = self._correction(len(low))
-
-        def loss(move: Vector) -> tuple[float, Vector]:
-            value, gradient = self.linear.loss(move)
-            value += float(slopes @ move + squares @ move**2)
-            return value, gradient + slopes + 2 * squares * move
-
         none, box = np.zeros(len(low)), np.stack([low, high], axis=1)
-        found = minimize(loss, none, jac=True, method="L-BFGS-B", bounds=box)
-        return np.asarray(found.x), self.linear.loss(none)[0] - float(found.fun)
+        found = minimize(self.loss, none, jac=True, method="L-BFGS-B", bounds=box)
+        return np.asarray(found.x), self.loss(none)[0] - float(found.fun)
 
-    def _correction(self, n: int) -> tuple[Vector, Vector]:
-        """Factors (n,) of the coordinates and of their squares."""
+    @cached_property
+    def _correction(self) -> tuple[Vector, Vector]:
+        """Factors (2d,) of the coordinates and of their squares."""
+        n = 2 * len(self.linear.centre)
         if not self.moves:
             return np.zeros(n), np.zeros(n)
         moves = np.array(self.moves)

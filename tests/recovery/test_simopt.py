@@ -15,9 +15,9 @@ from tests.planted import PROBLEM, distance, recorded, waving_policy
 PRIOR = 0.91  # its distance from the planted dynamics
 
 
-def beliefs(noise):
+def beliefs(noise, seed=0):
     """The belief before and after 25 updates on one trajectory of a waving policy."""
-    policy = waving_policy(seed=0)
+    policy = waving_policy(seed)
     evidence = Evidence(policy, recorded(policy, noise=noise))
     method = SimOpt(SimOptSettings(updates=25, samples=400))
     start = method.start(PROBLEM)
@@ -25,9 +25,12 @@ def beliefs(noise):
     return method.ask(PROBLEM, start), method.ask(PROBLEM, update.state)
 
 
-def test_simopt_finds_planted_dynamics_and_narrows():
-    """To .000 with this policy, and with seeds 1 to 4; with 5 it stays at .73, at a poor fit."""
-    before, after = beliefs(noise=0.0)
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 5))]
+)
+def test_simopt_finds_planted_dynamics_and_narrows(seed):
+    """To .000 with these policies; with seed 5 it stays at .73, at a poor fit."""
+    before, after = beliefs(noise=0.0, seed=seed)
     assert distance(before.mean) == pytest.approx(PRIOR, abs=0.01)
     assert distance(after.mean) < 0.01
     assert np.all(after.std < 0.1 * before.std)

@@ -1,5 +1,6 @@
 """The trust region's linear model is exact where it should be, and its search finds the optimum."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,13 @@ from scipy.stats import norm, qmc
 from adr_service.errors import InvalidInput
 from adr_service.methods.dropo import log_likelihood
 from adr_service.progress import silent
-from adr_service.search.trust_region import Bounds, Evaluation, Linearisation, TrustRegion
+from adr_service.search.trust_region import (
+    Bounds,
+    CorrectedModel,
+    Evaluation,
+    Linearisation,
+    TrustRegion,
+)
 
 EPSILON = 0.01
 RNG = np.random.default_rng(0)
@@ -80,6 +87,47 @@ def test_the_models_gradient_is_that_of_finite_differences(levels):
     np.testing.assert_allclose(model.loss(move)[1], numerical, rtol=1e-4, atol=1e-4)
 
 
+def test_a_corrected_model_has_the_loss_of_every_move_that_failed():
+    at = evaluation(bent)(TRUTH, 2 * SPREAD)
+    model = CorrectedModel(Linearisation.around(at, MEASURED, EPSILON))
+    moves = [np.array([0.3, -0.2, 0.5, -0.4]), np.array([-0.1, 0.6, 0.0, 0.2])]
+    for move, rise in zip(moves, (7.0, 2.0), strict=True):
+        model = model.corrected(move, rise)
+    losses = [model.loss(move)[0] - model.loss(np.zeros(4))[0] for move in moves]
+    np.testing.assert_allclose(losses, [7.0, 2.0], rtol=1e-6)
+    numerical = approx_fprime(moves[0], lambda x: model.loss(x)[0], 1e-7)
+    np.testing.assert_allclose(model.loss(moves[0])[1], numerical, rtol=1e-4, atol=1e-4)
+
+
+def test_a_move_that_diverged_corrects_nothing():
+    at = evaluation(bent)(TRUTH, 2 * SPREAD)
+    model = CorrectedModel(Linearisation.around(at, MEASURED, EPSILON))
+    assert model.corrected(np.ones(4), np.inf) is model
+
+
+def test_a_search_has_not_converged_if_only_a_correction_sees_no_way_down():
+    """Beside a cliff, a step that fell corrects the model, which then likes no step at all."""
+    evaluate = evaluation(linear)
+
+    def beside_a_cliff(mean, std):
+        at = evaluate(mean, std)
+        return replace(at, loss=at.loss + 50 * bool(np.abs(mean).max() > 0.4))
+
+    search = TrustRegion(beside_a_cliff, MEASURED, EPSILON, BOUNDS)
+    best, path = search.minimise(np.zeros(2), np.ones(2), budget=100, progress=silent)
+    assert path.stopped_by == "rough"
+    assert best.loss < path.steps[0].loss - 1
+
+
+def test_draws_that_have_collapsed_do_not_slow_the_mean():
+    """It has 70,000 of their deviations to go."""
+    collapsed = Bounds(np.full(2, -2.0), np.full(2, 2.0), np.full(2, 1e-5), np.full(2, 2e-5))
+    best, path = found(bounds=collapsed, std=1e-5)
+    assert path.stopped_by == "converged"
+    assert len(path.steps) < 30
+    np.testing.assert_allclose(best.mean, TRUTH, atol=0.3)
+
+
 def test_the_search_ends_where_the_likelihood_has_no_slope():
     best, path = found(bent)
     assert path.stopped_by == "converged"
@@ -106,16 +154,22 @@ def test_the_best_is_the_least_loss_that_was_simulated():
 
 
 def test_a_search_improves_where_the_simulator_has_kinks():
-    """A step that is a loss corrects the model, so that the next one is elsewhere or shorter."""
+    """A step that is a loss corrects the model, so that the next one is elsewhere or shorter.
+
+    Without corrections this search ends at a loss of 4.16, with them at 3.76.
+    """
 
     def kinked(draws):
-        return linear(draws) + 0.5 * np.abs(np.sin(20 * draws[:, :1, None]))
+        return linear(draws) + 0.5 * np.abs(np.sin(5 * draws[:, :1, None]))
 
     best, path = found(kinked)
     assert path.steps[0].predicted_loss is None
     losses = [step.loss for step in path.steps]
     assert any(loss > previous for previous, loss in pairwise(losses))
-    assert best.loss < losses[0] - 10
+    for i, (step, following) in enumerate(pairwise(path.steps)):
+        if i > 0 and step.loss > min(losses[:i]):
+            assert following.radius <= step.radius / 2
+    assert best.loss < min(4.0, losses[0] - 10)
 
 
 def test_the_search_stays_in_its_bounds():
