@@ -139,3 +139,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "methods": {},  # the methods' own defaults
     },
 }
+
+for _preset in PRESETS.values():
+    for _name in ("droid", "dropo", "sysid"):
+        # the same search from smoothed states
+        _preset["methods"][f"{_name}_smoothed"] = _preset["methods"].get(_name, {})

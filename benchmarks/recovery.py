@@ -5,9 +5,10 @@
 
 Each cell records 200 transitions on the simulated target, by random actions or by the policy that
 the preset `fast` trains on the prior (in as many episodes as it takes), and infers once, with the
-method's default settings. SimOpt simulates the policy, so it has no cell with random actions. Every
-cell and every policy is kept in build/bench/recovery, so that a study that was stopped goes on
-where it was. Prints a table of medians over seeds, and writes the cells to recovery.json there:
+method's default settings. SimOpt simulates the policy, so it has no cell with random actions;
+Humanoid has no smoothed states. Every policy is kept in build/bench/recovery and every cell in
+docs/recovery.jsonl, so that a study that was stopped goes on where it was. Prints a table of
+medians over seeds:
 
     distance      root mean square over parameters of the estimate's mean from the truth, in [0, 4]
     log_score     log density of the truth under a Gaussian of the estimate's mean and deviations
@@ -25,14 +26,15 @@ import os
 import statistics
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from itertools import groupby, product
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from pydantic import ValidationError
 from scipy.stats import norm
 
 from adr_service.arrays import Vector
@@ -40,12 +42,14 @@ from adr_service.benchmark.truth import estimation_error
 from adr_service.distributions import Distribution, Gaussian, Uniform
 from adr_service.json_values import sha256
 from adr_service.methods.base import OnlineSettings
-from adr_service.methods.catalogue import identity_of, methods, names_of
+from adr_service.methods.catalogue import identity_of, names_of
 from adr_service.programs.references import prior_training
-from adr_service.programs.steps import problem_of, source_inputs
+from adr_service.programs.steps import infer, problem_of, source_inputs
 from adr_service.specs import RunSpec
-from adr_service.stages.base import compute
+from adr_service.stages.base import AnyStage, compute
 from adr_service.stages.infer import Infer
+from adr_service.stages.local import LocalStages
+from adr_service.stages.smooth_states import SmoothStates
 from adr_service.stages.target_rollout import TargetRollout
 from adr_service.tasks.catalogue import identity_of as identity_of_task
 from adr_service.tasks.catalogue import variant_of
@@ -53,6 +57,7 @@ from adr_service.transitions import TransitionDataset
 from workers.cluster import worker_environment
 
 FOLDER = Path("build/bench/recovery")
+KEPT = Path("docs/recovery.jsonl")
 TASKS = ("hopper", "half_cheetah", "walker2d", "humanoid")
 VARIANTS = ("vanilla", "noisy", "unmodeled")
 TRANSITIONS = 200
@@ -81,6 +86,27 @@ class Cell:
     seed: int
 
     @property
+    def is_possible(self) -> bool:
+        """False for an online method without a policy, and for states that cannot be smoothed."""
+        try:
+            return self.data == "prior" or self.spec.method.learns_from == "recordings"
+        except ValidationError:
+            return False
+
+    @property
+    def key(self) -> str:
+        """A digest of all that the row depends on, without computing any of it."""
+        spec = self.spec
+        stages: list[AnyStage] = [rollout_of(spec, TRANSITIONS, 0, None)]
+        if self.data == "prior":
+            stages.append(prior_training(spec))
+        if spec.method.replay_from == "smoothed":
+            stages.append(SmoothStates(**source_inputs(spec), data=b""))
+        for settings in spec.method.each:
+            stages.append(Infer(**source_inputs(spec), **identity_of(settings), data=b""))
+        return sha256("".join(stage.digest for stage in stages).encode())[:16]
+
+    @property
     def spec(self) -> RunSpec:
         names = {name: getattr(self, name) for name in ("task", "variant", "method", "seed")}
         return RunSpec.model_validate({**names, "preset": "fast"})
@@ -103,16 +129,20 @@ def options() -> argparse.Namespace:
 def main(given: argparse.Namespace) -> None:
     FOLDER.mkdir(parents=True, exist_ok=True)
     os.environ.update(worker_environment(Path("build/bench/jax").absolute()))
+    wanted = {cell.key: cell for cell in cells(given)}
+    known = {row["key"]: row for row in map(json.loads, lines_of(KEPT))}
+    missing = [cell for key, cell in wanted.items() if key not in known]
+    acted = {prior_training(c.spec).digest: c.spec for c in missing if c.data == "prior"}
     with ProcessPoolExecutor(
         len(os.sched_getaffinity(0)), mp_context=get_context("spawn"), max_tasks_per_child=1
     ) as pool:
-        wanted = list(cells(given))
-        acted = {(c.task, c.variant, c.seed): c.spec for c in wanted if c.data == "prior"}
         list(pool.map(policy_of, acted.values()))
-        rows = list(pool.map(measured, wanted))
-    (FOLDER / "recovery.json").write_text(json.dumps(rows, indent=1))
+        for row in pool.map(measured, missing):
+            with KEPT.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+            known[row["key"]] = row
+    rows = sorted((known[key] for key in wanted), key=where)
     print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
-    rows.sort(key=where)
     for _, group in groupby(rows, key=where):
         print(line(list(group)))
 
@@ -122,21 +152,21 @@ def cells(given: argparse.Namespace) -> Iterator[Cell]:
     for seed in range(given.seeds):
         for names in product(given.tasks, given.variants, given.data, given.methods):
             cell = Cell(*names, seed)
-            if cell.data == "prior" or methods()[cell.method].learns_from == "recordings":
+            if cell.is_possible:
                 yield cell
 
 
 def measured(cell: Cell) -> dict[str, Any]:
-    """The row of a cell, computed unless it was before."""
+    """The row of a cell."""
     spec = cell.spec
     policy = policy_of(spec) if cell.data == "prior" else None
-    stages = inferences(spec, recorded(spec, policy), policy)
-    path = FOLDER / f"{sha256(''.join(each.digest for each in stages).encode())}.json"
-    if not path.exists():
-        row = {**asdict(cell), **inferred(spec, stages)}
-        print(row, file=sys.stderr, flush=True)
-        keep(path, json.dumps(row, indent=1).encode())
-    return json.loads(path.read_text())
+    row = {"key": cell.key, **asdict(cell), **inferred(spec, recorded(spec, policy), policy)}
+    print(row, file=sys.stderr, flush=True)
+    return row
+
+
+def lines_of(path: Path) -> list[str]:
+    return path.read_text().splitlines() if path.exists() else []
 
 
 def policy_of(spec: RunSpec) -> bytes:
@@ -159,45 +189,34 @@ def recorded(spec: RunSpec, policy: bytes | None) -> bytes:
     """As many episodes as it takes to record the transitions."""
     parts: list[TransitionDataset] = []
     while (missing := TRANSITIONS - sum(map(len, parts))) > 0:
-        rollout = TargetRollout(
-            **identity_of_task(spec.task),
-            variant=spec.target_domain,
-            seed=spec.seed,
-            transitions=missing,
-            iteration=len(parts),
-            policy=policy,
-        )
+        rollout = rollout_of(spec, missing, len(parts), policy)
         parts.append(TransitionDataset.from_npz(rollout.read(compute(rollout)).data))
     return TransitionDataset.concatenate(parts).to_npz()
 
 
-def inferences(spec: RunSpec, data: bytes, policy: bytes | None) -> list[Infer]:
-    """The inferences of a method, one for each value of its grid."""
+def rollout_of(spec: RunSpec, transitions: int, number: int, policy: bytes | None) -> TargetRollout:
+    return TargetRollout(
+        **identity_of_task(spec.task),
+        variant=spec.target_domain,
+        seed=spec.seed,
+        transitions=transitions,
+        iteration=number,
+        policy=policy,
+    )
+
+
+def inferred(spec: RunSpec, data: bytes, policy: bytes | None) -> dict[str, Any]:
+    """Quality and cost of a method's answer."""
     method, state = spec.method, None
     if isinstance(method, OnlineSettings):
         state = method.create().start(problem_of(spec))
-    return [
-        Infer(
-            **source_inputs(spec),
-            **identity_of(settings),
-            data=data,
-            policy=None if state is None else policy,
-            state=state,
-        )
-        for settings in method.each
-    ]
-
-
-def inferred(spec: RunSpec, stages: list[Infer]) -> dict[str, Any]:
-    """Quality and cost of the best answer."""
+    else:
+        policy = None  # an offline method sees the data alone
     started = time.process_time()
-    answers = [stage.read(compute(stage)) for stage in stages]
+    answer = result_of(infer(spec, LocalStages(), data=data, policy=policy, state=state)).answer
     seconds = time.process_time() - started
-    grid, best = spec.method.grid, answers[0]
-    if grid is not None:
-        best = answers[grid.best([each.diagnostics[grid.criterion] for each in answers])]
-    pair, estimate = variant_of(spec.task, spec.variant), best.distribution
-    prior, facts = Gaussian.prior(pair.source.space), best.diagnostics
+    pair, estimate = variant_of(spec.task, spec.variant), answer.distribution
+    prior, facts = Gaussian.prior(pair.source.space), answer.diagnostics
     return {
         "distance": estimation_error(spec.task, spec.variant, estimate.mean),
         "prior_distance": estimation_error(spec.task, spec.variant, prior.mean),
@@ -208,9 +227,21 @@ def inferred(spec: RunSpec, stages: list[Infer]) -> dict[str, Any]:
         "predicted_loss": facts.get("predicted_loss_per_window"),
         "stopped_by": facts.get("stopped_by"),
         "at_bound": [len(facts["at_bound"]), len(facts.get("widest", []))],
-        "steps": sum(each.simulated_steps for each in answers),
-        "cpu_seconds": seconds,
+        "steps": answer.simulated_steps,
+        "cpu_seconds": round(seconds, 1),
     }
+
+
+T = TypeVar("T")
+
+
+def result_of(program: Generator[Any, None, T]) -> T:
+    """What a program returns, its events left aside."""
+    while True:
+        try:
+            next(program)
+        except StopIteration as end:
+            return end.value
 
 
 def log_score(estimate: Distribution, truth: Vector) -> float | None:

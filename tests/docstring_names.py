@@ -72,6 +72,10 @@ def arm(_: Path) -> Names:
     return {**names, "draws": draws, "actions": np.zeros((12, 2))}
 
 
+def arm_recording(folder: Path) -> Names:
+    return {**arm(folder), "data": recording("arm", 20)}
+
+
 def arm_criticised(_: Path) -> Names:
     task, nominal = arm_and_nominal()
     measurement = hide(task, nominal, np.random.default_rng(0), []).episodes(range(12))

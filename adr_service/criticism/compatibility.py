@@ -17,6 +17,11 @@ def check_measurement(nominal: Nominal, data: Measurement) -> None:
     data.check_velocities()
     model = nominal.model(nominal.start)
     check_columns(model, data)
+    check_size(model, data)
+
+
+def check_size(model: mujoco.MjModel, data: Measurement) -> None:
+    """Raises InvalidInput if the data would take too much memory."""
     steps = steps_between(data.period(), model.opt.timestep)
     lengths = [last - first for first, last in data.spans()]
     needed = max(len(lengths) * max(lengths) * model.nv, len(data.time) * steps) * model.nv
@@ -28,12 +33,13 @@ def check_measurement(nominal: Nominal, data: Measurement) -> None:
         )
 
 
-def check_columns(model: mujoco.MjModel, data: Measurement) -> None:
-    """Raises InvalidInput unless the data have the model's whole state and all its commands."""
+def check_state(model: mujoco.MjModel) -> None:
+    """Raises InvalidInput unless positions and velocities of slides and hinges are all the state
+    that the model has."""
     if model.nq != model.nv:
         raise InvalidInput(
             f"the model has {model.nq} positions for {model.nv} velocities: free and ball joints "
-            "cannot be criticised yet; accepted are slides and hinges"
+            "have no smoothed states yet; accepted are slides and hinges"
         )
     beyond = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS) - 1 - 2 * model.nv
     if beyond:
@@ -42,6 +48,11 @@ def check_columns(model: mujoco.MjModel, data: Measurement) -> None:
             "nobody measured; accepted are actuators without dynamics or delay (both are among "
             "the causes), and springs that do not yield"
         )
+
+
+def check_columns(model: mujoco.MjModel, data: Measurement) -> None:
+    """Raises InvalidInput unless the data have the model's whole state and all its commands."""
+    check_state(model)
     commanded = [i for i in range(model.nu) if not is_added(model.actuator(i).name)]
     widths = {"qpos": model.nq, "qvel": model.nv, "ctrl": len(commanded)}
     for name, width in widths.items():

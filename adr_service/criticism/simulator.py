@@ -56,6 +56,7 @@ class Simulator:
         self.measured = np.concatenate([data.qpos, data.qvel], axis=1)  # (rows, 2 nv)
         self._pool = rollout.Rollout(nthread=_threads(threads))
         self._scratch = [mujoco.MjData(self.base) for _ in range(max(1, _threads(threads)))]
+        self.simulated_steps = 0  # control steps, of all predictions
         self._rough = 1  # steps that `predict_quickly` takes for one of the model's
         if finer > 1 and np.isnan(self.predict_quickly(nominal.start, (), self.measured)).any():
             self._rough = finer  # the model's own step diverges
@@ -209,6 +210,7 @@ class Simulator:
         """The robot's states (N, 2 nv) one control step after its states (rows, 2 nv)."""
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must show
         steps, n = round(self.period / model.opt.timestep), len(self.starts)
+        self.simulated_steps += n
         if not self._is_possible(model):
             return np.full((n, self.measured.shape[1]), np.nan)
         added = added or _Added()

@@ -98,6 +98,7 @@ class OnlineMethod(Protocol):
 
 
 Data = Literal["nothing", "returns", "visits", "recordings"]
+ReplayFrom = Literal["recorded", "smoothed"]
 
 
 class MethodSettings(Wire):
@@ -112,6 +113,9 @@ class MethodSettings(Wire):
     needs_truth: ClassVar[bool] = False  # trains on the hidden truth, in the target's own space
     is_reference: ClassVar[bool] = False  # part of every benchmark, to compare with
     is_level: ClassVar[bool] = False  # evaluated once, without iterations
+    # states in the data from which replays start: as they were recorded, as in the papers of all
+    # offline methods, or without their sensors' noise (criticism.smoothing)
+    replay_from: ClassVar[ReplayFrom] = "recorded"
     # its visits are the data of offline methods by default; SimOpt's, which `RunSpec.simopt` holds
     collects: ClassVar[bool] = False
     label: ClassVar[str] = ""  # in figures; empty: the name

@@ -26,7 +26,7 @@ from pydantic import Field
 from adr_service.arrays import Matrix, Vector
 from adr_service.distributions import Gaussian
 from adr_service.errors import InvalidInput
-from adr_service.methods.base import Estimate, OfflineSettings, Problem
+from adr_service.methods.base import Estimate, OfflineSettings, Problem, ReplayFrom
 from adr_service.progress import Progress
 from adr_service.search.cma_es import belief, strategy
 from adr_service.simulation.batch import Simulations
@@ -40,13 +40,9 @@ if TYPE_CHECKING:  # pycma takes a third of a second to import
 _DIVERGED = 10  # cost of a diverged replay, in worst finite costs; CMA-ES compares ranks only
 
 
-class DroidSettings(OfflineSettings):
-    name: Literal["droid"] = "droid"
+class _Settings(OfflineSettings):
     budget: int = Field(1000, ge=1, le=1_000_000, description="simulated replays of the data")
     initial_std: float = Field(1.0, gt=0, description="of the search, in [0, 4] coordinates")
-
-    label: ClassVar[str] = "DROID"
-    colour: ClassVar[str] = "#CC79A7"
 
     def create(self) -> "Droid":
         return Droid(self)
@@ -55,8 +51,25 @@ class DroidSettings(OfflineSettings):
         return self.budget * transitions
 
 
+class DroidSettings(_Settings):
+    name: Literal["droid"] = "droid"
+
+    label: ClassVar[str] = "DROID"
+    colour: ClassVar[str] = "#CC79A7"
+
+
+class DroidSmoothedSettings(_Settings):
+    """Our extension: replays start from smoothed states."""
+
+    name: Literal["droid_smoothed"] = "droid_smoothed"
+
+    replay_from: ClassVar[ReplayFrom] = "smoothed"
+    label: ClassVar[str] = "DROID, smoothed states"
+    colour: ClassVar[str] = "#01665E"
+
+
 class Droid:
-    def __init__(self, settings: DroidSettings):
+    def __init__(self, settings: _Settings):
         self._settings = settings
 
     def fit(

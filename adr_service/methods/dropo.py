@@ -28,7 +28,7 @@ from scipy.stats import qmc
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.distributions import TruncatedGaussian
 from adr_service.errors import InvalidInput
-from adr_service.methods.base import Estimate, Grid, OfflineSettings, Problem
+from adr_service.methods.base import Estimate, Grid, OfflineSettings, Problem, ReplayFrom
 from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
 from adr_service.search.cma_es import strategy
@@ -43,8 +43,7 @@ _EVALUATIONS = 20  # of one trust-region search; 6 to 35 on all tasks (docs/deci
 _Several = Annotated[list[PositiveFloat], Field(min_length=2, max_length=100)]
 
 
-class DropoSettings(OfflineSettings):
-    name: Literal["dropo"] = "dropo"
+class _Settings(OfflineSettings):
     search: Literal["trust_region", "cma_es"] = Field(
         "trust_region", description="search for the largest likelihood; the paper's is cma_es"
     )
@@ -61,8 +60,6 @@ class DropoSettings(OfflineSettings):
 
     # Sec. IV-A, `MSE_trajectories`: the error of one-step predictions by the estimate's mean
     grid: ClassVar[Grid | None] = Grid("epsilon", criterion="mean_squared_error")
-    label: ClassVar[str] = "DROPO"
-    colour: ClassVar[str] = "#D55E00"
 
     def create(self) -> "Dropo":
         return Dropo(self)
@@ -74,8 +71,25 @@ class DropoSettings(OfflineSettings):
         return evaluations * self.samples_per_parameter * parameters * transitions
 
 
+class DropoSettings(_Settings):
+    name: Literal["dropo"] = "dropo"
+
+    label: ClassVar[str] = "DROPO"
+    colour: ClassVar[str] = "#D55E00"
+
+
+class DropoSmoothedSettings(_Settings):
+    """Our extension: replays start from smoothed states."""
+
+    name: Literal["dropo_smoothed"] = "dropo_smoothed"
+
+    replay_from: ClassVar[ReplayFrom] = "smoothed"
+    label: ClassVar[str] = "DROPO, smoothed states"
+    colour: ClassVar[str] = "#A63603"
+
+
 class Dropo:
-    def __init__(self, settings: DropoSettings):
+    def __init__(self, settings: _Settings):
         """`settings` have one epsilon (`MethodSettings.each`)."""
         if isinstance(settings.epsilon, list):
             raise InvalidInput(f"one search has one epsilon; given {settings.epsilon}")

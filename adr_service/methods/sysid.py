@@ -22,7 +22,7 @@ from scipy.stats import qmc
 from adr_service.arrays import Matrix, Vector
 from adr_service.distributions import Uniform
 from adr_service.errors import InvalidInput
-from adr_service.methods.base import Estimate, OfflineSettings, Problem
+from adr_service.methods.base import Estimate, OfflineSettings, Problem, ReplayFrom
 from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
 from adr_service.simulation.replay import Replay
@@ -35,13 +35,10 @@ _GRADIENT_TOLERANCE = 1e-12  # or at a smaller scaled gradient
 _MOST_CONDITION = 1e15  # of the information matrix, beyond which float64 cannot invert it
 
 
-class SysidSettings(OfflineSettings):
-    name: Literal["sysid"] = "sysid"
+class _Settings(OfflineSettings):
     starts: int = Field(4, ge=1, le=1000, description="searches, the first from the middle")
     steps: int = Field(1, ge=1, le=10_000, description="control steps per replayed window")
     iterations: int = Field(50, ge=1, le=10_000, description="evaluations per search, at most")
-
-    colour: ClassVar[str] = "#000000"
 
     def create(self) -> "Sysid":
         return Sysid(self)
@@ -50,8 +47,24 @@ class SysidSettings(OfflineSettings):
         return self.starts * self.iterations * (parameters + 2) * transitions
 
 
+class SysidSettings(_Settings):
+    name: Literal["sysid"] = "sysid"
+
+    colour: ClassVar[str] = "#000000"
+
+
+class SysidSmoothedSettings(_Settings):
+    """Our extension: replays start from smoothed states."""
+
+    name: Literal["sysid_smoothed"] = "sysid_smoothed"
+
+    replay_from: ClassVar[ReplayFrom] = "smoothed"
+    label: ClassVar[str] = "sysid, smoothed states"
+    colour: ClassVar[str] = "#525252"
+
+
 class Sysid:
-    def __init__(self, settings: SysidSettings):
+    def __init__(self, settings: _Settings):
         self._settings = settings
 
     def fit(

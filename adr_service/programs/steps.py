@@ -14,6 +14,7 @@ from adr_service.specs import RunSpec
 from adr_service.stages.base import Stages
 from adr_service.stages.infer import Infer, Inferred
 from adr_service.stages.propose import Proposed
+from adr_service.stages.smooth_states import SmoothStates
 from adr_service.stages.train_policy import TrainedPolicy, TrainPolicy
 from adr_service.target import Recording, Target, Visit
 from adr_service.tasks.catalogue import get_task, identity_of, source_of
@@ -68,6 +69,36 @@ def infer(
 
     An online method needs its state, and the policy that made the data.
     """
+    if spec.method.replay_from == "smoothed":
+        return (yield from _infer_from_smoothed(spec, stages, data))
+    return (yield from _infer(spec, stages, data, policy, state))
+
+
+def _infer_from_smoothed(
+    spec: RunSpec, stages: Stages, data: bytes
+) -> Generator[RunEvent, None, Inference[Inferred]]:
+    """The answer of an offline method from smoothed states, with what the smoothing found."""
+    smoothing = SmoothStates(**source_inputs(spec), data=data)
+    states = yield from stages.run(smoothing)
+    inference = yield from _infer(spec, stages, states.data, None, None)
+    found = {"parameters": states.parameters, "sensor_std": states.sensor_std}
+    answer = inference.answer.model_copy(
+        update={
+            "simulated_steps": states.simulated_steps + inference.answer.simulated_steps,
+            "diagnostics": {**inference.answer.diagnostics, "smoothing": found},
+        }
+    )
+    return Inference(answer, [smoothing.digest, *inference.digests])
+
+
+def _infer(
+    spec: RunSpec,
+    stages: Stages,
+    data: bytes,
+    policy: bytes | None,
+    state: dict[str, Any] | None,
+) -> Generator[RunEvent, None, Inference[Inferred]]:
+    """The answer of a run's method to data as they are."""
     asked = [
         Infer(
             **source_inputs(spec),

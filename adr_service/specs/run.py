@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_validator
 from pydantic_core import CoreSchema
 
+from adr_service.criticism.smoothing import check_smoothable
 from adr_service.effects.base import Effect, domain_of
 from adr_service.errors import AdrError
 from adr_service.json_values import Wire
@@ -94,6 +95,11 @@ class RunSpec(Wire):
                 check_effects(task, replace(source, effects=tuple(effects)))
             except AdrError as error:
                 raise ValueError(f"{name}: {error}") from error
+        if self.method.replay_from == "smoothed":
+            try:
+                check_smoothable(task, pair.source)
+            except AdrError as error:
+                raise ValueError(f"method: {self.method.name} on {self.task}: {error}") from error
         if self.transitions > task.horizon:
             raise ValueError(
                 f"transitions: {self.transitions} given, but an episode of {self.task} has "

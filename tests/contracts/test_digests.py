@@ -69,6 +69,8 @@ def specs():
     target = {"kind": "recorded", "dataset": dataset_id(RECORDING)}
     for method in OFFLINE:
         yield f"{method} of a recording", {**small, "method": method, "target": target}
+    for method in OFFLINE:
+        yield f"{method} of smoothed states", {**small, "method": f"{method}_smoothed"}
     grid = {"name": "dropo", "epsilon": [1e-5, 1e-3], "samples_per_parameter": 3}
     own = {"name": "simopt", "samples": 33, "updates": 2}
     yield "dropo with settings", {**small, "method": grid, "simopt": own}
@@ -96,11 +98,17 @@ def asked_by_name():
     return found
 
 
+_LISTED = (
+    *(" smoke", " with a robot", " of a recording", " of smoothed states"),
+    *("with settings", "sbx"),
+)
+
+
 def listed():
     """Every stage of some runs, so that one sees which kind's digests differ."""
     found = {}
     for name, given in specs():
-        if name.endswith((" smoke", " with a robot", " of a recording", "with settings", "sbx")):
+        if name.endswith(_LISTED):
             training = BACKENDS | given.get("training", {})
             spec = RunSpec.model_validate({**given, "training": training})
             stages, _ = asked(spec, RECORDING if spec.dataset else None)

@@ -31,7 +31,7 @@ class _Listed(CannedStages):
 def examples():
     """A stage of every kind, of online and offline methods, by a name."""
     listed = _Listed()
-    for method in ("bayrn", "simopt", "dropo"):
+    for method in ("bayrn", "simopt", "dropo", "sysid_smoothed"):
         list(run(RunSpec.model_validate({**SMALL, "method": method}), listed))
     robots = {**SMALL, "method": "bayrn", "target": {"kind": "external"}}
     list(run(RunSpec.model_validate(robots), listed))

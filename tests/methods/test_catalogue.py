@@ -20,6 +20,14 @@ def test_names_by_data_are_those_of_the_settings():
         assert methods()[name].learns_from == "visits"
 
 
+@pytest.mark.parametrize("name", ["droid", "dropo", "sysid"])
+def test_an_offline_method_on_smoothed_states_has_the_settings_of_its_own(name):
+    papers, extension = methods()[name], methods()[f"{name}_smoothed"]
+    assert (papers.replay_from, extension.replay_from) == ("recorded", "smoothed")
+    assert papers().model_dump(exclude={"name"}) == extension().model_dump(exclude={"name"})
+    assert papers.label in extension.label
+
+
 def test_a_name_is_the_only_value_of_the_literal():
     assert name_of(SimOpt1Settings) == "simopt_1"
 
@@ -66,5 +74,6 @@ def test_a_file_in_the_package_is_in_the_catalogue_and_its_base_class_is_not(tmp
     (tmp_path / "another.py").write_text(ANOTHER)
     done = python(ADD.format(folder=str(tmp_path)))
     assert done.returncode == 0, done.stderr
-    ours = ["udr", "another", "bayrn", "simopt", "simopt_1", "droid", "dropo", "sysid"]
+    ours = ["udr", "another", "bayrn", "simopt", "simopt_1"]
+    ours += [name + end for name in ("droid", "dropo", "sysid") for end in ("", "_smoothed")]
     assert done.stdout.strip() == str(ours)

@@ -1,6 +1,7 @@
 import numpy as np
 
 from adr_service.programs.steps import joined
+from adr_service.stages.base import compute
 from adr_service.stages.local import LocalStages
 from adr_service.target import Visit
 from adr_service.transitions import TransitionDataset
@@ -29,6 +30,25 @@ def test_the_cost_of_a_grid_is_the_sum_of_its_searches():
         for epsilon in tried["epsilon"]
     ]
     assert both == sum(alone)
+
+
+def test_a_method_on_smoothed_states_learns_from_what_their_stage_gives():
+    stages = LocalStages()
+    final = iterations(smoke("sysid_smoothed", variant="noisy"), stages)[-1]
+    (smoothing,), (inferring,) = executed(stages, "smooth_states"), executed(stages, "infer")
+    smoothed = smoothing.read(compute(smoothing))
+    assert inferring.data == smoothed.data != smoothing.data
+    assert final.inferences == [smoothing.digest, inferring.digest]
+    assert final.diagnostics["smoothing"]["sensor_std"] == smoothed.sensor_std
+    alone = inferring.read(compute(inferring))
+    assert final.inference_steps == smoothed.simulated_steps + alone.simulated_steps
+
+
+def test_methods_on_smoothed_states_share_the_smoothing():
+    stages = LocalStages()
+    for method in ("sysid_smoothed", "droid_smoothed"):
+        iterations(smoke(method), stages)
+    assert len(executed(stages, "smooth_states")) == 1
 
 
 def test_visits_are_joined_in_order_one_episode_each():

@@ -45,6 +45,10 @@ def test_what_is_given_wins_over_the_preset_field_by_field():
     ("change", "message"),
     [
         (
+            {"task": "humanoid", "method": "dropo_smoothed"},
+            "method: dropo_smoothed on humanoid: the model has 24 positions for 23 velocities",
+        ),
+        (
             {"task": "hoper"},
             "there is no task 'hoper'; did you mean 'hopper'? accepted: arm, hopper",
         ),

@@ -1,0 +1,130 @@
+"""The states of a recording without its sensors' noise, by a simulator with unknown parameters.
+
+    smoothing = smooth(task, source, data)
+    smoothing.data      # the recording, whose replays start from smoothed states
+
+The criticism's fit estimates the parameters, the sensors' noise and the states together, and here
+the parameters start from the middle of the prior. An extension of the offline methods: their papers
+replay from the states as they were recorded (docs/decisions.md).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from adr_service.arrays import Matrix, Vector, frozen
+from adr_service.criticism.compatibility import check_size, check_state
+from adr_service.criticism.evidence import fit, smoothed
+from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.simulator import Simulator
+from adr_service.errors import InvalidInput
+from adr_service.progress import Progress, silent
+from adr_service.simulation.batch import Simulations
+from adr_service.simulation.replay import check_recorded
+from adr_service.tasks.base import Source, State, Task
+from adr_service.transitions import TransitionDataset
+
+_ROUNDS = 4  # of smoothing, after which the parameters of the noisy tasks move no more
+_UNREAD = 1e-3  # deviation of a position that nobody reads and nothing depends on
+_FITTING = 20  # predictions of a round, besides its derivatives
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """A recording with smoothed states, and what was estimated on the way."""
+
+    data: TransitionDataset  # its observations are smoothed; next observations are as recorded
+    parameters: Vector  # (d,) SI
+    sensor_std: Vector  # (nq + nv,) of the noise in positions, then velocities; NaN: not measured
+    simulated_steps: int  # control steps
+
+
+def smooth(
+    task: Task, source: Source, data: TransitionDataset, progress: Progress = silent
+) -> Smoothing:
+    """Estimate the noise in a recording, and take it out of the states.
+
+    Raises InvalidInput if the robot has a joint that is neither a slide nor a hinge, if the data
+    are not of this robot, or if an episode has two different readings of one state.
+    """
+    check_recorded(task, data)
+    nominal, measurement = _nominal(task, source), _measurement(task, data)
+    check_size(nominal.model(nominal.start), measurement)
+    # the last digits of linear algebra depend on the number of threads
+    with threadpool_limits(1), Simulator(nominal, measurement, threads=1) as simulator:
+        # what never changes is a position that nobody reads
+        is_measured = np.ptp(simulator.measured, axis=0) > 0
+        sensor = np.where(is_measured, np.nan, _UNREAD**2)
+        current = fit(simulator, sensor, source.effects)
+        for number in range(1, _ROUNDS + 1):
+            progress(number / (_ROUNDS + 1))
+            current = smoothed(current, sensor)
+        states = current.states[simulator.starts]
+    return Smoothing(
+        replace(data, observations=_observed(task, source, states)),
+        frozen(current.parameters),
+        frozen(np.where(is_measured, np.sqrt(current.noise.sensor), np.nan)),
+        simulator.simulated_steps,
+    )
+
+
+def check_smoothable(task: Task, source: Source) -> None:
+    """Raises InvalidInput if the robot has a joint that is neither a slide nor a hinge."""
+    nominal = _nominal(task, source)
+    check_state(nominal.model(nominal.start))
+
+
+def planned_steps(task: Task, parameters: int, transitions: int) -> int:
+    """Control steps that `smooth` simulates, about."""
+    derivatives = 2 * (task.measured + 1) + parameters
+    return (_ROUNDS + 1) * (derivatives + _FITTING) * transitions
+
+
+def _nominal(task: Task, source: Source) -> Nominal:
+    """The source, from the middle of the prior: what its file has may be the truth."""
+    middle = (source.space.low + source.space.high) / 2
+    return Nominal(task.xml, source.space, middle, source.fixed, task)
+
+
+def _measurement(task: Task, data: TransitionDataset) -> Measurement:
+    """One row for each state of the recording."""
+    parts = data.split()
+    for part in parts:
+        _check_chained(part)
+    states = task.state(np.concatenate([_readings(part) for part in parts]))
+    lengths = [len(part) + 1 for part in parts]
+    return Measurement(
+        time=np.concatenate([data.dt * np.arange(length, dtype=np.float64) for length in lengths]),
+        qpos=states.qpos,
+        qvel=states.qvel,
+        ctrl=np.concatenate([part.actions[[*range(len(part)), -1]] for part in parts]),
+        episode=np.repeat(np.arange(len(parts)), lengths),
+    )
+
+
+def _check_chained(episode: TransitionDataset) -> None:
+    """Raise InvalidInput unless each next observation is the observation of the next row."""
+    after, before = episode.next_observations[:-1], episode.observations[1:]
+    if np.any(after != before):
+        row = int(np.flatnonzero(np.any(after != before, axis=1))[0])
+        raise InvalidInput(
+            "states can be smoothed where each next observation is the observation of the row "
+            f"after; in the episode {int(episode.episodes[0])}, rows {row} and {row + 1} differ "
+            "(next observations with noise of their own leave nothing to smooth)"
+        )
+
+
+def _readings(episode: TransitionDataset) -> Matrix:
+    return np.concatenate([episode.observations, episode.next_observations[-1:]])
+
+
+def _observed(task: Task, source: Source, states: Matrix) -> Matrix:
+    """The measured columns (N, s) of states (N, nq + nv)."""
+    simulation = Simulations(task, source, 1)
+    rows: list[Vector] = []
+    for qpos, qvel in zip(*np.split(states, 2, axis=1), strict=True):
+        simulation.set_state(State(qpos, qvel))
+        rows.append(task.observe(simulation.state)[0, : task.measured])
+    return np.array(rows)
