@@ -12,7 +12,9 @@ The benchmark does not state these choices:
 - Bounds are encoded as position and width. So every point of the unit cube is a valid
   distribution, and no distribution has two encodings.
 - Each policy earns its return in one full target episode.
-- The policy reported at an iteration is the one, of all so far, with the highest posterior mean.
+- An iteration reports on the box, of all so far, with the highest posterior mean: on one more
+  policy trained on it, as SimuRLacra's `train_argmax_policy`. The best of fifteen policies is one
+  of luckier trainings too, and every other method trains once; the setting `report` has it as well.
 """
 
 from dataclasses import dataclass
@@ -31,6 +33,12 @@ from adr_service.startup_time import preparing
 class BayRnSettings(MethodSettings):
     name: Literal["bayrn"] = "bayrn"
     initial: int = Field(10, ge=2, le=1000, description="policies of UDR to start from")
+
+    report: Literal["retrained", "best"] = Field(
+        "retrained",
+        description="the policy of an iteration: one more, trained on the box that is believed "
+        "best, or the one that this belief comes from",
+    )
 
     program: ClassVar[str] = "adr_service.programs.bayesian"
     learns_from: ClassVar[Data] = "returns"

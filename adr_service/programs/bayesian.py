@@ -1,11 +1,11 @@
 """BayRn: UDR's policies and their target returns, then one more policy per iteration."""
 
 from collections.abc import Generator, Sequence
+from dataclasses import replace
 
 from adr_service.distributions import Uniform
 from adr_service.events import RunEvent
 from adr_service.methods.bayrn import BayRnSettings
-from adr_service.methods.catalogue import identity_of
 from adr_service.methods.udr import UdrSettings
 from adr_service.programs.steps import Inference, evaluate_and_report, source_inputs, training
 from adr_service.programs.udr import boxes_of
@@ -16,8 +16,9 @@ from adr_service.target import open_target
 
 
 def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[RunEvent, None, None]:
-    initial = BayRnSettings.model_validate(spec.method).initial
-    target, boxes = open_target(spec, stages), boxes_of(spec, UdrSettings(policies=initial))
+    settings = BayRnSettings.model_validate(spec.method)
+    target = open_target(spec, stages)
+    boxes = boxes_of(spec, UdrSettings(policies=settings.initial))
     trained = yield from stages.all([training(spec, box) for box in boxes])
     returns = yield from target.returns([each.policy for each in trained], 0)
     yield from evaluate_and_report(target, 0, boxes, trained)
@@ -29,9 +30,12 @@ def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[Run
         trained.append((yield from stages.run(training(spec, box, trained[-1]))))
         returns += yield from target.returns([trained[-1].policy], iteration)
         proposal, digest = yield from _propose(spec, stages, boxes, returns)
-        best = proposal.best
+        best, reported = boxes[proposal.best], trained[proposal.best]
+        if settings.report == "retrained":
+            again = training(spec, best, trained[-1])
+            reported = yield from stages.run(replace(again, repeat=1))
         inference = Inference(proposal, [digest])
-        yield from evaluate_and_report(target, iteration, [boxes[best]], [trained[best]], inference)
+        yield from evaluate_and_report(target, iteration, [best], [reported], inference)
 
 
 def _propose(
@@ -40,7 +44,7 @@ def _propose(
     """The proposal after these returns, and the digest of its stage."""
     stage = Propose(
         **source_inputs(spec),
-        **identity_of(spec.method),
+        method=spec.method.model_dump(exclude={"report"}),  # which changes no proposal
         distributions=list(boxes),
         returns=list(returns),
     )

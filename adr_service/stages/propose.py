@@ -7,7 +7,6 @@ import numpy as np
 
 from adr_service.distributions import Uniform
 from adr_service.events import RunEvent
-from adr_service.methods.base import MethodSettings
 from adr_service.methods.bayrn import propose
 from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
@@ -38,8 +37,7 @@ class Propose(Stage[Proposed]):
 
     variant: str  # a domain; the field's name is part of the digest
     seed: int
-    method: MethodSettings
-    method_package: str | None = None
+    method: dict[str, Any]  # settings, JSON
     distributions: list[Uniform]
     returns: list[float]  # of a policy of each distribution, on the target
 
