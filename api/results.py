@@ -2,13 +2,13 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import Any
 
 from pydantic import BaseModel
 
 import adr_service
-from adr_service.benchmark.comparison import Outcome, comparisons, costs, estimates, table
+from adr_service.benchmark.comparison import Outcome, Row, comparisons, costs, estimates, table
 from adr_service.benchmark.cost import Execution, Utilisation, utilisation
 from adr_service.json_values import canonical_json, sha256
 from adr_service.specs import RecordedTarget, RunSpec
@@ -76,10 +76,12 @@ def outcomes_of(service: Service, records: Sequence[RunRecord]) -> list[Outcome]
 def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str:
     """Return the ResultsView of a run or a benchmark as JSON.
 
-    Its bootstraps take seconds, so it is stored until one of the runs finishes another iteration.
+    Its bootstraps take seconds, so it is stored until one of the runs finishes another iteration,
+    or tables have other columns.
     """
     count = event_store.count_iterations(service.database, [record.id for record in records])
-    version = sha256(canonical_json([adr_service.__version__, count]).encode())
+    columns = [field.name for field in fields(Row)]
+    version = sha256(canonical_json([adr_service.__version__, columns, count]).encode())
     stored = result_store.kept_results(service.database, id, version)
     if stored is not None:
         return stored

@@ -52,6 +52,8 @@ class Row:
     episodes: int
     target_rollouts: int  # per seed, for the method to learn from
     target_transitions: float  # per seed, mean
+    target_returns: int  # per seed, of full episodes, where the method saw these and no transitions
+    inference_steps: float  # per seed, mean; control steps simulated by the iteration's inference
     estimation_error: float | None  # RMS distance of the mean from the truth in [0, 4], if known
     posterior_std: float | None  # RMS over the parameters in [0, 4]; the prior's is 1
     reached_threshold: float  # share of policies that did, on their source distribution
@@ -228,6 +230,7 @@ def _row(key: _Key, outcomes: Sequence[Outcome]) -> Row:
     average = interval(returns, mean, stream("interval"))
     middle = interval(returns, interquartile_mean, stream("interval"))
     reached = [flag for o in outcomes for flag in o.iteration.reached_threshold]
+    rollouts = max(o.iteration.target_rollouts for o in outcomes)
     return Row(
         task=task,
         variant=variant,
@@ -243,8 +246,10 @@ def _row(key: _Key, outcomes: Sequence[Outcome]) -> Row:
         seeds=len(outcomes),
         policies=sum(len(r) for r in returns),
         episodes=sum(r.size for r in returns),
-        target_rollouts=max(o.iteration.target_rollouts for o in outcomes),
+        target_rollouts=rollouts,
         target_transitions=float(np.mean([o.iteration.target_transitions for o in outcomes])),
+        target_returns=rollouts if methods()[method].learns_from == "returns" else 0,
+        inference_steps=float(np.mean([o.iteration.inference_steps for o in outcomes])),
         estimation_error=_mean([_error(o) for o in outcomes]),
         posterior_std=_mean([_spread(o) for o in outcomes]),
         reached_threshold=float(np.mean(reached)),

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from adr_service.benchmark.comparison import comparisons, costs, estimates, table, to_csv
+from adr_service.methods.catalogue import methods
 from tests.benchmark.conftest import ITERATIONS, METHODS
 
 
@@ -27,6 +28,16 @@ def test_the_table_has_every_method_with_its_interval_and_counts(benchmark):
     assert simopt[0].posterior_std == 1
     assert simopt[-1].posterior_std < 1
     assert all(row.posterior_std == 0 for row in rows if row.method == "sysid" and row.iteration)
+
+
+def test_a_row_tells_what_was_read_and_simulated(benchmark):
+    _, _, outcomes = benchmark
+    for row in table(outcomes):
+        assert (row.target_returns > 0) == (row.method == "bayrn")
+        if row.method == "bayrn":
+            assert row.target_returns == row.target_rollouts
+        inferred = row.iteration > 0 and methods()[row.method]().infers
+        assert (row.inference_steps > 0) == inferred
 
 
 def test_every_pair_of_methods_is_compared_after_its_last_iteration(benchmark):

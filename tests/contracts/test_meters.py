@@ -1,0 +1,53 @@
+"""No method reads more of the target than its meter shows."""
+
+import pytest
+
+from adr_service.methods.catalogue import methods
+from adr_service.stages.base import compute
+from adr_service.stages.local import LocalStages
+from adr_service.transitions import TransitionDataset
+from tests.programs.smoke import executed, iterations, smoke
+
+LEARNING = [name for name, each in methods().items() if each.learns_from != "nothing"]
+
+
+@pytest.mark.parametrize("name", LEARNING)
+@pytest.mark.parametrize("variant", ["vanilla", "noisy"])
+def test_no_method_reads_more_of_the_target_than_its_meter_shows(name, variant):
+    stages = LocalStages()
+    events = iterations(smoke(name, variant=variant, iterations=2), stages)
+    assert [name for event in events for name in event.inferences]
+    for event in events:
+        assert unmetered(event, stages) == []
+
+
+def test_data_beyond_the_meter_are_found():
+    stages = LocalStages()
+    for name in ("bayrn", "dropo"):
+        last = iterations(smoke(name), stages)[-1]
+        less = {"target_rollouts": 0, "target_transitions": last.target_transitions - 1}
+        assert len(unmetered(last.model_copy(update=less), stages)) == 1
+
+
+def unmetered(event, stages):
+    """What the inferences of an iteration read and its meter does not show."""
+    own = {stage.digest: stage for stage in stages.executed}
+    read = [own[digest] for digest in event.inferences]
+    return [each for stage in read for each in _beyond(stage, event, stages)]
+
+
+def _beyond(stage, event, stages):
+    if stage.kind == "propose":
+        shown = [s.read(compute(s)).earned for s in executed(stages, "target_return")]
+        assert set(stage.returns) <= set(shown)
+        return [stage.returns] if len(stage.returns) > event.target_rollouts else []
+    data = TransitionDataset.from_npz(stage.data)
+    shown = [s.read(compute(s)).data for s in executed(stages, "target_rollout")]
+    assert rows(data) <= set().union(*(rows(TransitionDataset.from_npz(each)) for each in shown))
+    return [data] if len(data) > event.target_transitions else []
+
+
+def rows(data):
+    """The transitions as values; of states that may be smoothed, what they led to."""
+    pairs = zip(data.actions.tolist(), data.next_observations.tolist(), strict=True)
+    return {(*action, *after) for action, after in pairs}
