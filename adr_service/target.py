@@ -38,7 +38,7 @@ class Door(Protocol):
     """Stages by which a run visits its target."""
 
     def rollout(
-        self, policy: bytes | None, iteration: int
+        self, policy: bytes | None, iteration: int, transitions: int
     ) -> Stage[Rollout] | Stage[RobotEpisode]: ...
 
     def full_episode(
@@ -64,11 +64,29 @@ class Target:
         allowed = self._spec.iterations
         if self.rollouts + 1 > allowed:
             raise BudgetExceeded("target rollouts", self.rollouts, 1, allowed)
-        stage: Stage[Any] = self._door.rollout(policy, iteration)
+        data = yield from self._recorded(policy, iteration, self._spec.transitions)
+        return Visit(policy, data)
+
+    def random_episodes(self) -> Generator[RunEvent, None, Visit]:
+        """Random actions, in as many episodes as it takes for the spec's transitions.
+
+        Metered as rollouts are, beyond the spec's: they record as much as one of a robot that stays
+        on its feet.
+        """
+        parts: list[TransitionDataset] = []
+        while (missing := self._spec.transitions - sum(map(len, parts))) > 0:
+            parts.append((yield from self._recorded(None, self.rollouts, missing)))
+        return Visit(None, TransitionDataset.concatenate(parts))
+
+    def _recorded(
+        self, policy: bytes | None, number: int, transitions: int
+    ) -> Generator[RunEvent, None, TransitionDataset]:
+        """One metered episode."""
+        stage: Stage[Any] = self._door.rollout(policy, number, transitions)
         rollout = yield from self._stages.run(stage)
         self.rollouts += 1
         self.transitions += rollout.transitions
-        return Visit(policy, TransitionDataset.from_npz(rollout.data))
+        return TransitionDataset.from_npz(rollout.data)
 
     def returns(
         self, policies: Sequence[bytes], iteration: int
@@ -99,8 +117,7 @@ class SimulatedDoor:
             "seed": spec.seed,
         }
 
-    def rollout(self, policy: bytes | None, iteration: int) -> Stage[Rollout]:
-        transitions = self._spec.transitions
+    def rollout(self, policy: bytes | None, iteration: int, transitions: int) -> Stage[Rollout]:
         return TargetRollout(
             **self._where, transitions=transitions, iteration=iteration, policy=policy
         )
@@ -121,8 +138,9 @@ class RobotsDoor:
         self._spec, self._horizon = spec, get_task(spec.task).horizon
         self._where: dict[str, Any] = {**identity_of(spec.task), "run": run_id, "seed": spec.seed}
 
-    def rollout(self, policy: bytes | None, iteration: int) -> Stage[RobotEpisode]:
-        transitions = self._spec.transitions
+    def rollout(
+        self, policy: bytes | None, iteration: int, transitions: int
+    ) -> Stage[RobotEpisode]:
         return TargetEpisode(
             **self._where,
             purpose="rollout",

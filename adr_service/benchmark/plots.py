@@ -10,11 +10,17 @@ from matplotlib.figure import Figure
 from adr_service.benchmark.comparison import InferenceCost, ParameterEstimate, Row
 from adr_service.methods.catalogue import methods
 
-_COLLECTOR_COLOURS = {"simopt": "#0072B2", "prior": "#666666", "random": "#E69F00"}
+_COLLECTOR_COLOURS = {
+    "simopt": "#0072B2",
+    "prior": "#666666",
+    "random": "#E69F00",
+    "random_matched": "#009E73",
+}
 _COLLECTOR_LABELS = {
     "simopt": "SimOpt's trajectories",
     "prior": "the prior's policy",
     "random": "random actions",
+    "random_matched": "random actions, as many transitions",
 }
 _MOST_NAMED = 8  # parameters in a legend
 _SHIFT = 0.12  # iterations between the points of two methods

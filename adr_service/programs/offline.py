@@ -47,6 +47,8 @@ def _collect(
     """One more trajectory for an offline method, after `visits`."""
     if spec.collector == "random":
         return (yield from collector.target.rollout(None, len(visits)))
+    if spec.collector == "random_matched":
+        return (yield from collector.target.random_episodes())
     if spec.collector == "simopt" and visits:
         yield from collector.update(visits[-1:])
     collecting = yield from collector.train()

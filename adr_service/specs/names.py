@@ -11,7 +11,7 @@ from adr_service.methods.catalogue import AnyMethod, methods
 from adr_service.presets import PRESETS
 from adr_service.tasks.catalogue import catalogue, variant_of
 
-Collector = Literal["simopt", "prior", "random"]
+Collector = Literal["simopt", "prior", "random", "random_matched"]
 
 
 def _known(kind: str, name: str, accepted: Iterable[str]) -> str:

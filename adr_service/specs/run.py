@@ -44,7 +44,8 @@ class RunSpec(Wire):
     collector: Literal[Collector, "recording"] = Field(
         "simopt",
         description="whose actions offline methods see: SimOpt's policies' (the protocol), the "
-        "prior's policy's, random ones (the data-collection study), or those of a recorded target",
+        "prior's policy's or random ones (the data-collection study), random ones in as many "
+        "episodes as it takes to record as many transitions, or those of a recorded target",
     )
     simopt: SimOptSettings | None = Field(
         None, description="whose trajectories an offline method learns from; default: the preset's"

@@ -21,9 +21,13 @@ positive_data_acceptance.expected-statuses = ["2xx", 401, 403, 404, 409, 422, 42
 # too many members make too large a body
 negative_data_rejection.expected-statuses = ["4xx", "5xx"]
 
-# a run has a distribution after its first iteration
+# a run has a distribution and a policy after its first iteration
 [[operations]]
 include-name = "GET /v1/runs/{run_id}/distribution"
+checks.ensure_resource_availability.enabled = false
+
+[[operations]]
+include-name = "GET /v1/runs/{run_id}/policy"
 checks.ensure_resource_availability.enabled = false
 """
 

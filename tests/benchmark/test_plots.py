@@ -76,7 +76,9 @@ def test_the_band_is_the_interval_and_the_note_names_the_numbers_of_seeds():
 
 def test_the_collection_has_a_line_per_collector():
     rows = [
-        row(method="droid", collector=c, iteration=i) for c in ("simopt", "random") for i in (1, 2)
+        row(method="droid", collector=c, iteration=i)
+        for c in ("simopt", "random", "random_matched")
+        for i in (1, 2)
     ]
     (axis,) = plot_collection(rows).axes
     assert axis.get_title() == "DROID on arm, vanilla"

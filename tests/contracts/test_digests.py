@@ -58,7 +58,7 @@ def specs():
     for task, method in product(TASKS, METHODS):
         yield f"{method} on {task} fast", {"task": task, "method": method, "preset": "fast"}
     small = {"task": "arm", "preset": "smoke", "iterations": 3, "seed": 7}
-    for method, collector in product(OFFLINE, ("prior", "random")):
+    for method, collector in product(OFFLINE, ("prior", "random", "random_matched")):
         yield f"{method} on {collector}", {**small, "method": method, "collector": collector}
     for method in METHODS:
         yield f"{method} extended", {**small, "method": method, "extension": EFFECTS}

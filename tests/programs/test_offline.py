@@ -1,8 +1,10 @@
 import pytest
 
 from adr_service.distributions import Gaussian
+from adr_service.stages.base import compute
 from adr_service.stages.local import LocalStages
 from adr_service.tasks.catalogue import source_of
+from adr_service.transitions import TransitionDataset
 from tests.programs.smoke import executed, iterations, smoke
 
 
@@ -32,6 +34,22 @@ def test_other_collectors_need_no_inference(collector, policies, start):
     rollouts = executed(stages, "target_rollout")
     assert len({stage.policy for stage in rollouts} - {None}) == policies
     assert {stage.method.name for stage in executed(stages, "infer")} == {"droid"}
+
+
+def test_matched_random_actions_record_as_many_transitions_as_a_policy_that_stays_on_its_feet():
+    found = {}
+    for collector in ("random", "random_matched"):
+        stages = LocalStages()
+        spec = smoke("sysid", task="hopper", collector=collector, transitions=50, iterations=2)
+        last = iterations(spec, stages)[-1]
+        recorded = [stage.read(compute(stage)) for stage in executed(stages, "target_rollout")]
+        assert last.target_transitions == sum(each.transitions for each in recorded)
+        assert last.target_rollouts == len(recorded)
+        data = TransitionDataset.from_npz(executed(stages, "infer")[-1].data)
+        assert (len(data), data.episode_count) == (last.target_transitions, len(recorded))
+        found[collector] = last
+    assert found["random"].target_transitions < found["random_matched"].target_transitions == 100
+    assert found["random"].target_rollouts == 2 < found["random_matched"].target_rollouts
 
 
 def test_the_first_report_is_of_the_priors_policy():

@@ -68,7 +68,10 @@ def test_what_is_given_wins_over_the_preset_field_by_field():
         ({"method": {"updates": 3}}, "or its settings with `name`"),
         ({"method": "dropo", "simopt": "simop"}, "should be 'simopt'"),
         ({"method": "drop", "simopt": "simopt"}, "did you mean 'dropo'?"),
-        ({"collector": "x"}, "should be 'simopt', 'prior', 'random' or 'recording'"),
+        (
+            {"collector": "x"},
+            "should be 'simopt', 'prior', 'random', 'random_matched' or 'recording'",
+        ),
         ({"preset": 3}, "valid string"),
         ({"training": 3}, "give training settings whose algorithm is"),
         ({"training": {"hidden": [0]}}, "greater than or equal to 1"),
