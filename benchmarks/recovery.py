@@ -34,10 +34,12 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 from pydantic import ValidationError
 from scipy.stats import norm
 
 from adr_service.arrays import Vector
+from adr_service.benchmark.comparison import normalised_std
 from adr_service.benchmark.truth import estimation_error
 from adr_service.distributions import Distribution, Gaussian, Uniform
 from adr_service.json_values import sha256
@@ -220,6 +222,7 @@ def inferred(spec: RunSpec, data: bytes, policy: bytes | None) -> dict[str, Any]
     return {
         "distance": estimation_error(spec.task, spec.variant, estimate.mean),
         "prior_distance": estimation_error(spec.task, spec.variant, prior.mean),
+        "posterior_std": float(np.sqrt(np.mean(normalised_std(estimate) ** 2))),
         "log_score": log_score(estimate, pair.truth),
         "prior_log_score": log_score(prior, pair.truth),
         "epsilon": facts.get("epsilon"),

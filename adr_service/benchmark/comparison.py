@@ -168,7 +168,7 @@ def _estimates(outcome: Outcome) -> list[ParameterEstimate]:
     truth: Mapping[str, float] = {}
     if isinstance(spec.target, SimulatedTarget):
         truth = true_values(spec.task, spec.variant)
-    normalised = _normalised_std(outcome)
+    normalised = normalised_std(distribution)
     return [
         ParameterEstimate(
             task=spec.task,
@@ -267,13 +267,13 @@ def _error(outcome: Outcome) -> float | None:
 def _spread(outcome: Outcome) -> float | None:
     if not outcome.spec.method.believes:
         return None
-    return float(np.sqrt(np.mean(_normalised_std(outcome) ** 2)))
+    return float(np.sqrt(np.mean(normalised_std(decode(outcome)[0]) ** 2)))
 
 
-def _normalised_std(outcome: Outcome) -> Vector:
+def normalised_std(distribution: Distribution) -> Vector:
     """Standard deviations (d,) in [0, 4] coordinates."""
-    space = source_of(outcome.spec.task, outcome.spec.variant).space
-    return decode(outcome)[0].std / (space.high - space.low) * space.WIDTH
+    space = distribution.space
+    return distribution.std / (space.high - space.low) * space.WIDTH
 
 
 def decode(outcome: Outcome) -> list[Distribution]:
