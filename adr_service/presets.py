@@ -52,6 +52,13 @@ _FAST_TRAININGS: dict[str, dict[str, Any]] = {
     },
 }
 
+
+def _with_smoothed(searches: dict[str, Any]) -> dict[str, Any]:
+    """Settings of methods, and the same for offline methods on smoothed states."""
+    offline = [name for name in ("droid", "dropo", "sysid") if name in searches]
+    return {**searches, **{f"{name}_smoothed": dict(searches[name]) for name in offline}}
+
+
 PRESETS: dict[str, dict[str, Any]] = {
     "smoke": {
         "run": {
@@ -68,16 +75,18 @@ PRESETS: dict[str, dict[str, Any]] = {
                 "evaluation_episodes": 4,
             },
         },
-        "methods": {
-            "udr": {"policies": 2},
-            "bayrn": {"initial": 2},
-            # a full covariance needs more samples than Humanoid has parameters
-            "simopt": {"updates": 2, "samples": 40},
-            "simopt_1": {"updates": 3, "samples": 40},
-            "droid": {"budget": 30},
-            "dropo": {"budget": 4, "samples_per_parameter": 3, "epsilon": 1e-4},
-            "sysid": {"starts": 1, "iterations": 3},
-        },
+        "methods": _with_smoothed(
+            {
+                "udr": {"policies": 2},
+                "bayrn": {"initial": 2},
+                # a full covariance needs more samples than Humanoid has parameters
+                "simopt": {"updates": 2, "samples": 40},
+                "simopt_1": {"updates": 3, "samples": 40},
+                "droid": {"budget": 30},
+                "dropo": {"budget": 4, "samples_per_parameter": 3, "epsilon": 1e-4},
+                "sysid": {"starts": 1, "iterations": 3},
+            }
+        ),
     },
     "demo": {
         "run": {
@@ -93,14 +102,16 @@ PRESETS: dict[str, dict[str, Any]] = {
                 "evaluate_every": 8192,
             },
         },
-        "methods": {
-            "udr": {"policies": 3},
-            "bayrn": {"initial": 3},
-            "simopt": {"samples": 500},
-            "simopt_1": {"samples": 500},
-            "droid": {"budget": 500},
-            "dropo": {"samples_per_parameter": 4, "epsilon": 1e-4},
-        },
+        "methods": _with_smoothed(
+            {
+                "udr": {"policies": 3},
+                "bayrn": {"initial": 3},
+                "simopt": {"samples": 500},
+                "simopt_1": {"samples": 500},
+                "droid": {"budget": 500},
+                "dropo": {"samples_per_parameter": 4, "epsilon": 1e-4},
+            }
+        ),
     },
     "quick": {
         "run": {
@@ -110,14 +121,16 @@ PRESETS: dict[str, dict[str, Any]] = {
             "training": _FAST,
         },
         "trainings": _FAST_TRAININGS,
-        "methods": {
-            "udr": {"policies": 3},
-            "bayrn": {"initial": 3},
-            "simopt": {"samples": 300},
-            "simopt_1": {"samples": 300},
-            "droid": {"budget": 500},
-            "dropo": {"epsilon": [1e-5, 1e-4, 1e-3]},
-        },
+        "methods": _with_smoothed(
+            {
+                "udr": {"policies": 3},
+                "bayrn": {"initial": 3},
+                "simopt": {"samples": 300},
+                "simopt_1": {"samples": 300},
+                "droid": {"budget": 500},
+                "dropo": {"epsilon": [1e-5, 1e-4, 1e-3]},
+            }
+        ),
     },
     "fast": {
         "run": {
@@ -139,8 +152,3 @@ PRESETS: dict[str, dict[str, Any]] = {
         "methods": {},  # the methods' own defaults
     },
 }
-
-for _preset in PRESETS.values():
-    for _name in ("droid", "dropo", "sysid"):
-        # the same search from smoothed states
-        _preset["methods"][f"{_name}_smoothed"] = _preset["methods"].get(_name, {})

@@ -11,6 +11,7 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from adr_service.criticism.smoothing import check_chained
 from adr_service.errors import BudgetExceeded, InvalidInput
 from adr_service.events import RunEvent
 from adr_service.simulation.replay import check_recorded
@@ -28,7 +29,7 @@ Evaluations = Generator[RunEvent, None, list[TargetEvaluation]]
 
 @dataclass(frozen=True)
 class Visit:
-    """One metered rollout of one policy on the target."""
+    """The metered episodes of one policy, or of random actions, on the target."""
 
     policy: bytes | None  # None: random actions
     data: TransitionDataset
@@ -51,7 +52,8 @@ class Door(Protocol):
 class Target:
     """The target of one run. Every rollout and every transition is counted.
 
-    The budget is the spec's rollouts, each of at most the spec's transitions.
+    The budget is the spec's rollouts, each of at most the spec's transitions, which several
+    episodes of random actions may share.
     """
 
     def __init__(self, spec: RunSpec, stages: Stages, door: Door):
@@ -68,13 +70,12 @@ class Target:
         return Visit(policy, data)
 
     def random_episodes(self) -> Generator[RunEvent, None, Visit]:
-        """Random actions, in as many episodes as it takes for the spec's transitions.
-
-        Metered as rollouts are, beyond the spec's: they record as much as one of a robot that stays
-        on its feet.
-        """
-        parts: list[TransitionDataset] = []
-        while (missing := self._spec.transitions - sum(map(len, parts))) > 0:
+        """Record episodes of random actions until the spec's transitions are recorded."""
+        wanted, parts = self._spec.transitions, list[TransitionDataset]()
+        allowed = self._spec.iterations * wanted
+        if self.transitions + wanted > allowed:
+            raise BudgetExceeded("target transitions", self.transitions, wanted, allowed)
+        while (missing := wanted - sum(map(len, parts))) > 0:
             parts.append((yield from self._recorded(None, self.rollouts, missing)))
         return Visit(None, TransitionDataset.concatenate(parts))
 
@@ -204,6 +205,8 @@ class Recording:
                     f"{asked.dataset} has {episodes} episodes; asked for the first {asked.episodes}"
                 )
             data = data.first_episodes(asked.episodes)
+        if spec.method.replay_from == "smoothed":
+            check_chained(data)
         self.data = data.to_npz()
         self.rollouts, self.transitions = data.episode_count, len(data)
 

@@ -8,7 +8,17 @@ from typing import Any
 from pydantic import BaseModel
 
 import adr_service
-from adr_service.benchmark.comparison import Outcome, Row, comparisons, costs, estimates, table
+from adr_service.benchmark.comparison import (
+    Comparison,
+    InferenceCost,
+    Outcome,
+    ParameterEstimate,
+    Row,
+    comparisons,
+    costs,
+    estimates,
+    table,
+)
 from adr_service.benchmark.cost import Execution, Utilisation, utilisation
 from adr_service.json_values import canonical_json, sha256
 from adr_service.specs import RecordedTarget, RunSpec
@@ -80,7 +90,8 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
     or tables have other columns.
     """
     count = event_store.count_iterations(service.database, [record.id for record in records])
-    columns = [field.name for field in fields(Row)]
+    tables = (Row, Comparison, ParameterEstimate, InferenceCost)
+    columns = [field.name for each in tables for field in fields(each)]
     version = sha256(canonical_json([adr_service.__version__, columns, count]).encode())
     stored = result_store.kept_results(service.database, id, version)
     if stored is not None:

@@ -24,10 +24,9 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from adr_service.json_values import canonical_json, sha256
 from adr_service.specs import RunSpec
 from adr_service.tasks.catalogue import source_of
-from benchmarks.recovery import TASKS, inferred, keep, recorded
+from benchmarks.recovery import TASKS, inferred, keep, key_of, recorded
 from workers.cluster import worker_environment
 
 FOLDER = Path("build/bench/budgets")
@@ -86,7 +85,7 @@ def points(given: argparse.Namespace) -> Iterator[Point]:
 def measured(point: Point) -> dict[str, Any]:
     """The row of a point, computed unless it was before."""
     spec = point.spec
-    path = FOLDER / f"{sha256(canonical_json(spec.model_dump()).encode())}.json"
+    path = FOLDER / f"{key_of(spec, None)}.json"
     if not path.exists():
         found = inferred(spec, recorded(spec, None), None)
         names = ("distance", "prior_distance", "posterior_std", "steps", "cpu_seconds")

@@ -9,8 +9,3 @@ def collect(program):
             values.append(next(program))
         except StopIteration as end:
             return values, end.value
-
-
-def drained(program):
-    """The return value of a generator."""
-    return collect(program)[1]

@@ -1,10 +1,9 @@
 import pytest
 
 from adr_service.errors import BudgetExceeded
-from adr_service.stages.local import LocalStages
+from adr_service.stages.local import LocalStages, drained
 from adr_service.target import Target, open_target
 from tests.contracts.canned import CannedStages
-from tests.generators import drained
 from tests.programs.smoke import executed, iterations, smoke
 
 
@@ -59,3 +58,11 @@ def test_offline_methods_add_no_visit_to_simopts():
 def opened(spec) -> tuple[Target, CannedStages]:
     stages = CannedStages()
     return open_target(spec, stages), stages
+
+
+def test_random_episodes_share_the_transitions_of_a_rollout_and_no_more():
+    target, _ = opened(smoke("sysid", collector="random_matched"))
+    visit = drained(target.random_episodes())
+    assert len(visit.data) == target.transitions == 20
+    with pytest.raises(BudgetExceeded, match="20 used and 20 more asked for, but the budget is 20"):
+        drained(target.random_episodes())

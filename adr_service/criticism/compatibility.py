@@ -34,12 +34,11 @@ def check_size(model: mujoco.MjModel, data: Measurement) -> None:
 
 
 def check_state(model: mujoco.MjModel) -> None:
-    """Raises InvalidInput unless positions and velocities of slides and hinges are all the state
-    that the model has."""
+    """Raises InvalidInput unless the state is positions and velocities of slides and hinges."""
     if model.nq != model.nv:
         raise InvalidInput(
             f"the model has {model.nq} positions for {model.nv} velocities: free and ball joints "
-            "have no smoothed states yet; accepted are slides and hinges"
+            "are not supported; accepted are slides and hinges"
         )
     beyond = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS) - 1 - 2 * model.nv
     if beyond:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from adr_service.arrays import Matrix, Vector, frozen
+from adr_service.arrays import Mask, Matrix, Vector, frozen
 from adr_service.criticism.compatibility import check_size, check_state
 from adr_service.criticism.evidence import fit, smoothed
 from adr_service.criticism.measurements import Measurement
@@ -22,12 +22,13 @@ from adr_service.criticism.simulator import Simulator
 from adr_service.errors import InvalidInput
 from adr_service.progress import Progress, silent
 from adr_service.simulation.batch import Simulations
+from adr_service.simulation.model import compiled
 from adr_service.simulation.replay import check_recorded
 from adr_service.tasks.base import Source, State, Task
 from adr_service.transitions import TransitionDataset
 
-_ROUNDS = 4  # of smoothing, after which the parameters of the noisy tasks move no more
-_UNREAD = 1e-3  # deviation of a position that nobody reads and nothing depends on
+_ROUNDS = 4  # of smoothing, after which the parameters of the noisy tasks have settled
+_UNREAD = 10.0  # deviation of a position that no sensor shows: so large that it says nothing
 _FITTING = 20  # predictions of a round, besides its derivatives
 
 
@@ -46,17 +47,16 @@ def smooth(
 ) -> Smoothing:
     """Estimate the noise in a recording, and take it out of the states.
 
-    Raises InvalidInput if the robot has a joint that is neither a slide nor a hinge, if the data
-    are not of this robot, or if an episode has two different readings of one state.
+    The strengths of a source's effects are estimated again, for the states alone. Raises
+    InvalidInput for what `check_smoothable` and `check_chained` refuse, and for data that are not
+    of this robot.
     """
     check_recorded(task, data)
     nominal, measurement = _nominal(task, source), _measurement(task, data)
     check_size(nominal.model(nominal.start), measurement)
     # the last digits of linear algebra depend on the number of threads
     with threadpool_limits(1), Simulator(nominal, measurement, threads=1) as simulator:
-        # what never changes is a position that nobody reads
-        is_measured = np.ptp(simulator.measured, axis=0) > 0
-        sensor = np.where(is_measured, np.nan, _UNREAD**2)
+        sensor = np.where(_is_measured(task), np.nan, _UNREAD**2)
         current = fit(simulator, sensor, source.effects)
         for number in range(1, _ROUNDS + 1):
             progress(number / (_ROUNDS + 1))
@@ -65,15 +65,27 @@ def smooth(
     return Smoothing(
         replace(data, observations=_observed(task, source, states)),
         frozen(current.parameters),
-        frozen(np.where(is_measured, np.sqrt(current.noise.sensor), np.nan)),
+        frozen(np.where(_is_measured(task), np.sqrt(current.noise.sensor), np.nan)),
         simulator.simulated_steps,
     )
 
 
-def check_smoothable(task: Task, source: Source) -> None:
-    """Raises InvalidInput if the robot has a joint that is neither a slide nor a hinge."""
-    nominal = _nominal(task, source)
-    check_state(nominal.model(nominal.start))
+def check_smoothable(task: Task) -> None:
+    """Raises InvalidInput unless the state is positions and velocities of slides and hinges."""
+    check_state(compiled(task.xml))
+
+
+def check_chained(data: TransitionDataset) -> None:
+    """Raises InvalidInput unless each next observation is the observation of the next row."""
+    for episode in data.split():
+        differ = np.any(episode.next_observations[:-1] != episode.observations[1:], axis=1)
+        if differ.any():
+            row = int(np.argmax(differ))
+            raise InvalidInput(
+                "states can be smoothed where each next observation is the observation of the row "
+                f"after; in episode {int(episode.episodes[0])}, rows {row} and {row + 1} differ "
+                "(next observations with noise of their own leave nothing to smooth)"
+            )
 
 
 def planned_steps(task: Task, parameters: int, transitions: int) -> int:
@@ -90,9 +102,8 @@ def _nominal(task: Task, source: Source) -> Nominal:
 
 def _measurement(task: Task, data: TransitionDataset) -> Measurement:
     """One row for each state of the recording."""
+    check_chained(data)
     parts = data.split()
-    for part in parts:
-        _check_chained(part)
     states = task.state(np.concatenate([_readings(part) for part in parts]))
     lengths = [len(part) + 1 for part in parts]
     return Measurement(
@@ -104,16 +115,11 @@ def _measurement(task: Task, data: TransitionDataset) -> Measurement:
     )
 
 
-def _check_chained(episode: TransitionDataset) -> None:
-    """Raise InvalidInput unless each next observation is the observation of the next row."""
-    after, before = episode.next_observations[:-1], episode.observations[1:]
-    if np.any(after != before):
-        row = int(np.flatnonzero(np.any(after != before, axis=1))[0])
-        raise InvalidInput(
-            "states can be smoothed where each next observation is the observation of the row "
-            f"after; in the episode {int(episode.episodes[0])}, rows {row} and {row + 1} differ "
-            "(next observations with noise of their own leave nothing to smooth)"
-        )
+def _is_measured(task: Task) -> Mask:
+    """(nq + nv,) true for the positions and velocities that depend on what sensors show."""
+    one, other = (task.state(np.full((1, task.measured), value)) for value in (0.1, 0.2))
+    pairs = zip(one[:2], other[:2], strict=True)
+    return np.concatenate([(first != second)[0] for first, second in pairs])
 
 
 def _readings(episode: TransitionDataset) -> Matrix:

@@ -13,8 +13,8 @@ The benchmark does not state these choices:
   distribution, and no distribution has two encodings.
 - Each policy earns its return in one full target episode.
 - An iteration reports on the box, of all so far, with the highest posterior mean: on one more
-  policy trained on it, as SimuRLacra's `train_argmax_policy`. The best of fifteen policies is one
-  of luckier trainings too, and every other method trains once; the setting `report` has it as well.
+  policy trained on it, as SimuRLacra's `train_argmax_policy`. The best of fifteen policies was also
+  lucky in its training, and every other method trains once; `report: best` reports it all the same.
 """
 
 from dataclasses import dataclass
@@ -36,8 +36,8 @@ class BayRnSettings(MethodSettings):
 
     report: Literal["retrained", "best"] = Field(
         "retrained",
-        description="the policy of an iteration: one more, trained on the box that is believed "
-        "best, or the one that this belief comes from",
+        description="retrained: a new policy on the box that is believed best; best: the policy "
+        "whose return was measured there",
     )
 
     program: ClassVar[str] = "adr_service.programs.bayesian"

@@ -12,7 +12,8 @@ Where we differ, and why:
   the benchmark compares observations and has no penalty.
 
 Neither paper states these choices:
-- The budget is a setting. It decides how narrow the answer is.
+- The budget is a setting. It decides how narrow the answer is. By default it grows with the number
+  of parameters, so that the search has converged (docs/recovery.md).
 - Columns have no weights, and several trajectories are one long vector under the norm.
 - Simulations last for the whole recorded length even if the robot falls, so that an early end
   lowers no cost. A diverged simulation costs ten times as much as the worst finite one.
@@ -37,18 +38,28 @@ from adr_service.transitions import TransitionDataset
 if TYPE_CHECKING:  # pycma takes a third of a second to import
     import cma
 
+_PER_PARAMETER = 300  # replays until the search has converged on all four tasks
 _DIVERGED = 10  # cost of a diverged replay, in worst finite costs; CMA-ES compares ranks only
 
 
 class _Settings(OfflineSettings):
-    budget: int = Field(1000, ge=1, le=1_000_000, description="simulated replays of the data")
+    budget: int | None = Field(
+        None,
+        ge=1,
+        le=1_000_000,
+        description=f"simulated replays of the data; default: {_PER_PARAMETER} per parameter",
+    )
     initial_std: float = Field(1.0, gt=0, description="of the search, in [0, 4] coordinates")
 
     def create(self) -> "Droid":
         return Droid(self)
 
     def planned_steps(self, parameters: int, transitions: int) -> int:
-        return self.budget * transitions
+        return self.budget_of(parameters) * transitions
+
+    def budget_of(self, parameters: int) -> int:
+        """Simulated replays of the data for so many unknown parameters."""
+        return _PER_PARAMETER * parameters if self.budget is None else self.budget
 
 
 class DroidSettings(_Settings):
@@ -102,7 +113,7 @@ class Droid:
         self, es: "cma.CMAEvolutionStrategy", replay: "_OpenLoop", progress: Progress
     ) -> float:
         """Search until the budget is spent; returns the least cost of the last population."""
-        budget, best = self._settings.budget, np.inf
+        budget, best = self._settings.budget_of(es.N), np.inf
         while replay.evaluations < budget and not es.stop():
             candidates = es.ask()
             costs = replay.costs(np.array(candidates))

@@ -19,7 +19,8 @@ def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[Run
     settings = BayRnSettings.model_validate(spec.method)
     target = open_target(spec, stages)
     boxes = boxes_of(spec, UdrSettings(policies=settings.initial))
-    trained = yield from stages.all([training(spec, box) for box in boxes])
+    trainings = [training(spec, box) for box in boxes]
+    trained = yield from stages.all(trainings)
     returns = yield from target.returns([each.policy for each in trained], 0)
     yield from evaluate_and_report(target, 0, boxes, trained)
     proposal, _ = yield from _propose(spec, stages, boxes, returns)
@@ -27,13 +28,13 @@ def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[Run
         box = proposal.distribution
         assert isinstance(box, Uniform)
         boxes.append(box)
-        trained.append((yield from stages.run(training(spec, box, trained[-1]))))
+        trainings.append(training(spec, box, trained[-1]))
+        trained.append((yield from stages.run(trainings[-1])))
         returns += yield from target.returns([trained[-1].policy], iteration)
         proposal, digest = yield from _propose(spec, stages, boxes, returns)
         best, reported = boxes[proposal.best], trained[proposal.best]
         if settings.report == "retrained":
-            again = training(spec, best, trained[-1])
-            reported = yield from stages.run(replace(again, repeat=1))
+            reported = yield from stages.run(replace(trainings[proposal.best], repeat=1))
         inference = Inference(proposal, [digest])
         yield from evaluate_and_report(target, iteration, [best], [reported], inference)
 

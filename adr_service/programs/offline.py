@@ -44,7 +44,7 @@ def estimate_and_report(
 def _collect(
     spec: RunSpec, collector: OnlineLoop, visits: Sequence[Visit]
 ) -> Generator[RunEvent, None, Visit]:
-    """One more trajectory for an offline method, after `visits`."""
+    """One more visit for an offline method, after `visits`."""
     if spec.collector == "random":
         return (yield from collector.target.rollout(None, len(visits)))
     if spec.collector == "random_matched":

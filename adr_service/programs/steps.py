@@ -138,7 +138,7 @@ def _best(spec: RunSpec, asked: Sequence[Infer], answers: Sequence[Inferred]) ->
 
 
 def joined(visits: Sequence[Visit]) -> bytes:
-    """The transitions of several visits, one episode each."""
+    """The transitions of several visits."""
     return TransitionDataset.concatenate([visit.data for visit in visits]).to_npz()
 
 

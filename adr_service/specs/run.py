@@ -44,8 +44,8 @@ class RunSpec(Wire):
     collector: Literal[Collector, "recording"] = Field(
         "simopt",
         description="whose actions offline methods see: SimOpt's policies' (the protocol), the "
-        "prior's policy's or random ones (the data-collection study), random ones in as many "
-        "episodes as it takes to record as many transitions, or those of a recorded target",
+        "prior's policy's, random ones in one episode or in several (random_matched) until "
+        "`transitions` are recorded (the data-collection study), or those of a recorded target",
     )
     simopt: SimOptSettings | None = Field(
         None, description="whose trajectories an offline method learns from; default: the preset's"
@@ -98,7 +98,7 @@ class RunSpec(Wire):
                 raise ValueError(f"{name}: {error}") from error
         if self.method.replay_from == "smoothed":
             try:
-                check_smoothable(task, pair.source)
+                check_smoothable(task)
             except AdrError as error:
                 raise ValueError(f"method: {self.method.name} on {self.task}: {error}") from error
         if self.transitions > task.horizon:

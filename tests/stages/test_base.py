@@ -19,11 +19,10 @@ from adr_service.stages.base import (
     StageResult,
     compute,
 )
-from adr_service.stages.local import LocalStages
+from adr_service.stages.local import LocalStages, drained
 from adr_service.tasks.catalogue import source_of
 from db import runs
 from tests.db.rows import EXECUTION, SPEC
-from tests.generators import drained
 from workers.results import DatabaseResults
 
 

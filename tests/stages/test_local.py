@@ -3,8 +3,8 @@
 import pytest
 
 from adr_service.errors import InvalidInput
-from adr_service.stages.local import LocalStages
-from tests.generators import collect, drained
+from adr_service.stages.local import LocalStages, drained
+from tests.generators import collect
 from tests.planted import waving_policy
 from tests.stages.examples import episode, evaluation
 

@@ -26,7 +26,7 @@ def test_it_gives_a_recording_of_the_same_transitions(smoothed):
     assert len(smoothed.sensor_std) == DATA.observations.shape[1]
 
 
-def test_what_nobody_reads_has_no_number():
+def test_an_unread_column_has_no_deviation():
     data = recording("hopper", 10).to_npz()
     stage = SmoothStates(task="hopper", variant="vanilla", seed=0, data=data)
     assert stage.read(compute(stage)).sensor_std[0] is None

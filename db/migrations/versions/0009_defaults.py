@@ -1,4 +1,4 @@
-"""stored specs of BayRn report the policy that it believes best, as they did"""
+"""stored specs name what were defaults: what BayRn reports, and the budget of DROID"""
 
 import json
 from collections.abc import Callable
@@ -12,35 +12,48 @@ down_revision = "0008"
 branch_labels = None
 depends_on = None
 
+_BUDGETS = {"smoke": 30, "demo": 500, "quick": 500, "fast": 1000, "paper": 1000}
+
 
 def upgrade() -> None:
-    _rewrite("runs", lambda spec: _of_run(spec, _best))
-    _rewrite("benchmarks", lambda spec: _of_benchmark(spec, _best))
+    _rewrite("runs", lambda spec: _of_run(spec, _reporting))
+    _rewrite("benchmarks", _named)
 
 
 def downgrade() -> None:
-    """In the version before, BayRn reports the best policy, and nothing else."""
+    """In the version before, BayRn reports the best policy, and DROID has a budget."""
     _rewrite("runs", lambda spec: _of_run(spec, _unsaid))
-    _rewrite("benchmarks", lambda spec: _of_benchmark(spec, _unsaid))
+    _rewrite("benchmarks", lambda spec: {**spec, "methods": [_unsaid(m) for m in spec["methods"]]})
 
 
 def _of_run(spec: dict[str, Any], change: Callable[[Any], Any]) -> dict[str, Any]:
     return {**spec, "method": change(spec["method"])} if "method" in spec else spec
 
 
-def _of_benchmark(spec: dict[str, Any], change: Callable[[Any], Any]) -> dict[str, Any]:
-    return {**spec, "methods": [change(method) for method in spec["methods"]]}
+def _named(spec: dict[str, Any]) -> dict[str, Any]:
+    """A benchmark whose methods mean what they meant, also when it is extended."""
+    droid = {"budget": _BUDGETS[spec.get("preset", "quick")]}
+    return {**spec, "methods": [_reporting(_budgeted(m, droid)) for m in spec["methods"]]}
 
 
-def _best(method: Any) -> Any:
+def _reporting(method: Any) -> Any:
     settings = {"name": method} if isinstance(method, str) else method
     return {"report": "best", **settings} if settings["name"] == "bayrn" else method
 
 
+def _budgeted(method: Any, budget: dict[str, int]) -> Any:
+    settings = {"name": method} if isinstance(method, str) else method
+    return {**budget, **settings} if settings["name"] == "droid" else method
+
+
 def _unsaid(method: Any) -> Any:
-    if not isinstance(method, dict) or method["name"] != "bayrn":
+    if not isinstance(method, dict):
         return method
-    return {name: value for name, value in method.items() if name != "report"}
+    return {
+        name: value
+        for name, value in method.items()
+        if name != "report" and (name, value) != ("budget", None)
+    }
 
 
 def _rewrite(table: str, change: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
