@@ -53,10 +53,20 @@ _FAST_TRAININGS: dict[str, dict[str, Any]] = {
 }
 
 
-def _with_smoothed(searches: dict[str, Any]) -> dict[str, Any]:
-    """Settings of methods, and the same for offline methods on smoothed states."""
-    offline = [name for name in ("droid", "dropo", "sysid") if name in searches]
-    return {**searches, **{f"{name}_smoothed": dict(searches[name]) for name in offline}}
+_EXTENDED = {  # methods by those whose searches they share
+    "simopt": "simopt_memory",
+    "droid": "droid_smoothed",
+    "dropo": "dropo_smoothed",
+    "sysid": "sysid_smoothed",
+}
+
+
+def _with_extensions(searches: dict[str, Any]) -> dict[str, Any]:
+    """Settings of methods, and the same for our extensions of them."""
+    return {
+        **searches,
+        **{_EXTENDED[name]: dict(searches[name]) for name in searches if name in _EXTENDED},
+    }
 
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -75,7 +85,7 @@ PRESETS: dict[str, dict[str, Any]] = {
                 "evaluation_episodes": 4,
             },
         },
-        "methods": _with_smoothed(
+        "methods": _with_extensions(
             {
                 "udr": {"policies": 2},
                 "bayrn": {"initial": 2},
@@ -102,7 +112,7 @@ PRESETS: dict[str, dict[str, Any]] = {
                 "evaluate_every": 8192,
             },
         },
-        "methods": _with_smoothed(
+        "methods": _with_extensions(
             {
                 "udr": {"policies": 3},
                 "bayrn": {"initial": 3},
@@ -121,7 +131,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "training": _FAST,
         },
         "trainings": _FAST_TRAININGS,
-        "methods": _with_smoothed(
+        "methods": _with_extensions(
             {
                 "udr": {"policies": 3},
                 "bayrn": {"initial": 3},

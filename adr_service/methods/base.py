@@ -40,6 +40,8 @@ class Evidence:
 
     policy: Policy
     data: TransitionDataset
+    # of the run's policies before, for methods that remember; they have no earlier ones themselves
+    earlier: "tuple[Evidence, ...]" = ()
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,7 @@ class MethodSettings(Wire):
     # states in the data from which replays start: as they were recorded, as in the papers of all
     # offline methods, or without their sensors' noise (criticism.smoothing)
     replay_from: ClassVar[ReplayFrom] = "recorded"
+    remembers: ClassVar[bool] = False  # an online method learns from all visits, not the last alone
     # its visits are the data of offline methods by default; SimOpt's, which `RunSpec.simopt` holds
     collects: ClassVar[bool] = False
     label: ClassVar[str] = ""  # in figures; empty: the name

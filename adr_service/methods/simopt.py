@@ -22,6 +22,7 @@ Where we differ, and why:
   much each time.
 """
 
+from collections.abc import Sequence
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -81,6 +82,17 @@ class SimOptSettings(_Settings):
     colour: ClassVar[str] = "#0072B2"
 
 
+class SimOptMemorySettings(_Settings):
+    """Our extension: SimOpt on all trajectories so far, each with the policy that made it."""
+
+    name: Literal["simopt_memory"] = "simopt_memory"
+    updates: int = Field(5, ge=1, le=1000, description="REPS updates per target trajectory")
+
+    remembers: ClassVar[bool] = True
+    label: ClassVar[str] = "SimOpt, all trajectories"
+    colour: ClassVar[str] = "#332288"
+
+
 class SimOpt1Settings(_Settings):
     """SimOpt-1 (benchmark, Sec. 3.2): all updates at once, on data of the prior's policy."""
 
@@ -112,21 +124,28 @@ class SimOpt:
         progress: Progress,
     ) -> Update:
         settings, belief = self._settings, self.ask(problem, state)
-        loop = _ClosedLoop(problem, evidence, settings)
+        visits = (*evidence.earlier, evidence)
+        loops = [_ClosedLoop(problem, each, settings) for each in visits]
         history: list[dict[str, Any]] = []
         for update in range(settings.updates):
             part = part_of(progress, update, settings.updates)
-            belief, facts = self._improved(belief, loop, rng, part)
+            belief, facts = self._improved(belief, loops, rng, part)
             history.append(facts)
-        steps = settings.updates * settings.samples * len(evidence.data)
+        steps = settings.updates * settings.samples * sum(len(each.data) for each in visits)
         return Update(belief.to_json(), steps, {"updates": history})
 
     def _improved(
-        self, belief: Gaussian, loop: "_ClosedLoop", rng: np.random.Generator, progress: Progress
+        self,
+        belief: Gaussian,
+        loops: "Sequence[_ClosedLoop]",
+        rng: np.random.Generator,
+        progress: Progress,
     ) -> tuple[Gaussian, dict[str, Any]]:
         """The belief after one update, and the update's diagnostics."""
         draws = belief.sample(self._settings.samples, rng)
-        costs = loop.costs(draws.values, progress)
+        costs = np.zeros(self._settings.samples)
+        for index, loop in enumerate(loops):
+            costs += loop.costs(draws.values, part_of(progress, index, len(loops)))
         coordinates = belief.space.normalise(draws.values)
         location, covariance, temperature = reps(
             coordinates, costs, belief.covariance, self._settings
@@ -135,7 +154,7 @@ class SimOpt:
             "median_cost": float(np.median(costs)),
             "temperature": temperature,
             "clipped_draws": draws.adjusted,
-            "diverged": loop.diverged,
+            "diverged": sum(loop.diverged for loop in loops),
             "std": np.sqrt(np.diag(covariance)).tolist(),
         }
 

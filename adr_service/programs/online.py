@@ -16,9 +16,10 @@ from adr_service.programs.steps import (
 )
 from adr_service.specs import RunSpec
 from adr_service.stages.base import Stages
-from adr_service.stages.infer import Inferred
+from adr_service.stages.infer import Inferred, packed
 from adr_service.stages.train_policy import TrainedPolicy
 from adr_service.target import Target, Visit, open_target
+from adr_service.transitions import TransitionDataset
 
 
 def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[RunEvent, None, None]:
@@ -44,6 +45,7 @@ class OnlineLoop:
         self.inference: Inference[Inferred] | None = None
         self._trained: TrainedPolicy | None = None
         self._before: TrainedPolicy | None = None  # for the distribution before the present one
+        self._seen: list[tuple[bytes, TransitionDataset]] = []  # visits that were learnt from
 
     def train(self) -> Generator[RunEvent, None, TrainedPolicy]:
         """Train a policy for the present distribution.
@@ -61,9 +63,17 @@ class OnlineLoop:
     def update(self, visits: Sequence[Visit]) -> Generator[RunEvent, None, None]:
         """Infer from visits of one policy."""
         policy, data = visits[0].policy, joined(visits)
+        assert policy is not None, "an online method learns from its own policies"
         self.inference = yield from infer(
-            self._spec, self._stages, state=self._state, policy=policy, data=data
+            self._spec,
+            self._stages,
+            state=self._state,
+            policy=policy,
+            data=data,
+            earlier=packed(self._seen) if self._seen else None,
         )
+        if self._spec.method.remembers:
+            self._seen += [(policy, visit.data) for visit in visits]
         answer = self.inference.answer
         assert answer.state is not None, "an online method has a state"
         self._state, self.distribution = answer.state, answer.distribution

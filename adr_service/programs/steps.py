@@ -64,14 +64,16 @@ def infer(
     data: bytes,
     policy: bytes | None = None,
     state: dict[str, Any] | None = None,
+    earlier: bytes | None = None,
 ) -> Generator[RunEvent, None, Inference[Inferred]]:
     """The answer of a run's method; if its settings have a grid, the best of all answers.
 
-    An online method needs its state, and the policy that made the data.
+    An online method needs its state, and the policy that made the data; one that remembers, also
+    the visits before (`stages.infer.packed`).
     """
     if spec.method.replay_from == "smoothed":
         return (yield from _infer_from_smoothed(spec, stages, data))
-    return (yield from _infer(spec, stages, data, policy, state))
+    return (yield from _infer(spec, stages, data, policy, state, earlier))
 
 
 def _infer_from_smoothed(
@@ -80,7 +82,7 @@ def _infer_from_smoothed(
     """The answer of an offline method from smoothed states, with what the smoothing found."""
     smoothing = SmoothStates(**source_inputs(spec), data=data)
     states = yield from stages.run(smoothing)
-    inference = yield from _infer(spec, stages, states.data, None, None)
+    inference = yield from _infer(spec, stages, states.data)
     found = {"parameters": states.parameters, "sensor_std": states.sensor_std}
     answer = inference.answer.model_copy(
         update={
@@ -95,8 +97,9 @@ def _infer(
     spec: RunSpec,
     stages: Stages,
     data: bytes,
-    policy: bytes | None,
-    state: dict[str, Any] | None,
+    policy: bytes | None = None,
+    state: dict[str, Any] | None = None,
+    earlier: bytes | None = None,
 ) -> Generator[RunEvent, None, Inference[Inferred]]:
     """The answer of a run's method to data as they are."""
     asked = [
@@ -106,6 +109,7 @@ def _infer(
             data=data,
             policy=policy,
             state=state,
+            earlier=earlier,
         )
         for settings in spec.method.each
     ]

@@ -1,5 +1,6 @@
 """Infer a distribution from what the target showed."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
@@ -14,6 +15,7 @@ from adr_service.methods.base import (
     OnlineSettings,
     Problem,
 )
+from adr_service.npz import names_in, read_arrays, write_arrays
 from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
 from adr_service.stages.base import Belief, CoreSpeed, Cost, Result, Role, Stage
@@ -37,7 +39,7 @@ class Infer(Stage[Inferred]):
     """One inference of a method.
 
     An offline method has no state, and learns from the data alone. An online method gets its state
-    before, and the policy that made the data.
+    before, and the policy that made the data; one that remembers, also the visits `earlier`.
     """
 
     kind: ClassVar = "infer"
@@ -52,6 +54,7 @@ class Infer(Stage[Inferred]):
     state: dict[str, Any] | None = None  # JSON
     policy: bytes | None = None
     data: bytes  # an .npz of transitions
+    earlier: bytes | None = None  # visits before, `packed`
 
     @property
     def space(self) -> ParameterSpace:
@@ -72,7 +75,10 @@ class Infer(Stage[Inferred]):
         assert self.policy is not None, "an online method learns from a visit of its policy"
         assert self.state is not None, "an online method has a state"
         online = cast(OnlineSettings, self.method).create()
-        evidence = Evidence(Policy.from_bytes(self.policy), data)
+        earlier = tuple(
+            Evidence(Policy.from_bytes(policy), seen) for policy, seen in unpacked(self.earlier)
+        )
+        evidence = Evidence(Policy.from_bytes(self.policy), data, earlier)
         update = online.tell(problem, self.state, evidence, rng, progress)
         distribution = online.ask(problem, update.state)
         return Inferred(
@@ -92,6 +98,7 @@ class Infer(Stage[Inferred]):
     def cost(self, speed: CoreSpeed) -> Cost:
         settings = cast(OfflineSettings | OnlineSettings, self.method)
         transitions = len(TransitionDataset.from_npz(self.data))
+        transitions += sum(len(data) for _, data in unpacked(self.earlier))
         steps = settings.planned_steps(len(self.space), transitions)
         return Cost(steps / speed.steps_per_second(self.task))
 
@@ -103,3 +110,23 @@ class Infer(Stage[Inferred]):
             simulated_steps=0,
             diagnostics={} if grid is None else {grid.criterion: 0.0},
         )
+
+
+def packed(visits: Sequence[tuple[bytes, TransitionDataset]]) -> bytes:
+    """Policies and what each recorded, as one `.npz`."""
+    arrays: dict[str, np.ndarray] = {}
+    for number, (policy, data) in enumerate(visits):
+        for name, content in (("policy", policy), ("data", data.to_npz())):
+            arrays[f"{name}_{number}"] = np.frombuffer(content, dtype=np.uint8)
+    return write_arrays(arrays)
+
+
+def unpacked(content: bytes | None) -> list[tuple[bytes, TransitionDataset]]:
+    """What `packed` was given; nothing for None."""
+    if content is None:
+        return []
+    arrays = read_arrays(content, names_in(content))
+    return [
+        (arrays[f"policy_{i}"].tobytes(), TransitionDataset.from_npz(arrays[f"data_{i}"].tobytes()))
+        for i in range(len(arrays) // 2)
+    ]

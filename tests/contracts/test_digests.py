@@ -71,6 +71,7 @@ def specs():
         yield f"{method} of a recording", {**small, "method": method, "target": target}
     for method in OFFLINE:
         yield f"{method} of smoothed states", {**small, "method": f"{method}_smoothed"}
+    yield "simopt of all trajectories", {**small, "method": "simopt_memory"}
     grid = {"name": "dropo", "epsilon": [1e-5, 1e-3], "samples_per_parameter": 3}
     own = {"name": "simopt", "samples": 33, "updates": 2}
     yield "dropo with settings", {**small, "method": grid, "simopt": own}
@@ -99,7 +100,7 @@ def asked_by_name():
 
 
 _LISTED = (
-    *(" smoke", " with a robot", " of a recording", " of smoothed states"),
+    *(" smoke", " with a robot", " of a recording", " of smoothed states", "trajectories"),
     *("with settings", "sbx"),
 )
 

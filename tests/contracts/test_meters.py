@@ -4,6 +4,7 @@ import pytest
 
 from adr_service.methods.catalogue import methods
 from adr_service.stages.base import compute
+from adr_service.stages.infer import unpacked
 from adr_service.stages.local import LocalStages
 from adr_service.transitions import TransitionDataset
 from tests.programs.smoke import executed, iterations, smoke
@@ -52,7 +53,11 @@ def _beyond(stage, event, stages):
     if not method.endswith("_smoothed"):
         states = {tuple(state) for each in recorded for state in each.observations.tolist()}
         assert {tuple(state) for state in data.observations.tolist()} <= states
-    return [data] if len(data) > event.target_transitions else []
+    before = unpacked(stage.blobs.get("earlier"))
+    for _, each in before:
+        assert rows(each) <= set().union(*(rows(one) for one in recorded))
+    read = len(data) + sum(len(each) for _, each in before)
+    return [data] if read > event.target_transitions else []
 
 
 def rows(data):

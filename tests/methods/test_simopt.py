@@ -1,5 +1,7 @@
 """SimOpt's REPS step, and its updates on one trajectory."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from adr_service.methods.base import Evidence
 from adr_service.methods.simopt import SimOpt, SimOpt1Settings, SimOptSettings, reps
 from adr_service.progress import silent
 from adr_service.randomness import stream
-from tests.planted import PROBLEM, SPACE, recorded, waving_policy
+from tests.planted import PLANTED, PROBLEM, SPACE, recorded, waving_policy
 
 
 class TestReps:
@@ -115,6 +117,19 @@ class TestUpdates:
         method = SimOpt(SimOptSettings())
         start = method.ask(PROBLEM, method.start(PROBLEM))
         assert start.to_json() == Gaussian.prior(SPACE).to_json()
+
+    def test_an_earlier_visit_has_a_say_and_a_cost(self):
+        settings = SimOptSettings(updates=1, samples=200)
+        alone = self.update(settings)
+        heavy = PLANTED + np.array([1.0, 1.0, 0.0, 0.0])
+        other = Evidence(self.policy, recorded(self.policy, heavy, episodes=8, steps=20))
+        remembered = replace(self.evidence, earlier=(other,))
+        method = SimOpt(settings)
+        start = method.start(PROBLEM)
+        both = method.tell(PROBLEM, start, remembered, stream("simopt"), silent)
+        assert both.simulated_steps == 200 * (len(self.evidence.data) + len(other.data))
+        masses = [SPACE.denormalise(np.array(each.state["location"]))[:2] for each in (alone, both)]
+        assert np.all(masses[1] > masses[0])
 
     def test_every_update_is_in_the_diagnostics_and_in_the_cost(self):
         update = self.update(SimOptSettings(updates=3, samples=20))

@@ -1,4 +1,5 @@
 from adr_service.stages.base import compute
+from adr_service.stages.infer import unpacked
 from adr_service.stages.local import LocalStages
 from tests.programs.smoke import executed, iterations, smoke
 
@@ -41,3 +42,22 @@ def test_the_policy_of_a_visit_is_the_one_that_was_just_trained():
     events = iterations(smoke("simopt", iterations=2), stages)
     hashes = [stage.document["blobs"]["policy"] for stage in executed(stages, "target_rollout")]
     assert hashes == [event.policies[0] for event in events[:2]]
+
+
+def test_simopt_with_a_memory_learns_from_all_visits_each_with_its_policy():
+    stages = LocalStages()
+    events = iterations(smoke("simopt_memory", iterations=3), stages)
+    recorded = [stage.read(compute(stage)).data for stage in executed(stages, "target_rollout")]
+    flown = [stage.policy for stage in executed(stages, "target_rollout")]
+    for number, stage in enumerate(executed(stages, "infer")):
+        earlier = [(policy, data.to_npz()) for policy, data in unpacked(stage.earlier)]
+        assert earlier == list(zip(flown, recorded, strict=True))[:number]
+        assert (stage.policy, stage.data) == (flown[number], recorded[number])
+    steps = [event.inference_steps for event in events]
+    assert steps == [0, steps[1], 2 * steps[1], 3 * steps[1]]
+
+
+def test_simopt_itself_has_the_last_visit_alone():
+    stages = LocalStages()
+    iterations(smoke("simopt", iterations=2), stages)
+    assert [stage.earlier for stage in executed(stages, "infer")] == [None, None]
