@@ -79,7 +79,7 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class InferenceCost:
-    """InferenceCost of one inference, mean over seeds."""
+    """Cost of one inference, mean over seeds."""
 
     task: str
     variant: str

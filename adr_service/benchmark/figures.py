@@ -155,7 +155,7 @@ FIGURES: Mapping[str, Kind] = {
         "no method has inferred a distribution with a spread",
     ),
     "cost": Kind(
-        "InferenceCost of the inferences",
+        "Cost of the inferences",
         lambda outcome: bool(outcome.iteration.inferences),
         InferenceCost,
         costs,

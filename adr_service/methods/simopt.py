@@ -82,17 +82,6 @@ class SimOptSettings(_Settings):
     colour: ClassVar[str] = "#0072B2"
 
 
-class SimOptMemorySettings(_Settings):
-    """Our extension: SimOpt on all trajectories so far, each with the policy that made it."""
-
-    name: Literal["simopt_memory"] = "simopt_memory"
-    updates: int = Field(5, ge=1, le=1000, description="REPS updates per target trajectory")
-
-    remembers: ClassVar[bool] = True
-    label: ClassVar[str] = "SimOpt, all trajectories"
-    colour: ClassVar[str] = "#332288"
-
-
 class SimOpt1Settings(_Settings):
     """SimOpt-1 (benchmark, Sec. 3.2): all updates at once, on data of the prior's policy."""
 
@@ -102,6 +91,17 @@ class SimOpt1Settings(_Settings):
     program: ClassVar[str] = "adr_service.programs.single_shot"
     label: ClassVar[str] = "SimOpt-1"
     colour: ClassVar[str] = "#56B4E9"
+
+
+class SimOptMemorySettings(_Settings):
+    """Our extension: SimOpt on all trajectories so far, each with the policy that made it."""
+
+    name: Literal["simopt_memory"] = "simopt_memory"
+    updates: int = Field(5, ge=1, le=1000, description="REPS updates per target trajectory")
+
+    remembers: ClassVar[bool] = True
+    label: ClassVar[str] = "SimOpt, all trajectories"
+    colour: ClassVar[str] = "#332288"
 
 
 class SimOpt:

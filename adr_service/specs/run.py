@@ -100,7 +100,10 @@ class RunSpec(Wire):
             try:
                 check_smoothable(task)
             except AdrError as error:
-                raise ValueError(f"method: {self.method.name} on {self.task}: {error}") from error
+                raise ValueError(
+                    f"method: {self.method.name} cannot smooth the states of {self.task}: {error}; "
+                    "the method without `_smoothed` can be run"
+                ) from error
         if self.transitions > task.horizon:
             raise ValueError(
                 f"transitions: {self.transitions} given, but an episode of {self.task} has "

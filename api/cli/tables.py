@@ -31,8 +31,7 @@ def _returns_table(rows: Sequence[Json]) -> Table:
         table.add_column(heading, overflow="fold")
     for heading in (
         *("iteration", "return /\nthreshold", "95 %\ninterval", "seeds", "episodes"),
-        *("target\ntransitions", "returns\nseen", "simulated\nsteps"),
-        *("distance\nfrom truth", "posterior\nstd"),
+        *("target\ntransitions", "distance\nfrom truth", "posterior\nstd"),
     ):
         is_interval = heading.endswith("interval")
         table.add_column(heading, justify="right", overflow="fold", no_wrap=is_interval)
@@ -54,8 +53,6 @@ def _cells(row: Json) -> list[str]:
         str(row["seeds"]),
         str(row["episodes"]),
         f"{row['target_transitions']:.0f}",
-        str(row["target_returns"]) if row["target_returns"] else "–",
-        f"{row['inference_steps']:,.0f}" if row["inference_steps"] else "–",
         "–" if error is None else f"{error:.2f}",
         "–" if std is None else f"{std:.2g}",
     ]

@@ -74,6 +74,6 @@ def test_a_file_in_the_package_is_in_the_catalogue_and_its_base_class_is_not(tmp
     (tmp_path / "another.py").write_text(ANOTHER)
     done = python(ADD.format(folder=str(tmp_path)))
     assert done.returncode == 0, done.stderr
-    ours = ["udr", "another", "bayrn", "simopt", "simopt_memory", "simopt_1"]
+    ours = ["udr", "another", "bayrn", "simopt", "simopt_1", "simopt_memory"]
     ours += [name + end for name in ("droid", "dropo", "sysid") for end in ("", "_smoothed")]
     assert done.stdout.strip() == str(ours)

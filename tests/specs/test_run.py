@@ -46,7 +46,7 @@ def test_what_is_given_wins_over_the_preset_field_by_field():
     [
         (
             {"task": "humanoid", "method": "dropo_smoothed"},
-            "method: dropo_smoothed on humanoid: the model has 24 positions for 23 velocities",
+            "method: dropo_smoothed cannot smooth the states of humanoid: the model has 24",
         ),
         (
             {"task": "hoper"},

@@ -19,7 +19,6 @@ from workers.tuning import Candidate, Trial
 ROW = {"task": "half_cheetah", "variant": "unmodeled", "method": "simopt", "iteration": 5}
 ROW |= {"collector": "simopt", "normalised_return": 0.99, "low": 0.12, "high": 1.03}
 ROW |= {"seeds": 3, "episodes": 150, "target_transitions": 1000}
-ROW |= {"target_returns": 15, "inference_steps": 1.5e6}
 ROW |= {"estimation_error": 0.12, "posterior_std": 0.012}
 EMPTY = {"rows": [], "estimates": [], "comparisons": [], "note": "a note"}
 PLAN = {"runs": 2, "trainings": 3, "environment_steps": 12_000, "target_transitions": 40}
