@@ -264,14 +264,15 @@ def line(rows: list[dict[str, Any]]) -> str:
     scored = all(row["log_score"] is not None for row in rows)
     simulated = all(row["predicted_loss"] is not None for row in rows)
     first = rows[0]
+    reach = "1 seed" if len(rows) == 1 else f"{min(distances):.3f} to {max(distances):.3f}"
     parts = [
         first["task"],
         first["variant"],
         first["data"],
         first["method"],
-        f"{median('distance'):.3f} ({min(distances):.3f} to {max(distances):.3f})",
+        f"{median('distance'):.3f} ({reach})",
         f"{median('prior_distance'):.2f}",
-        f"{median('log_score'):.1f}" if scored else "",
+        f"{median('log_score'):.4g}" if scored else "",
         f"{median('prior_log_score'):.1f}",
         f"{median('loss'):.2f}, {median('predicted_loss'):.2f}" if simulated else "",
         ", ".join(f"{sum(r['at_bound'][i] for r in rows) / len(rows):.1f}" for i in (0, 1)),
