@@ -122,7 +122,7 @@ def packed(visits: Sequence[tuple[bytes, TransitionDataset]]) -> bytes:
 
 
 def unpacked(content: bytes | None) -> list[tuple[bytes, TransitionDataset]]:
-    """What `packed` was given; nothing for None."""
+    """The visits in a file of `packed`; none without a file."""
     if content is None:
         return []
     arrays = read_arrays(content, names_in(content))

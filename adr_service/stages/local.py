@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 def drained(program: Generator[RunEvent, None, T]) -> T:
-    """What a program returns, its events left aside."""
+    """Run a program to its end, and return its result."""
     while True:
         try:
             next(program)

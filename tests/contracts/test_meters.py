@@ -34,7 +34,7 @@ def test_data_beyond_the_meter_are_found():
 
 
 def unmetered(event, stages):
-    """What the inferences of an iteration read and its meter does not show."""
+    """Data that an iteration's inferences read beyond its meter."""
     own = {stage.digest: stage for stage in stages.executed}
     read = [own[digest] for digest in event.inferences]
     return [each for stage in read for each in _beyond(stage, event, stages)]
