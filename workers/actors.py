@@ -4,14 +4,11 @@ Nothing here opens a database or draws an unnamed random number. An ending is a 
 (`Finished`, `Failed`, `Stopped`), so that an exception from Ray always means a lost process.
 """
 
-import importlib.metadata
 import os
-import platform
 import threading
 import time
 import traceback
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import ray
@@ -20,15 +17,12 @@ from ray.exceptions import RayError
 from adr_service.benchmark.cost import Execution
 from adr_service.errors import AdrError, FailureCode
 from adr_service.progress import Checkpoint, StageCancelled
+from adr_service.provenance import provenance
 from adr_service.stages.base import AnyStage, StageResult, compute
 from adr_service.startup_time import preparation_seconds
 from workers.heartbeats import SignOfLife
 
 SIGN_OF_LIFE_S = 1.0
-_PROVENANCE_PACKAGES = (
-    *("adr-service", "mujoco", "numpy", "scipy", "cma"),
-    *("stable-baselines3", "torch", "sbx-rl", "jax"),
-)
 
 
 @dataclass(frozen=True)
@@ -74,7 +68,7 @@ class StageActor:
         except Exception as error:  # noqa: BLE001 - a defect must reach the run as its failure
             trace = "".join(traceback.format_exception(error)[-4:])
             return Failed(FailureCode.INTERNAL, f"{type(error).__name__}: {error}\n{trace}")
-        return Finished(result, replace(clock.measured(placed), provenance=_provenance()))
+        return Finished(result, replace(clock.measured(placed), provenance=provenance()))
 
 
 class _Clock:
@@ -139,16 +133,3 @@ class _Reporter:
             except RayError:
                 pass  # the board is starting again; the next sign reaches it
             self._done.wait(SIGN_OF_LIFE_S)
-
-
-def _provenance() -> dict[str, Any]:
-    installed = {d.name: d.version for d in importlib.metadata.distributions()}
-    versions = {name: installed[name] for name in _PROVENANCE_PACKAGES if name in installed}
-    return {"python": platform.python_version(), "cpu": _cpu_model(), **versions}
-
-
-def _cpu_model() -> str:
-    cpuinfo = Path("/proc/cpuinfo")
-    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return models[0] if models else platform.processor()
