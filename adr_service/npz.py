@@ -4,11 +4,8 @@ arrays = read_arrays(content, ["time", "qpos"])     # InvalidInput says what is 
 """
 
 import io
-import lzma
 import math
-import struct
 import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -17,26 +14,12 @@ from numpy.typing import ArrayLike
 
 from adr_service.errors import InvalidInput
 from adr_service.json_values import is_a_line
+from adr_service.zips import BROKEN, check_size
 
 _MOST_NUMBERS = 2**25  # of all arrays together: 256 MB as float64
 _MOST_TEXTS = 10_000
-_MOST_PACKED = 200  # times as long as the file
-_ALWAYS_UNPACKED = 8_000_000  # bytes that even the smallest file may unpack to
 _WIDEST = 8  # bytes of a number
 _KINDS = "biufU"  # booleans, integers, floats, texts; never objects
-_BROKEN = (  # raised by the readers of a damaged or malicious file
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
-    struct.error,
-    EOFError,
-    OSError,
-    ValueError,  # and so UnicodeError
-    OverflowError,
-    NotImplementedError,
-    RuntimeError,
-    SystemError,
-)
 
 
 def read_arrays(
@@ -53,14 +36,14 @@ def read_arrays(
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()
             _check_names([member.filename for member in members], accepted)
-            _check_size(members, len(content))
+            check_size(members, len(content), ".npz")
             numbers = sum(_check_header(archive, member, longest) for member in members)
             if numbers > _MOST_NUMBERS:
                 raise InvalidInput(
                     f"the .npz holds {numbers} numbers; accepted are {_MOST_NUMBERS}"
                 )
             return {m.filename.removesuffix(".npy"): _read(archive, m) for m in members}
-    except _BROKEN as error:
+    except BROKEN as error:
         raise InvalidInput(f"not a readable .npz of plain arrays: {error}") from error
 
 
@@ -77,7 +60,7 @@ def names_in(content: bytes) -> list[str]:
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist()]
-    except _BROKEN:
+    except BROKEN:
         return []
 
 
@@ -87,16 +70,6 @@ def _check_names(names: Sequence[str], accepted: Sequence[str]) -> None:
         raise InvalidInput(f"the .npz has {unknown}; accepted: {', '.join(sorted(files))}")
     if len(set(names)) < len(names):
         raise InvalidInput(f"the .npz has a member twice: {', '.join(sorted(names))}")
-
-
-def _check_size(members: Sequence[zipfile.ZipInfo], packed: int) -> None:
-    """Refuse a file that would unpack to many times its own size."""
-    unpacked = sum(member.file_size for member in members)
-    if unpacked > max(_ALWAYS_UNPACKED, _MOST_PACKED * packed):
-        raise InvalidInput(
-            f"the .npz of {packed} bytes would unpack to {unpacked}; accepted are "
-            f"{_MOST_PACKED} times as many, which recordings of real machines never reach"
-        )
 
 
 def _check_header(archive: zipfile.ZipFile, member: zipfile.ZipInfo, longest: int | None) -> int:
