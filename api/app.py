@@ -20,6 +20,7 @@ from api.errors import Problem
 from api.etags import Etags
 from api.guard import Guard
 from api.routes import (
+    archives,
     benchmark_results,
     benchmarks,
     catalogue,
@@ -59,8 +60,8 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.settings = settings
     errors.install(app)
     families = (
-        *(runs, events, run_results, trainings, benchmarks, benchmark_results, criticisms),
-        *(datasets, target_tasks, claims, catalogue, page),
+        *(runs, events, run_results, trainings, benchmarks, benchmark_results, archives),
+        *(criticisms, datasets, target_tasks, claims, catalogue, page),
     )
     app.state.routers = [family.router for family in families]
     for router in app.state.routers:

@@ -9,9 +9,10 @@ with AdrClient() as client:
 
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
 from types import TracebackType
-from typing import Any, Self
+from typing import IO, Any, Self
 
 import httpx2
 
@@ -20,6 +21,7 @@ from api.settings import DEFAULT_URL
 
 Json = dict[str, Any]
 _POLL_S = 1.0
+_LONG_S = 3600.0  # for an archive to be written or read
 _OF_A_PROXY = (502, 503, 504)  # our own 503 has a Retry-After
 
 
@@ -76,9 +78,12 @@ class AdrClient:
         """`report.html`, `verdict.json`, `extended.xml` or `effects.json`."""
         return self.content(f"/v1/criticisms/{run_id}/{name}")
 
-    def extend_benchmark(self, benchmark_id: str, extension: Json) -> Json:
+    def extend_benchmark(
+        self, benchmark_id: str, extension: Json, *, dry_run: bool = False
+    ) -> Json:
         """Add seeds, methods, … to a benchmark."""
-        return self._json("POST", f"{_path(benchmark_id)}/extend", json=extension)
+        path = f"{_path(benchmark_id)}/extend"
+        return self._json("POST", path, json=extension, params=_dry(dry_run))
 
     def upload(self, content: bytes, task: str | None = None) -> Json:
         """Store a recording; with `task`, also check that it is of that task."""
@@ -97,6 +102,21 @@ class AdrClient:
     def list_all(self, collection: str, **filters: str) -> list[Json]:
         """All members of "runs", "benchmarks", "datasets" or "target_tasks", page after page."""
         return self._pages(f"/v1/{collection}", "page_token", **filters)
+
+    def export_archive(self, benchmark_id: str, file: IO[bytes]) -> None:
+        """Write a benchmark with all its results to a file."""
+        path = f"{_path(benchmark_id)}/archive"
+        with self._answering(), self._http.stream("GET", path, timeout=_LONG_S) as response:
+            if response.is_error:
+                response.read()
+            _check(response, self.url)
+            for portion in response.iter_bytes():
+                file.write(portion)
+
+    def import_archive(self, file: IO[bytes]) -> Json:
+        """Add what the service lacks of a benchmark's archive."""
+        headers = {"Content-Type": "application/octet-stream"}
+        return self._json("POST", "/v1/archives", content=file, headers=headers, timeout=_LONG_S)
 
     def cost(self, id: str) -> Json:
         """Cost of a run or a benchmark so far."""
@@ -203,8 +223,16 @@ class AdrClient:
         return self._request(method, path, **more).json()
 
     def _request(self, method: str, path: str, **more: Any) -> httpx2.Response:
-        try:
+        with self._answering():
             response = self._http.request(method, path, **more)
+        _check(response, self.url)
+        return response
+
+    @contextmanager
+    def _answering(self) -> Generator[None]:
+        """Raise Unreachable if the service does not answer."""
+        try:
+            yield
         except httpx2.TimeoutException as error:
             raise Unreachable(
                 f"the service at {self.url} did not answer in time ({type(error).__name__}); "
@@ -215,16 +243,6 @@ class AdrClient:
                 f"no service answers at {self.url} ({error}); start one with `adr serve`, "
                 "or name another with ADR_URL"
             ) from error
-        if response.is_error:
-            wait = response.headers.get("Retry-After")
-            after = float(wait) if wait is not None and wait.isdigit() else None
-            if after is None and response.status_code in _OF_A_PROXY:
-                raise Unreachable(
-                    f"the server at {self.url} is not the service: "
-                    f"{response.status_code} {response.reason_phrase}"
-                )
-            raise Refused(response.status_code, _explain(response), after)
-        return response
 
 
 def connect(url: str = DEFAULT_URL, timeout_s: float = 60.0) -> AdrClient:
@@ -246,6 +264,20 @@ def _path(id: str) -> str:
 
 def _dry(dry_run: bool) -> dict[str, str]:
     return {"validate_only": "true"} if dry_run else {}
+
+
+def _check(response: httpx2.Response, url: str) -> None:
+    """Raise Refused or Unreachable for an answer that is an error."""
+    if not response.is_error:
+        return
+    wait = response.headers.get("Retry-After")
+    after = float(wait) if wait is not None and wait.isdigit() else None
+    if after is None and response.status_code in _OF_A_PROXY:
+        raise Unreachable(
+            f"the server at {url} is not the service: "
+            f"{response.status_code} {response.reason_phrase}"
+        )
+    raise Refused(response.status_code, _explain(response), after)
 
 
 def _explain(response: httpx2.Response) -> str:

@@ -22,7 +22,7 @@ from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.transitions import TransitionDataset
 
 LARGEST = 64_000_000  # bytes of an upload
-NPZ = "application/octet-stream"
+OCTETS = "application/octet-stream"
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,6 @@ def check_dataset(spec: AnyRun, content: bytes) -> None:
 
 def octets(content_type: Annotated[str, Header(include_in_schema=False)] = "") -> None:
     """Refuse forms and texts, which a page elsewhere could make a browser send."""
-    if content_type.partition(";")[0].strip().lower() != NPZ:
-        detail = f"the body must be {NPZ}; given {content_type or 'no type'!r}"
+    if content_type.partition(";")[0].strip().lower() != OCTETS:
+        detail = f"the body must be {OCTETS}; given {content_type or 'no type'!r}"
         raise HTTPException(status.HTTP_415_UNSUPPORTED_MEDIA_TYPE, detail)

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
-from typing import Any
 
 from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
@@ -127,7 +126,8 @@ def extend_benchmark(
     """
     now = get_benchmark(database, benchmark_id)
     spec = now.spec.extended(extension)
-    new = _missing(spec, runs_of(database, benchmark_id), benchmark_id)  # before the lock
+    specs = _missing(spec, runs_of(database, benchmark_id), benchmark_id)
+    new = [new_run(run, benchmark_id) for run in specs]  # before the lock
     with database.write("extend_benchmark") as session:
         row = _row(session, benchmark_id)
         if _spec(row.spec) != now.spec:
@@ -136,6 +136,14 @@ def extend_benchmark(
         added = set(insert_runs(session, new))
         check_live(session, accept)
     return [run for run in runs_of(database, benchmark_id) if run.id in added]
+
+
+def planned_extension(
+    database: Database, benchmark_id: str, extension: BenchmarkExtension
+) -> tuple[BenchmarkSpec, list[RunSpec]]:
+    """The spec of a benchmark with an extension, and its new runs. Raises as the above."""
+    spec = get_benchmark(database, benchmark_id).spec.extended(extension)
+    return spec, _missing(spec, runs_of(database, benchmark_id), benchmark_id)
 
 
 def request_cancel_all(database: Database, benchmark_id: str) -> list[RunRecord]:
@@ -202,19 +210,17 @@ def finished_before(database: Database, moment: datetime) -> list[Deletion]:
         ]
 
 
-def _missing(
-    spec: BenchmarkSpec, present: Sequence[RunRecord], benchmark_id: str
-) -> list[dict[str, Any]]:
-    """The columns of the runs that `spec` has and `present` lacks.
+def _missing(spec: BenchmarkSpec, present: Sequence[RunRecord], benchmark_id: str) -> list[RunSpec]:
+    """The runs that `spec` has and `present` lacks.
 
     Raises NotPossible if a run of `present` differs from the one that `spec` has in its place.
     """
-    known = {_cell(run.spec): run.spec for run in present if isinstance(run.spec, RunSpec)}
-    new: list[dict[str, Any]] = []
+    known = {cell_of(run.spec): run.spec for run in present if isinstance(run.spec, RunSpec)}
+    new: list[RunSpec] = []
     for run in spec.runs():
-        before = known.get(_cell(run))
+        before = known.get(cell_of(run))
         if before is None:
-            new.append(new_run(run, benchmark_id))
+            new.append(run)
         elif before != run:
             differ = [name for name, value in run if value != getattr(before, name)]
             raise NotPossible(
@@ -225,7 +231,7 @@ def _missing(
     return new
 
 
-def _cell(spec: RunSpec) -> tuple[str, str, str, int]:
+def cell_of(spec: RunSpec) -> tuple[str, str, str, int]:
     """The place of a run in its benchmark's grid."""
     return (spec.task, spec.variant, spec.column, spec.seed)
 

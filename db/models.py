@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from enum import StrEnum
+from typing import TypeVar
 
 from sqlalchemy import (
     CheckConstraint,
@@ -20,6 +21,8 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.types import TypeDecorator
 
 from adr_service.events import RunState
+
+R = TypeVar("R", bound="Base")
 
 
 class VisitState(StrEnum):
@@ -253,3 +256,12 @@ class StageArtifactRow(Base):
     )
     name: Mapped[str] = mapped_column(String(80), primary_key=True)
     sha256: Mapped[str] = mapped_column(ForeignKey("artifacts.sha256"), index=True)
+
+
+NUMBER = "number"  # the column that each database counts for itself
+
+
+def copy_of(row: R) -> R:
+    """A new row with the content of another, for another database."""
+    columns = [column.name for column in row.__table__.columns if column.name != NUMBER]
+    return type(row)(**{name: getattr(row, name) for name in columns})

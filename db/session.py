@@ -99,21 +99,21 @@ class Database:
         with self.read() as session:
             return MigrationContext.configure(session.connection()).get_current_revision()
 
-    def upgrade(self) -> None:
-        """Bring the tables to this version's revision, in one transaction.
+    def upgrade(self, to: str | None = None) -> None:
+        """Bring the tables to a revision, by default to this version's, in one transaction.
 
         Raises DatabaseNewer if they are ahead.
         """
         config = alembic_config(self.url)
-        now, newest = self.revision(), head()
+        now, newest = self.revision(), to or head()
         if now != newest:
             name = self._backend.name
             if now is None:
-                self._migrate(config, now)
+                self._migrate(config, now, newest)
             elif now in revisions():
                 log.info("upgrading %s from revision %s to %s", name, now, newest)
                 with self._backend.keep(now):
-                    self._migrate(config, now)
+                    self._migrate(config, now, newest)
             else:
                 raise DatabaseNewer(
                     f"{name} has tables of revision {now}, which this version does not know (its "
@@ -122,12 +122,12 @@ class Database:
                 )
         self._backend.make_shrinkable()
 
-    def _migrate(self, config: Config, now: str | None) -> None:
+    def _migrate(self, config: Config, now: str | None, to: str | None) -> None:
         with self._translated(), self._backend.migrating() as connection:
             self._backend.repair(connection, now)
             config.attributes["connection"] = connection
             config.attributes["on_version_apply"] = _pass_migration
-            command.upgrade(config, "head")
+            command.upgrade(config, to or "head")
             failpoint("upgrade:before")
         failpoint("upgrade:after")
 

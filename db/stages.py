@@ -3,8 +3,9 @@
 import json
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from typing import Any
 
-from sqlalchemy import Row, Select, delete, exists, select
+from sqlalchemy import ColumnElement, Row, Select, delete, exists, select
 from sqlalchemy.orm import Session
 
 from adr_service.benchmark.cost import Execution
@@ -18,6 +19,7 @@ from db.models import (
     StageArtifactRow,
     StageRow,
     TargetTaskRow,
+    copy_of,
 )
 from db.session import CHUNK, Database
 
@@ -27,6 +29,8 @@ _OWNERS = (
 )
 _UNUSED = [~exists().where(owner == ArtifactRow.sha256) for owner in _OWNERS]
 _TIMING = ("asked", "placed", "began", "ended", "cpu", "preparing", "is_first", "cores")
+_MENTIONED = EventRow.key == "stage_finished:" + StageRow.digest
+_UNMENTIONED = ~exists().where(_MENTIONED)
 _MEASURED = StageRow.timing.is_not(None)
 _STORED_LATE_S = 3600.0  # a result is stored at most so long after it was computed
 
@@ -90,7 +94,7 @@ def executions_between(database: Database, first: float, last: float) -> list[Ex
 
 def executions_of(database: Database, run_ids: Sequence[str]) -> list[tuple[str, Execution]]:
     """Pairs (stage kind, execution) of the runs' measured stages, in order of their beginning."""
-    query = _executions().join(EventRow, EventRow.key == "stage_finished:" + StageRow.digest)
+    query = _executions().join(EventRow, _MENTIONED)
     executions: dict[str, tuple[str, Execution]] = {}
     with database.read() as session:
         for first in range(0, len(run_ids), CHUNK):
@@ -109,6 +113,11 @@ def seconds_of(database: Database, digests: Sequence[str]) -> dict[str, float]:
             rows = session.execute(select(StageRow.digest, StageRow.seconds).where(chunk))
             seconds |= {row.digest: row.seconds for row in rows}
     return seconds
+
+
+def provenance_of(session: Session, digest: str) -> dict[str, Any]:
+    """Versions and CPU type that a stored stage was computed with; inside a transaction."""
+    return json.loads(session.get_one(StageRow, digest).provenance)
 
 
 def policy_of_training(database: Database, digest: str) -> bytes | None:
@@ -140,17 +149,51 @@ def add_artifact(session: Session, content: bytes) -> str:
 
 def has_blobs(session: Session, digest: str, blobs: dict[str, bytes]) -> bool:
     """True if a stage's stored result has exactly these binary parts; inside a transaction."""
-    columns = select(StageArtifactRow.name, StageArtifactRow.sha256)
-    stored = session.execute(columns.where(StageArtifactRow.digest == digest))
-    return {row.name: row.sha256 for row in stored} == {
-        name: sha256(content) for name, content in blobs.items()
-    }
+    return _parts(session, digest) == {name: sha256(content) for name, content in blobs.items()}
+
+
+def is_mentioned_by(runs: Select[str]) -> ColumnElement[bool]:
+    """The condition that an event of these runs names the stage, for queries of StageRow."""
+    return exists().where(_MENTIONED, EventRow.run_id.in_(runs))
+
+
+def mentioned_by(session: Session, run_id: str) -> list[str]:
+    """Digests of the stored stages that a run's events name; inside a transaction."""
+    mine = select(StageRow.digest).join(EventRow, _MENTIONED).where(EventRow.run_id == run_id)
+    return list(session.scalars(mine.order_by(EventRow.seq)))
+
+
+def copy_result(session: Session, source: Session, digest: str) -> bool:
+    """Copy a stage and its artifacts from another database; False if it is here already."""
+    if session.get(StageRow, digest) is not None:
+        return False
+    session.add(copy_of(source.get_one(StageRow, digest)))
+    session.flush()
+    for name, key in _parts(source, digest).items():
+        add_artifact(session, source.get_one(ArtifactRow, key).content)
+        session.add(StageArtifactRow(digest=digest, name=name, sha256=key))
+    session.flush()
+    _drop_checkpoint(session, digest)
+    return True
+
+
+def has_other_result(session: Session, source: Session, digest: str) -> bool:
+    """True if a stage has results in two databases, and they differ."""
+    here, there = session.get(StageRow, digest), source.get_one(StageRow, digest)
+    if here is None:
+        return False
+    return here.result != there.result or _parts(session, digest) != _parts(source, digest)
+
+
+def has_unreferenced(session: Session) -> bool:
+    """True if there are results that no run's events mention, or bytes that nothing has."""
+    lost = (select(StageRow.digest).where(_UNMENTIONED), select(ArtifactRow.sha256).where(*_UNUSED))
+    return any(session.scalar(query.limit(1)) is not None for query in lost)
 
 
 def delete_unmentioned(session: Session) -> None:
     """Delete results and checkpoints that no run's events mention; inside a transaction."""
-    mentioned = exists().where(EventRow.key == "stage_finished:" + StageRow.digest)
-    session.execute(delete(StageRow).where(~mentioned))
+    session.execute(delete(StageRow).where(_UNMENTIONED))
     evaluated = exists().where(
         EventRow.key.startswith("training_evaluated:" + CheckpointRow.digest + ":")
     )
@@ -160,6 +203,13 @@ def delete_unmentioned(session: Session) -> None:
 def delete_unused_artifacts(session: Session) -> None:
     """Delete bytes that no stage, checkpoint, dataset or visit has; inside a transaction."""
     session.execute(delete(ArtifactRow).where(*_UNUSED))
+
+
+def _parts(session: Session, digest: str) -> dict[str, str]:
+    """SHA-256 of a stored stage's binary parts, by name."""
+    columns = select(StageArtifactRow.name, StageArtifactRow.sha256)
+    stored = session.execute(columns.where(StageArtifactRow.digest == digest))
+    return {row.name: row.sha256 for row in stored}
 
 
 def _row(digest: str, document: str, result: StageResult, execution: Execution) -> StageRow:

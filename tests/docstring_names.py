@@ -18,31 +18,23 @@ from adr_service.distributions import Gaussian
 from adr_service.effects.base import Effect
 from adr_service.events import IterationFinished
 from adr_service.methods.dropo import Likelihood, deviations
+from adr_service.programs import run
 from adr_service.progress import silent
 from adr_service.search.trust_region import Bounds
 from adr_service.simulation.replay import Replay
 from adr_service.specs import BenchmarkSpec, RunSpec
 from adr_service.tasks.catalogue import catalogue, get_task, source_of
-from adr_service.training.policy import Policy
 from api.client import AdrClient
 from api.settings import Settings
 from benchmarks.planted import hide
 from tests.hidden import arm as arm_and_nominal
 from tests.hidden import recorded
 from tests.recordings import recording
+from tests.stages.examples import policy as policy_with
 
 Names = dict[str, Any]
 SPEC = {"task": "arm", "method": "simopt", "preset": "smoke"}
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
-
-
-def a_policy() -> Policy:
-    rng = np.random.default_rng(0)
-    layers = tuple(
-        (rng.normal(size=shape).astype(np.float32), rng.normal(size=shape[0]).astype(np.float32))
-        for shape in ((8, 4), (2, 8))
-    )
-    return Policy(layers, "relu", np.array([-1.0, -1.0]), np.array([1.0, 1.0]))
 
 
 def an_outcome() -> Outcome:
@@ -122,7 +114,10 @@ def recording_file(folder: Path) -> Names:
 
 
 def policy_file(folder: Path) -> Names:
-    return {"path": _written(folder, a_policy().to_bytes()), "observations": np.zeros((3, 4))}
+    return {
+        "path": _written(folder, policy_with((4, 8, 2)).to_bytes()),
+        "observations": np.zeros((3, 4)),
+    }
 
 
 def _written(folder: Path, content: bytes) -> Path:
@@ -151,7 +146,7 @@ def target(folder: Path) -> Names:
     return {
         "spec": RunSpec.model_validate(SPEC),
         "stages": names["LocalStages"](),
-        "policy": a_policy().to_bytes(),
+        "policy": policy_with((4, 8, 2)).to_bytes(),
     }
 
 
@@ -262,3 +257,46 @@ def drive(program: Generator[Any, Any, Any]) -> None:
     """Carry out a program that yields events."""
     for _ in program:
         pass
+
+
+def archive_file(_: Path) -> Names:
+    from adr_service.benchmark.archive import Manifest
+
+    manifest = Manifest(
+        benchmark="bench_0123456789abcdef", adr_service="0.1.0", revision="0009", computed_with=[]
+    )
+    return {"file": io.BytesIO(), "rows": [{"id": "a"}], "content": b"", "manifest": manifest}
+
+
+def stored_stage(_: Path) -> Names:
+    from adr_service.benchmark.replay import replay_run
+    from tests.contracts.canned import CannedStages
+
+    stages, spec = CannedStages(), RunSpec.model_validate({**SPEC, "method": "oracle"})
+    list(run(spec, stages))
+    return {
+        "replays": [replay_run("run_a", spec, stages.results.get)],
+        "rng": np.random.default_rng(0),
+        "is_comparable": lambda stage: stage.kind == "train_policy",
+        "stored": next(iter(stages.results.values())),
+        "is_same_machine": True,
+    }
+
+
+def finished_database(folder: Path) -> Names:
+    from db.session import open_database
+    from db.staging import staged
+    from tests.db.finished import finished_benchmark
+
+    database = open_database(f"sqlite:///{folder / 'adr.sqlite'}")
+    id = finished_benchmark(database)
+    names: Names = {"database": database, "benchmark_id": id, "folder": folder, "staged": staged}
+    return {**names, "file": io.BytesIO()}
+
+
+def exported_benchmark(folder: Path) -> Names:
+    from db.archives import export_benchmark
+
+    names = finished_database(folder)
+    export_benchmark(names["database"], names["benchmark_id"], names["file"])
+    return names

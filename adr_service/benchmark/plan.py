@@ -21,9 +21,10 @@ from adr_service.randomness import stream
 from adr_service.simulation.batch import Simulations
 from adr_service.simulation.rollout import random_actions
 from adr_service.specs import AnyRun
-from adr_service.stages.base import PRIORITY, CoreSpeed, Cost, R, Result, Role, Stage
+from adr_service.stages.base import PRIORITY, CoreSpeed, Cost, R, Result, Role, Stage, StageResult
 from adr_service.tasks.catalogue import get_task, variants_of
 
+Find = Callable[[str], StageResult | None]  # a stored result, by digest
 _MEASURED_S = 0.05  # of simulating, to know the speed of a task
 
 
@@ -35,6 +36,7 @@ class Plan:
     """
 
     runs: int
+    stored: int  # stages that have a result already, and cost nothing
     trainings: int  # distinct; equal ones are shared between runs
     environment_steps: int
     target_transitions: int  # distinct, at most
@@ -66,12 +68,14 @@ def plan(
     cores: int,
     recording: Callable[[AnyRun], bytes | None] | None = None,
     speed: CoreSpeed | None = None,
+    find: Find = lambda digest: None,
 ) -> Plan:
     """The cost of `runs` on `cores` cores, by default of this machine's speed.
 
-    `recording` gives the dataset that a run names.
+    `recording` gives the dataset that a run names, and `find` the stored results of stages, which
+    cost nothing.
     """
-    costs = _Schedule(speed or MeasuredSpeed(), max(cores, 1))
+    costs = _Schedule(speed or MeasuredSpeed(), max(cores, 1), find)
     for number, spec in enumerate(runs):
         content = None if recording is None else recording(spec)
         costs.start(run(spec, _PricedStages(f"run {number}"), content))
@@ -80,6 +84,7 @@ def plan(
     core_seconds = sum(job.cost.seconds for job in distinct if job.role != "robot")
     return Plan(
         runs=len(runs),
+        stored=costs.stored,
         trainings=sum(job.role == "trainer" for job in distinct),
         environment_steps=sum(job.cost.environment_steps for job in distinct),
         target_transitions=sum(job.cost.target_transitions for job in distinct),
@@ -117,7 +122,7 @@ class _Job:
 
     role: Role
     cost: Cost
-    stand_in: Result
+    answer: Result  # a stand-in, or the stored result
     is_done: bool = False
     waiting: "list[_Waiting]" = field(default_factory=list)
 
@@ -136,13 +141,19 @@ class _Schedule:
     Each task has one robot, which runs one episode after the other.
     """
 
-    def __init__(self, speed: CoreSpeed, cores: int):
-        self._speed, self._free = speed, cores
+    def __init__(self, speed: CoreSpeed, cores: int, find: Find):
+        self._speed, self._free, self._find = speed, cores, find
         self._now = 0.0
         self._ready: list[tuple[int, int, str]] = []  # priority, number, digest
         self._running: list[tuple[float, int, str]] = []  # end, number, digest
         self._robots: dict[str, float] = {}  # by task, when its robot is free
         self.priced: dict[str, _Job] = {}
+        self._stored: dict[str, _Job] = {}
+
+    @property
+    def stored(self) -> int:
+        """The number of stages with a stored result."""
+        return len(self._stored)
 
     def start(self, program: Program) -> None:
         """Let a program run until it waits for a stage."""
@@ -172,7 +183,7 @@ class _Schedule:
                     if not all(job.is_done for job in jobs):
                         self._wait(program, jobs)
                         return
-                    answers = [job.stand_in for job in jobs]
+                    answers = [job.answer for job in jobs]
         except StopIteration:
             return
 
@@ -183,7 +194,10 @@ class _Schedule:
                 job.waiting.append(entry)
 
     def _job(self, stage: Stage[Any]) -> _Job:
-        job = self.priced.get(stage.digest)
+        job = self.priced.get(stage.digest) or self._stored.get(stage.digest)
+        if job is None and (stored := self._find(stage.digest)) is not None:
+            answer = stage.read(stored)
+            job = self._stored[stage.digest] = _Job(stage.role, Cost(0.0), answer, is_done=True)
         if job is None:
             number = len(self.priced)
             job = _Job(stage.role, stage.cost(self._speed), stage.stand_in())
@@ -205,7 +219,7 @@ class _Schedule:
         job.is_done = True
         for entry in job.waiting:
             if all(each.is_done for each in entry.jobs):
-                self._go_on(entry.program, [each.stand_in for each in entry.jobs])
+                self._go_on(entry.program, [each.answer for each in entry.jobs])
         job.waiting.clear()
 
 

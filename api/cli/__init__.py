@@ -9,6 +9,7 @@ from rich.markup import escape
 
 from adr_service.errors import AdrError
 from api.cli import (
+    archive,
     criticise,
     data,
     demo,
@@ -28,6 +29,7 @@ app = typer.Typer(
 )
 for family in (serve, runs, results, data, criticise, tune, render, robot, demo, doctor):
     app.add_typer(family.app)
+app.add_typer(archive.app, name="archive")
 app.add_typer(upkeep.app, name="db")
 
 

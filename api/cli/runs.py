@@ -104,6 +104,7 @@ def extend(
     variant: More = None,
     task: More = None,
     collector: More = None,
+    dry_run: DryRun = False,
     watch: Watch = False,
     url: Url = DEFAULT_URL,
 ) -> None:
@@ -113,7 +114,11 @@ def extend(
     given: dict[str, Any] = {"seeds": seed, "methods": method, "variants": variant}
     given |= {"tasks": task, "collectors": collector}
     with connect(url) as client:
-        client.extend_benchmark(id, {name: value for name, value in given.items() if value})
+        extension = {name: value for name, value in given.items() if value}
+        answer = client.extend_benchmark(id, extension, dry_run=dry_run)
+        if dry_run:
+            console.print(plan_table(answer["plan"]))
+            return
         console.print(f"{id} goes on")
         if watch:
             follow(client, id)

@@ -104,6 +104,8 @@ def plan_table(plan: Json) -> RenderableType:
     table = Table("", "", box=None, padding=(0, 2, 0, 0), show_header=False)
     hours = "unknown, there are no cores" if plan["hours"] is None else _duration(plan["hours"])
     table.add_row("runs", str(plan["runs"]))
+    if plan["stored"]:
+        table.add_row("stages that have their results already", str(plan["stored"]))
     table.add_row("trainings, shared ones once", str(plan["trainings"]))
     table.add_row("their environment steps, at most", f"{plan['environment_steps']:,}")
     table.add_row("target transitions, at most", f"{plan['target_transitions']:,}")

@@ -1,5 +1,7 @@
 """/v1/benchmarks: submit, watch, stop, resume, extend and delete grids of runs."""
 
+from typing import Any
+
 from fastapi import APIRouter, Response, status
 from pydantic import BaseModel, SkipValidation
 
@@ -23,11 +25,12 @@ class PlannedBenchmark(BaseModel):
     plan: Plan
 
 
-@router.post(
-    "",
-    status_code=status.HTTP_202_ACCEPTED,
-    responses={200: {"model": PlannedBenchmark, "description": "with `validate_only`"}},
-)
+_PLANNED: dict[int | str, Any] = {
+    200: {"model": PlannedBenchmark, "description": "with `validate_only`"}
+}
+
+
+@router.post("", status_code=status.HTTP_202_ACCEPTED, responses=_PLANNED)
 def submit(
     spec: BenchmarkBody,
     service: ServiceDependency,
@@ -79,13 +82,22 @@ def resume(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
     return get_benchmark(benchmark_id, service)
 
 
-@router.post("/{benchmark_id}/extend", status_code=status.HTTP_202_ACCEPTED)
+@router.post("/{benchmark_id}/extend", status_code=status.HTTP_202_ACCEPTED, responses=_PLANNED)
 def extend(
     benchmark_id: str,
     extension: ExtensionBody,
     service: ServiceDependency,
-) -> BenchmarkView:
-    """Add seeds, methods, tasks, variants or collectors; nothing is computed twice."""
+    response: Response,
+    validate_only: bool = False,
+) -> BenchmarkView | PlannedBenchmark:
+    """Add seeds, methods, tasks, variants or collectors; nothing is computed twice.
+
+    With `validate_only`, return the new runs and their expected cost.
+    """
+    if validate_only:
+        response.status_code = status.HTTP_200_OK
+        spec, runs = benchmark_store.planned_extension(service.database, benchmark_id, extension)
+        return PlannedBenchmark(spec=spec, runs=runs, plan=plan_here(service, list(runs)))
     added = benchmark_store.extend_benchmark(
         service.database, benchmark_id, extension, service.check_queue
     )

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Body, Depends, Query, Response, status
 from api.routes.downloads import bytes_response
 from api.routes.paging import Page, PageSize, PageToken, page_of
 from api.service import ServiceDependency
-from api.uploads import LARGEST, NPZ, Upload, octets
+from api.uploads import LARGEST, OCTETS, Upload, octets
 from db import datasets as store
 from db.datasets import DatasetRecord
 
@@ -33,7 +33,7 @@ def dataset_view(record: DatasetRecord) -> DatasetView:
 )
 def upload(
     content: Annotated[
-        bytes, Body(media_type=NPZ, description="an .npz of transitions, or a measurement")
+        bytes, Body(media_type=OCTETS, description="an .npz of transitions, or a measurement")
     ],
     service: ServiceDependency,
     response: Response,

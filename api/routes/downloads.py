@@ -23,11 +23,13 @@ def bytes_response(
     return Response(
         content,
         media_type=media_type,
-        headers={
-            "ETag": f'"{sha256(content)}"',
-            "Content-Disposition": f'attachment; filename="{filename}"',
-        },
+        headers={"ETag": f'"{sha256(content)}"', **attachment(filename)},
     )
+
+
+def attachment(filename: str) -> dict[str, str]:
+    """The header of a file that browsers save."""
+    return {"Content-Disposition": f'attachment; filename="{filename}"'}
 
 
 def artifact_response(service: Service, digest: str, filename: str) -> Response:

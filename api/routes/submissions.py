@@ -12,6 +12,7 @@ from api.service import Service
 from db import benchmarks as benchmark_store
 from db import datasets as dataset_store
 from db import runs as run_store
+from db import stages as stage_store
 from db.benchmarks import BenchmarkRecord
 from db.requests import Replayed, RequestKey
 from db.runs import RunRecord
@@ -54,13 +55,19 @@ def start_benchmark(service: Service, spec: BenchmarkSpec, key: str | None) -> B
 
 
 def plan_here(service: Service, specs: list[RunSpec]) -> Plan:
-    """Return the expected cost of runs on this cluster."""
+    """Return the expected cost of what runs would compute on this cluster."""
 
     def recording(spec: AnyRun) -> bytes | None:
         id = spec.dataset
         return None if id is None else dataset_store.load_dataset(service.database, id)[1]
 
-    return plan(specs, service.orchestrator.cores, recording)
+    with service.database.read() as session:
+        return plan(
+            specs,
+            service.orchestrator.cores,
+            recording,
+            find=lambda digest: stage_store.find_result(session, digest),
+        )
 
 
 def _request_key(key: str | None, spec: BaseModel) -> RequestKey | None:

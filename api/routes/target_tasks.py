@@ -18,7 +18,7 @@ from api.routes.downloads import bytes_response
 from api.routes.paging import Page, PageSize, PageToken, page_of
 from api.routes.polling import looks
 from api.service import ServiceDependency
-from api.uploads import LARGEST, NPZ, octets
+from api.uploads import LARGEST, OCTETS, octets
 from db import visits as visit_store
 from db.models import VisitState
 from db.visits import Visit
@@ -197,7 +197,7 @@ def heartbeat(
 @router.put("/{task_id}/trajectory", max_body_size=LARGEST, dependencies=[Depends(octets)])
 def upload(
     task_id: str,
-    content: Annotated[bytes, Body(media_type=NPZ)],
+    content: Annotated[bytes, Body(media_type=OCTETS)],
     lease: Annotated[_Lease, Header()],
     service: ServiceDependency,
 ) -> TaskView:

@@ -1,5 +1,9 @@
 """Small stages, each with a number that sets it apart from others of its kind."""
 
+import itertools
+
+import numpy as np
+
 from adr_service.effects.base import Effect, domain_of
 from adr_service.programs.references import truth_of
 from adr_service.specs import RunSpec
@@ -8,11 +12,22 @@ from adr_service.stages.evaluate import Evaluate
 from adr_service.stages.target_episode import TargetEpisode
 from adr_service.stages.target_rollout import TargetRollout
 from adr_service.stages.train_policy import TrainPolicy
+from adr_service.training.policy import Policy
 
 UNSTABLE = {
     "task": "half_cheetah",  # which ends no episode itself
     "variant": domain_of("vanilla", [Effect("joint_spring", "joint:bthigh", (-1e4,))]),
 }
+
+
+def policy(widths=(4, 8, 8, 2), activation="relu"):
+    """An actor with random weights; of the arm, by default."""
+    rng = np.random.default_rng(0)
+    layers = tuple(
+        (rng.normal(size=(b, a)).astype(np.float32), rng.normal(size=b).astype(np.float32))
+        for a, b in itertools.pairwise(widths)
+    )
+    return Policy(layers, activation, np.array([-1.0, -2.0]), np.array([1.0, 4.0]))
 
 
 def training(seed=0, **changes):

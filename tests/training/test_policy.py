@@ -1,6 +1,5 @@
 """Policies: their bytes, their bounds, and files that are no policy."""
 
-import itertools
 import json
 import struct
 
@@ -9,15 +8,7 @@ import pytest
 
 from adr_service.errors import InvalidInput
 from adr_service.training.policy import Policy
-
-
-def policy(widths=(4, 8, 8, 2), activation="relu"):
-    rng = np.random.default_rng(0)
-    layers = tuple(
-        (rng.normal(size=(b, a)).astype(np.float32), rng.normal(size=b).astype(np.float32))
-        for a, b in itertools.pairwise(widths)
-    )
-    return Policy(layers, activation, np.array([-1.0, -2.0]), np.array([1.0, 4.0]))
+from tests.stages.examples import policy
 
 
 @pytest.mark.parametrize("activation", ["relu", "tanh"])

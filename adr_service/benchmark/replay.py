@@ -1,0 +1,75 @@
+"""A run's program over its stored results: what its events must be, and with which stages.
+
+replay = replay_run(run_id, spec, find)
+replay.disagreements(stored)        # [] where the stored events follow from the results
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+from adr_service.errors import InvalidInput
+from adr_service.events import RunEvent
+from adr_service.programs import run
+from adr_service.specs import RunSpec
+from adr_service.stages.base import AnyStage, StageResult
+from adr_service.stages.stored import ResultMissing, StoredStages
+
+# numbers that a program computes from results: sums differ so much between types of CPU
+_RELATIVE, _ABSOLUTE = 1e-9, 1e-12
+
+
+@dataclass(frozen=True)
+class Replay:
+    """The events and stages of a run, as far as its results go."""
+
+    events: dict[str, RunEvent]  # by key; those of the program alone
+    stages: list[AnyStage]  # those that have a result
+    is_complete: bool  # the program came to its end
+
+    def disagreements(self, stored: Mapping[str, RunEvent]) -> list[str]:
+        """Keys of stored events of the program, by key, that are not what the results lead to."""
+        differ = [
+            key
+            for key, event in stored.items()
+            if key in self.events and not agree(event.model_dump(), self.events[key].model_dump())
+        ]
+        extra = [key for key in stored if key not in self.events] if self.is_complete else []
+        return differ + extra
+
+
+def replay_run(run_id: str, spec: RunSpec, find: Callable[[str], StageResult | None]) -> Replay:
+    """Run a program over results that `find` looks up by digest, to its end or theirs.
+
+    Raises InvalidInput where a result cannot be the one of its stage.
+    """
+    stages, events, is_complete = StoredStages(run_id, find), dict[str, RunEvent](), True
+    try:
+        for event in run(spec, stages):
+            events[event.key] = event
+    except ResultMissing:
+        is_complete = False
+    except Exception as error:  # results of strangers break programs in any way
+        asked = stages.asked[-1].kind if stages.asked else "its first stage"
+        raise InvalidInput(
+            f"the program of {run_id} cannot use its stored results, after {asked}: {error}"
+        ) from error
+    return Replay(events, stages.asked, is_complete)
+
+
+def agree(one: Any, other: Any, relative: float = _RELATIVE, absolute: float = _ABSOLUTE) -> bool:
+    """True if two JSON values are equal up to rounding of their numbers."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        left, right = cast(Mapping[str, Any], one), cast(Mapping[str, Any], other)
+        return left.keys() == right.keys() and all(
+            agree(left[name], right[name], relative, absolute) for name in left
+        )
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        some, others = cast(Sequence[Any], one), cast(Sequence[Any], other)
+        return len(some) == len(others) and all(
+            agree(a, b, relative, absolute) for a, b in zip(some, others, strict=True)
+        )
+    if isinstance(one, float) and isinstance(other, int | float):
+        return math.isclose(one, other, rel_tol=relative, abs_tol=absolute)
+    return one == other

@@ -1,0 +1,135 @@
+"""Stored results against the same stages computed here and now.
+
+    for stage in sampled(replays, 5, rng, is_comparable):
+        verified = verify(stage, stored, is_same_machine)
+        verified.agreement              # identical, close or different
+
+Where versions and CPU type are those of the stored result, every byte must be equal. Elsewhere
+numbers must agree up to `TOLERANCE`. Measured on Hopper, by forbidding a CPU its newer instructions
+(AVX-512, then AVX2): results of smoke runs differ by 1.4e-6 at most, and returns of 50 long
+episodes of two trained policies by 2.3e-5. A training takes another path there, as with another
+seed, so trainings can only be compared on the CPU type that they were computed on.
+"""
+
+import heapq
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load
+
+from adr_service.benchmark.replay import Replay
+from adr_service.json_values import canonical_json
+from adr_service.npz import names_in, read_arrays
+from adr_service.stages.base import AnyStage, StageResult, compute
+
+TOLERANCE = 1e-3  # of a number, relative to it or to 1 if that is more
+Agreement = Literal["identical", "close", "different"]
+
+
+@dataclass(frozen=True)
+class Verified:
+    """A stage that was computed again."""
+
+    kind: str
+    digest: str
+    agreement: Agreement
+    deviation: float  # the largest of its numbers; infinite where the form differs
+    seconds: float  # that it took here
+
+
+def sampled(
+    replays: Iterable[Replay],
+    count: int,
+    rng: np.random.Generator,
+    is_comparable: Callable[[AnyStage], bool],
+) -> list[AnyStage]:
+    """Draw `count` different stages of runs without replacement, or all if there are fewer."""
+    drawn: list[tuple[float, str, AnyStage]] = []
+    seen: set[str] = set()
+    for replay in replays:
+        for stage in replay.stages:
+            if stage.digest not in seen and is_comparable(stage):
+                heapq.heappush(drawn, (rng.random(), stage.digest, stage))
+                if len(drawn) > count:
+                    heapq.heappop(drawn)
+            seen.add(stage.digest)
+    return [stage for _, _, stage in sorted(drawn, key=lambda entry: entry[1])]
+
+
+def verify(stage: AnyStage, stored: StageResult, is_same_machine: bool) -> Verified:
+    """Compute a stage again, and compare its result with the stored one."""
+    started = time.monotonic()
+    computed = compute(stage)
+    seconds = time.monotonic() - started
+    agreement: Agreement = "different"
+    if _is_identical(stored, computed):
+        agreement, deviation = "identical", 0.0
+    else:
+        deviation = _deviation(stored, computed)
+        if not is_same_machine and deviation <= TOLERANCE:
+            agreement = "close"
+    return Verified(stage.kind, stage.digest, agreement, deviation, seconds)
+
+
+def _is_identical(stored: StageResult, computed: StageResult) -> bool:
+    equal = canonical_json(stored.values) == canonical_json(computed.values)
+    return equal and stored.blobs == computed.blobs
+
+
+def _deviation(stored: StageResult, computed: StageResult) -> float:
+    """The largest difference of two numbers in the same place."""
+    if stored.blobs.keys() != computed.blobs.keys():
+        return float("inf")
+    differences = [_difference(_plain(stored.values), _plain(computed.values))]
+    for name, content in stored.blobs.items():
+        differences.append(_difference(_arrays(content), _arrays(computed.blobs[name])))
+    return max(differences)
+
+
+def _difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> float:
+    """The largest difference of two sets of numbers or other values by name."""
+    if one.keys() != other.keys():
+        return float("inf")
+    return max((_gap(one[name], other[name]) for name in one), default=0.0)
+
+
+def _gap(one: Any, other: Any) -> float:
+    if not (_is_number(one) and _is_number(other)):
+        return 0.0 if np.array_equal(one, other) else float("inf")
+    some, others = np.asarray(one, dtype=np.float64), np.asarray(other, dtype=np.float64)
+    if some.shape != others.shape:
+        return float("inf")
+    size = np.maximum(1.0, np.maximum(np.abs(some), np.abs(others)))
+    gaps = np.where(some == others, 0.0, np.abs(some - others) / size)
+    return float(np.nan_to_num(gaps, nan=np.inf).max(initial=0.0))
+
+
+def _is_number(value: Any) -> bool:
+    return np.asarray(value).dtype.kind in "iuf"
+
+
+def _plain(value: Any, name: str = "") -> dict[str, Any]:
+    """The leaves of a JSON value by their paths."""
+    if isinstance(value, Mapping):
+        items = cast(Mapping[str, Any], value).items()
+    elif isinstance(value, list):
+        items = ((str(i), each) for i, each in enumerate(cast(Sequence[Any], value)))
+    else:
+        return {name: value}
+    return {k: v for key, each in items for k, v in _plain(each, f"{name}.{key}").items()}
+
+
+def _arrays(content: bytes) -> dict[str, Any]:
+    """The arrays of an `.npz` or of safetensors by name; other bytes as they are."""
+    if content.startswith(b"PK"):
+        return dict(read_arrays(content, names_in(content)))
+    try:
+        tensors: dict[str, NDArray[Any]] = load(content)
+    except SafetensorError:
+        return {"": content}
+    return dict(tensors)

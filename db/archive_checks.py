@@ -1,0 +1,135 @@
+"""Checks that the parts of an archive belong together.
+
+    for run_id, replay in replays(archived):        # InvalidInput where they do not
+        print(run_id, replay.is_complete)
+
+Digests are computed again from the stages' documents, rows of runs from their specs and events,
+and events from the stages' results. The results themselves are as true as their source:
+`adr_service.benchmark.verification` computes some of them again.
+"""
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any, cast
+
+from pydantic import ValidationError
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from adr_service.benchmark.replay import Replay, replay_run
+from adr_service.errors import InvalidInput
+from adr_service.events import (
+    RunEvent,
+    RunFailed,
+    RunQueued,
+    RunStarted,
+    RunStopped,
+    RunSucceeded,
+    event_from_json,
+    state_after,
+)
+from adr_service.json_values import explain, sha256
+from adr_service.specs import RunSpec
+from db.benchmarks import cell_of, list_benchmarks
+from db.errors import DatabaseDamaged
+from db.models import EventRow, RunRow, StageRow
+from db.runs import list_runs, new_run
+from db.stages import find_result, has_unreferenced
+from db.staging import Staged
+
+_RUN_ID, _BENCHMARK_ID = re.compile(r"run_[0-9a-f]{16}"), re.compile(r"bench_[0-9a-f]{16}")
+_LIFECYCLE = (RunQueued, RunStarted, RunSucceeded, RunFailed, RunStopped)
+_DERIVED = ("benchmark_id", "dataset_id", "task", "variant", "method", "seed")  # from the spec
+
+
+def replays(archived: Staged) -> Iterator[tuple[str, Replay]]:
+    """Check an archive, and replay its runs one after the other. Raises InvalidInput."""
+    database, id = archived.database, archived.manifest.benchmark
+    try:
+        benchmarks, records = list_benchmarks(database), list_runs(database, limit=None)
+    except DatabaseDamaged as error:
+        raise InvalidInput(f"the archive cannot be used here: {error}") from error
+    if [record.id for record in benchmarks] != [id] or not _BENCHMARK_ID.fullmatch(id):
+        raise InvalidInput("an archive has one benchmark, the one that its manifest names")
+    cells = {cell_of(run) for run in benchmarks[0].spec.runs()}
+    with database.read() as session:
+        _check_stages(session)
+        for record in records:
+            if not isinstance(record.spec, RunSpec) or cell_of(record.spec) not in cells:
+                raise InvalidInput(f"{record.id} in the archive is no run of its benchmark")
+            cells.remove(cell_of(record.spec))  # each cell has one run
+            yield record.id, _replay(session, record.id, record.spec, id)
+
+
+def _check_stages(session: Session) -> None:
+    for row in session.scalars(select(StageRow), execution_options={"yield_per": 100}):
+        document = _object(row.document, row.digest)
+        if sha256(row.document.encode()) != row.digest or document.get("kind") != row.kind:
+            raise InvalidInput(f"stage {row.digest} in the archive has the document of another one")
+        for text in (row.result, row.provenance, row.timing or "{}"):
+            _object(text, row.digest)
+    if has_unreferenced(session):
+        raise InvalidInput("the archive has stages of no run, or blobs of no stage")
+
+
+def _replay(session: Session, run_id: str, spec: RunSpec, benchmark_id: str) -> Replay:
+    row = session.scalars(select(RunRow).where(RunRow.id == run_id)).one()
+    events = _events(session, run_id)
+    lifecycle = [event for event in events if isinstance(event, _LIFECYCLE)]
+    if not _RUN_ID.fullmatch(run_id) or _facts(row) != _expected(spec, benchmark_id, lifecycle):
+        raise InvalidInput(f"the row of run {run_id} in the archive contradicts its spec or events")
+    replay = replay_run(run_id, spec, lambda digest: find_result(session, digest))
+    science = {event.key: event for event in events if not isinstance(event, _LIFECYCLE)}
+    if wrong := replay.disagreements(science):
+        raise InvalidInput(
+            f"event {wrong[0]} of {run_id} in the archive does not follow from the stored results"
+        )
+    return replay
+
+
+def _events(session: Session, run_id: str) -> list[RunEvent]:
+    """The events of a run, in order."""
+    rows = session.scalars(select(EventRow).where(EventRow.run_id == run_id).order_by(EventRow.seq))
+    events: list[RunEvent] = []
+    for number, row in enumerate(rows, start=1):
+        try:
+            event = event_from_json(row.body)
+        except ValidationError as error:
+            raise InvalidInput(
+                f"event {number} of {run_id} in the archive: {explain(error, 'event')}"
+            ) from error
+        if (row.seq, row.key, row.type) != (number, event.key, event.type):
+            raise InvalidInput(f"event {number} of {run_id} in the archive has another's columns")
+        events.append(event)
+    return events
+
+
+def _expected(spec: RunSpec, benchmark_id: str, lifecycle: Sequence[RunEvent]) -> dict[str, Any]:
+    """The columns of a run's row that follow from its spec and its events."""
+    row = new_run(spec, benchmark_id)
+    state, last = state_after(lifecycle), lifecycle[-1] if lifecycle else None
+    failed = last if isinstance(last, RunFailed) else None
+    return {
+        **{name: row[name] for name in _DERIVED},
+        "state": state,
+        "submission": max((e.submission for e in lifecycle if isinstance(e, RunQueued)), default=0),
+        "error_code": failed.code if failed else None,
+        "error_message": failed.message if failed else None,
+    }
+
+
+def _facts(row: RunRow) -> dict[str, Any]:
+    names = (*_DERIVED, "state", "submission", "error_code", "error_message")
+    return {name: getattr(row, name) for name in names}
+
+
+def _object(text: str, digest: str) -> dict[str, Any]:
+    """A stage's JSON object."""
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        value = None
+    if not isinstance(value, dict):
+        raise InvalidInput(f"stage {digest} in the archive has a column that is no JSON object")
+    return cast(dict[str, Any], value)

@@ -1,0 +1,67 @@
+"""`adr archive`: benchmarks to files and back."""
+
+import json
+import zipfile
+
+import pytest
+
+pytestmark = pytest.mark.ray
+
+
+@pytest.fixture
+def file(adr, benchmark, tmp_path):
+    """A benchmark's archive."""
+    code, out = adr("archive", "export", benchmark, "a.adr")
+    assert (code, out.split(":")[0]) == (0, "a.adr")
+    return tmp_path / "a.adr"
+
+
+def test_an_export_overwrites_nothing(adr, benchmark, file):
+    before = file.read_bytes()
+    code, out = adr("archive", "export", benchmark, "a.adr")
+    assert (code, "overwrites nothing" in out) == (2, True)
+    assert file.read_bytes() == before
+
+
+def test_an_export_that_fails_leaves_no_file(adr, tmp_path):
+    assert adr("archive", "export", "bench_nothing", "b.adr")[0] == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_import_says_what_it_added(adr, benchmark, file):
+    code, out = adr("archive", "import", str(file))
+    assert code == 0
+    assert f"{benchmark}: 0 of 3 runs are new" in out
+    code, out = adr("archive", "import", str(file), "--json")
+    assert json.loads(out)["unchanged"] == 3
+
+
+def test_every_stage_of_an_archive_is_verified(adr, file):
+    code, out = adr("archive", "verify", str(file), "--sample", "100")
+    assert code == 0
+    lines = out.strip().splitlines()
+    assert {line.split()[0] for line in lines} >= {"train_policy", "target_rollout", "evaluate"}
+    assert all("identical" in line for line in lines)
+
+
+def test_another_result_is_named_and_fails(adr, file):
+    with zipfile.ZipFile(file) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    rows = [json.loads(line) for line in members["tables/stages.jsonl"].splitlines()]
+    changed = next(row for row in rows if row["kind"] == "train_policy")
+    # a number that no event repeats
+    changed["result"] = changed["result"].replace('"adjusted_draws":', '"adjusted_draws":1')
+    members["tables/stages.jsonl"] = "".join(json.dumps(row) + "\n" for row in rows).encode()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    code, out = adr("archive", "verify", str(file), "--sample", "100")
+    assert (code, out.count("different")) == (2, 1)
+    assert f"train_policy {changed['digest'][:12]}: different, by " in out
+
+
+def test_a_dry_run_of_an_extension_starts_nothing(adr, benchmark, service):
+    runs = service.client.get(benchmark)["runs"]
+    code, out = adr("extend", benchmark, "--seed", "3", "--dry-run")
+    assert (code, "runs" in out, "trainings" in out) == (0, True, True)
+    assert service.client.get(benchmark)["runs"] == runs

@@ -1,0 +1,305 @@
+"""Benchmarks that leave a database as a file and come into another."""
+
+import json
+import zipfile
+from contextlib import closing
+
+import pytest
+from sqlalchemy import select
+
+from adr_service.errors import InvalidInput
+from adr_service.specs import BenchmarkExtension
+from db import archives, benchmarks, events, runs
+from db.errors import NotFound, NotPossible
+from db.models import ArtifactRow, StageRow
+from db.session import open_database
+from db.stages import policy_of_training
+from db.staging import staged
+from tests.db.finished import finished_benchmark, go_on, proceed
+from tests.db.rows import count
+
+
+@pytest.fixture
+def other(tmp_path):
+    """An empty database on another machine."""
+    (tmp_path / "other").mkdir()
+    opened = open_database(f"sqlite:///{tmp_path / 'other' / 'adr.sqlite'}")
+    yield opened
+    opened.close()
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    """The bytes of a finished benchmark's archive."""
+    folder = tmp_path_factory.mktemp("archive")
+    with closing(open_database(f"sqlite:///{folder / 'adr.sqlite'}")) as database:
+        return exported(database, finished_benchmark(database), folder / "a.adr").read_bytes()
+
+
+@pytest.fixture
+def path(archive, tmp_path):
+    """A finished benchmark's archive, to be changed."""
+    (tmp_path / "a.adr").write_bytes(archive)
+    return tmp_path / "a.adr"
+
+
+def exported(database, id, path):
+    with path.open("wb") as file:
+        archives.export_benchmark(database, id, file)
+    return path
+
+
+def imported(database, path):
+    with path.open("rb") as file, staged(file, path.parent) as archived:
+        return archives.import_benchmark(database, archived)
+
+
+def content_of(database, id):
+    """What a database has of a benchmark: specs, states, events and results."""
+    runs = benchmarks.runs_of(database, id)
+    with database.read() as session:
+        stages = [(s.digest, s.document, s.result) for s in session.scalars(select(StageRow))]
+        blobs = [(a.sha256, a.content) for a in session.scalars(select(ArtifactRow))]
+    return {
+        "benchmark": benchmarks.get_benchmark(database, id).spec,
+        "runs": [(run.id, run.spec, run.state, run.submission, run.error_code) for run in runs],
+        "events": [[e.event for e in events.events_of(database, run.id)] for run in runs],
+        "stages": sorted(stages),
+        "blobs": sorted(blobs),
+    }
+
+
+def rewritten(path, change):
+    """The archive with its members changed: `change` gets {name: bytes} and returns the same."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in change(members).items():
+            archive.writestr(name, content)
+    return path
+
+
+def with_rows(table, change):
+    """A change of the rows of one table."""
+    name = f"tables/{table}.jsonl"
+
+    def apply(members):
+        rows = change([json.loads(line) for line in members[name].splitlines()])
+        text = "".join(
+            json.dumps(row, sort_keys=True, separators=(",", ":")) + "\n" for row in rows
+        )
+        return {**members, name: text.encode()}
+
+    return apply
+
+
+def test_an_imported_benchmark_equals_the_exported_one(database, other, tmp_path):
+    id = finished_benchmark(database, methods=["simopt", "dropo"], variants=["vanilla", "noisy"])
+    report = imported(other, exported(database, id, tmp_path / "a.adr"))
+    assert content_of(other, id) == content_of(database, id)
+    assert (report.benchmark, report.added, report.replayed) == (id, report.runs, report.runs)
+    assert report.stages == count(database, "stages")
+
+
+def test_a_second_import_changes_nothing(other, file_database, tmp_path):
+    path = exported(file_database, finished_benchmark(file_database), tmp_path / "a.adr")
+    first = imported(other, path)
+    before = content_of(other, first.benchmark)
+    again = imported(other, path)
+    assert content_of(other, first.benchmark) == before
+    assert (again.added, again.continued, again.unchanged, again.stages) == (0, 0, first.runs, 0)
+
+
+def test_equal_content_gives_equal_bytes(file_database, tmp_path):
+    id = finished_benchmark(file_database)
+    one, two = (exported(file_database, id, tmp_path / name) for name in ("a.adr", "b.adr"))
+    assert one.read_bytes() == two.read_bytes()
+
+
+def test_a_partial_archive_is_finished_elsewhere_and_comes_back(file_database, other, tmp_path):
+    id = finished_benchmark(file_database, most=2)
+    report = imported(other, exported(file_database, id, tmp_path / "half.adr"))
+    assert report.replayed < report.runs
+    go_on(other, id)
+    assert {run.state for run in benchmarks.runs_of(other, id)} == {"succeeded"}
+    back = imported(file_database, exported(other, id, tmp_path / "whole.adr"))
+    assert (back.continued > 0, back.left) == (True, [])
+    assert content_of(file_database, id) == content_of(other, id)
+
+
+def test_live_runs_of_an_archive_are_stopped_and_can_be_resumed(file_database, other, tmp_path):
+    id = finished_benchmark(file_database, most=2)
+    live = [run.id for run in benchmarks.resubmit_all(file_database, id)]
+    report = imported(other, exported(file_database, id, tmp_path / "a.adr"))
+    assert live
+    assert {runs.get_run(other, id).state for id in live} == {"cancelled"}
+    assert imported(other, tmp_path / "a.adr").unchanged == report.runs
+    go_on(other, id)
+    assert {run.state for run in benchmarks.runs_of(other, id)} == {"succeeded"}
+
+
+def test_runs_that_went_on_by_themselves_are_left_as_they_are(file_database, other, tmp_path):
+    id = finished_benchmark(file_database, most=2)
+    path = exported(file_database, id, tmp_path / "a.adr")
+    go_on(file_database, id)  # further than the archive
+    before = content_of(file_database, id)
+    assert imported(file_database, path).left == []
+    imported(other, path)
+    [first, *_] = benchmarks.runs_of(other, id)
+    list(benchmarks.resubmit_all(other, id))  # they are live
+    report = imported(other, exported(file_database, id, tmp_path / "b.adr"))
+    assert first.id in report.left
+    assert content_of(file_database, id) == before
+
+
+def test_an_extension_travels_in_both_directions(file_database, other, tmp_path):
+    id = finished_benchmark(file_database)
+    path = exported(file_database, id, tmp_path / "a.adr")
+    imported(other, path)
+    for record in benchmarks.extend_benchmark(other, id, BenchmarkExtension(seeds=[7])):
+        proceed(other, record)
+    imported(other, path)  # an older archive takes nothing away
+    assert 7 in benchmarks.get_benchmark(other, id).spec.seeds
+    imported(file_database, exported(other, id, tmp_path / "b.adr"))
+    assert content_of(file_database, id) == content_of(other, id)
+
+
+def test_a_benchmark_that_was_extended_on_both_sides_is_refused(file_database, other, tmp_path):
+    id = finished_benchmark(file_database)
+    imported(other, exported(file_database, id, tmp_path / "a.adr"))
+    for database in (file_database, other):
+        benchmarks.extend_benchmark(database, id, BenchmarkExtension(seeds=[7]))
+    before = content_of(other, id)
+    with pytest.raises(NotPossible, match="extended both here and in the archive"):
+        imported(other, exported(file_database, id, tmp_path / "b.adr"))
+    assert content_of(other, id) == before
+
+
+def test_a_stage_with_another_result_here_refuses_the_import(file_database, other, tmp_path):
+    id = finished_benchmark(file_database)
+    path = exported(file_database, id, tmp_path / "a.adr")
+    finished_benchmark(other)
+    with other.write("test") as session:
+        row = session.scalars(select(StageRow).where(StageRow.kind == "evaluate")).first()
+        row.result = row.result.replace("1", "2")
+    rows = count(other, "runs"), count(other, "events"), count(other, "stages")
+    with pytest.raises(NotPossible, match="another result here than in the archive"):
+        imported(other, path)
+    assert rows == (count(other, "runs"), count(other, "events"), count(other, "stages"))
+
+
+def test_deleting_an_imported_benchmark_leaves_nothing(file_database, other, tmp_path):
+    id = finished_benchmark(file_database)
+    imported(other, exported(file_database, id, tmp_path / "a.adr"))
+    benchmarks.delete_benchmark(other, id)
+    tables = ("benchmarks", "runs", "events", "stages", "stage_artifacts", "artifacts")
+    assert [count(other, table) for table in tables] == [0] * len(tables)
+
+
+def test_a_checkpoint_gives_way_to_an_imported_training(file_database, other, tmp_path):
+    id = finished_benchmark(file_database)
+    imported(other, exported(file_database, id, tmp_path / "a.adr"))
+    with other.read() as session:
+        digest = session.scalars(
+            select(StageRow.digest).where(StageRow.kind == "train_policy")
+        ).first()
+    assert policy_of_training(other, digest) == policy_of_training(file_database, digest)
+
+
+def test_an_unknown_benchmark_cannot_be_exported(file_database, tmp_path):
+    with pytest.raises(NotFound, match="bench_nothing"):
+        exported(file_database, "bench_nothing", tmp_path / "a.adr")
+
+
+def _first(**changes):
+    return lambda rows: [{**rows[0], **changes}, *rows[1:]]
+
+
+def _unlabelled(rows):
+    return [{name: row[name] for name in row if name != "kind"} for row in rows]
+
+
+def _other_return(rows):
+    """An iteration with returns that the evaluations do not have."""
+    for row in rows:
+        if row["type"] == "iteration_finished":
+            body = json.loads(row["body"])
+            row["body"] = json.dumps({**body, "returns": [[1e9]]})
+    return rows
+
+
+def _invented(rows):
+    """An iteration that never was."""
+    last = next(row for row in rows if row["type"] == "iteration_finished")
+    body = json.dumps({**json.loads(last["body"]), "iteration": 99})
+    mine = [row for row in rows if row["run_id"] == last["run_id"]]
+    extra = {**last, "seq": len(mine) + 1, "key": "iteration_finished:99", "body": body}
+    return [*rows, extra]
+
+
+def _moved(rows):
+    """A document under a digest that is not its own."""
+    changed = {**json.loads(rows[0]["document"]), "version": 99}
+    return [{**rows[0], "document": json.dumps(changed)}, *rows[1:]]
+
+
+HOSTILE = {
+    "a column more": ("runs", _first(evil=1), "has the columns"),
+    "a column less": ("stages", _unlabelled, "has the columns"),
+    "a list in a column": ("runs", _first(task=["arm"]), "nested values"),
+    "a text for a number": ("runs", _first(seed="0"), "is a int"),
+    "a huge number": ("runs", _first(seed=2**70), "is a int"),
+    "a wrong time": ("runs", _first(created_at="yesterday"), "is a datetime"),
+    "a time without zone": ("runs", _first(created_at="2026-01-01T00:00:00"), "is a datetime"),
+    "half a character": ("runs", _first(spec="\ud800"), "surrogates"),
+    "a long id": ("runs", _first(id="run_" + "0" * 100), "characters at most"),
+    "an id of a path": ("runs", _first(id="../../etc/passwd"), "contradicts itself"),
+    "another state": ("runs", _first(state="failed", error_code="x"), "contradicts its spec"),
+    "an impossible state": ("runs", _first(state="sleeping"), "contradicts itself"),
+    "another seed": ("runs", _first(seed=5), "contradicts its spec"),
+    "a run twice": ("runs", lambda rows: [rows[0], *rows], "contradicts itself"),
+    "no spec": ("runs", _first(spec="{}"), "cannot be used here"),
+    "an unknown run": ("events", _first(run_id="run_0000000000000000"), "contradicts itself"),
+    "a gap in the events": ("events", lambda rows: rows[1:], "has another's columns"),
+    "an unknown event": ("events", _first(body='{"type":"rm"}'), "event 1"),
+    "another event's key": ("events", _first(key="run_started:1"), "contradicts itself|columns"),
+    "returns that no evaluation has": ("events", _other_return, "does not follow"),
+    "an iteration that never was": ("events", _invented, "does not follow"),
+    "another stage's document": ("stages", _moved, "document of another"),
+    "a result of another form": ("stages", _first(result='{"evil":1}'), "cannot use its stored"),
+    "a result that is a list": ("stages", _first(result="[1]"), "no JSON object"),
+    "a result nested without end": ("stages", _first(result="[" * 100_000), "no JSON object"),
+    "no attempt": ("stages", _first(attempt=0), "contradicts itself"),
+    "a benchmark less": ("benchmarks", lambda rows: [], "contradicts itself|one benchmark"),
+    "artifacts less": ("stage_artifacts", lambda rows: rows[1:], "cannot use|of no stage"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_an_archive_that_contradicts_itself_is_refused(name, path, other, tmp_path):
+    table, change, message = HOSTILE[name]
+    with pytest.raises(InvalidInput, match=message):
+        imported(other, rewritten(path, with_rows(table, change)))
+    assert count(other, "runs") == count(other, "benchmarks") == count(other, "stages") == 0
+    assert not list(tmp_path.glob("archive-*"))
+
+
+def test_an_archive_of_a_later_version_is_refused(path, other):
+    def later(members):
+        manifest = {**json.loads(members["manifest.json"]), "revision": "9999"}
+        return {**members, "manifest.json": json.dumps(manifest).encode()}
+
+    with pytest.raises(InvalidInput, match="later version of the service wrote"):
+        imported(other, rewritten(path, later))
+
+
+def test_an_archive_with_other_tables_is_refused(path, other):
+    more = {"tables/requests.jsonl": b""}
+    with pytest.raises(InvalidInput, match="has the tables"):
+        imported(other, rewritten(path, lambda members: {**members, **more}))
+
+
+def test_a_blob_of_no_stage_is_refused(path, other):
+    empty = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
+    with pytest.raises(InvalidInput, match="blobs of no stage"):
+        imported(other, rewritten(path, lambda members: {**members, f"blobs/{empty}": b""}))
