@@ -48,9 +48,11 @@ def training(
     """The training of a run's policy on a distribution.
 
     It starts from the networks of the run's previous policy, if the run's settings want that.
+    Variants with one source share it.
     """
+    source = source_inputs(spec) | {"variant": spec.training_domain}
     return TrainPolicy(
-        **source_inputs(spec),
+        **source,
         distribution=distribution,
         training=spec.training,
         start=None if previous is None else previous.networks,

@@ -19,6 +19,6 @@ def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[Run
 
 
 def boxes_of(spec: RunSpec, settings: UdrSettings) -> list[Uniform]:
-    """UDR's random bounds for a seed."""
-    rng = stream("udr", spec.task, spec.source_domain, spec.seed)
+    """UDR's random bounds for a seed, the same in all variants with one source."""
+    rng = stream("udr", spec.task, spec.training_domain, spec.seed)
     return random_bounds(problem_of(spec).source.space, settings, rng)

@@ -24,7 +24,7 @@ from adr_service.specs.names import (
     known_method,
 )
 from adr_service.specs.target import AnyTarget, RecordedTarget, SimulatedTarget
-from adr_service.tasks.catalogue import get_task, variant_of
+from adr_service.tasks.catalogue import first_like, get_task, variant_of
 from adr_service.training.settings import TrainingSettings
 
 
@@ -150,6 +150,11 @@ class RunSpec(Wire):
     def source_domain(self) -> str:
         """The domain that methods may simulate."""
         return domain_of(self.variant, self.extension)
+
+    @property
+    def training_domain(self) -> str:
+        """The source's domain under one name for all variants that have it."""
+        return domain_of(first_like(self.task, self.variant), self.extension)
 
     @property
     def target_domain(self) -> str:

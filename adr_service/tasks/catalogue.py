@@ -78,6 +78,12 @@ def variant_of(task: str, variant: str) -> Variant:
     return variants_of(task)[variant]
 
 
+def first_like(task: str, variant: str) -> str:
+    """The first variant with the same source, so that equal trainings have equal inputs."""
+    source = variant_of(task, variant).source
+    return next(name for name, other in variants_of(task).items() if other.source == source)
+
+
 def source_of(task: str, domain: str) -> Source:
     """The simulator that methods may use: the variant's source with the domain's effects."""
     variant, effects = parse_domain(domain)

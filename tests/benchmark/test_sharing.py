@@ -1,6 +1,11 @@
 """Work that runs of a benchmark share."""
 
+from adr_service.programs import run
+from adr_service.specs import RunSpec
 from tests.benchmark.conftest import ITERATIONS
+from tests.contracts.canned import CannedStages
+
+VARIANTS = ("vanilla", "noisy", "unmodeled")
 
 
 def test_the_prior_policy_of_a_seed_is_trained_once_for_all_methods(benchmark):
@@ -9,7 +14,8 @@ def test_the_prior_policy_of_a_seed_is_trained_once_for_all_methods(benchmark):
     assert len({s.digest for s in trainings}) == len(trainings)
     beliefs = [s.distribution.to_json() for s in trainings]
     priors = [b for b in beliefs if b["kind"] == "gaussian" and set(b["location"]) == {2.0}]
-    assert len(priors) == len(spec.seeds) * len(spec.variants)
+    assert spec.variants == ["vanilla", "noisy"]  # which have one source
+    assert len(priors) == len(spec.seeds)
 
 
 def test_offline_methods_add_no_rollout_of_a_policy(benchmark):
@@ -20,3 +26,26 @@ def test_offline_methods_add_no_rollout_of_a_policy(benchmark):
     random = [s for s in rollouts if s.policy is None]
     assert len(random) == ITERATIONS * runs
     assert len(rollouts) - len(random) == (2 * ITERATIONS - 1) * runs  # the first is common to both
+
+
+def test_variants_with_one_source_share_trainings_and_boxes():
+    """Noise is the target's alone, so `noisy` and `vanilla` differ by it and by nothing else."""
+    trainings = {variant: trainings_of("udr", variant) for variant in VARIANTS}
+    assert trainings["noisy"] == trainings["vanilla"]
+    assert not set(trainings["unmodeled"]) & set(trainings["vanilla"])
+    assert trainings_of("prior", "noisy") == trainings_of("prior", "vanilla")
+
+
+def test_an_extension_of_the_source_is_no_other_variants_source():
+    effect = {"kind": "joint_coulomb_friction", "location": "joint:elbow", "values": [0.5]}
+    extended = trainings_of("prior", "noisy", extension=[effect])
+    assert extended == trainings_of("prior", "vanilla", extension=[effect])
+    assert extended != trainings_of("prior", "noisy")
+
+
+def trainings_of(method, variant, **more):
+    """Digests of the trainings of a run."""
+    given = {"task": "arm", "variant": variant, "method": method, "preset": "smoke"}
+    stages = CannedStages()
+    list(run(RunSpec.model_validate({**given, **more}), stages))
+    return [digest for kind, digest in stages.asked if kind == "train_policy"]
