@@ -50,7 +50,7 @@ def training(
     It starts from the networks of the run's previous policy, if the run's settings want that.
     Variants with one source share it.
     """
-    source = source_inputs(spec) | {"variant": spec.training_domain}
+    source: dict[str, Any] = {**source_inputs(spec), "variant": spec.training_domain}
     return TrainPolicy(
         **source,
         distribution=distribution,
