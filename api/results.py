@@ -120,7 +120,7 @@ def _note(outcomes: Sequence[Outcome]) -> str:
         return "preset 'smoke': tiny searches and trainings; these numbers mean nothing"
     if outcomes and all(isinstance(outcome.spec.target, RecordedTarget) for outcome in outcomes):
         return "a recorded target: there is nothing to evaluate the policy on"
-    return "undiscounted target return / reward threshold; 95 % bootstrap interval"
+    return "undiscounted target return / reward threshold; 95 % interval over seeds"
 
 
 def cost_of(service: Service, records: Sequence[RunRecord]) -> CostView:

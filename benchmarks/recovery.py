@@ -35,12 +35,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
-from adr_service.arrays import Vector
 from adr_service.benchmark.comparison import normalised_std
-from adr_service.benchmark.truth import estimation_error
-from adr_service.distributions import Distribution, Gaussian, Uniform
+from adr_service.benchmark.truth import estimation_error, log_score
+from adr_service.distributions import Gaussian
 from adr_service.json_values import sha256
 from adr_service.methods.base import OnlineSettings
 from adr_service.methods.catalogue import identity_of, methods, names_of
@@ -228,8 +226,8 @@ def inferred(spec: RunSpec, data: bytes, policy: bytes | None) -> dict[str, Any]
         "distance": estimation_error(spec.task, spec.variant, estimate.mean),
         "prior_distance": estimation_error(spec.task, spec.variant, prior.mean),
         "posterior_std": float(np.sqrt(np.mean(normalised_std(estimate) ** 2))),
-        "log_score": log_score(estimate, pair.truth),
-        "prior_log_score": log_score(prior, pair.truth),
+        "log_score": log_score(spec.task, spec.variant, estimate),
+        "prior_log_score": log_score(spec.task, spec.variant, prior),
         "epsilon": facts.get("epsilon"),
         "loss": facts.get("loss_per_window"),
         "predicted_loss": facts.get("predicted_loss_per_window"),
@@ -238,15 +236,6 @@ def inferred(spec: RunSpec, data: bytes, policy: bytes | None) -> dict[str, Any]
         "steps": answer.simulated_steps,
         "cpu_seconds": round(seconds, 1),
     }
-
-
-def log_score(estimate: Distribution, truth: Vector) -> float | None:
-    """Log density of the truth (d,) [nat]; DROPO's own is 0 beyond two deviations."""
-    if isinstance(estimate, Uniform):
-        return None
-    if isinstance(estimate, Gaussian):
-        return float(estimate.log_prob(truth[None])[0])
-    return float(norm.logpdf(truth, estimate.mean, estimate.std).sum())
 
 
 def where(row: dict[str, Any]) -> tuple[int, int, str, str]:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from adr_service.benchmark.comparison import Outcome
-from adr_service.json_values import canonical_json
 from adr_service.methods.catalogue import methods
 
 
@@ -29,24 +28,15 @@ class Cell:
 
 
 class Measured:
-    """The outcomes of one budget, by what was measured.
-
-    A method that was run with several settings counts with those that have the most seeds, of
-    several such the latest; of equal runs, the latest.
-    """
+    """The outcomes of one budget, by what was measured; of equal runs, the latest."""
 
     def __init__(self, outcomes: Sequence[Outcome]):
-        runs: dict[tuple[str, ...], dict[str, dict[int, dict[int, Outcome]]]] = {}
+        self._cells: dict[tuple[str, ...], dict[int, dict[int, Outcome]]] = {}
         for outcome in outcomes:
             spec = outcome.spec
             key = (spec.task, spec.variant, spec.method.name, spec.collector)
-            simopt = spec.simopt.model_dump() if spec.simopt else None
-            settings = canonical_json([spec.method.model_dump(), simopt])
-            seeds = runs.setdefault(key, {}).setdefault(settings, {})
+            seeds = self._cells.setdefault(key, {})
             seeds.setdefault(spec.seed, {})[outcome.iteration.iteration] = outcome
-        self._cells = {
-            key: max(reversed(settings.values()), key=len) for key, settings in runs.items()
-        }
 
     def iterations(self, cell: Cell) -> list[int]:
         """Those after which every seed of the cell's method was evaluated."""

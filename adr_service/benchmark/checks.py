@@ -1,41 +1,72 @@
-"""Checks of claims: each judges some cells by their intervals, and says the numbers.
+"""Checks of claims: each says how surely some cells speak for a statement, and against it.
 
     check = higher(Cell("hopper", "vanilla", "dropo"), Cell("hopper", "vanilla", "udr"))
-    verdict, evidence = check(Measured(outcomes))
+    answer = check(Measured(outcomes))
+    answer.supports, answer.contradicts     # p-values of the opposites
 
-A comparison is supported or contradicted by its 95 % interval, and undecided if the interval does
-not settle it or if only one seed was run. A check without an interval (widths, costs) must hold
-for every seed.
+Methods are compared seed by seed: those of one seed learn from the same collected data, and start
+from the same trained policies. The p-values are those of Student's t over the seeds. A statement
+about returns needs an oracle that was trained well enough; without one, undertrained policies would
+be mistaken for failed methods. Checks of widths and costs must hold for every seed.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
 
-from adr_service.benchmark.cells import Cell, Measured
-from adr_service.benchmark.comparison import returns_of, table
-from adr_service.benchmark.statistics import Interval, difference, interval, mean
-from adr_service.randomness import stream
+import numpy as np
+from scipy.stats import t as student
 
-ClaimVerdict = Literal["supported", "contradicted", "undecided", "not measured"]
-_SOLVED = 0.95  # normalised target return
+from adr_service.arrays import Vector
+from adr_service.benchmark.cells import Cell, Measured
+from adr_service.benchmark.comparison import Outcome, returns_of, table
+from adr_service.benchmark.statistics import seed_interval
+
+_SOLVED = 0.95  # of the oracle's target return
 _SAME = 0.1  # of a normalised return
 _POINT = 0.05  # standard deviation in [0, 4] below which a distribution is a point
-_DECISIVE: tuple[ClaimVerdict, ...] = ("contradicted", "not measured", "undecided")  # in order
-Answer = tuple[ClaimVerdict, list[str]]
-Check = Callable[[Measured], Answer]
+_TRAINED = 0.9  # normalised target return, and share of its policies that reached the threshold
+_MOST_SEEDS = 1000
+_LEAST_STD = 1e-12  # so that seeds with equal values settle where they lie
+Gap = Literal["not judged", "not measured"]  # why a statement has no verdict
+GAPS: tuple[Gap, ...] = ("not judged", "not measured")  # of several, the first is told
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What one or several checks say of a statement."""
+
+    supports: float  # p-value of the statement's opposite
+    contradicts: float  # p-value of the statement
+    lines: list[str]
+    gap: Gap | None = None
+    needed: Callable[[float], float] = lambda level: float("inf")  # seeds for a two-sided level
+
+    @property
+    def leans_to_support(self) -> bool:
+        """True if the measured values speak for the statement rather than against it."""
+        return self.supports <= self.contradicts
+
+
+Check = Callable[[Measured], Evidence]
 
 
 def solves(cell: Cell) -> Check:
-    """The interval of the normalised return lies above `_SOLVED`."""
+    """The method earns more than `_SOLVED` of what the variant's own oracle earns."""
 
-    def check(measured: Measured) -> Answer:
-        outcomes = list(measured.of(cell).values())
-        if not outcomes:
-            return "not measured", []
-        earned = interval(returns_of(outcomes), mean, stream("claims"))
-        evidence = [f"{cell}: {_numbers(earned)}, {_seeds(len(outcomes))}"]
-        return _by_several(beyond(earned, _SOLVED), len(outcomes)), evidence
+    def check(measured: Measured) -> Evidence:
+        ceiling = Cell(cell.task, cell.variant, "oracle")
+        if gap := _gap_of(measured, [cell]):
+            return gap
+        earned, most = (_by_seed(measured.of(each)) for each in (cell, ceiling))
+        seeds = sorted(earned.keys() & most.keys())
+        over = np.array([earned[seed] - _SOLVED * most[seed] for seed in seeds])
+        own, best = (
+            seed_interval(np.array([side[seed] for seed in seeds])) for side in (earned, most)
+        )
+        line = f"{cell}: {own} of the oracle's {best.value:.2f}, {_seeds(len(seeds))}"
+        return above(over, 0.0, line)
 
     return check
 
@@ -46,60 +77,54 @@ def fails(cell: Cell) -> Check:
 
 
 def compared(
-    ones: Sequence[Cell], others: Sequence[Cell], judge: Callable[[Interval], ClaimVerdict]
+    ones: Sequence[Cell], others: Sequence[Cell], judge: Callable[[Vector, str], Evidence]
 ) -> Check:
-    """A judgement of the difference between two methods, averaged over cells."""
+    """A judgement of the difference between two methods, averaged over cells, seed by seed."""
 
-    def check(measured: Measured) -> Answer:
-        pairs = [(measured.of(a), measured.of(b)) for a, b in zip(ones, others, strict=True)]
-        common = [sorted(a.keys() & b.keys()) for a, b in pairs]
-        same = [
-            a.key == b.key and measured.resolve(a) == measured.resolve(b)
-            for a, b in zip(ones, others, strict=True)
-        ]
-        if not all(common) or any(same):
-            return "not measured", []
-        sides = [
-            [
-                returns_of([pair[side][s] for s in seeds])
-                for pair, seeds in zip(pairs, common, strict=True)
-            ]
-            for side in (0, 1)
-        ]
-        gap, seeds = difference(sides[0], sides[1], stream("claims")), min(map(len, common))
+    def check(measured: Measured) -> Evidence:
+        pairs = list(zip(ones, others, strict=True))
+        if any(a.key == b.key and measured.resolve(a) == measured.resolve(b) for a, b in pairs):
+            return _nothing([])  # a method after its only iteration is no better than itself
+        if gap := _gap_of(measured, [*ones, *others]):
+            return gap
+        gaps = [_gaps(_by_seed(measured.of(a)), _by_seed(measured.of(b))) for a, b in pairs]
+        seeds = sorted(set[int].intersection(*(set(each) for each in gaps)))
+        if not seeds:
+            return _nothing([])
         names = f"{ones[0]} minus {others[0]}"
         if len(ones) > 1:
             names = f"{ones[0].method} minus {others[0].method}, mean of {len(ones)} cells"
-        return _by_several(judge(gap), seeds), [f"{names}: {_numbers(gap)}, {_seeds(seeds)}"]
+        means = np.array([sum(each[seed] for each in gaps) / len(gaps) for seed in seeds])
+        return judge(means, f"{names}: {seed_interval(means)}, {_seeds(len(seeds))}")
 
     return check
 
 
 def higher(one: Cell, other: Cell) -> Check:
     """One method earns more than another."""
-    return compared([one], [other], lambda gap: beyond(gap, 0.0))
+    return compared([one], [other], lambda gaps, line: above(gaps, 0.0, line))
 
 
 def at_least(one: Cell, other: Cell) -> Check:
     """One method earns as much as another, or less by `_SAME` at most."""
-    return compared([one], [other], lambda gap: beyond(gap, -_SAME))
+    return compared([one], [other], lambda gaps, line: above(gaps, -_SAME, line))
 
 
 def equal(one: Cell, other: Cell) -> Check:
-    """Two methods earn the same within `_SAME`."""
+    """Two methods earn the same within `_SAME` (two one-sided tests; Schuirmann 1987)."""
     return compared([one], [other], _within)
 
 
 def drops(task: str, variant: str, method: str) -> Check:
     """More target data made the method worse at some iteration, by more than `_SAME`."""
 
-    def check(measured: Measured) -> Answer:
+    def check(measured: Measured) -> Evidence:
         iterations = measured.iterations(Cell(task, variant, method))
         known = [Cell(task, variant, method, i) for i in iterations if i > 0]
         if len(known) < 2:
-            return "not measured", []
+            return _nothing([])
         fallen = [
-            compared([a], [b], lambda gap: beyond(gap, _SAME))(measured)
+            compared([a], [b], lambda gaps, line: above(gaps, _SAME, line))(measured)
             for a, b in combinations(known, 2)
         ]
         return _disjunction(fallen)
@@ -110,13 +135,13 @@ def drops(task: str, variant: str, method: str) -> Check:
 def narrow(cell: Cell) -> Check:
     """The inferred distribution is practically a point."""
 
-    def check(measured: Measured) -> Answer:
+    def check(measured: Measured) -> Evidence:
         stds = [row.posterior_std for o in measured.of(cell).values() for row in table([o])]
         known = [std for std in stds if std is not None]
         if not known:
-            return "not measured", []
-        evidence = [f"{cell}: standard deviation {_range(known)} in [0, 4], {_seeds(len(known))}"]
-        return _for_every([std < _POINT for std in known]), evidence
+            return _nothing([])
+        line = f"{cell}: standard deviation {_range(known)} in [0, 4], {_seeds(len(known))}"
+        return _for_every([std < _POINT for std in known], line)
 
     return check
 
@@ -124,84 +149,131 @@ def narrow(cell: Cell) -> Check:
 def costs_more(task: str, dear: str, cheap: str) -> Check:
     """One inference of `dear` simulates more than one of `cheap`, from the same data."""
 
-    def check(measured: Measured) -> Answer:
+    def check(measured: Measured) -> Evidence:
         one, other = (measured.of(Cell(task, "vanilla", name, 1)) for name in (dear, cheap))
         pairs = [
             (one[seed].iteration.inference_steps, other[seed].iteration.inference_steps)
             for seed in sorted(one.keys() & other.keys())
         ]
         if not pairs:
-            return "not measured", []
+            return _nothing([])
         steps = [_range([float(pair[side]) for pair in pairs]) for side in (0, 1)]
-        evidence = f"{task}: {dear} simulates {steps[0]} steps, {cheap} {steps[1]}"
-        return _for_every([a > b for a, b in pairs]), [f"{evidence}, {_seeds(len(pairs))}"]
+        line = f"{task}: {dear} simulates {steps[0]} steps, {cheap} {steps[1]}"
+        return _for_every([a > b for a, b in pairs], f"{line}, {_seeds(len(pairs))}")
 
     return check
 
 
-def _by_several(verdict: ClaimVerdict, seeds: int) -> ClaimVerdict:
-    """One seed settles nothing, whatever its episodes' interval."""
-    return verdict if seeds > 1 else "undecided"
+def above(values: Vector, bound: float, line: str) -> Evidence:
+    """The mean of seeds' values (n,) lies above a bound; one seed settles nothing."""
+    count, centre = len(values), float(values.mean()) - bound
+    if count < 2:
+        leaning = (0.5, 1.0) if centre > 0 else (1.0, 0.5)
+        return Evidence(*leaning, [line])
+    std = max(float(values.std(ddof=1)), _LEAST_STD)
+    score = centre * np.sqrt(count) / std
+    supports, contradicts = student.sf(score, count - 1), student.cdf(score, count - 1)
+    needed = _seeds_needed(abs(centre), std)
+    return Evidence(float(supports), float(contradicts), [line], needed=needed)
 
 
-def _for_every(holds: Sequence[bool]) -> ClaimVerdict:
-    """Verdict on a condition that must hold for each seed."""
-    if all(holds):
-        return _by_several("supported", len(holds))
-    return "undecided" if any(holds) else _by_several("contradicted", len(holds))
+def _within(gaps: Vector, line: str) -> Evidence:
+    """The mean of seeds' values (n,) lies within `_SAME` of zero."""
+    return conjunction([above(gaps, -_SAME, line), above(-gaps, -_SAME, line)])
 
 
-def beyond(measured: Interval, bound: float) -> ClaimVerdict:
-    """Supported if the whole interval lies above the bound, contradicted if it lies below."""
-    if measured.low >= bound:
-        return "supported"
-    return "contradicted" if measured.high < bound else "undecided"
+def _seeds_needed(distance: float, std: float) -> Callable[[float], float]:
+    """Seeds at which Student's t settles a mean at a distance from its bound, by level."""
+
+    def needed(level: float) -> float:
+        for count in range(2, _MOST_SEEDS + 1):
+            if distance * np.sqrt(count) > std * student.isf(level / 2, count - 1):
+                return float(count)
+        return float("inf")
+
+    return needed
 
 
-def _within(gap: Interval) -> ClaimVerdict:
-    if gap.low >= -_SAME and gap.high <= _SAME:
-        return "supported"
-    return "contradicted" if gap.low > _SAME or gap.high < -_SAME else "undecided"
+def _gap_of(measured: Measured, cells: Sequence[Cell]) -> Evidence | None:
+    """The reason why returns of these cells cannot be judged, if there is one."""
+    if not all(measured.of(cell) for cell in cells):
+        return _nothing([])
+    lines: list[str] = []
+    for task, variant in dict.fromkeys((cell.task, cell.variant) for cell in cells):
+        oracle = measured.of(Cell(task, variant, "oracle"))
+        if not oracle:
+            return _nothing([f"there is no oracle on {task} {variant} to judge by"])
+        earned = seed_interval(np.array(list(_by_seed(oracle).values()))).value
+        flags = [flag for o in oracle.values() for flag in o.iteration.reached_threshold]
+        if min(earned, float(np.mean(flags))) < _TRAINED:
+            lines.append(
+                f"trainings on {task} {variant} are too short to judge methods by: the oracle "
+                f"earns {earned:.2f}, and {sum(flags)} of {len(flags)} of its policies reached the "
+                "threshold"
+            )
+    return Evidence(1.0, 1.0, lines, "not judged") if lines else None
 
 
-def _negation(answer: Answer) -> Answer:
-    verdict, evidence = answer
-    swapped: dict[ClaimVerdict, ClaimVerdict] = {
-        "supported": "contradicted",
-        "contradicted": "supported",
+def _nothing(lines: list[str]) -> Evidence:
+    return Evidence(1.0, 1.0, lines, "not measured")
+
+
+def _by_seed(outcomes: dict[int, Outcome]) -> dict[int, float]:
+    """Mean normalised target returns by seed."""
+    return {
+        seed: float(returns.mean())
+        for seed, returns in zip(outcomes, returns_of(list(outcomes.values())), strict=True)
     }
-    return swapped.get(verdict, verdict), evidence
 
 
-def conjunction(answers: Sequence[Answer]) -> Answer:
-    """The verdict on all answers: one contradiction contradicts, one gap leaves it open."""
-    verdicts = [verdict for verdict, _ in answers]
-    evidence = [line for _, lines in answers for line in lines]
-    for verdict in _DECISIVE:
-        if verdict in verdicts:
-            return verdict, evidence
-    return "supported", evidence
+def _gaps(one: dict[int, float], other: dict[int, float]) -> dict[int, float]:
+    return {seed: one[seed] - other[seed] for seed in one.keys() & other.keys()}
 
 
-def _disjunction(answers: Sequence[Answer]) -> Answer:
+def _for_every(holds: Sequence[bool], line: str) -> Evidence:
+    """A condition that must hold for each of several seeds."""
+    several = len(holds) > 1
+    needed = 2.0 if all(holds) or not any(holds) else float("inf")
+    return Evidence(
+        0.0 if all(holds) and several else 1.0,
+        0.0 if not any(holds) and several else 1.0,
+        [line],
+        needed=lambda level: needed,
+    )
+
+
+def _negation(answer: Evidence) -> Evidence:
+    return Evidence(answer.contradicts, answer.supports, answer.lines, answer.gap, answer.needed)
+
+
+def conjunction(answers: Sequence[Evidence]) -> Evidence:
+    """What checks say of the statement that all of them hold.
+
+    It is supported as surely as the weakest (an intersection-union test, which needs no
+    correction), and contradicted by the strongest contradiction, corrected for their number
+    (Bonferroni). A check without a verdict leaves the support open, not the contradiction.
+    """
+    gaps: list[Gap] = [answer.gap for answer in answers if answer.gap is not None]
+    lines = list(dict.fromkeys(line for answer in answers for line in answer.lines))
+    against = [answer for answer in answers if not answer.leans_to_support]
+    judged = max(1, len(answers) - len(gaps))
+
+    def needed(level: float) -> float:
+        if against:
+            return min(answer.needed(level / judged) for answer in against)
+        return max(answer.needed(level) for answer in answers)
+
+    return Evidence(
+        max(answer.supports for answer in answers),
+        min(1.0, judged * min(answer.contradicts for answer in answers)),
+        lines,
+        min(gaps, default=None, key=GAPS.index),
+        needed,
+    )
+
+
+def _disjunction(answers: Sequence[Evidence]) -> Evidence:
     return _negation(conjunction([_negation(answer) for answer in answers]))
-
-
-def _numbers(measured: Interval) -> str:
-    return f"{measured.value:.2f} [{measured.low:.2f}, {measured.high:.2f}]"
-
-
-def _seeds(count: int) -> str:
-    return f"{count} seed{'s' if count > 1 else ''}"
-
-
-def _range(values: Sequence[float]) -> str:
-    low, high = min(values), max(values)
-    return f"{low:.2g}" if low == high else f"{low:.2g} to {high:.2g}"
-
-
-def _any_of(checks: Sequence[Check]) -> Check:
-    return lambda measured: _disjunction([check(measured) for check in checks])
 
 
 def all_of(checks: Sequence[Check]) -> Check:
@@ -211,4 +283,13 @@ def all_of(checks: Sequence[Check]) -> Check:
 
 def none_of(checks: Sequence[Check]) -> Check:
     """No check holds."""
-    return lambda measured: _negation(_any_of(checks)(measured))
+    return lambda measured: conjunction([_negation(check(measured)) for check in checks])
+
+
+def _seeds(count: int) -> str:
+    return f"{count} seed{'s' if count > 1 else ''}"
+
+
+def _range(values: Sequence[float]) -> str:
+    low, high = min(values), max(values)
+    return f"{low:.2g}" if low == high else f"{low:.2g} to {high:.2g}"

@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from itertools import combinations
 from typing import Any
@@ -10,8 +10,19 @@ from typing import Any
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.benchmark.statistics import improvement, interquartile_mean, interval, mean
-from adr_service.benchmark.truth import estimation_error, true_values
+from adr_service.benchmark.statistics import (
+    bootstrap_interval,
+    improvement,
+    interquartile_mean,
+    mean_interval,
+    seed_interval,
+)
+from adr_service.benchmark.truth import (
+    energy_score,
+    estimation_error,
+    log_score,
+    true_values,
+)
 from adr_service.distributions import Distribution, distribution_from_json
 from adr_service.events import IterationFinished
 from adr_service.methods.catalogue import methods
@@ -42,11 +53,11 @@ class Row:
     collector: str  # the policy that acted while an offline method's data were recorded
     iteration: int
     normalised_return: float
-    low: float  # of the 95 % interval over seeds, policies and episodes
-    high: float
+    low: float | None  # of Student's 95 % interval over seeds; None: one seed has none
+    high: float | None
     interquartile_mean: float  # of the policies' mean returns
-    interquartile_low: float
-    interquartile_high: float
+    interquartile_low: float | None  # of the bootstrap over seeds, policies and episodes
+    interquartile_high: float | None
     seeds: int
     policies: int
     episodes: int
@@ -56,6 +67,8 @@ class Row:
     inference_steps: float  # per seed, mean; control steps simulated by the iteration's inference
     estimation_error: float | None  # RMS distance of the mean from the truth in [0, 4], if known
     posterior_std: float | None  # RMS over the parameters in [0, 4]; the prior's is 1
+    log_score: float | None  # log density of the truth [nat], if it is known and the belief has one
+    energy_score: float | None  # of the belief at the truth, in [0, 4]; 0 is best
     reached_threshold: float  # share of policies that did, on their source distribution
 
 
@@ -113,16 +126,19 @@ def costs(outcomes: Sequence[Outcome]) -> list[InferenceCost]:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Probability that a policy of one method earns more on the target than one of another."""
+    """One method against another on the target, with the same seeds."""
 
     task: str
     variant: str
     method: str  # "dropo on random": of the data-collection study
     other: str
-    probability: float  # ties counted half
-    low: float  # of the 95 % interval
-    high: float
-    seeds: int  # the fewer of the two
+    probability: float  # that a policy of the first earns more, ties counted half
+    low: float | None  # of the bootstrap over seeds, policies and episodes
+    high: float | None
+    difference: float  # of the normalised returns, seed by seed
+    difference_low: float | None  # of Student's 95 % interval over seeds
+    difference_high: float | None
+    seeds: int  # that both have
 
 
 def comparisons(outcomes: Sequence[Outcome]) -> list[Comparison]:
@@ -132,14 +148,22 @@ def comparisons(outcomes: Sequence[Outcome]) -> list[Comparison]:
     for (task, variant), columns in sorted(_latest(outcomes).items()):
         names = sorted(columns, key=lambda name: (order.index(name.split()[0]), name))
         for one, other in combinations(names, 2):
-            a, b = (
-                returns_of(sorted(columns[name], key=lambda o: o.spec.seed))
-                for name in (one, other)
-            )
-            chance = improvement(a, b, stream("improvement"))
-            bounds = (chance.value, chance.low, chance.high)
-            compared.append(Comparison(task, variant, one, other, *bounds, min(len(a), len(b))))
+            sides = [{o.spec.seed: o for o in columns[name]} for name in (one, other)]
+            seeds = sorted(sides[0].keys() & sides[1].keys())
+            if seeds:
+                a, b = (returns_of([side[seed] for seed in seeds]) for side in sides)
+                compared.append(Comparison(task, variant, one, other, *_compared(a, b)))
     return compared
+
+
+def _compared(
+    one: Sequence[Matrix], other: Sequence[Matrix]
+) -> tuple[float, float | None, float | None, float, float | None, float | None, int]:
+    """The numbers of a Comparison, from the returns of the same seeds."""
+    chance = improvement(one, other, stream("improvement"))
+    gaps = [a.mean() - b.mean() for a, b in zip(one, other, strict=True)]
+    gap = seed_interval(np.array(gaps))
+    return chance.value, chance.low, chance.high, gap.value, gap.low, gap.high, len(gaps)
 
 
 def _latest(outcomes: Sequence[Outcome]) -> dict[tuple[str, str], dict[str, list[Outcome]]]:
@@ -227,8 +251,8 @@ def _row(key: _Key, outcomes: Sequence[Outcome]) -> Row:
     task, variant, method, collector, iteration = key
     returns = returns_of(outcomes)
     # the same stream for all rows, so that equal data have equal intervals
-    average = interval(returns, mean, stream("interval"))
-    middle = interval(returns, interquartile_mean, stream("interval"))
+    average = mean_interval(returns)
+    middle = bootstrap_interval(returns, interquartile_mean, stream("interval"))
     reached = [flag for o in outcomes for flag in o.iteration.reached_threshold]
     rollouts = max(o.iteration.target_rollouts for o in outcomes)
     return Row(
@@ -252,16 +276,24 @@ def _row(key: _Key, outcomes: Sequence[Outcome]) -> Row:
         inference_steps=float(np.mean([o.iteration.inference_steps for o in outcomes])),
         estimation_error=_mean([_error(o) for o in outcomes]),
         posterior_std=_mean([_spread(o) for o in outcomes]),
+        log_score=_mean([_scored(o, log_score) for o in outcomes]),
+        energy_score=_mean([_scored(o, energy_score) for o in outcomes]),
         reached_threshold=float(np.mean(reached)),
     )
 
 
 def _error(outcome: Outcome) -> float | None:
-    if not outcome.spec.method.believes:
+    return _scored(outcome, lambda task, variant, d: estimation_error(task, variant, d.mean))
+
+
+def _scored(
+    outcome: Outcome, score: Callable[[str, str, Distribution], float | None]
+) -> float | None:
+    """A score of a method's belief at the hidden truth; None where there is no such."""
+    spec = outcome.spec
+    if not spec.method.believes or not isinstance(spec.target, SimulatedTarget):
         return None
-    if not isinstance(outcome.spec.target, SimulatedTarget):
-        return None  # the truth is unknown
-    return estimation_error(outcome.spec.task, outcome.spec.variant, decode(outcome)[0].mean)
+    return score(spec.task, spec.variant, decode(outcome)[0])
 
 
 def _spread(outcome: Outcome) -> float | None:

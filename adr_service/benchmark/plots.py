@@ -186,7 +186,8 @@ def _cost_panel(axis: Axes, rows: Sequence[InferenceCost], measure: str) -> None
 def _band(
     axis: Axes, x: Sequence[float], rows: Sequence[Row], style: str, colour: str, label: str
 ) -> None:
-    low, high = [row.low for row in rows], [row.high for row in rows]
+    # one seed has no interval, and no band
+    low, high = (np.array([getattr(row, side) for row in rows], float) for side in ("low", "high"))
     axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
     means = [row.normalised_return for row in rows]
     axis.plot(x, means, style, color=colour, label=label, markersize=4)
@@ -198,9 +199,7 @@ def _label_returns(figure: Figure, axes: np.ndarray, rows: Sequence[Row]) -> Non
         row_axes[0].set_ylabel("target return / reward threshold")
     _legend(axes[0, -1])
     seeds = "–".join(map(str, sorted({row.seeds for row in rows})))
-    figure.supxlabel(
-        f"bands: 95 % bootstrap intervals over seeds (here {seeds}) and episodes", fontsize=7
-    )
+    figure.supxlabel(f"bands: 95 % intervals over seeds (here {seeds})", fontsize=7)
 
 
 def _grid(rows: int, columns: int, **options: Any) -> tuple[Figure, np.ndarray]:

@@ -1,4 +1,9 @@
-"""Aggregates of returns with bootstrap intervals over seeds, policies and episodes.
+"""Aggregates of returns with their 95 % intervals.
+
+A mean has Student's interval over the means of seeds, because a bootstrap of few seeds is too
+short: `benchmarks/coverage.py` measures how often either covers the truth (docs/statistics.md).
+Aggregates that are no means have a bootstrap over seeds, policies and episodes. One seed has no
+interval.
 
 The interquartile mean and the probability of improvement are those of Agarwal et al., "Deep
 Reinforcement Learning at the Edge of the Statistical Precipice", arXiv 2108.13264, Sec. 4. We
@@ -9,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import t as student
 from scipy.stats import trim_mean
 
 from adr_service.arrays import Matrix, Vector
@@ -21,16 +27,32 @@ _CHUNK = 1_000_000  # returns drawn at once
 
 @dataclass(frozen=True)
 class Interval:
-    """An aggregate with its 95 % bootstrap interval."""
+    """An aggregate with its 95 % interval."""
 
     value: float
-    low: float
-    high: float
+    low: float | None  # None: one seed has no interval
+    high: float | None
+
+    def __str__(self) -> str:
+        if self.low is None or self.high is None:
+            return f"{self.value:.2f}"
+        return f"{self.value:.2f} [{self.low:.2f}, {self.high:.2f}]"
 
 
-def mean(scores: Matrix) -> Vector:
-    """Means of policies' mean returns (..., n) over the last axis."""
-    return scores.mean(axis=-1)
+def seed_interval(values: Vector) -> Interval:
+    """The mean of seeds' values (n,) with Student's interval."""
+    centre, count = float(values.mean()), len(values)
+    if count < 2:
+        return Interval(centre, None, None)
+    reach = float(student.isf((1 - _LEVEL) / 2, count - 1) * values.std(ddof=1) / np.sqrt(count))
+    return Interval(centre, centre - reach, centre + reach)
+
+
+def mean_interval(seeds: Sequence[Matrix]) -> Interval:
+    """The mean return of seeds, each a (policies, episodes) array, with its interval."""
+    if not seeds or any(returns.size == 0 for returns in seeds):
+        raise InvalidInput("a mean needs at least one return of at least one seed")
+    return seed_interval(np.array([returns.mean() for returns in seeds]))
 
 
 def interquartile_mean(scores: Matrix) -> Vector:
@@ -39,10 +61,10 @@ def interquartile_mean(scores: Matrix) -> Vector:
     return np.asarray(trim_mean(scores, 0.25, axis=-1))
 
 
-def interval(
+def bootstrap_interval(
     seeds: Sequence[Matrix], aggregate: Callable[[Matrix], Vector], rng: np.random.Generator
 ) -> Interval:
-    """An aggregate of the policies' mean returns, with its interval.
+    """An aggregate of the policies' mean returns, with its bootstrap interval.
 
     Each seed is a (policies, episodes) array, all with the same number of policies. The bootstrap
     resamples seeds, then policies, then episodes, so the interval covers repetitions of the whole
@@ -50,7 +72,8 @@ def interval(
     their number with it.
     """
     resampled = aggregate(_resampled(seeds, rng).reshape(_RESAMPLES, -1))
-    return _percentile_interval(float(aggregate(_policy_means(seeds))), resampled)
+    value = float(aggregate(_policy_means(seeds)))
+    return _percentile_interval(value, resampled, len(seeds))
 
 
 def improvement(
@@ -65,22 +88,8 @@ def improvement(
 
     means = [_policy_means(seeds) for seeds in (one, other)]
     resampled = [_resampled(seeds, rng).reshape(_RESAMPLES, -1) for seeds in (one, other)]
-    return _percentile_interval(float(wins(*means)), wins(*resampled))
-
-
-def difference(
-    ones: Sequence[Sequence[Matrix]], others: Sequence[Sequence[Matrix]], rng: np.random.Generator
-) -> Interval:
-    """The difference of two methods' mean returns, averaged over cells.
-
-    A cell is a task's variant with its seeds; both methods have the same cells.
-    """
-    means = [np.mean([_policy_means(seeds).mean() for seeds in cells]) for cells in (ones, others)]
-    resampled = [
-        np.mean([_resampled(seeds, rng).mean(axis=(1, 2)) for seeds in cells], axis=0)
-        for cells in (ones, others)
-    ]
-    return _percentile_interval(float(means[0] - means[1]), resampled[0] - resampled[1])
+    fewest = min(len(one), len(other))
+    return _percentile_interval(float(wins(*means)), wins(*resampled), fewest)
 
 
 def _policy_means(seeds: Sequence[Matrix]) -> Vector:
@@ -114,8 +123,10 @@ def _resampled_policies(returns: Matrix, count: int, rng: np.random.Generator) -
     return returns[rows, columns].mean(axis=2)
 
 
-def _percentile_interval(value: float, resampled: Vector) -> Interval:
+def _percentile_interval(value: float, resampled: Vector, seeds: int) -> Interval:
     """The percentile bootstrap interval (Efron and Tibshirani 1993, ch. 13)."""
+    if seeds < 2:
+        return Interval(value, None, None)
     tail = 100 * (1 - _LEVEL) / 2
     low, high = np.percentile(resampled, [tail, 100 - tail])
     return Interval(value, float(low), float(high))

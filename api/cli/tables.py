@@ -58,8 +58,10 @@ def _cells(row: Json) -> list[str]:
     ]
 
 
-def _interval(row: Json) -> str:
-    return f"[{row['low']:.2f}, {row['high']:.2f}]".replace("[", r"\[")
+def _interval(row: Json, of: str = "") -> str:
+    """The interval of a row; one seed has none."""
+    low, high = row[f"{of}low"], row[f"{of}high"]
+    return "–" if low is None else rf"\[{low:.2f}, {high:.2f}]"
 
 
 def estimates_table(results: Json) -> RenderableType:
@@ -75,16 +77,18 @@ def estimates_table(results: Json) -> RenderableType:
 
 
 def comparisons_table(results: Json) -> RenderableType:
-    """The probability that a policy of one method beats one of another."""
+    """The difference of two methods, and the probability that a policy of one beats the other's."""
     if not results["comparisons"]:
         return Text("there are no two methods to compare yet")
-    table = Table("task", "variant", "method", "beats", box=None, padding=(0, 2, 0, 0))
-    for heading in ("probability", "95 % interval", "seeds"):
+    table = Table("task", "variant", "method", "against", box=None, padding=(0, 2, 0, 0))
+    for heading in ("difference", "95 % interval", "beats it with\nprobability", "seeds"):
         table.add_column(heading, justify="right")
     for pair in results["comparisons"]:
         names = (pair["task"], pair["variant"], pair["method"], pair["other"])
-        table.add_row(*names, f"{pair['probability']:.2f}", _interval(pair), str(pair["seeds"]))
-    return Group(table, Text("after each method's last iteration; ties count half", style="dim"))
+        difference = f"{pair['difference']:+.2f}", _interval(pair, "difference_")
+        table.add_row(*names, *difference, f"{pair['probability']:.2f}", str(pair["seeds"]))
+    note = "after each method's last iteration, seed by seed; ties count half"
+    return Group(table, Text(note, style="dim"))
 
 
 def claims_table(report: Json) -> RenderableType:
@@ -93,10 +97,15 @@ def claims_table(report: Json) -> RenderableType:
     table = Table("", "claim", "verdict", "measured", box=None, padding=(0, 2, 0, 0))
     for finding in report["findings"]:
         evidence = "\n".join(finding["evidence"]) or "–"
-        cells = (finding["claim"], finding["statement"], finding["verdict"], evidence)
+        cells = (finding["claim"], finding["statement"], _verdict(finding), evidence)
         table.add_row(*map(escape, cells))
     title = f"preset {report['preset']}" + (f", but {changed}" if changed else "")
     return Group(Text(title, style="bold"), table)
+
+
+def _verdict(finding: Json) -> str:
+    needed = finding["seeds_needed"]
+    return finding["verdict"] + (f"\n(about {needed} seeds)" if needed else "")
 
 
 def plan_table(plan: Json) -> RenderableType:

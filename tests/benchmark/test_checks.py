@@ -1,52 +1,92 @@
-"""The logic of verdicts: what one check says, and several together."""
+"""The logic of checks: what one says, and several together."""
 
 import itertools
 
+import numpy as np
 import pytest
+from scipy.stats import ttest_1samp
 
 from adr_service.benchmark.cells import Cell, Measured
-from adr_service.benchmark.checks import all_of, beyond, conjunction, higher, none_of
-from adr_service.benchmark.statistics import Interval
+from adr_service.benchmark.checks import Evidence, above, all_of, conjunction, higher, none_of
 
-VERDICTS = ("supported", "contradicted", "undecided", "not measured")
 NOTHING = Measured([])
+SURE, UNSURE = 1e-6, 0.4
+FOR = Evidence(SURE, 1 - SURE, ["for"])
+AGAINST = Evidence(1 - SURE, SURE, ["against"])
+OPEN = Evidence(UNSURE, 1 - UNSURE, ["open"])
+MISSING = Evidence(1.0, 1.0, ["missing"], "not measured")
+ALL = (FOR, AGAINST, OPEN, MISSING)
 
 
-def saying(verdict):
-    """A check that always gives this verdict."""
-    return lambda measured: (verdict, [verdict])
+def saying(evidence):
+    """A check that always gives this evidence."""
+    return lambda measured: evidence
 
 
-@pytest.mark.parametrize("verdict", VERDICTS)
-def test_one_check_alone_decides(verdict):
-    assert all_of([saying(verdict)])(NOTHING) == (verdict, [verdict])
+def numbers(evidence):
+    return evidence.supports, evidence.contradicts, evidence.gap
 
 
-@pytest.mark.parametrize(("one", "other"), list(itertools.product(VERDICTS, repeat=2)))
+@pytest.mark.parametrize("evidence", ALL)
+def test_one_check_alone_decides(evidence):
+    assert numbers(all_of([saying(evidence)])(NOTHING)) == numbers(evidence)
+
+
+@pytest.mark.parametrize(("one", "other"), list(itertools.product(ALL, repeat=2)))
 def test_the_order_of_checks_does_not_matter(one, other):
-    assert conjunction([(one, []), (other, [])]) == conjunction([(other, []), (one, [])])
+    assert numbers(conjunction([one, other])) == numbers(conjunction([other, one]))
 
 
-@pytest.mark.parametrize("verdict", VERDICTS)
-def test_a_contradiction_outweighs_everything(verdict):
-    assert all_of([saying(verdict), saying("contradicted")])(NOTHING)[0] == "contradicted"
+@pytest.mark.parametrize("evidence", ALL)
+def test_a_contradiction_outweighs_everything_and_is_corrected_for_their_number(evidence):
+    both = all_of([saying(evidence), saying(AGAINST)])(NOTHING)
+    assert both.contradicts <= 2 * SURE
+    assert both.supports > 0.5
+
+
+def test_a_conjunction_is_as_sure_as_its_weakest_part():
+    assert numbers(conjunction([FOR, FOR])) == (SURE, 1.0, None)
+    assert conjunction([FOR, OPEN]).supports == UNSURE
+    assert numbers(conjunction([FOR, MISSING])) == (1.0, 1 - SURE, "not measured")
 
 
 def test_none_of_is_the_opposite_of_any():
-    assert none_of([saying("contradicted"), saying("contradicted")])(NOTHING)[0] == "supported"
-    assert none_of([saying("contradicted"), saying("supported")])(NOTHING)[0] == "contradicted"
-    assert none_of([saying("contradicted"), saying("undecided")])(NOTHING)[0] == "undecided"
+    assert none_of([saying(AGAINST), saying(AGAINST)])(NOTHING).supports == SURE
+    assert none_of([saying(AGAINST), saying(FOR)])(NOTHING).contradicts == 2 * SURE
+    assert none_of([saying(AGAINST), saying(OPEN)])(NOTHING).supports == 1 - UNSURE
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "verdict"),
-    [(0.2, 0.3, "supported"), (-0.3, -0.1, "contradicted"), (-0.1, 0.1, "undecided")],
-)
-def test_an_interval_decides_by_the_side_of_the_bound(low, high, verdict):
-    assert beyond(Interval((low + high) / 2, low, high), 0.0) == verdict
+def test_p_values_are_those_of_students_test():
+    values = np.array([1.0, 1.2, 0.7, 1.1])
+    evidence = above(values, 0.9, "")
+    for p, side in ((evidence.supports, "greater"), (evidence.contradicts, "less")):
+        assert p == pytest.approx(ttest_1samp(values, 0.9, alternative=side).pvalue)
+
+
+def test_the_seeds_needed_are_those_at_which_the_test_settles_it():
+    values = np.array([1.0, 1.2, 0.7, 1.1])
+    needed = int(above(values, 0.9, "").needed(0.05))
+    # as many values with the same mean and standard deviation
+    for count, settles in ((needed - 1, False), (needed, True)):
+        spread = np.resize([-1.0, 1.0], count - count % 2)
+        spread = np.append(spread, np.zeros(count % 2))
+        values_then = values.mean() + spread * values.std(ddof=1) / spread.std(ddof=1)
+        assert (2 * above(values_then, 0.9, "").supports < 0.05) == settles
+
+
+def test_one_seed_settles_nothing_and_leans_to_its_side():
+    up, down = above(np.array([2.0]), 0.0, ""), above(np.array([-2.0]), 0.0, "")
+    assert min(up.supports, up.contradicts, down.supports, down.contradicts) == 0.5
+    assert (up.leans_to_support, down.leans_to_support) == (True, False)
+
+
+def test_equal_seeds_settle_where_they_lie():
+    assert above(np.full(3, 1.0), 0.5, "").supports == pytest.approx(0, abs=1e-12)
+    at_the_bound = above(np.full(3, 1.0), 1.0, "")
+    assert (at_the_bound.supports, at_the_bound.contradicts) == (0.5, 0.5)
 
 
 def test_a_method_is_not_compared_with_itself_or_with_one_that_did_not_run():
     cell = Cell("hopper", "vanilla", "dropo")
-    assert higher(cell, cell)(NOTHING) == ("not measured", [])
-    assert higher(cell, Cell("hopper", "vanilla", "udr"))(NOTHING) == ("not measured", [])
+    assert higher(cell, cell)(NOTHING).gap == "not measured"
+    assert higher(cell, Cell("hopper", "vanilla", "udr"))(NOTHING).gap == "not measured"

@@ -22,7 +22,14 @@ ROW |= {"seeds": 3, "episodes": 150, "target_transitions": 1000}
 ROW |= {"estimation_error": 0.12, "posterior_std": 0.012}
 EMPTY = {"rows": [], "estimates": [], "comparisons": [], "note": "a note"}
 PLAN = {"runs": 2, "trainings": 3, "environment_steps": 12_000, "target_transitions": 40}
-PLAN |= {"core_hours": 0.5, "hours": 0.25, "cores": 2, "policies_mb": 1.5, "basis": "a guess"}
+PLAN |= {
+    "stored": 0,
+    "core_hours": 0.5,
+    "hours": 0.25,
+    "cores": 2,
+    "policies_mb": 1.5,
+    "basis": "a guess",
+}
 COST = {"kinds": [], "utilisation": None, "note": "a note"}
 TRIAL = Trial(
     changes={"hidden": [64, 64], "activation": "relu"},
@@ -68,7 +75,17 @@ def test_one_method_alone_has_nothing_to_compare_with():
 def test_a_comparison_has_its_interval():
     pair = {"task": "arm", "variant": "noisy", "method": "simopt", "other": "udr", "seeds": 3}
     pair |= {"probability": 0.8, "low": 0.5, "high": 1.0}
-    assert "[0.50, 1.00]" in shown(comparisons_table({"comparisons": [pair]}))
+    pair |= {"difference": 0.25, "difference_low": -0.1, "difference_high": 0.6}
+    text = shown(comparisons_table({"comparisons": [pair]}))
+    assert "+0.25" in text
+    assert "[-0.10, 0.60]" in text
+    assert "0.80" in text
+
+
+def test_one_seed_has_no_interval():
+    text = shown(results_table({"rows": [{**ROW, "low": None, "high": None}], "note": ""}))
+    assert "[" not in text
+    assert "–" in text
 
 
 @pytest.mark.parametrize(
@@ -85,11 +102,18 @@ def test_a_plan_has_its_duration_in_words(hours, text):
     assert text in shown(plan_table({**PLAN, "hours": hours}))
 
 
+def test_a_plan_tells_how_many_stages_cost_nothing():
+    assert "have their results already" not in shown(plan_table(PLAN))
+    assert "have their results already  12" in shown(plan_table({**PLAN, "stored": 12}))
+
+
 def test_brackets_in_claims_are_no_styles():
-    finding = {"claim": "[bold]", "statement": "s", "verdict": "supported", "evidence": ["a [b]"]}
+    finding = {"claim": "[bold]", "statement": "s", "verdict": "undecided", "evidence": ["a [b]"]}
+    finding["seeds_needed"] = 7
     text = shown(claims_table({"preset": "quick", "changed": {"n": 1}, "findings": [finding]}))
     assert "[bold]" in text
     assert "a [b]" in text
+    assert "about 7 seeds" in text
     assert "preset quick, but n = 1" in text
 
 
