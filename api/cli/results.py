@@ -94,6 +94,19 @@ def _show_table(client: AdrClient, id: str, csv: bool, as_json: bool, compare: b
 
 
 @app.command()
+def report(
+    benchmark: Annotated[str, typer.Argument(help="Id of a benchmark, finished or not.")],
+    out: Annotated[Path, typer.Option(help="The folder to write.")],
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Write a benchmark's page as a folder of files for any web host, with its archive."""
+    from api.report import write_report  # imports Matplotlib
+
+    with connect(url) as client:
+        typer.echo(write_report(client, benchmark, out))
+
+
+@app.command()
 def claims(
     id: Annotated[str | None, typer.Argument(help="Id of a benchmark; default: all runs.")] = None,
     url: Url = DEFAULT_URL,

@@ -1,0 +1,65 @@
+"""A benchmark's page as a folder of files that needs no server.
+
+    with connect() as client:
+        write_report(client, "bench_0123456789abcdef", Path("report"))
+
+All links are relative and nothing is a script, so any web host can show it, and a browser opens
+`index.html` from the disk.
+"""
+
+import json
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from adr_service.benchmark.archive import ArchiveReader, Manifest
+from adr_service.benchmark.figures import FIGURES
+from adr_service.errors import InvalidInput
+from api.client import AdrClient
+
+_TEMPLATES = Path(__file__).parent / "page" / "templates"  # without the service, which imports Ray
+
+
+def write_report(client: AdrClient, benchmark_id: str, folder: Path) -> Path:
+    """Write a benchmark's report, with its archive, into a new or empty folder; return the page.
+
+    Raises InvalidInput if something is in the folder.
+    """
+    if not benchmark_id.startswith("bench_"):
+        raise InvalidInput(f"a report is of a benchmark; given {benchmark_id}")
+    if folder.exists() and any(folder.iterdir()):
+        raise InvalidInput(f"{folder} is not empty; a report overwrites nothing")
+    benchmark, found = client.get(benchmark_id), client.results(benchmark_id)
+    claims, figures = client.claims(benchmark_id), client.figures(benchmark_id)
+    (folder / "figures").mkdir(parents=True, exist_ok=True)
+    for name in figures:
+        for file in (f"{name}.{kind}" for kind in ("svg", "png", "csv")):
+            (folder / "figures" / file).write_bytes(client.figure(benchmark_id, file))
+    (folder / "results.csv").write_text(client.results_csv(benchmark_id))
+    for name, content in (("results", found), ("claims", claims), ("spec", benchmark["spec"])):
+        (folder / f"{name}.json").write_text(json.dumps(content, indent=1))
+    page = _templates().get_template("report.html")
+    text = page.render(
+        benchmark=benchmark,
+        found=found,
+        claims=claims,
+        figures=figures,
+        captions={name: kind.caption for name, kind in FIGURES.items()},
+        cost=client.cost(benchmark_id),
+        manifest=_archive(client, benchmark_id, folder / "archive.adr"),
+        spec=json.dumps(benchmark["spec"], indent=1),
+    )
+    (folder / "index.html").write_text(text)
+    return folder / "index.html"
+
+
+def _archive(client: AdrClient, benchmark_id: str, path: Path) -> Manifest:
+    with path.open("w+b") as file:
+        client.export_archive(benchmark_id, file)
+        with ArchiveReader(file) as archive:
+            return archive.manifest
+
+
+def _templates() -> Environment:
+    loader = FileSystemLoader(_TEMPLATES)
+    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined)

@@ -1,0 +1,95 @@
+"""The static report of a benchmark: links, markup, and what a browser makes of it."""
+
+import io
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import pytest
+
+from adr_service.benchmark.archive import ArchiveReader
+from api.report import write_report
+
+pytestmark = pytest.mark.ray
+CHROMIUM = shutil.which("chromium")
+
+
+@pytest.fixture(scope="module")
+def page(service, benchmark, tmp_path_factory):
+    """The page of a benchmark's report."""
+    return write_report(service.client, benchmark, tmp_path_factory.mktemp("report"))
+
+
+class References(HTMLParser):
+    """Collects what a page links to or loads, and its scripts."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.found, self.scripts = [], 0
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.scripts += tag == "script" or any(name.startswith("on") for name, _ in attrs)
+        self.found += [value for name, value in attrs if name in ("href", "src")]
+
+
+def test_every_link_is_relative_and_leads_to_a_file(page):
+    found = [link for link in References(page.read_text()).found if link != "data:,"]
+    assert len(found) > 10
+    for link in found:
+        assert not re.match(r"[a-z]+:|/", link), link
+        assert (page.parent / link).stat().st_size > 0, link
+
+
+def test_nothing_in_the_folder_is_linked_from_nowhere(page):
+    linked = set(References(page.read_text()).found)
+    files = {str(p.relative_to(page.parent)) for p in page.parent.rglob("*") if p.is_file()}
+    assert files - {"index.html"} == linked - {"data:,"}
+
+
+def test_the_page_has_no_scripts(page):
+    assert References(page.read_text()).scripts == 0
+
+
+def test_the_report_has_the_results_costs_versions_and_spec(service, benchmark, page):
+    text = page.read_text()
+    for row in service.client.results(benchmark)["rows"]:
+        assert f"{row['normalised_return']:.2f}" in text
+    assert "train_policy" in text
+    assert "mujoco 4" in text
+    assert f"adr extend {benchmark} --seed 3" in text
+    assert "these numbers mean nothing" in text
+    with ArchiveReader(io.BytesIO((page.parent / "archive.adr").read_bytes())) as archive:
+        assert archive.manifest.benchmark == benchmark
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium in the path")
+@pytest.mark.parametrize("width", [1440, 390])
+def test_a_browser_shows_the_page_from_disk_without_errors(page, width, tmp_path):
+    shown = subprocess.run(
+        [
+            str(CHROMIUM),
+            *("--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr"),
+            *(f"--window-size={width},2000", f"--screenshot={tmp_path / 'page.png'}"),
+            page.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert "CONSOLE" not in shown.stderr
+    assert (tmp_path / "page.png").stat().st_size > 10_000
+
+
+def test_a_report_overwrites_nothing_and_is_of_a_benchmark(adr_here, service, benchmark, page):
+    def report(id, out):
+        return adr_here("report", id, "--out", str(out), "--url", service.client.url)
+
+    code, _, errors = report(benchmark, page.parent)
+    assert (code, "overwrites nothing" in errors) == (2, True)
+    code, _, errors = report("run_0", page.parent / "new")
+    assert (code, "a report is of a benchmark" in errors) == (2, True)
+    code, out, _ = report(benchmark, page.parent.parent / "again")
+    assert (code, out.strip()) == (0, str(page.parent.parent / "again" / "index.html"))
