@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-budgets bench-coverage bench-criticism bench-extension bench-api clean
+.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-budgets bench-coverage study bench-criticism bench-extension bench-api clean
 
 setup: $(STAMP)
 
@@ -60,6 +60,10 @@ bench-recovery: setup
 # an hour on two cores
 bench-budgets: setup
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.budgets
+
+# a day on two cores; it goes on where it was stopped, here or elsewhere
+study: setup
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.study docs/studies/hopper.json results/hopper
 
 # five minutes
 bench-coverage: setup

@@ -46,7 +46,7 @@ def write_report(client: AdrClient, benchmark_id: str, folder: Path) -> Path:
         figures=figures,
         captions={name: kind.caption for name, kind in FIGURES.items()},
         cost=client.cost(benchmark_id),
-        manifest=_archive(client, benchmark_id, folder / "archive.adr"),
+        manifest=_archive(client, benchmark_id, folder / "study.adr"),
         spec=json.dumps(benchmark["spec"], indent=1),
     )
     (folder / "index.html").write_text(text)

@@ -8,10 +8,12 @@ from adr_service.distributions import (
     Gaussian,
     TruncatedGaussian,
     Uniform,
+    at_resolution,
     distribution_from_json,
 )
 from adr_service.errors import InfeasibleDistribution, InvalidInput, UnknownName
 from adr_service.parameters import Parameter, ParameterSpace
+from adr_service.tasks.catalogue import source_of
 
 SPACE = ParameterSpace(
     (
@@ -89,3 +91,25 @@ def test_a_gaussians_density_is_scipys_in_si_units():
 def test_bounds_in_the_wrong_order_are_refused():
     with pytest.raises(InvalidInput, match="low <= high"):
         Uniform(SPACE, np.array([2.0, 2.0]), np.array([1.0, 3.0]))
+
+
+def test_a_narrow_belief_is_a_point_on_a_grid_at_a_resolution():
+    space = source_of("arm", "vanilla").space
+    location = np.array([0.1234, 1.0, 2.006, 4.2])
+    narrow = Gaussian(space, location, 0.009**2 * np.eye(4))
+    point = at_resolution(narrow, 0.01)
+    assert isinstance(point, Uniform)
+    np.testing.assert_array_equal(point.low, point.high)
+    # the last is moved into the search box, as its draws are
+    np.testing.assert_allclose(space.normalise(point.mean), [0.12, 1.0, 2.01, 4.0])
+    near = Gaussian(space, location + 0.001, 0.001**2 * np.eye(4))
+    assert at_resolution(near, 0.01).to_json() == point.to_json()
+
+
+def test_a_belief_that_is_wide_anywhere_stays_as_it_is():
+    space = source_of("arm", "vanilla").space
+    deviations = np.array([1e-6, 1e-6, 1e-6, 0.011])
+    wide = Gaussian(space, np.full(4, 2.003), np.diag(deviations**2))
+    assert at_resolution(wide, 0.01) is wide
+    prior = Gaussian.prior(space)
+    assert at_resolution(prior, 0.01) is prior

@@ -23,6 +23,7 @@ BLOCK = re.compile(r"(?:^|\n\n)((?:    .*\n?|\n(?=    ))+)")
 TABLES = {"adr_service.simulation.model", "adr_service.criticism.noise", "db.visits"}
 # these take a database's, a cluster's or an inner step's values: they are compiled and not run
 COMPILED = {
+    "api.report",
     "adr_service.criticism.linear",
     "adr_service.criticism.linearisation",
     "adr_service.criticism.naming",

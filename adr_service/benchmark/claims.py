@@ -89,7 +89,7 @@ def reports(outcomes: Iterable[Outcome]) -> list[Report]:
 
 
 def _budget(spec: RunSpec) -> dict[str, object]:
-    names = ("preset", "iterations", "transitions", "evaluation_episodes")
+    names = ("preset", "iterations", "transitions", "evaluation_episodes", "resolution")
     training = {f"training.{k}": v for k, v in spec.training.model_dump().items()}
     return {name: getattr(spec, name) for name in names} | training
 

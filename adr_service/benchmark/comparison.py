@@ -309,7 +309,7 @@ def normalised_std(distribution: Distribution) -> Vector:
 
 
 def decode(outcome: Outcome) -> list[Distribution]:
-    """The distributions that the iteration's policies were trained on."""
+    """The beliefs that the iteration's policies were trained on, before any rounding."""
     spec = outcome.spec
     source = source_of(spec.task, spec.variant)
     if spec.method.needs_truth:

@@ -4,7 +4,7 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from adr_service.distributions import Distribution
+from adr_service.distributions import Distribution, at_resolution
 from adr_service.errors import InvalidInput
 from adr_service.events import IterationFinished, RunEvent
 from adr_service.json_values import sha256
@@ -48,8 +48,10 @@ def training(
     """The training of a run's policy on a distribution.
 
     It starts from the networks of the run's previous policy, if the run's settings want that.
-    Variants with one source share it.
+    Variants with one source share it, and beliefs that are one point at the spec's resolution.
     """
+    if spec.resolution is not None:
+        distribution = at_resolution(distribution, spec.resolution)
     source: dict[str, Any] = {**source_inputs(spec), "variant": spec.training_domain}
     return TrainPolicy(
         **source,

@@ -16,6 +16,7 @@ from adr_service.specs.names import (
     Name,
     NameOrSettings,
     PresetName,
+    Resolution,
     Seed,
     TaskName,
     VariantName,
@@ -55,6 +56,7 @@ class BenchmarkSpec(Wire):
     transitions: Budget | None = None
     evaluation_episodes: Budget | None = None
     training: dict[Name, Any] | None = Field(None, max_length=100)
+    resolution: Resolution | None = Field(None, description="as in a run")
 
     @model_validator(mode="after")
     def _all_runs_are_valid(self) -> Self:
@@ -98,7 +100,7 @@ class BenchmarkSpec(Wire):
 
     def runs(self) -> Iterator[RunSpec]:
         """The runs, seeds outermost, so that a stopped benchmark has whole repetitions."""
-        budget = ("iterations", "transitions", "evaluation_episodes", "training")
+        budget = ("iterations", "transitions", "evaluation_episodes", "training", "resolution")
         given = {name: getattr(self, name) for name in budget if getattr(self, name) is not None}
         own = next((m for m in self.methods if not isinstance(m, str) and m.collects), None)
         simopt = {} if own is None else {"simopt": as_given(own)}

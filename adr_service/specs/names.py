@@ -49,6 +49,7 @@ TaskName = Annotated[Name, AfterValidator(lambda name: _known("task", name, cata
 VariantName = Annotated[Name, AfterValidator(_known_variant)]
 PresetName = Annotated[Name, AfterValidator(lambda name: _known("preset", name, PRESETS))]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
+Resolution = Annotated[float, Field(gt=0, le=1)]  # of beliefs, in [0, 4] coordinates
 NameOrSettings = Annotated[
     Annotated[Name, Tag("name")] | Annotated[AnyMethod, Tag("settings")],
     Discriminator(lambda given: "name" if isinstance(given, str) else "settings"),

@@ -18,6 +18,7 @@ from adr_service.specs.names import (
     Collector,
     Name,
     PresetName,
+    Resolution,
     Seed,
     TaskName,
     VariantName,
@@ -56,6 +57,11 @@ class RunSpec(Wire):
     transitions: int = Field(ge=1, le=100_000, description="per target rollout, at most")
     evaluation_episodes: int = Field(ge=2, le=10_000, description="final, seen by no method")
     training: TrainingSettings
+    resolution: Resolution | None = Field(
+        None,
+        description="beliefs that are narrower than this in [0, 4] are trained as points on a grid "
+        "of this width, so that equal answers share a policy; null: every belief as it is",
+    )
 
     @model_validator(mode="before")
     @classmethod

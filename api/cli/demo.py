@@ -1,22 +1,16 @@
 """`adr demo`: the whole service, from nothing to a figure, on the small task."""
 
-import socket
-import subprocess
-import sys
-import time
-from collections.abc import Generator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from adr_service.errors import AdrError
+from api.cli.own_service import free_port, own_service
 from api.cli.progress import live
 from api.cli.tables import results_table
 from api.cli.terminal import console
-from api.client import AdrClient, Json, Unreachable, connect
+from api.client import AdrClient, Json
 
 app = typer.Typer()
 BENCHMARK = {
@@ -30,13 +24,6 @@ _STORY = (
     "rub is unknown;\nmethods infer that from trajectories of the target, and policies are "
     "trained on what they infer.\n"
 )
-_START_TIMEOUT_S = 120.0
-
-
-class ServiceDidNotStart(AdrError):
-    """The demo's service ended or hung before it was ready."""
-
-    code = "service_did_not_start"
 
 
 @app.command()
@@ -45,13 +32,13 @@ def demo(
     port: Annotated[int, typer.Option(help="0: any free port.")] = 0,
 ) -> None:
     """Run a small benchmark from nothing to its figures, in minutes."""
-    raise typer.Exit(0 if show(console, data_dir, port or _free_port()) else 1)
+    raise typer.Exit(0 if show(console, data_dir, port or free_port()) else 1)
 
 
 def show(output: Console, data_dir: Path, port: int) -> bool:
     """Run `BENCHMARK` over REST on a service of its own; True if all runs succeeded."""
     output.print(f"Starting the service on http://127.0.0.1:{port} (data in {data_dir}) …")
-    with _service(data_dir, port) as client:
+    with own_service(data_dir, port) as client:
         benchmark = client.submit_benchmark(BENCHMARK)
         page = benchmark["links"]["page"]
         output.print(f"Watch it in a browser: {client.url}{page}")
@@ -84,40 +71,3 @@ def _write_files(output: Console, client: AdrClient, id: str, folder: Path) -> N
         output.print(f"figure: {figure}")
     (folder / "results.csv").write_text(client.results_csv(id))
     output.print(f"table:  {folder / 'results.csv'}")
-
-
-@contextmanager
-def _service(data_dir: Path, port: int) -> Generator[AdrClient]:
-    """A client of a service that runs in another process until the block ends."""
-    data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
-    log_path = data_dir / "service.log"
-    command = [sys.executable, "-m", "api", "serve"]
-    command += ["--port", str(port), "--data-dir", str(data_dir)]
-    with log_path.open("w") as log:
-        process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)  # noqa: S603 - our own command
-    try:
-        with connect(f"http://127.0.0.1:{port}") as client:
-            _wait_until_ready(client, process, log_path)
-            yield client
-    finally:
-        process.terminate()
-        process.wait(timeout=60)
-
-
-def _wait_until_ready(client: AdrClient, process: subprocess.Popen[bytes], log_path: Path) -> None:
-    deadline = time.monotonic() + _START_TIMEOUT_S
-    while time.monotonic() < deadline and process.poll() is None:
-        try:
-            client.ready()
-        except Unreachable:
-            time.sleep(0.2)
-        else:
-            return
-    tail = "\n".join(log_path.read_text().splitlines()[-5:])
-    raise ServiceDidNotStart(f"the service did not start; the end of {log_path}:\n{tail}")
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

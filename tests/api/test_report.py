@@ -60,7 +60,7 @@ def test_the_report_has_the_results_costs_versions_and_spec(service, benchmark, 
     assert "mujoco 4" in text
     assert f"adr extend {benchmark} --seed 3" in text
     assert "these numbers mean nothing" in text
-    with ArchiveReader(io.BytesIO((page.parent / "archive.adr").read_bytes())) as archive:
+    with ArchiveReader(io.BytesIO((page.parent / "study.adr").read_bytes())) as archive:
         assert archive.manifest.benchmark == benchmark
 
 

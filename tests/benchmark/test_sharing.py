@@ -1,7 +1,12 @@
 """Work that runs of a benchmark share."""
 
+import numpy as np
+
+from adr_service.distributions import Gaussian
 from adr_service.programs import run
+from adr_service.programs.steps import training
 from adr_service.specs import RunSpec
+from adr_service.tasks.catalogue import source_of
 from tests.benchmark.conftest import ITERATIONS
 from tests.contracts.canned import CannedStages
 
@@ -49,3 +54,17 @@ def trainings_of(method, variant, **more):
     stages = CannedStages()
     list(run(RunSpec.model_validate({**given, **more}), stages))
     return [digest for kind, digest in stages.asked if kind == "train_policy"]
+
+
+def test_answers_that_are_one_point_at_the_resolution_share_a_policy():
+    space = source_of("arm", "vanilla").space
+    near = [Gaussian(space, np.full(4, 1.5 + moved), 1e-6 * np.eye(4)) for moved in (0, 1e-3)]
+    given = {"task": "arm", "method": "dropo", "preset": "smoke"}
+    fine = RunSpec.model_validate(given)
+    coarse = RunSpec.model_validate({**given, "resolution": 0.01})
+    one, other = (training(coarse, belief).digest for belief in near)
+    assert one == other
+    one, other = (training(fine, belief).digest for belief in near)
+    assert one != other
+    prior = Gaussian.prior(space)
+    assert training(coarse, prior).digest == training(fine, prior).digest

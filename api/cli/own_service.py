@@ -1,0 +1,58 @@
+"""A service of one's own in another process, for as long as a block."""
+
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+from adr_service.errors import AdrError
+from api.client import AdrClient, Unreachable, connect
+
+_START_TIMEOUT_S = 120.0
+
+
+class ServiceDidNotStart(AdrError):
+    """The service ended or hung before it was ready."""
+
+    code = "service_did_not_start"
+
+
+@contextmanager
+def own_service(data_dir: Path, port: int) -> Generator[AdrClient]:
+    """A client of a service that runs in another process until the block ends."""
+    data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+    log_path = data_dir / "service.log"
+    command = [sys.executable, "-m", "api", "serve"]
+    command += ["--port", str(port), "--data-dir", str(data_dir)]
+    with log_path.open("w") as log:
+        process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)  # noqa: S603 - our own command
+    try:
+        with connect(f"http://127.0.0.1:{port}") as client:
+            _wait_until_ready(client, process, log_path)
+            yield client
+    finally:
+        process.terminate()
+        process.wait(timeout=60)
+
+
+def free_port() -> int:
+    """A port of this machine that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _wait_until_ready(client: AdrClient, process: subprocess.Popen[bytes], log_path: Path) -> None:
+    deadline = time.monotonic() + _START_TIMEOUT_S
+    while time.monotonic() < deadline and process.poll() is None:
+        try:
+            client.ready()
+        except Unreachable:
+            time.sleep(0.2)
+        else:
+            return
+    tail = "\n".join(log_path.read_text().splitlines()[-5:])
+    raise ServiceDidNotStart(f"the service did not start; the end of {log_path}:\n{tail}")
