@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import BaseModel
 
 import adr_service
+from adr_service.benchmark.aggregate import Aggregate, aggregates
 from adr_service.benchmark.comparison import (
     Comparison,
     InferenceCost,
@@ -42,7 +43,8 @@ class ResultsView(BaseModel):
 
     note: str
     rows: list[dict[str, Any]]
-    comparisons: list[dict[str, Any]]  # probabilities of improvement, of every pair of methods
+    aggregates: list[dict[str, Any]]  # methods over all tasks and variants that all of them have
+    comparisons: list[dict[str, Any]]  # differences and probabilities of improvement, by pair
     estimates: list[dict[str, Any]]  # by parameter, of methods that infer
     costs: list[dict[str, Any]]  # of the inferences
 
@@ -90,7 +92,7 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
     or tables have other columns.
     """
     count = event_store.count_iterations(service.database, [record.id for record in records])
-    tables = (Row, Comparison, ParameterEstimate, InferenceCost)
+    tables = (Row, Aggregate, Comparison, ParameterEstimate, InferenceCost)
     columns = [field.name for each in tables for field in fields(each)]
     version = sha256(canonical_json([adr_service.__version__, columns, count]).encode())
     stored = result_store.kept_results(service.database, id, version)
@@ -109,6 +111,7 @@ def results_view(outcomes: Sequence[Outcome]) -> ResultsView:
     return ResultsView(
         note=_note(outcomes),
         rows=[asdict(row) for row in table(outcomes)],
+        aggregates=[asdict(each) for each in aggregates(outcomes)],
         comparisons=[asdict(pair) for pair in comparisons(outcomes)],
         estimates=[asdict(estimate) for estimate in estimates(outcomes)],
         costs=[asdict(cost) for cost in costs(outcomes)],

@@ -38,6 +38,7 @@ COMPILED = {
     "workers.tuning",
 }
 NAMES: dict[str, Callable[..., dict[str, Any]]] = {
+    "adr_service.benchmark.aggregate": names.outcomes,
     "adr_service.benchmark.archive": names.archive_file,
     "adr_service.benchmark.checks": names.outcomes,
     "adr_service.benchmark.claims": names.outcomes,

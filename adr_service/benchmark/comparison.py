@@ -145,7 +145,7 @@ def comparisons(outcomes: Sequence[Outcome]) -> list[Comparison]:
     """Every pair of methods on a task's variant, each after its last iteration."""
     order = list(methods())
     compared: list[Comparison] = []
-    for (task, variant), columns in sorted(_latest(outcomes).items()):
+    for (task, variant), columns in sorted(latest(outcomes).items()):
         names = sorted(columns, key=lambda name: (order.index(name.split()[0]), name))
         for one, other in combinations(names, 2):
             sides = [{o.spec.seed: o for o in columns[name]} for name in (one, other)]
@@ -166,7 +166,7 @@ def _compared(
     return chance.value, chance.low, chance.high, gap.value, gap.low, gap.high, len(gaps)
 
 
-def _latest(outcomes: Sequence[Outcome]) -> dict[tuple[str, str], dict[str, list[Outcome]]]:
+def latest(outcomes: Sequence[Outcome]) -> dict[tuple[str, str], dict[str, list[Outcome]]]:
     """Evaluated outcomes of each column's last iteration, by task and variant, then by column."""
     latest: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
     for outcome in (outcome for outcome in outcomes if outcome.iteration.returns):

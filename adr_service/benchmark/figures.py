@@ -14,6 +14,7 @@ from typing import Any, Literal
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from adr_service.benchmark.aggregate import ProfilePoint, has_common_cells, profiles
 from adr_service.benchmark.comparison import (
     InferenceCost,
     Outcome,
@@ -29,6 +30,7 @@ from adr_service.benchmark.plots import (
     plot_collection,
     plot_cost,
     plot_parameters,
+    plot_profile,
     plot_returns,
     plot_spread,
 )
@@ -62,7 +64,11 @@ def draw(name: str, outcomes: Sequence[Outcome], file_format: Format) -> bytes:
 
 def drawable(outcomes: Sequence[Outcome]) -> list[str]:
     """Names of the figures with something to draw; the returns once per variant."""
-    names = [name for name, kind in FIGURES.items() if any(map(kind.is_drawn, outcomes))]
+    names = [
+        name
+        for name, kind in FIGURES.items()
+        if any(map(kind.is_drawn, outcomes)) and kind.is_complete(outcomes)
+    ]
     by_variant = [f"returns-{variant}" for variant in _variants(outcomes)]
     if "returns" in names and len(by_variant) > 1:
         names[names.index("returns") : names.index("returns") + 1] = by_variant
@@ -119,6 +125,7 @@ class Kind:
     rows: Callable[[Sequence[Outcome]], Sequence[Any]]
     draw: Callable[[Any], Figure]
     lacking: str  # reason for an empty figure
+    is_complete: Callable[[Sequence[Outcome]], bool] = lambda outcomes: True  # enough for the rows
 
 
 FIGURES: Mapping[str, Kind] = {
@@ -129,6 +136,15 @@ FIGURES: Mapping[str, Kind] = {
         _protocol_rows,
         plot_returns,
         "no iteration has been evaluated",
+    ),
+    "profile": Kind(
+        "Performance profile: policies that earn more than a return, over all tasks and variants",
+        _in_the_protocol,
+        ProfilePoint,
+        profiles,
+        plot_profile,
+        "no task's variant was evaluated by all methods",
+        has_common_cells,
     ),
     "collection": Kind(
         "Target return by who collected the data",

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from adr_service.benchmark.aggregate import ProfilePoint
 from adr_service.benchmark.comparison import InferenceCost, ParameterEstimate, Row
 from adr_service.methods.catalogue import methods
 
@@ -23,6 +24,7 @@ _COLLECTOR_LABELS = {
     "random_matched": "random actions, as many transitions",
 }
 _MOST_NAMED = 8  # parameters in a legend
+_SIDES = ("low", "high")  # of an interval
 _SHIFT = 0.12  # iterations between the points of two methods
 _AXIS_LABELS = {
     "inference_steps": "simulated control steps",
@@ -41,6 +43,25 @@ def plot_returns(rows: Sequence[Row]) -> Figure:
         if chosen:
             _returns_panel(axes[i, j], chosen)
     _label_returns(figure, axes, rows)
+    return figure
+
+
+def plot_profile(points: Sequence[ProfilePoint]) -> Figure:
+    """The share of a method's policies that earn more than a return, over all tasks."""
+    figure, axes = _grid(1, 1)
+    axis = axes[0, 0]
+    for method in dict.fromkeys(point.method for point in points):
+        chosen = [point for point in points if point.method == method]
+        x, colour = [point.level for point in chosen], _colour(method)
+        # one seed has no interval, and no band
+        low, high = (np.array([getattr(p, side) for p in chosen], float) for side in _SIDES)
+        axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
+        shares = [point.share for point in chosen]
+        axis.plot(x, shares, color=colour, label=_label(method), drawstyle="steps-post")
+    axis.set_xlabel("target return / reward threshold")
+    axis.set_ylabel("share of policies that earn more")
+    _legend(axis)
+    figure.supxlabel("bands: 95 % bootstrap over seeds within tasks and variants", fontsize=7)
     return figure
 
 
@@ -187,7 +208,7 @@ def _band(
     axis: Axes, x: Sequence[float], rows: Sequence[Row], style: str, colour: str, label: str
 ) -> None:
     # one seed has no interval, and no band
-    low, high = (np.array([getattr(row, side) for row in rows], float) for side in ("low", "high"))
+    low, high = (np.array([getattr(row, side) for row in rows], float) for side in _SIDES)
     axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
     means = [row.normalised_return for row in rows]
     axis.plot(x, means, style, color=colour, label=label, markersize=4)

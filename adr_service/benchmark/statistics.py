@@ -71,9 +71,28 @@ def bootstrap_interval(
     experiment. With few seeds it is too short (three seeds have ten distinct resamples): report
     their number with it.
     """
-    resampled = aggregate(_resampled(seeds, rng).reshape(_RESAMPLES, -1))
-    value = float(aggregate(_policy_means(seeds)))
-    return _percentile_interval(value, resampled, len(seeds))
+    return stratified_interval([seeds], aggregate, rng)
+
+
+def stratified_interval(
+    cells: Sequence[Sequence[Matrix]],
+    aggregate: Callable[[Matrix], Vector],
+    rng: np.random.Generator,
+) -> Interval:
+    """An aggregate over all cells' policies; each cell's seeds are resampled by themselves."""
+    return stratified_intervals(cells, [aggregate], rng)[0]
+
+
+def stratified_intervals(
+    cells: Sequence[Sequence[Matrix]],
+    aggregates: Sequence[Callable[[Matrix], Vector]],
+    rng: np.random.Generator,
+) -> list[Interval]:
+    """Several aggregates from the same resamples."""
+    parts = [_resampled(seeds, rng).reshape(_RESAMPLES, -1) for seeds in cells]
+    means, resampled = np.concatenate([_policy_means(s) for s in cells]), np.hstack(parts)
+    fewest = min(map(len, cells))
+    return [_percentile_interval(float(a(means)), a(resampled), fewest) for a in aggregates]
 
 
 def improvement(

@@ -7,6 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 from fastapi.templating import Jinja2Templates
 
+from adr_service.benchmark.aggregate import aggregates
 from adr_service.benchmark.claims import reports
 from adr_service.benchmark.comparison import Outcome, table
 from adr_service.benchmark.figures import FIGURES, drawable
@@ -74,6 +75,7 @@ def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -
             **_results(service, outcomes),
             # bootstraps take a moment: not at every refresh of what changes anyway
             "claims": reports(outcomes) if shown.is_finished else [],
+            "aggregates": aggregates(outcomes) if shown.is_finished else [],
         },
     )
 

@@ -18,9 +18,16 @@ def test_figures_repeat_byte_for_byte(benchmark, name):
     assert draw(name, benchmark[2], "png").startswith(b"\x89PNG")
 
 
-def test_the_papers_four_figures_and_three_more_can_be_drawn(benchmark):
+def test_the_papers_four_figures_and_four_more_can_be_drawn(benchmark):
     names = [f"returns-{variant}" for variant in ("vanilla", "noisy")]
-    assert drawable(benchmark[2]) == [*names, "collection", "parameters", "spread", "cost"]
+    assert drawable(benchmark[2]) == [
+        *names,
+        "profile",
+        "collection",
+        "parameters",
+        "spread",
+        "cost",
+    ]
     alone = [o for o in benchmark[2] if o.spec.variant == "noisy"]
     assert draw("returns-noisy", benchmark[2], "png") == draw("returns", alone, "png")
     with pytest.raises(UnknownName, match="vanilla, noisy"):
@@ -38,5 +45,16 @@ def test_the_csv_of_a_figure_has_the_numbers_it_draws(benchmark):
 def test_a_figure_of_nothing_or_of_no_such_name_is_refused(benchmark):
     with pytest.raises(InvalidInput, match="nothing to draw"):
         draw("returns", [], "svg")
-    with pytest.raises(UnknownName, match="returns, collection, parameters"):
+    with pytest.raises(UnknownName, match="returns, profile, collection"):
         draw("return", benchmark[2], "svg")
+
+
+def test_a_profile_waits_until_all_methods_have_a_task_in_common(benchmark):
+    apart = [
+        o
+        for o in benchmark[2]
+        if (o.spec.method.name, o.spec.variant) in {("udr", "vanilla"), ("prior", "noisy")}
+    ]
+    assert "profile" not in drawable(apart)
+    with pytest.raises(InvalidInput, match="by all methods"):
+        draw("profile", apart, "svg")

@@ -16,7 +16,7 @@ def test_results_come_as_json_csv_and_figures(service, http, benchmark):
         row["normalised_return"] for row in rows
     ]
     names = service.client.figures(benchmark)
-    assert names == ["returns", "parameters", "spread", "cost"]
+    assert names == ["returns", "profile", "parameters", "spread", "cost"]
     for name in names:
         assert service.client.figure(benchmark, f"{name}.png").startswith(b"\x89PNG")
         assert b"<svg" in service.client.figure(benchmark, f"{name}.svg")

@@ -1,0 +1,106 @@
+"""Methods over all tasks and variants: interquartile means and performance profiles.
+
+    for each in aggregates(outcomes):
+        print(each.method, each.interquartile_mean, each.low, each.high)
+
+After Agarwal et al., arXiv 2108.13264, Sec. 4: the scores of all cells together, with a bootstrap
+that draws seeds within each cell. A cell is a task's variant. Only cells that all methods have
+count, each method after its last iteration and with SimOpt's data.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from adr_service.arrays import Matrix, Vector
+from adr_service.benchmark.comparison import Outcome, latest, returns_of
+from adr_service.benchmark.statistics import (
+    Interval,
+    interquartile_mean,
+    stratified_interval,
+    stratified_intervals,
+)
+from adr_service.methods.catalogue import methods
+from adr_service.randomness import stream
+
+_LEVELS = np.linspace(0.0, 1.5, 61)  # of normalised returns
+_Cells = list[list[Matrix]]  # returns (policies, episodes) of each seed of each cell
+
+
+@dataclass(frozen=True)
+class Aggregate:
+    """A method's policies over several cells."""
+
+    method: str
+    cells: int  # pairs of task and variant
+    interquartile_mean: float  # of the policies' mean normalised returns
+    low: float | None  # of the stratified bootstrap; None: a cell has one seed
+    high: float | None
+    seeds: int  # fewest of a cell
+    policies: int
+
+
+@dataclass(frozen=True)
+class ProfilePoint:
+    """A point of a method's performance profile."""
+
+    method: str
+    level: float  # a normalised return
+    share: float  # of the policies that earn more on average
+    low: float | None
+    high: float | None
+
+
+def aggregates(outcomes: Sequence[Outcome]) -> list[Aggregate]:
+    """One row per method, as catalogued; none where the methods have no cell in common."""
+    return [_aggregate(method, cells) for method, cells in _common(outcomes).items()]
+
+
+def profiles(outcomes: Sequence[Outcome]) -> list[ProfilePoint]:
+    """The performance profiles of all methods, level by level."""
+    return [
+        ProfilePoint(method, float(level), share.value, share.low, share.high)
+        for method, cells in _common(outcomes).items()
+        for level, share in zip(_LEVELS, _shares(cells), strict=True)
+    ]
+
+
+def has_common_cells(outcomes: Sequence[Outcome]) -> bool:
+    """True if there is a task's variant that all methods have been evaluated on."""
+    return bool(_common(outcomes))
+
+
+def _shares(cells: _Cells) -> list[Interval]:
+    """The shares of policies that earn more than each of `_LEVELS`."""
+    above = [partial(_share_above, level=float(level)) for level in _LEVELS]
+    return stratified_intervals(cells, above, stream("profile"))
+
+
+def _share_above(scores: Matrix, level: float) -> Vector:
+    return (scores > level).mean(axis=-1)
+
+
+def _common(outcomes: Sequence[Outcome]) -> dict[str, _Cells]:
+    """Returns by method, in the cells that all methods have."""
+    found = [o for o in outcomes if o.spec.collector == "simopt"]
+    cells = dict(sorted(latest(found).items()))
+    names = [name for name in methods() if any(name in columns for columns in cells.values())]
+    shared = [columns for columns in cells.values() if all(name in columns for name in names)]
+    if not shared:
+        return {}
+    return {name: [returns_of(columns[name]) for columns in shared] for name in names}
+
+
+def _aggregate(method: str, cells: _Cells) -> Aggregate:
+    middle = stratified_interval(cells, interquartile_mean, stream("aggregate"))
+    return Aggregate(
+        method=method,
+        cells=len(cells),
+        interquartile_mean=middle.value,
+        low=middle.low,
+        high=middle.high,
+        seeds=min(map(len, cells)),
+        policies=sum(len(returns) for seeds in cells for returns in seeds),
+    )

@@ -1,0 +1,56 @@
+"""Methods over all tasks and variants."""
+
+import numpy as np
+import pytest
+
+from adr_service.benchmark.aggregate import aggregates, profiles
+from tests.benchmark.test_claims import outcome
+
+
+def world(levels):
+    """Outcomes of (method, variant) -> normalised returns by seed."""
+    return [
+        outcome(level, method=method, variant=variant, seed=seed, spread=0.0)
+        for (method, variant), values in levels.items()
+        for seed, level in enumerate(values)
+    ]
+
+
+TWO = {
+    ("simopt", "vanilla"): (1.0, 1.0),
+    ("simopt", "noisy"): (0.5, 0.5),
+    ("dropo", "vanilla"): (0.8, 0.8),
+    ("dropo", "noisy"): (0.8, 0.8),
+}
+
+
+def test_the_aggregate_is_over_all_cells_policies():
+    simopt, dropo = aggregates(world(TWO))
+    assert (simopt.method, simopt.cells, simopt.seeds, simopt.policies) == ("simopt", 2, 2, 4)
+    # of 0.5, 0.5, 1.0, 1.0, the middle half
+    assert simopt.interquartile_mean == pytest.approx(0.75)
+    assert dropo.interquartile_mean == pytest.approx(0.8)
+    # each cell is resampled by itself, and its seeds are equal
+    assert (simopt.low, simopt.high) == pytest.approx((0.75, 0.75))
+
+
+def test_only_cells_that_all_methods_have_count():
+    more = {**TWO, ("simopt", "unmodeled"): (9.0, 9.0)}
+    assert aggregates(world(more)) == aggregates(world(TWO))
+    apart = {("simopt", "vanilla"): (1.0,), ("dropo", "noisy"): (1.0,)}
+    assert aggregates(world(apart)) == profiles(world(apart)) == []
+
+
+def test_a_cell_of_one_seed_has_no_interval():
+    one = {key: values[:1] for key, values in TWO.items()}
+    assert {(each.low, each.high) for each in aggregates(world(one))} == {(None, None)}
+
+
+def test_a_profile_falls_from_all_policies_to_none():
+    points = [point for point in profiles(world(TWO)) if point.method == "simopt"]
+    shares = np.array([point.share for point in points])
+    levels = np.array([point.level for point in points])
+    assert np.all(np.diff(shares) <= 0)
+    assert set(shares[levels < 0.49]) == {1.0}
+    assert set(shares[(levels > 0.51) & (levels < 0.99)]) == {0.5}
+    assert set(shares[levels > 1.01]) == {0.0}
