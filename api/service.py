@@ -18,6 +18,7 @@ from api.settings import Settings
 from api.uploads import check_dataset
 from db import benchmarks as benchmark_store
 from db import datasets as dataset_store
+from db import staging
 from db import visits as visit_store
 from db.errors import DiskFull, NotFound, NotPossible
 from db.session import Database, open_database
@@ -114,6 +115,7 @@ def open_service(settings: Settings) -> Service:
     database = open_database(settings.database)
     try:
         orchestrator = Orchestrator(database, _ray_options(settings))
+        staging.clear(settings.data_dir)
         visit_store.renew_leases(database, orchestrator.clock.now(), settings.lease_s)
         orchestrator.start()
     except BaseException:

@@ -1,6 +1,6 @@
 """How often 95 % intervals cover the truth with few seeds, and how often they tell equals apart.
 
-    python benchmarks/coverage.py [archive.adr …]
+    python -m benchmarks.coverage [archive.adr …]
 
 Repeats experiments in worlds whose truth is known. In each, a method's seeds earn what a policy
 earns on average: by a normal distribution; by one with two gaits, of which a policy learns the
@@ -43,6 +43,8 @@ def main(archives: Sequence[str]) -> None:
     }
     for archive in archives:
         deviations = np.array(list(deviations_of(Path(archive))))
+        if len(deviations) < 2 or not deviations.any():
+            sys.exit(f"{archive} has no two seeds of a method that differ")
         worlds[Path(archive).stem] = (partial(resampled, deviations), 1.0)
     print("| spread of seeds | seeds | t: coverage | bootstrap: coverage | t: false | ")
     print("|---|---|---|---|---|")

@@ -11,7 +11,6 @@ training had done when the study was stopped is lost, nothing else.
 
 import argparse
 import json
-import shutil
 import signal
 import sys
 import tempfile
@@ -24,16 +23,18 @@ from api.client import AdrClient, Json, is_finished
 from api.report import write_report
 
 _EXPORT_S, _LOOK_S = 1800.0, 20.0
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Stopped(Exception):
     """The study shall stop now."""
 
 
-def main(given: argparse.Namespace) -> None:
+def main(given: argparse.Namespace) -> bool:
+    """Go on with a study; False if runs failed."""
     study: dict[str, Any] = json.loads(Path(given.study).read_text())
     folder, deadline = Path(given.folder), time.monotonic() + 3600 * given.hours
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in _SIGNALS:
         signal.signal(number, _stop)
     data = Path("data/studies") / Path(given.study).stem
     with own_service(data, free_port()) as client:
@@ -44,17 +45,23 @@ def main(given: argparse.Namespace) -> None:
                     extend(client, id, extension)
                 finish(client, id, folder, deadline)
         except Stopped:
-            client.cancel(id)
+            stop(client, id)
         publish(client, id, folder)
+        return set(client.get(id)["states"]) <= {"succeeded", "cancelled"}
 
 
 def benchmark_of(client: AdrClient, spec: Json, archive: Path) -> str:
     """The study's benchmark: stored, imported or new; runs that were stopped go on."""
     if archive.exists():
         with archive.open("rb") as file:
-            print(client.import_archive(file), file=sys.stderr, flush=True)
-    stored = client.list_all("benchmarks")
-    id = str((stored[0] if stored else client.submit_benchmark(spec))["id"])
+            added = client.import_archive(file)
+        print(added, file=sys.stderr, flush=True)
+        if added["left"]:
+            sys.exit(f"these runs went on apart here and in {archive}: {added['left']}")
+        id = str(added["benchmark"])
+    else:
+        stored = client.list_all("benchmarks")
+        id = str((stored[0] if stored else client.submit_benchmark(spec))["id"])
     client.resume(id)
     return id
 
@@ -83,15 +90,27 @@ def finish(client: AdrClient, id: str, folder: Path, deadline: float) -> None:
         time.sleep(_LOOK_S)
 
 
+def stop(client: AdrClient, id: str) -> None:
+    """Stop all runs; what ends meanwhile still counts."""
+    client.cancel(id)
+    while not is_finished(client.get(id)):
+        time.sleep(1.0)
+
+
 def publish(client: AdrClient, id: str, folder: Path) -> None:
-    """Write the report and the archive in the place of those before."""
+    """Put the report and the archive in the place of those before, file by file."""
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent) as place:
         write_report(client, id, Path(place))
-        shutil.copytree(place, folder, dirs_exist_ok=True)
+        for written in [path for path in Path(place).rglob("*") if path.is_file()]:
+            target = folder / written.relative_to(place)
+            target.parent.mkdir(exist_ok=True)
+            written.replace(target)
 
 
 def _stop(*_: object) -> None:
+    for number in _SIGNALS:
+        signal.signal(number, signal.SIG_IGN)  # it stops already
     raise Stopped
 
 
@@ -100,4 +119,4 @@ if __name__ == "__main__":
     parser.add_argument("study")
     parser.add_argument("folder")
     parser.add_argument("--hours", type=float, default=float("inf"))
-    main(parser.parse_args())
+    sys.exit(0 if main(parser.parse_args()) else 1)

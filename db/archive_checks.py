@@ -1,7 +1,7 @@
 """Checks that the parts of an archive belong together.
 
-    for run_id, replay in replays(archived):        # InvalidInput where they do not
-        print(run_id, replay.is_complete)
+    for checked in replays(archived):        # InvalidInput where they do not
+        print(checked.id, checked.is_verified)
 
 Digests are computed again from the stages' documents, rows of runs from their specs and events,
 and events from the stages' results. The results themselves are as true as their source:
@@ -11,6 +11,7 @@ and events from the stages' results. The results themselves are as true as their
 import json
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, cast
 
 from pydantic import ValidationError
@@ -24,6 +25,7 @@ from adr_service.events import (
     RunFailed,
     RunQueued,
     RunStarted,
+    RunState,
     RunStopped,
     RunSucceeded,
     event_from_json,
@@ -35,7 +37,7 @@ from db.benchmarks import cell_of, list_benchmarks
 from db.errors import DatabaseDamaged
 from db.models import EventRow, RunRow, StageRow
 from db.runs import list_runs, new_run
-from db.stages import find_result, has_unreferenced
+from db.stages import find_result, has_unreferenced, is_readable
 from db.staging import Staged
 
 _RUN_ID, _BENCHMARK_ID = re.compile(r"run_[0-9a-f]{16}"), re.compile(r"bench_[0-9a-f]{16}")
@@ -43,7 +45,16 @@ _LIFECYCLE = (RunQueued, RunStarted, RunSucceeded, RunFailed, RunStopped)
 _DERIVED = ("benchmark_id", "dataset_id", "task", "variant", "method", "seed")  # from the spec
 
 
-def replays(archived: Staged) -> Iterator[tuple[str, Replay]]:
+@dataclass(frozen=True)
+class CheckedRun:
+    """A run of an archive, replayed over its results."""
+
+    id: str
+    replay: Replay
+    is_verified: bool  # all its events were computed again
+
+
+def replays(archived: Staged) -> Iterator[CheckedRun]:
     """Check an archive, and replay its runs one after the other. Raises InvalidInput."""
     database, id = archived.database, archived.manifest.benchmark
     try:
@@ -52,6 +63,8 @@ def replays(archived: Staged) -> Iterator[tuple[str, Replay]]:
         raise InvalidInput(f"the archive cannot be used here: {error}") from error
     if [record.id for record in benchmarks] != [id] or not _BENCHMARK_ID.fullmatch(id):
         raise InvalidInput("an archive has one benchmark, the one that its manifest names")
+    if not records:
+        raise InvalidInput("the archive has no run")
     cells = {cell_of(run) for run in benchmarks[0].spec.runs()}
     with database.read() as session:
         _check_stages(session)
@@ -59,7 +72,7 @@ def replays(archived: Staged) -> Iterator[tuple[str, Replay]]:
             if not isinstance(record.spec, RunSpec) or cell_of(record.spec) not in cells:
                 raise InvalidInput(f"{record.id} in the archive is no run of its benchmark")
             cells.remove(cell_of(record.spec))  # each cell has one run
-            yield record.id, _replay(session, record.id, record.spec, id)
+            yield _replay(session, record.id, record.spec, id)
 
 
 def _check_stages(session: Session) -> None:
@@ -67,13 +80,14 @@ def _check_stages(session: Session) -> None:
         document = _object(row.document, row.digest)
         if sha256(row.document.encode()) != row.digest or document.get("kind") != row.kind:
             raise InvalidInput(f"stage {row.digest} in the archive has the document of another one")
-        for text in (row.result, row.provenance, row.timing or "{}"):
-            _object(text, row.digest)
+        _object(row.result, row.digest)
+        if not is_readable(row):
+            raise InvalidInput(f"stage {row.digest} in the archive has an unreadable execution")
     if has_unreferenced(session):
         raise InvalidInput("the archive has stages of no run, or blobs of no stage")
 
 
-def _replay(session: Session, run_id: str, spec: RunSpec, benchmark_id: str) -> Replay:
+def _replay(session: Session, run_id: str, spec: RunSpec, benchmark_id: str) -> CheckedRun:
     row = session.scalars(select(RunRow).where(RunRow.id == run_id)).one()
     events = _events(session, run_id)
     lifecycle = [event for event in events if isinstance(event, _LIFECYCLE)]
@@ -85,7 +99,8 @@ def _replay(session: Session, run_id: str, spec: RunSpec, benchmark_id: str) -> 
         raise InvalidInput(
             f"event {wrong[0]} of {run_id} in the archive does not follow from the stored results"
         )
-    return replay
+    is_whole = replay.is_complete or row.state != RunState.SUCCEEDED
+    return CheckedRun(run_id, replay, is_whole and not replay.is_behind(science))
 
 
 def _events(session: Session, run_id: str) -> list[RunEvent]:
@@ -124,10 +139,14 @@ def _facts(row: RunRow) -> dict[str, Any]:
     return {name: getattr(row, name) for name in names}
 
 
+def _refused(constant: str) -> None:
+    raise ValueError(f"{constant} is no number of JSON")
+
+
 def _object(text: str, digest: str) -> dict[str, Any]:
     """A stage's JSON object."""
     try:
-        value = json.loads(text)
+        value = json.loads(text, parse_constant=_refused)
     except (ValueError, RecursionError):
         value = None
     if not isinstance(value, dict):

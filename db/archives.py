@@ -11,7 +11,7 @@ adds run by run, so an import that was interrupted is finished by another.
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import IO, Any, Literal
 
 from sqlalchemy import ColumnElement, Select, select
@@ -19,6 +19,7 @@ from sqlalchemy.orm import Session
 
 import adr_service
 from adr_service.benchmark.archive import ArchiveWriter, Manifest
+from adr_service.errors import InvalidInput
 from adr_service.events import RunState, RunStopped
 from adr_service.json_values import Wire
 from adr_service.specs import BenchmarkSpec, RunSpec
@@ -37,27 +38,29 @@ from db.models import (
     StageRow,
     copy_of,
 )
-from db.runs import RunRecord, list_runs, unfinished_runs
+from db.runs import RunRecord, record_of, unfinished_runs
 from db.session import Database
 from db.stages import copy_result, has_other_result, is_mentioned_by, mentioned_by
 from db.staging import Staged
 
 _IN_BATCHES = {"yield_per": 100}
+_STOPPED = "run_stopped"  # the type of these events
 _ONE_BY_ONE = {"yield_per": 1}  # artifacts may be large
-Outcome = Literal["added", "continued", "unchanged", "left"]
+Change = Literal["added", "continued", "unchanged", "left"]
 
 
 class Imported(Wire):
-    """What an import added."""
+    """Report of an import."""
 
     benchmark: str  # its id
     runs: int  # of the archive
     added: int  # runs that were not there
     continued: int  # runs that got further events
     unchanged: int  # runs that had all of it
-    left: list[str]  # ids of runs that go on here, or went on otherwise, and stay as they are
+    left: list[str]  # ids of runs that are live here, or went on apart, and stay as they are
     stages: int  # that were not there
-    replayed: int  # runs whose events follow from their results, to the end
+    unverified: list[str]  # ids of runs with events that could not be computed again
+    resumable: int  # runs of the benchmark that stopped before their end, and can be resumed
 
 
 def export_benchmark(database: Database, benchmark_id: str, file: IO[bytes]) -> None:
@@ -83,29 +86,32 @@ def import_benchmark(database: Database, archived: Staged) -> Imported:
     """Check an archive, and add what the database lacks of it. What is there stays as it is.
 
     Runs that had not finished are stopped, and go on when they are resumed. Raises InvalidInput for
-    an archive that contradicts itself, and NotPossible for one that contradicts the database; then
-    nothing was added.
+    an archive that contradicts itself, and NotPossible for one that contradicts the database.
+    Nothing was added then, unless the contradiction came up meanwhile.
     """
-    replayed = sum(replay.is_complete for _, replay in replays(archived))
+    unverified = [checked.id for checked in replays(archived) if not checked.is_verified]
     source, id = archived.database, archived.manifest.benchmark
     _stop_unfinished(source)
     records = runs_of(source, id)
-    _check_compatible(database, source, records)
-    _add_benchmark(database, source, id)
-    stages, outcomes = 0, dict[str, Outcome]()
     for record in records:
-        outcomes[record.id], new = _add_run(database, source, record.id)
+        with database.read() as session, source.read() as there:
+            _check_compatible(session, there, id, record)
+    _add_benchmark(database, source, id)
+    stages, changes = 0, dict[str, Change]()
+    for record in records:
+        changes[record.id], new = _add_run(database, source, id, record)
         stages += new
-    count = Counter(outcomes.values())
+    count = Counter(changes.values())
     return Imported(
         benchmark=id,
         runs=len(records),
         added=count["added"],
         continued=count["continued"],
         unchanged=count["unchanged"],
-        left=[id for id, outcome in outcomes.items() if outcome == "left"],
+        left=[run_id for run_id, change in changes.items() if change == "left"],
         stages=stages,
-        replayed=replayed,
+        unverified=unverified,
+        resumable=sum(run.state.is_resumable for run in runs_of(database, id)),
     )
 
 
@@ -160,27 +166,26 @@ def _stop_unfinished(source: Database) -> None:
     for record in unfinished_runs(source):
         with source.write("stop_archived") as session:
             append(session, record.id, RunStopped(submission=record.submission))
+    if unfinished_runs(source):
+        raise InvalidInput("the archive has runs that were stopped, and go on unasked")
 
 
-def _check_compatible(database: Database, source: Database, records: list[RunRecord]) -> None:
-    """Raise NotPossible if a run or a stage of the same name is another one here."""
-    id = records[0].benchmark_id
-    present = list_runs(database, benchmark_id=id, limit=None)
-    places = {_place(run): run.id for run in present}
-    with database.read() as session, source.read() as archived:
-        for record in records:
-            here, there = _run(session, record.id), run_row(archived, record.id)
-            if here is not None and (here.benchmark_id, here.spec) != (id, there.spec):
-                raise NotPossible(f"{record.id} is another run here than in the archive")
-            if places.get(_place(record), record.id) != record.id:
-                raise NotPossible(f"{id} was extended both here and in the archive")
-            for digest in mentioned_by(archived, record.id):
-                if has_other_result(session, archived, digest):
-                    raise NotPossible(
-                        f"stage {digest} has another result here than in the archive, perhaps from "
-                        "another type of CPU: import it into a database without that stage "
-                        "(--data-dir), or delete the runs that have it here"
-                    )
+def _check_compatible(session: Session, there: Session, id: str, record: RunRecord) -> None:
+    """Raise NotPossible if a run, its place or a stage of it is another one here."""
+    here = _run(session, record.id)
+    if here is not None and (here.benchmark_id, here.spec) != (id, run_row(there, record.id).spec):
+        raise NotPossible(f"{record.id} is another run here than in the archive")
+    mine = (RunRow.benchmark_id == id, RunRow.seed == record.spec.seed, RunRow.id != record.id)
+    for other in session.scalars(select(RunRow).where(*mine, RunRow.task == record.spec.task)):
+        if _place(record_of(other)) == _place(record):
+            raise NotPossible(f"{id} was extended both here and in the archive")
+    for digest in mentioned_by(there, record.id):
+        if has_other_result(session, there, digest):
+            raise NotPossible(
+                f"stage {digest} has another result here than in the archive, perhaps from another "
+                "type of CPU: import it into a database without that stage (--data-dir), or delete "
+                "the runs that have it here"
+            )
 
 
 def _add_benchmark(database: Database, source: Database, id: str) -> None:
@@ -196,38 +201,56 @@ def _add_benchmark(database: Database, source: Database, id: str) -> None:
             if ours < new:
                 row.spec = theirs.spec
             elif not new < ours:
-                raise NotPossible(f"{id} is another benchmark here than in the archive")
+                raise NotPossible(f"{id} has other members here than in the archive")
 
 
-def _add_run(database: Database, source: Database, id: str) -> tuple[Outcome, int]:
+def _add_run(
+    database: Database, source: Database, benchmark_id: str, record: RunRecord
+) -> tuple[Change, int]:
     """Add what a run here lacks of the archived one; return the number of new stages too."""
-    with database.write("import_run") as session, source.read() as archived:
-        here, there = _run(session, id), run_row(archived, id)
-        known, events = _events(session, id), _events(archived, id)
+    id = record.id
+    with database.write("import_run") as session, source.read() as there:
+        if session.scalar(select(BenchmarkRow).where(BenchmarkRow.id == benchmark_id)) is None:
+            raise NotPossible(f"{benchmark_id} was deleted while it was imported")
+        _check_compatible(session, there, benchmark_id, record)
+        here, archived = _run(session, id), run_row(there, id)
+        known, events = _events(session, id), _events(there, id)
+        if here is not None and _begins(known, events):
+            return "unchanged", 0
         if here is None:
-            session.add(copy_of(there))
+            session.add(copy_of(archived))
             session.flush()
-        elif _same(known, events[: len(known)]) and RunState(here.state).is_finished:
-            _bring_up(here, there)
+            run_row(session, id).updated_at = datetime.now(UTC)  # from when on it is kept
+        elif _begins(events, known) and RunState(here.state).is_finished:
+            _bring_up(here, archived)
         else:
-            return "unchanged" if _same(events, known[: len(events)]) else "left", 0
-        session.add_all(copy_of(event) for event in events[len(known) :])
+            return "left", 0
+        keys = {event.key for event in known}
+        for seq, event in enumerate((e for e in events if e.key not in keys), len(known) + 1):
+            row = copy_of(event)
+            row.seq = seq
+            session.add(row)
         session.flush()
-        new = [copy_result(session, archived, digest) for digest in mentioned_by(archived, id)]
-        if here is None:
-            return "added", sum(new)
-        return "continued" if len(events) > len(known) else "unchanged", sum(new)
+        new = [copy_result(session, there, digest) for digest in mentioned_by(there, id)]
+    return ("added" if here is None else "continued"), sum(new)
 
 
 def _bring_up(here: RunRow, there: RunRow) -> None:
     """Give a run the state that its further events lead to."""
     for name in ("state", "submission", "cancel_requested", "error_code", "error_message"):
         setattr(here, name, getattr(there, name))
-    here.updated_at = max(here.updated_at, there.updated_at)
+    here.updated_at = datetime.now(UTC)
 
 
-def _same(some: Sequence[EventRow], others: Sequence[EventRow]) -> bool:
-    return [(e.key, e.body) for e in some] == [(e.key, e.body) for e in others]
+def _begins(events: Sequence[EventRow], first: Sequence[EventRow]) -> bool:
+    """True if the events begin with `first`.
+
+    Stops do not count: an import stops what had not finished, and a later archive may go further.
+    """
+    mine, start = (
+        [(e.key, e.body) for e in each if e.type != _STOPPED] for each in (events, first)
+    )
+    return mine[: len(start)] == start
 
 
 def _events(session: Session, run_id: str) -> Sequence[EventRow]:

@@ -141,7 +141,7 @@ def extend_benchmark(
 def planned_extension(
     database: Database, benchmark_id: str, extension: BenchmarkExtension
 ) -> tuple[BenchmarkSpec, list[RunSpec]]:
-    """The spec of a benchmark with an extension, and its new runs. Raises as the above."""
+    """The spec of a benchmark with an extension, and its new runs. Raises as `extend_benchmark`."""
     spec = get_benchmark(database, benchmark_id).spec.extended(extension)
     return spec, _missing(spec, runs_of(database, benchmark_id), benchmark_id)
 
@@ -201,9 +201,10 @@ def finished_before(database: Database, moment: datetime) -> list[Deletion]:
     is_recent = RunRow.state.not_in(FINISHED) | (RunRow.updated_at >= moment)
     member = RunRow.benchmark_id == BenchmarkRow.id
     has_recent = select(RunRow.id).where(member, is_recent).exists()
+    has_runs = select(RunRow.id).where(member).exists()  # an import adds them after it
     single = select(RunRow.id).where(RunRow.benchmark_id.is_(None), ~is_recent)
     with database.read() as session:
-        benchmarks = session.scalars(select(BenchmarkRow.id).where(~has_recent)).all()
+        benchmarks = session.scalars(select(BenchmarkRow.id).where(has_runs, ~has_recent)).all()
         return [
             *((delete_benchmark, id) for id in benchmarks),
             *((delete_run, id) for id in session.scalars(single)),

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
 
+from pydantic import FiniteFloat, TypeAdapter, ValidationError
 from sqlalchemy import ColumnElement, Row, Select, delete, exists, select
 from sqlalchemy.orm import Session
 
 from adr_service.benchmark.cost import Execution
-from adr_service.json_values import canonical_json, sha256
+from adr_service.json_values import Line, canonical_json, sha256
 from adr_service.stages.base import StageResult
 from db.models import (
     ArtifactRow,
@@ -28,8 +29,11 @@ _OWNERS = (
     TargetTaskRow.policy_sha256,
 )
 _UNUSED = [~exists().where(owner == ArtifactRow.sha256) for owner in _OWNERS]
+# the first four are always known
 _TIMING = ("asked", "placed", "began", "ended", "cpu", "preparing", "is_first", "cores")
 _MENTIONED = EventRow.key == "stage_finished:" + StageRow.digest
+_PROVENANCE = TypeAdapter(dict[Line, Line])
+_NUMBERS = TypeAdapter(dict[str, bool | int | FiniteFloat | None])
 _UNMENTIONED = ~exists().where(_MENTIONED)
 _MEASURED = StageRow.timing.is_not(None)
 _STORED_LATE_S = 3600.0  # a result is stored at most so long after it was computed
@@ -118,6 +122,18 @@ def seconds_of(database: Database, digests: Sequence[str]) -> dict[str, float]:
 def provenance_of(session: Session, digest: str) -> dict[str, Any]:
     """Versions and CPU type that a stored stage was computed with; inside a transaction."""
     return json.loads(session.get_one(StageRow, digest).provenance)
+
+
+def is_readable(row: StageRow) -> bool:
+    """True if a stage's execution can be read, with a provenance of lines of text."""
+    try:
+        _PROVENANCE.validate_json(row.provenance)
+        timing = None if row.timing is None else _NUMBERS.validate_json(row.timing)
+    except ValidationError:
+        return False
+    if timing is None:
+        return True
+    return timing.keys() == set(_TIMING) and all(timing[name] is not None for name in _TIMING[:4])
 
 
 def policy_of_training(database: Database, digest: str) -> bytes | None:

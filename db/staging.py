@@ -7,6 +7,7 @@ Its rows are put into the tables of the revision that it was written at, which a
 any older database is. All of it is on disk, and is removed at the end.
 """
 
+import shutil
 from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -20,13 +21,27 @@ from sqlalchemy.exc import IntegrityError
 
 from adr_service.benchmark.archive import ArchiveReader, Manifest
 from adr_service.errors import InvalidInput
+from db.errors import DiskFull
 from db.models import NUMBER, BenchmarkRow, EventRow, RunRow, StageArtifactRow, StageRow
 from db.schema import revisions
 from db.session import Database
 
 TABLES = (BenchmarkRow, RunRow, EventRow, StageRow, StageArtifactRow)  # parents first
+PREFIX = "archive-"  # of the temporary folders
 _AT_ONCE = 1000  # rows of one statement
-_LARGEST = 2**63  # of integers
+_BYTES_AT_ONCE = 16_000_000  # about, of the rows of one statement
+_COPIES = 3  # of the content on disk: the database, its log, and what is added in the end
+_LARGEST_FLOAT = 1e300
+_LARGEST = 2**31  # of integers, in PostgreSQL
+
+
+_KINDS = {
+    str: "a text",
+    int: "an integer below 2**31",
+    float: "a number",
+    bool: "true or false",
+    datetime: "a time with its zone",
+}
 
 
 @dataclass(frozen=True)
@@ -38,10 +53,14 @@ class Staged:
 
 
 @contextmanager
-def staged(file: IO[bytes], folder: Path) -> Generator[Staged]:
-    """Read an archive into a database in a temporary folder of `folder`."""
-    with ArchiveReader(file) as archive, TemporaryDirectory(prefix="archive-", dir=folder) as place:
+def staged(file: IO[bytes], folder: Path, floor: float = 0) -> Generator[Staged]:
+    """Read an archive into a database in a temporary folder of `folder`.
+
+    Raises DiskFull unless `floor` bytes of the disk stay free meanwhile.
+    """
+    with ArchiveReader(file) as archive, TemporaryDirectory(prefix=PREFIX, dir=folder) as place:
         _check_tables(archive)
+        _check_disk(archive, folder, floor)
         with closing(Database(f"sqlite:///{Path(place) / 'archive.sqlite'}")) as database:
             database.upgrade(archive.manifest.revision)
             try:
@@ -51,6 +70,21 @@ def staged(file: IO[bytes], folder: Path) -> Generator[Staged]:
                 raise InvalidInput(f"the archive contradicts itself: {error.orig}") from error
             database.upgrade()
             yield Staged(archive.manifest, database)
+
+
+def clear(folder: Path) -> None:
+    """Remove what services that were killed have left of archives."""
+    for left in folder.glob(f"{PREFIX}*"):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def _check_disk(archive: ArchiveReader, folder: Path, floor: float) -> None:
+    free, needed = shutil.disk_usage(folder).free, _COPIES * archive.unpacked
+    if needed > free - floor:
+        raise DiskFull(
+            f"to read the archive takes {needed / 1e6:.0f} MB of the disk for a while; "
+            f"{max(0.0, free - floor) / 1e6:.0f} can be used"
+        )
 
 
 def _check_tables(archive: ArchiveReader) -> None:
@@ -100,7 +134,7 @@ def _value(given: Any, column: Column[Any]) -> Any:
             moment = datetime.min
         if moment.tzinfo is not None:
             return moment
-    elif kind is float and isinstance(given, int | float) and not isinstance(given, bool):
+    elif kind is float and isinstance(given, int | float) and abs(given) < _LARGEST_FLOAT:
         return float(given)
     elif isinstance(given, str) and kind is str:
         _check_text(given, column)
@@ -108,7 +142,7 @@ def _value(given: Any, column: Column[Any]) -> Any:
     elif isinstance(given, int) and type(given) is kind and abs(given) < _LARGEST:  # or a bool
         return given
     raise InvalidInput(
-        f"{column.table.name}.{column.name} in the archive is a {kind.__name__}; given "
+        f"{column.table.name}.{column.name} in the archive must be {_KINDS[kind]}; given "
         f"{str(given)[:100]!r}"
     )
 
@@ -120,6 +154,8 @@ def _check_text(given: str, column: Column[Any]) -> None:
             f"{column.table.name}.{column.name} in the archive has {longest} characters at most; "
             f"given {len(given)}"
         )
+    if "\0" in given:
+        raise InvalidInput(f"{column.table.name}.{column.name} in the archive has a zero byte")
     try:
         given.encode()
     except UnicodeEncodeError as error:
@@ -128,10 +164,12 @@ def _check_text(given: str, column: Column[Any]) -> None:
 
 def _batches(rows: Iterator[dict[str, Any]]) -> Iterator[list[dict[str, Any]]]:
     batch: list[dict[str, Any]] = []
+    size = 0
     for row in rows:
         batch.append(row)
-        if len(batch) == _AT_ONCE:
+        size += sum(len(value) for value in row.values() if isinstance(value, str))
+        if len(batch) == _AT_ONCE or size > _BYTES_AT_ONCE:
             yield batch
-            batch = []
+            batch, size = [], 0
     if batch:
         yield batch

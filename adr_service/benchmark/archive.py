@@ -16,6 +16,7 @@ the migrations of later versions apply to archives too. The same content gives t
 import json
 import os
 import re
+import struct
 import zipfile
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
@@ -31,13 +32,18 @@ from adr_service.zips import BROKEN, check_size
 _MANIFEST = "manifest.json"
 _NAME = re.compile(r"manifest\.json|tables/[a-z_]{1,40}\.jsonl|blobs/[0-9a-f]{64}")
 _EARLIEST = (1980, 1, 1, 0, 0, 0)  # the date of every member
-_LONGEST_LINE = 64_000_000  # bytes of a row
+_LONGEST_LINE = 16_000_000  # bytes of a row
 _LARGEST_BLOB = 256_000_000  # bytes
-_MOST_MEMBERS = 1_000_000
+_LARGEST_MANIFEST = 10_000_000  # bytes
+_LARGEST_DIRECTORY = 200_000_000  # bytes of the zip's list of members, which is read at once
+_END = struct.Struct("<4s4H2LH")  # the end of a zip: APPNOTE.TXT 4.3.16
+_END_64 = struct.Struct("<4sQ2H2L4Q")  # of a large one: 4.3.14
+_LOCATOR_64 = struct.Struct("<4sLQL")  # says where that is: 4.3.15
+_IN_64 = 2**32 - 1  # a size that stands in `_END_64`
 
 
 class Manifest(Wire):
-    """What an archive holds, and which versions wrote it."""
+    """The benchmark of an archive, and the versions that wrote it."""
 
     format: Literal[1] = 1
     benchmark: Line  # its id
@@ -86,6 +92,7 @@ class ArchiveReader:
     def __init__(self, file: IO[bytes]):
         size = file.seek(0, os.SEEK_END)
         with _readable():
+            _check_directory(file, size)
             self._zip = zipfile.ZipFile(file)
         try:
             self._check_members(size)
@@ -109,6 +116,11 @@ class ArchiveReader:
     def tables(self) -> set[str]:
         """Names of the tables that it has rows of."""
         return {name[7:-6] for name in self._zip.namelist() if name.startswith("tables/")}
+
+    @property
+    def unpacked(self) -> int:
+        """Bytes of all its members, unpacked."""
+        return sum(member.file_size for member in self._zip.infolist())
 
     @property
     def blobs(self) -> list[str]:
@@ -141,10 +153,12 @@ class ArchiveReader:
             raise InvalidInput(f"an archive has a manifest, tables and blobs; this has {strange}")
         if len(set(names)) < len(names):
             raise InvalidInput("the archive has a member twice")
-        if len(names) > _MOST_MEMBERS:
-            raise InvalidInput(f"the archive has {len(names)} members; accepted: {_MOST_MEMBERS}")
-        if large := [m.filename for m in members if _is_too_large(m)][:5]:
-            raise InvalidInput(f"members of an archive may have {_LARGEST_BLOB} bytes; see {large}")
+        for member in members:
+            if (most := _largest(member.filename)) is not None and member.file_size > most:
+                raise InvalidInput(
+                    f"{member.filename} of the archive has {member.file_size} bytes; accepted are "
+                    f"{most}"
+                )
         check_size(members, packed, "archive")
 
     def _read_manifest(self) -> Manifest:
@@ -169,8 +183,29 @@ def _member(name: str) -> zipfile.ZipInfo:
     return member
 
 
-def _is_too_large(member: zipfile.ZipInfo) -> bool:
-    return not member.filename.startswith("tables/") and member.file_size > _LARGEST_BLOB
+def _largest(name: str) -> int | None:
+    """The most bytes that a member may have; None: it is read line by line."""
+    if name == _MANIFEST:
+        return _LARGEST_MANIFEST
+    return _LARGEST_BLOB if name.startswith("blobs/") else None
+
+
+def _check_directory(file: IO[bytes], size: int) -> None:
+    """Refuse a zip whose list of members is too large for the memory."""
+    length = min(size, _END.size + 2**16)  # a comment may follow
+    file.seek(size - length)
+    tail = file.read(length)
+    place = tail.rfind(b"PK\x05\x06")
+    if place < 0 or len(tail) - place < _END.size:
+        raise zipfile.BadZipFile("it is no zip, or is cut short")
+    listed = int(_END.unpack_from(tail, place)[5])
+    if listed == _IN_64 and place >= _LOCATOR_64.size:
+        file.seek(int(_LOCATOR_64.unpack_from(tail, place - _LOCATOR_64.size)[2]))
+        listed = int(_END_64.unpack(file.read(_END_64.size))[8])
+    if listed > _LARGEST_DIRECTORY:
+        raise InvalidInput(
+            f"the archive's list of members has {listed} bytes; accepted are {_LARGEST_DIRECTORY}"
+        )
 
 
 def _parsed(text: bytes, name: str) -> dict[str, Any]:

@@ -10,9 +10,10 @@ means by "solves", "fails" and "equal". Here a method solves a task if it earns 
 what the variant's oracle earns, and fails if it earns less. Two methods are equal if they differ by
 less than 0.1 of the reward threshold. `adr_service.benchmark.checks` tests these seed by seed.
 
-Twenty claims are judged at once, so that one in twenty would be settled by chance. Verdicts hold
-together at 95 %: the p-values are corrected for the number of claims (Holm 1979). An undecided
-claim tells how many seeds would settle it, if their means and spread were those measured.
+Twenty claims are judged at once, so that one in twenty would be settled by chance. Verdicts on
+returns hold together at 95 %: the p-values are corrected for the number of claims (Holm 1979). An
+undecided claim tells how many seeds would settle it, if their means and spread were those measured.
+Claims on widths and costs (U5, C1) must hold for every seed, and are not part of that.
 """
 
 from collections import defaultdict
@@ -143,20 +144,24 @@ def _report(outcomes: Sequence[Outcome]) -> Report:
         changed |= {k: v for k, v in ours.items() if k in expected and expected[k] != v}
     measured = Measured(outcomes)
     evidence = [conjunction([check(measured) for check in claim.checks]) for claim in CLAIMS]
-    return Report(outcomes[0].spec.preset, changed, _judged(evidence))
+    return Report(outcomes[0].spec.preset, changed, _judged(evidence, CLAIMS))
 
 
-def _judged(evidence: Sequence[Evidence]) -> list[ClaimReport]:
-    """The verdicts on all claims, which hold together at `_LEVEL`."""
+def _judged(evidence: Sequence[Evidence], claims: Sequence["Claim"]) -> list[ClaimReport]:
+    """The verdicts on claims, which hold together at `_LEVEL`."""
     values = [min(1.0, 2 * min(each.supports, each.contradicts)) for each in evidence]
-    measured = [i for i, each in enumerate(evidence) if values[i] < 1 or each.gap is None]
-    settled: set[int] = set()
+    measured = [
+        index
+        for index, each in enumerate(evidence)
+        if each.is_tested and (values[index] < 1 or each.gap is None)
+    ]
+    settled = {i for i, each in enumerate(evidence) if not each.is_tested and values[i] == 0}
     for place, index in enumerate(sorted(measured, key=lambda i: values[i])):
         if values[index] >= _LEVEL / (len(measured) - place):
             break
         settled.add(index)
     found: list[ClaimReport] = []
-    for index, (claim, each) in enumerate(zip(CLAIMS, evidence, strict=True)):
+    for index, (claim, each) in enumerate(zip(claims, evidence, strict=True)):
         verdict: ClaimVerdict = each.gap or "undecided"
         if index in settled:
             verdict = "supported" if each.leans_to_support else "contradicted"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from adr_service.errors import InvalidInput
-from adr_service.events import RunEvent
+from adr_service.events import RunEvent, TrainingEvaluated
 from adr_service.programs import run
 from adr_service.specs import RunSpec
 from adr_service.stages.base import AnyStage, StageResult
@@ -32,11 +32,29 @@ class Replay:
         """Keys of stored events of the program, by key, that are not what the results lead to."""
         differ = [
             key
-            for key, event in stored.items()
+            for key, event in _fixed(stored).items()
             if key in self.events and not agree(event.model_dump(), self.events[key].model_dump())
         ]
-        extra = [key for key in stored if key not in self.events] if self.is_complete else []
-        return differ + extra
+        return differ + (self._beyond(stored) if self.is_complete else [])
+
+    def is_behind(self, stored: Mapping[str, RunEvent]) -> bool:
+        """True if the results end before the stored events do, so that some cannot be checked.
+
+        An earlier version's results have other digests, which this one does not ask for.
+        """
+        return not self.is_complete and bool(self._beyond(stored))
+
+    def _beyond(self, stored: Mapping[str, RunEvent]) -> list[str]:
+        return [key for key in _fixed(stored) if key not in self.events]
+
+
+def _fixed(stored: Mapping[str, RunEvent]) -> dict[str, RunEvent]:
+    """The events that results determine.
+
+    Points of a learning curve are written while a training goes on. If it is interrupted and
+    repeated on another type of CPU, points of both stay, and the result has its own curve.
+    """
+    return {k: event for k, event in stored.items() if not isinstance(event, TrainingEvaluated)}
 
 
 def replay_run(run_id: str, spec: RunSpec, find: Callable[[str], StageResult | None]) -> Replay:

@@ -1,9 +1,10 @@
 """`adr archive`: benchmarks as files, to carry, publish and verify."""
 
+import secrets
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,6 +15,7 @@ from api.client import Json, connect
 from api.settings import DEFAULT_URL
 
 if TYPE_CHECKING:
+    from adr_service.benchmark.replay import Replay
     from adr_service.benchmark.verification import Verified
     from db.staging import Staged
 
@@ -35,8 +37,12 @@ def export_(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Write a benchmark with all its results and policies to one file."""
+    if not benchmark.startswith("bench_"):
+        raise InvalidInput(f"an archive is of a benchmark; given {benchmark}")
     if file.exists():
         raise InvalidInput(f"{file} is there already; an export overwrites nothing")
+    if not file.parent.is_dir():
+        raise InvalidInput(f"there is no folder {file.parent} to write {file.name} into")
     part = file.with_name(f"{file.name}.part")
     try:
         with connect(url) as client, part.open("wb") as written:
@@ -44,13 +50,13 @@ def export_(
         part.rename(file)
     finally:
         part.unlink(missing_ok=True)
-    console.print(f"{file}: {file.stat().st_size / 1e6:.1f} MB")
+    console.print(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
 
 
 @app.command("import")
 def import_(file: File, url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
     """Add what the service lacks of a benchmark; runs that were live can be resumed."""
-    with connect(url) as client, file.open("rb") as archive:
+    with connect(url) as client, _opened(file) as archive:
         added = client.import_archive(archive)
     if as_json:
         console.print_json(data=added)
@@ -62,29 +68,35 @@ def import_(file: File, url: Url = DEFAULT_URL, as_json: AsJson = False) -> None
 def verify(
     file: File,
     sample: Annotated[int, typer.Option(min=1, help="Number of stages.")] = 5,
-    seed: Annotated[int, typer.Option(min=0, help="Of the sample.")] = 0,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Repeats a sample; default: another each time.")
+    ] = None,
 ) -> None:
     """Check an archive, and compute some of its stages again; no service is needed."""
     from db.staging import staged
 
     with (
         tempfile.TemporaryDirectory(prefix="adr-") as folder,
-        file.open("rb") as archive,
+        _opened(file) as archive,
         staged(archive, Path(folder)) as archived,
     ):
-        different: list[str] = []
-        for verified in _verified(archived, sample, seed):
+        drawn = secrets.randbelow(2**31) if seed is None else seed
+        different, computed = list[str](), 0
+        console.print(f"sample {drawn} (--seed {drawn} repeats it)")
+        for verified in _verified(archived, sample, drawn):
             share = "" if verified.agreement == "identical" else f", by {verified.deviation:.2g}"
             console.print(
                 f"{verified.kind} {verified.digest[:_SHORT]}: {verified.agreement}{share} "
                 f"({verified.seconds:.1f} s)"
             )
+            computed += 1
             different += [verified.digest] if verified.agreement == "different" else []
     if different:
         raise NotVerified(f"{len(different)} stages have other results here: {different}")
+    console.print(f"the archive is sound; {computed} of its stages were computed again")
 
 
-def _verified(archived: "Staged", sample: int, seed: int) -> Iterator["Verified"]:
+def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]":
     """Stages of the archive, drawn at random and computed again."""
     from adr_service.benchmark.verification import sampled, verify
     from adr_service.provenance import provenance
@@ -98,16 +110,35 @@ def _verified(archived: "Staged", sample: int, seed: int) -> Iterator["Verified"
         def is_same(digest: str) -> bool:
             return provenance_of(session, digest) == here
 
+        unverified: list[str] = []
+
+        def replayed() -> "Iterator[Replay]":
+            for checked in replays(archived):
+                unverified.extend([] if checked.is_verified else [checked.id])
+                yield checked.replay
+
         drawn = sampled(
-            (replay for _, replay in replays(archived)),
+            replayed(),
             sample,
             stream("verify", str(seed)),
             lambda stage: stage.role != "trainer" or is_same(stage.digest),
         )
+        if unverified or not drawn:
+            raise NotVerified(
+                f"{len(unverified)} runs have events that do not follow from the archive's results "
+                f"({', '.join(unverified[:5])}), and {len(drawn)} stages can be computed again here"
+            )
         for stage in drawn:
             stored = find_result(session, stage.digest)
             assert stored is not None, "it was drawn from the stored ones"
             yield verify(stage, stored, is_same(stage.digest))
+
+
+def _opened(file: Path) -> IO[bytes]:
+    try:
+        return file.open("rb")
+    except OSError as error:
+        raise InvalidInput(f"{file} cannot be read: {error.strerror}") from error
 
 
 def _summary(added: Json) -> str:
@@ -115,9 +146,19 @@ def _summary(added: Json) -> str:
         f"{added['benchmark']}: {added['added']} of {added['runs']} runs are new, "
         f"{added['continued']} go further than before, {added['unchanged']} were here already; "
         f"{added['stages']} new stages",
-        f"the events of {added['replayed']} runs were computed again from their results"
-        + ("" if added["replayed"] == added["runs"] else ", of the others as far as results go"),
+        f"all events of {added['runs'] - len(added['unverified'])} of {added['runs']} runs were "
+        "computed again from their results",
     ]
+    if added["resumable"]:
+        lines.append(
+            f"{added['resumable']} runs stopped before their end: adr resume {added['benchmark']}"
+        )
+    if added["unverified"]:
+        lines.append(
+            "these runs have events whose results are not there, or are of another version: "
+            + ", ".join(added["unverified"])
+        )
     if added["left"]:
-        lines.append(f"left as they are, because they went on here: {', '.join(added['left'])}")
+        why = "left as they are, because they are live here or went on apart"
+        lines.append(f"{why}: {', '.join(added['left'])}")
     return "\n".join(lines)

@@ -28,7 +28,10 @@ def own_service(data_dir: Path, port: int) -> Generator[AdrClient]:
     command = [sys.executable, "-m", "api", "serve"]
     command += ["--port", str(port), "--data-dir", str(data_dir)]
     with log_path.open("w") as log:
-        process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)  # noqa: S603 - our own command
+        # a Ctrl-C is ours to handle: the service may still be asked for what it has
+        process = subprocess.Popen(  # noqa: S603 - our own command
+            command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+        )
     try:
         with connect(f"http://127.0.0.1:{port}") as client:
             _wait_until_ready(client, process, log_path)

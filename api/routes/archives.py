@@ -17,13 +17,13 @@ from db.archives import Imported, export_benchmark, import_benchmark
 from db.staging import staged
 
 router = APIRouter(prefix="/v1", tags=["benchmarks"])
-_LARGEST = 16_000_000_000  # bytes
+_LARGEST = 8_000_000_000  # bytes
 _PORTION = 2**18  # bytes that are sent or written at once
 _BODY = {OCTETS: {"schema": {"type": "string", "format": "binary"}}}
 
 
 class ImportView(Imported):
-    """What an import added, with links."""
+    """Report of an import, with links."""
 
     links: dict[str, str]
 
@@ -70,6 +70,7 @@ def _keep(service: Service, file: IO[bytes], portion: bytes) -> None:
 
 
 def _add(service: Service, file: IO[bytes]) -> ImportView:
-    with staged(file, service.settings.data_dir) as archived:
+    settings = service.settings
+    with staged(file, settings.data_dir, 1e6 * settings.disk_floor_mb) as archived:
         added = import_benchmark(service.database, archived)
     return ImportView(**dict(added), links={"benchmark": f"/v1/benchmarks/{added.benchmark}"})

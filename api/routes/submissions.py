@@ -8,6 +8,7 @@ from pydantic import BaseModel
 from adr_service.benchmark.plan import Plan, plan
 from adr_service.json_values import sha256
 from adr_service.specs import AnyRun, BenchmarkSpec, RunSpec
+from adr_service.stages.base import StageResult
 from api.service import Service
 from db import benchmarks as benchmark_store
 from db import datasets as dataset_store
@@ -61,13 +62,11 @@ def plan_here(service: Service, specs: list[RunSpec]) -> Plan:
         id = spec.dataset
         return None if id is None else dataset_store.load_dataset(service.database, id)[1]
 
-    with service.database.read() as session:
-        return plan(
-            specs,
-            service.orchestrator.cores,
-            recording,
-            find=lambda digest: stage_store.find_result(session, digest),
-        )
+    def find(digest: str) -> StageResult | None:
+        with service.database.read() as session:
+            return stage_store.find_result(session, digest)
+
+    return plan(specs, service.orchestrator.cores, recording, find=find)
 
 
 def _request_key(key: str | None, spec: BaseModel) -> RequestKey | None:

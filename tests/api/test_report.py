@@ -58,7 +58,7 @@ def test_the_report_has_the_results_costs_versions_and_spec(service, benchmark, 
         assert f"{row['normalised_return']:.2f}" in text
     assert "train_policy" in text
     assert "mujoco 4" in text
-    assert f"adr extend {benchmark} --seed 3" in text
+    assert f"adr extend {benchmark} --seed 1" in text
     assert "these numbers mean nothing" in text
     with ArchiveReader(io.BytesIO((page.parent / "study.adr").read_bytes())) as archive:
         assert archive.manifest.benchmark == benchmark

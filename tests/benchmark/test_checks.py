@@ -80,10 +80,18 @@ def test_one_seed_settles_nothing_and_leans_to_its_side():
     assert (up.leans_to_support, down.leans_to_support) == (True, False)
 
 
-def test_equal_seeds_settle_where_they_lie():
-    assert above(np.full(3, 1.0), 0.5, "").supports == pytest.approx(0, abs=1e-12)
+def test_equal_seeds_are_taken_to_spread_as_trainings_do():
+    """Methods that share a policy, or a gait, have no spread: two such seeds prove nothing."""
+    two, five = (above(np.zeros(count), -0.1, "").supports for count in (2, 5))
+    assert two > 0.01
+    assert five < 0.001
     at_the_bound = above(np.full(3, 1.0), 1.0, "")
     assert (at_the_bound.supports, at_the_bound.contradicts) == (0.5, 0.5)
+
+
+def test_a_nested_contradiction_counts_in_the_correction():
+    inner = Evidence(1.0, 0.03, [], "not measured")
+    assert conjunction([inner, inner]).contradicts == 0.06
 
 
 def test_a_method_is_not_compared_with_itself_or_with_one_that_did_not_run():

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from adr_service.benchmark.claims import CLAIMS, reports
+from adr_service.benchmark.checks import Evidence
+from adr_service.benchmark.claims import CLAIMS, _judged, reports
 from adr_service.benchmark.comparison import Outcome
 from adr_service.distributions import Gaussian
 from adr_service.events import IterationFinished
@@ -14,7 +15,7 @@ from adr_service.tasks.catalogue import get_task, source_of
 ALL = ("udr", "bayrn", "simopt", "simopt_1", "droid", "dropo")
 TASKS = ("hopper", "half_cheetah", "walker2d", "humanoid")
 VARIANTS = ("vanilla", "noisy", "unmodeled")
-SEEDS = (0, 1, 2, 3, 4)
+SEEDS = tuple(range(9))
 STEPS = {"dropo": 3000, "simopt": 2000, "simopt_1": 2000, "droid": 1000}
 HARD = TASKS[1:]
 
@@ -224,7 +225,7 @@ def test_an_oracle_that_few_policies_reached_judges_nothing():
         if each.spec.method.name == "oracle" and each.spec.seed > 0:
             event = each.iteration.model_copy(update={"reached_threshold": [False]})
             found[place] = Outcome(each.spec, event)
-    assert "1 of 5 of its policies reached" in finding("V1", found).evidence[0]
+    assert "1 of 9 of its policies reached" in finding("V1", found).evidence[0]
 
 
 def test_without_an_oracle_nothing_is_solved():
@@ -245,6 +246,31 @@ CELLS = [
     *((task, "simopt", iteration) for task in TASKS for iteration in (0, 1, 2)),
     *((task, "dropo", 1) for task in TASKS),
 ]
+
+
+def test_verdicts_are_corrected_for_the_number_of_claims():
+    """Holm: the smallest of m p-values is held against .05 / m, the next against .05 / (m - 1)."""
+
+    def judged(*two_sided):
+        evidence = [Evidence(p / 2, 1 - p / 2, []) for p in two_sided]
+        return [each.verdict for each in _judged(evidence, CLAIMS[: len(evidence)])]
+
+    assert judged(0.04) == ["supported"]
+    assert judged(0.04, 0.04) == ["undecided", "undecided"]
+    assert judged(0.02, 0.04) == ["supported", "supported"]
+    assert judged(0.02, 0.04, 0.9) == ["undecided"] * 3
+    untested = Evidence(0.0, 1.0, [], is_tested=False)
+    both = _judged([untested, Evidence(0.02, 0.98, [])], CLAIMS[:2])
+    assert [each.verdict for each in both] == ["supported", "supported"]
+
+
+def test_a_method_that_shares_no_seed_with_the_oracle_is_not_measured():
+    found = [o for o in hopper({}) if o.spec.method.name == "oracle"]
+    others = hopper({}, seeds=(70, 80, 90))
+    apart = [*found, *(o for o in others if o.spec.method.name != "oracle")]
+    measured = finding("V1", apart)
+    assert measured.verdict == "not measured"
+    assert "no seed in common" in measured.evidence[0]
 
 
 def test_equal_worlds_settle_nothing_falsely():

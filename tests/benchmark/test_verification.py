@@ -117,7 +117,17 @@ def test_events_that_the_results_do_not_lead_to_are_named():
     assert replay.disagreements({**replay.events, key: event}) == [key]
     extra = {**replay.events, "iteration_finished:9": event}
     assert replay.disagreements(extra) == ["iteration_finished:9"]
-    assert replace(replay, is_complete=False).disagreements(extra) == []
+    part = replace(replay, is_complete=False)
+    assert part.disagreements(extra) == []
+    assert (part.is_behind(extra), part.is_behind(replay.events)) == (True, False)
+
+
+def test_points_of_a_learning_curve_are_the_results_own_business():
+    """A training may have been interrupted, and repeated on another type of CPU."""
+    replay = replay_run("run_a", SPEC, all_results().get)
+    key = next(key for key in replay.events if key.startswith("training_evaluated"))
+    moved = replay.events[key].model_copy(update={"mean_return": -1.0, "steps": 1})
+    assert replay.disagreements({**replay.events, key: moved, moved.key: moved}) == []
 
 
 def test_json_values_agree_up_to_rounding_alone():

@@ -3,8 +3,10 @@
 import csv
 import json
 import os
+import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -17,27 +19,34 @@ STUDY = {
 }
 
 
-def study(machine, folder, *options):
-    """Run the study in the working directory of a machine."""
-    machine.mkdir(exist_ok=True)
+@contextmanager
+def study(machine, folder):
+    """The study, which runs in the working directory of a machine."""
+    machine.mkdir()
     file = machine / "small.json"
     file.write_text(json.dumps(STUDY))
-    subprocess.run(
-        [sys.executable, "-m", "benchmarks.study", str(file), str(folder), *options],
+    with subprocess.Popen(
+        [sys.executable, "-m", "benchmarks.study", str(file), str(folder)],
         cwd=machine,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
-        check=True,
-        timeout=240,
-    )
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    ) as process:
+        yield process
+        assert process.wait(timeout=240) == 0
 
 
 def test_a_stopped_study_is_finished_on_another_machine(tmp_path):
     folder = tmp_path / "results"
-    study(tmp_path / "one", folder, "--hours", "0")
+    with study(tmp_path / "one", folder) as process:
+        process.stdout.readline()  # it has begun
+        os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does
     assert {path.name for path in folder.iterdir()} >= {"study.adr", "index.html", "results.csv"}
     (folder / "discussion.md").write_text("by hand")
-    study(tmp_path / "two", folder)
+    with study(tmp_path / "two", folder) as process:
+        process.stdout.read()
     rows = list(csv.DictReader((folder / "results.csv").read_text().splitlines()))
     assert {row["method"] for row in rows} == {"sysid", "udr", "prior", "oracle"}
     assert "4 runs succeeded" in (folder / "index.html").read_text()
     assert (folder / "discussion.md").read_text() == "by hand"
+    assert folder.stat().st_mode & 0o777 == 0o755

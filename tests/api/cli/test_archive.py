@@ -39,7 +39,9 @@ def test_an_import_says_what_it_added(adr, benchmark, file):
 def test_every_stage_of_an_archive_is_verified(adr, file):
     code, out = adr("archive", "verify", str(file), "--sample", "100")
     assert code == 0
-    lines = out.strip().splitlines()
+    seed, *lines, summary = out.strip().splitlines()
+    assert "--seed" in seed
+    assert f"{len(lines)} of its stages were computed again" in summary
     assert {line.split()[0] for line in lines} >= {"train_policy", "target_rollout", "evaluate"}
     assert all("identical" in line for line in lines)
 
@@ -58,6 +60,26 @@ def test_another_result_is_named_and_fails(adr, file):
     code, out = adr("archive", "verify", str(file), "--sample", "100")
     assert (code, out.count("different")) == (2, 1)
     assert f"train_policy {changed['digest'][:12]}: different, by " in out
+
+
+def test_a_sample_repeats_with_its_seed(adr, file):
+    verify = ("archive", "verify", str(file), "--sample", "2", "--seed", "7")
+    samples = [[line.split(":")[0] for line in adr(*verify)[1].splitlines()] for _ in range(2)]
+    assert samples[0] == samples[1]
+    assert len(samples[0]) == 4
+
+
+def test_an_archive_whose_results_are_gone_is_not_verified(adr, file):
+    with zipfile.ZipFile(file) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    kept = {name: content for name, content in members.items() if not name.startswith("blobs/")}
+    kept["tables/stages.jsonl"] = kept["tables/stage_artifacts.jsonl"] = b""
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in kept.items():
+            archive.writestr(name, content)
+    code, out = adr("archive", "verify", str(file))
+    assert code == 2
+    assert "3 runs have events that do not follow" in out or "sample" in out
 
 
 def test_a_dry_run_of_an_extension_starts_nothing(adr, benchmark, service):
