@@ -253,7 +253,9 @@ def line(rows: list[dict[str, Any]]) -> str:
     scored = all(row["log_score"] is not None for row in rows)
     simulated = all(row["predicted_loss"] is not None for row in rows)
     first = rows[0]
-    reach = "1 seed" if len(rows) == 1 else f"{min(distances):.3f} to {max(distances):.3f}"
+    reach = "1 seed"
+    if len(rows) > 1:
+        reach = f"{min(distances):.3f} to {max(distances):.3f}, {len(rows)} seeds"
     parts = [
         first["task"],
         first["variant"],

@@ -22,7 +22,7 @@ from api.cli.own_service import free_port, own_service
 from api.client import AdrClient, Json, is_finished
 from api.report import write_report
 
-_EXPORT_S, _LOOK_S = 1800.0, 20.0
+_EXPORT_S, _LOOK_S = 1800.0, 5.0
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 

@@ -32,7 +32,7 @@ def test_a_run_is_submitted_watched_listed_and_its_files_are_written(adr, tmp_pa
 
 def test_a_dry_run_of_a_file_prints_its_expected_cost(adr, tmp_path):
     (tmp_path / "b.json").write_text(
-        json.dumps({"tasks": ["arm"], "methods": ["udr"], "seeds": [0], "preset": "smoke"})
+        json.dumps({"tasks": ["arm"], "methods": ["udr"], "seeds": [901], "preset": "smoke"})
     )
     code, shown = adr("submit", "b.json", "--dry-run")
     assert code == 0

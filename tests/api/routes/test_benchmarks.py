@@ -40,7 +40,7 @@ def test_a_benchmark_is_cancelled_and_deleted(service, http):
 
 
 def test_a_dry_run_counts_shared_trainings_once(http):
-    spec = {"tasks": ["arm"], "methods": ["udr", "simopt", "dropo"], "seeds": [0, 1]}
+    spec = {"tasks": ["arm"], "methods": ["udr", "simopt", "dropo"], "seeds": [902, 903]}
     body = http.post("/v1/benchmarks?validate_only=true", json={**spec, "preset": "smoke"})
     # per seed: prior, oracle, 2 of UDR, 1 of SimOpt, 1 of DROPO
     assert body.json()["plan"]["trainings"] == 12

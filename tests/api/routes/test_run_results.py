@@ -32,4 +32,4 @@ def test_the_cost_lists_every_kind_of_stage(service, finished):
 def test_an_unknown_figure_is_refused_with_the_list(http, finished):
     response = http.get(f"/v1/runs/{finished}/figures/curve.svg")
     assert response.status_code == 404
-    assert "returns, collection, parameters" in response.json()["detail"]
+    assert "returns, profile, collection" in response.json()["detail"]

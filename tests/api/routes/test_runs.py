@@ -23,7 +23,7 @@ def test_runs_are_listed_by_filter_and_page(service, http, finished):
 
 def test_a_dry_run_returns_the_cost_and_starts_nothing(service, http):
     before = len(service.client.list_all("runs"))
-    answer = http.post("/v1/runs?validate_only=true", json=SMOKE)
+    answer = http.post("/v1/runs?validate_only=true", json={**SMOKE, "seed": 904})
     assert answer.status_code == 200
     body = answer.json()
     assert body["plan"]["trainings"] == 2
