@@ -92,6 +92,10 @@ class BenchmarkSpec(Wire):
         if not added:
             accepted = ", ".join(BenchmarkExtension.model_fields)
             raise InvalidInput(f"nothing to add was given; accepted: {accepted}")
+        for name, members in added.items():
+            had = {getattr(member, "name", member) for member in getattr(self, name)}
+            if again := [str(n) for m in members if (n := getattr(m, "name", m)) in had]:
+                raise InvalidInput(f"the benchmark has the {name} {', '.join(again)} already")
         wider = {name: [*getattr(self, name), *value] for name, value in added.items()}
         try:
             return BenchmarkSpec.model_validate(self.model_dump(exclude_unset=True) | wider)

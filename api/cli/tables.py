@@ -94,6 +94,8 @@ def comparisons_table(results: Json) -> RenderableType:
 def claims_table(report: Json) -> RenderableType:
     """The paper's claims beside the results measured under one budget."""
     changed = ", ".join(f"{name} = {value}" for name, value in report["changed"].items())
+    if not any(finding["evidence"] for finding in report["findings"]):
+        return Text(f"preset {report['preset']}: the paper has no claim on these tasks or methods")
     table = Table("", "claim", "verdict", "measured", box=None, padding=(0, 2, 0, 0))
     for finding in report["findings"]:
         evidence = "\n".join(finding["evidence"]) or "–"

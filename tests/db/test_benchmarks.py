@@ -79,7 +79,7 @@ def test_an_extension_adds_the_missing_runs_alone(database):
     names = ("udr", "droid", "prior", "oracle")
     assert cells == [("droid", 0), *((name, 1) for name in names)]
     assert benchmarks.get_benchmark(database, id).spec.seeds == [0, 1]
-    for refused, message in (({"seeds": [1]}, "must not repeat"), ({}, "nothing to add")):
+    for refused, message in (({"seeds": [1]}, "has the seeds 1 already"), ({}, "nothing to add")):
         with pytest.raises(InvalidInput, match=message):
             benchmarks.extend_benchmark(database, id, BenchmarkExtension.model_validate(refused))
     assert len(benchmarks.runs_of(database, id)) == len(before) + len(added)

@@ -138,3 +138,10 @@ def test_a_candidate_has_the_median_and_range_of_its_trials():
 def test_a_candidate_of_which_nothing_is_known_has_dashes():
     failed = replace(TRIAL, best_return=None, reached_threshold=False)
     assert shown(candidates_table([Candidate([failed])])).count("–") == 2
+
+
+def test_results_that_no_claim_is_about_are_a_sentence():
+    finding = {"claim": "V1", "statement": "s", "verdict": "not measured", "evidence": []}
+    finding["seeds_needed"] = None
+    text = shown(claims_table({"preset": "demo", "changed": {}, "findings": [finding]}))
+    assert text == "preset demo: the paper has no claim on these tasks or methods\n"

@@ -21,7 +21,7 @@ def test_extending_a_finished_benchmark_computes_nothing_twice(service):
     new = service.started_stages[len(started) :]
     assert len(new) == 4  # two trainings, two evaluations
     assert not set(new) & set(started)
-    with pytest.raises(Refused, match="must not repeat"):
+    with pytest.raises(Refused, match="has the seeds 0 already"):
         service.client.extend_benchmark(id, {"seeds": [0]})
     with pytest.raises(Refused, match="nothing to add"):
         service.client.extend_benchmark(id, {})
