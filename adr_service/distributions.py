@@ -201,13 +201,19 @@ class TruncatedGaussian:
         return np.maximum(-self.CUT, feasible), np.full(len(self.space), self.CUT)
 
 
+def normalised_std(distribution: Distribution) -> Vector:
+    """Standard deviations (d,) in [0, 4] coordinates."""
+    space = distribution.space
+    return distribution.std / (space.high - space.low) * space.WIDTH
+
+
 def at_resolution(distribution: Distribution, resolution: float) -> Distribution:
     """A point on a grid, where every deviation is below the grid's width; else the distribution.
 
     In [0, 4] coordinates. The point lies in the search box, as the draws of a Gaussian do.
     """
     space = distribution.space
-    if np.any(distribution.std * space.WIDTH / (space.high - space.low) >= resolution):
+    if np.any(normalised_std(distribution) >= resolution):
         return distribution
     nearest = np.round(space.normalise(distribution.mean) / resolution) * resolution
     return Uniform.point(space, space.denormalise(np.clip(nearest, 0.0, space.WIDTH)))

@@ -36,9 +36,8 @@ from typing import Any
 
 import numpy as np
 
-from adr_service.benchmark.comparison import normalised_std
 from adr_service.benchmark.truth import estimation_error, log_score
-from adr_service.distributions import Gaussian
+from adr_service.distributions import Gaussian, normalised_std
 from adr_service.json_values import sha256
 from adr_service.methods.base import OnlineSettings
 from adr_service.methods.catalogue import identity_of, methods, names_of

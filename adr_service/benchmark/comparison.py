@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from adr_service.arrays import Matrix, Vector
+from adr_service.arrays import Matrix
 from adr_service.benchmark.statistics import (
     bootstrap_interval,
     improvement,
@@ -23,7 +23,7 @@ from adr_service.benchmark.truth import (
     log_score,
     true_values,
 )
-from adr_service.distributions import Distribution, distribution_from_json
+from adr_service.distributions import Distribution, distribution_from_json, normalised_std
 from adr_service.events import IterationFinished
 from adr_service.methods.catalogue import methods
 from adr_service.randomness import stream
@@ -300,12 +300,6 @@ def _spread(outcome: Outcome) -> float | None:
     if not outcome.spec.method.believes:
         return None
     return float(np.sqrt(np.mean(normalised_std(decode(outcome)[0]) ** 2)))
-
-
-def normalised_std(distribution: Distribution) -> Vector:
-    """Standard deviations (d,) in [0, 4] coordinates."""
-    space = distribution.space
-    return distribution.std / (space.high - space.low) * space.WIDTH
 
 
 def decode(outcome: Outcome) -> list[Distribution]:
