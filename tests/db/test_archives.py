@@ -409,3 +409,27 @@ def test_a_blob_of_no_stage_is_refused(path, other):
     empty = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
     with pytest.raises(InvalidInput, match="blobs of no stage"):
         imported(other, rewritten(path, lambda members: {**members, f"blobs/{empty}": b""}))
+
+
+def test_an_archive_of_an_earlier_version_is_upgraded_as_its_database_would_be(
+    file_database, other, tmp_path
+):
+    """Revision 0009 names the budget that DROID had by default before it."""
+    id = finished_benchmark(file_database, methods=["droid"])
+    path = exported(file_database, id, tmp_path / "a.adr")
+
+    def as_then(row):
+        spec = json.loads(row["spec"])
+        if spec["method"]["name"] == "droid":
+            spec["method"]["budget"] = 30  # of the preset smoke
+        return {**row, "spec": json.dumps(spec)}
+
+    def earlier(members):
+        manifest = {**json.loads(members["manifest.json"]), "revision": "0008"}
+        members = with_rows("runs", lambda rows: [as_then(row) for row in rows])(members)
+        return {**members, "manifest.json": json.dumps(manifest).encode()}
+
+    report = imported(other, rewritten(path, earlier))
+    assert report.added == report.runs
+    [droid] = benchmarks.get_benchmark(other, id).spec.methods
+    assert (droid.name, droid.budget) == ("droid", 30)
