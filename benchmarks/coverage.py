@@ -1,9 +1,9 @@
-"""How often 95 % intervals cover the truth with few seeds, and how often they tell equals apart.
+"""Coverage of 95 % intervals over few seeds, and their errors between equal methods.
 
     python -m benchmarks.coverage [archive.adr …]
 
 Repeats experiments in worlds whose truth is known. In each, a method's seeds earn what a policy
-earns on average: by a normal distribution; by one with two gaits, of which a policy learns the
+earns on average: by a normal distribution; by one with two gaits, where a policy learns the
 worse one with probability 0.3; and for each archive, by the spread that its methods have: their
 seeds' deviations from their method's mean, resampled and smoothed as Silverman's bootstrap does.
 Every seed has one policy with 50 episodes, with a standard deviation of 0.1.

@@ -1,4 +1,4 @@
-"""How much a zip from elsewhere may unpack to."""
+"""The largest size to which a zip from elsewhere may unpack."""
 
 import zipfile
 

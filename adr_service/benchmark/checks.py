@@ -32,7 +32,7 @@ _MOST_SEEDS = 1000
 # (docs/training.md, the oracle on Hopper). Seeds that share a policy, or a gait, have none at all.
 _LEAST_STD = 0.02
 Gap = Literal["not judged", "not measured"]  # why a statement has no verdict
-GAPS: tuple[Gap, ...] = ("not judged", "not measured")  # of several, the first is told
+GAPS: tuple[Gap, ...] = ("not judged", "not measured")  # the first counts where there are several
 
 
 @dataclass(frozen=True)

@@ -208,7 +208,7 @@ def test_one_seed_settles_nothing():
 
 
 def test_nothing_is_judged_by_trainings_that_were_too_short():
-    """With every method at .76, as undertrained policies would be, claims had verdicts."""
+    """Undertrained policies bring every method to about .76, and claims once had verdicts then."""
     levels = dict.fromkeys((*ALL, "oracle"), 0.76)
     undertrained = finding("V1", hopper(levels))
     assert undertrained.verdict == "not judged"

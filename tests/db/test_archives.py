@@ -59,7 +59,7 @@ def imported(database, path):
 
 
 def content_of(database, id):
-    """What a database has of a benchmark: specs, states, events and results."""
+    """The specs, states, events and results of a benchmark in a database."""
     runs = benchmarks.runs_of(database, id)
     with database.read() as session:
         stages = [(s.digest, s.document, s.result) for s in session.scalars(select(StageRow))]
