@@ -5,10 +5,10 @@
         verified.agreement              # identical, close or different
 
 Where versions and CPU type are those of the stored result, every byte must be equal. Elsewhere
-numbers must agree up to `TOLERANCE`. Measured on Hopper, by forbidding a CPU its newer instructions
-(AVX-512, then AVX2): results of smoke runs differ by 1.4e-6 at most, and returns of 50 long
-episodes of two trained policies by 2.3e-5. A training takes another path there, as with another
-seed, so trainings can only be compared on the CPU type that they were computed on.
+numbers must agree up to `TOLERANCE`. Measured by hand on Hopper, by forbidding a CPU its newer
+instructions (AVX-512, then AVX2): results of smoke runs differ by 1.4e-6 at most, and returns of 50
+long episodes of two trained policies by 2.3e-5. A training takes another path there, as with
+another seed, so trainings can only be compared on the CPU type that they were computed on.
 """
 
 import heapq
