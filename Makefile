@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-budgets bench-coverage study bench-criticism bench-extension bench-api clean
+.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-budgets bench-coverage study bench-criticism bench-arms bench-extension bench-api clean
 
 setup: $(STAMP)
 
@@ -72,6 +72,11 @@ bench-coverage: setup
 # hours on two cores
 bench-criticism: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.criticism
+
+# two hours on two cores
+bench-arms: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.arms
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.arms --nulls
 
 # half an hour on one core
 bench-extension: setup

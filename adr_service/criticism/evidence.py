@@ -29,7 +29,7 @@ from adr_service.criticism.linearisation import (
 from adr_service.criticism.noise import Chain, Noise, Whitener, at_start, lifted, misfit_variance
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
-from adr_service.effects.catalogue import get_mechanism
+from adr_service.effects.models import plausible_of, sensible
 
 _ROUNDS, _CONVERGED = 4, 0.3  # of steps at most; [nats] that a step gains at least
 
@@ -49,6 +49,7 @@ class Fit:
     linear: Linear
     noise: Noise
     normal: Normal
+    known: int = 0  # of the effects, the first ones, that are there for sure, however strong
 
     @property
     def held_out(self) -> Vector:
@@ -71,10 +72,19 @@ class Fit:
         first = self.integration.stop + sum(len(e.values) for e in before)
         return slice(first, first + sum(len(e.values) for e in own))
 
+    def columns_at(self, effect: Effect) -> slice | None:
+        """Columns of the supposed effect of this kind and place, if the fit has it already."""
+        for number, own in enumerate(self.effects[self.known :], self.known):
+            if (own.kind, own.location) == (effect.kind, effect.location):
+                return self.columns_of(slice(number, number + 1))
+        return None
+
 
 def fit(simulator: Simulator, sensor: Vector, effects: Sequence[Effect] = ()) -> Fit:
     """The simulator at its best with these effects, around the states as they were measured.
 
+    The effects are known to be there; others that later fits add are supposed to be about as strong
+    as `Mechanism.plausible` says.
     `sensor` (m,) are the variances of the sensors' noise, NaN where they are not known.
     """
     layout, states, start = Layout.of(simulator), simulator.measured, simulator.nominal.start
@@ -82,7 +92,9 @@ def fit(simulator: Simulator, sensor: Vector, effects: Sequence[Effect] = ()) ->
     noise = _first_noise(linear, sensor)
     known = ~np.isnan(sensor)
     noise, normal = estimate(linear, lifted(noise, linear.chain, linear.residual, known), known)
-    first = Fit(simulator, layout, start, tuple(effects), states, linear, noise, normal)
+    first = Fit(
+        simulator, layout, start, tuple(effects), states, linear, noise, normal, len(effects)
+    )
     return settled(first, sensor)
 
 
@@ -94,6 +106,7 @@ def smoothed(fit: Fit, sensor: Vector) -> Fit:
     states = simulator.measured - layout.by_row(simulator, errors)
     root = root_of(layout.by_row(simulator, covariance), tiny_root(simulator))
     linear = linearise(simulator, layout, fit.parameters, fit.effects, states, root)
+    linear = _supposed(fit, linear, fit.effects)
     known = ~np.isnan(sensor)
     start = lifted(fit.noise, linear.chain, linear.residual, known)
     noise, normal = estimate(linear, start, known)
@@ -124,8 +137,9 @@ def expected_errors(fit: Fit) -> Vector:
 def refine(fit: Fit, effects: Sequence[Effect], sensor: Vector) -> Fit | None:
     """The fit with these effects, from strengths near the best ones; its states stay.
 
-    A step that makes the data less probable is halved. None: with these effects the simulation
-    diverges where it did not before, and they explain nothing. Compare with `settled(fit)`.
+    A step that makes the data less probable is halved. The derivatives by parameters, and by
+    effects that the fit has already, stay as well. None: with these effects the simulation diverges
+    where it did not before, and they explain nothing. Compare with `settled(fit)`.
     """
     before = fit.simulator.predict(fit.parameters, fit.effects, fit.states)
     noise = lifted(fit.noise, fit.linear.chain, fit.left, ~np.isnan(sensor))
@@ -167,18 +181,26 @@ def _evaluated(
     """
     simulator = fit.simulator
     predicted = simulator.predict(parameters, effects, fit.states)
-    derivatives = by_strengths(simulator, parameters, effects, fit.states)
+    new = [e for e in effects if fit.columns_at(e) is None]
+    derivatives = by_strengths(simulator, parameters, effects, fit.states, new)
     moved = fit.layout.fold(np.stack([predicted - before, *derivatives], axis=2))
     moved[~fit.linear.chain.mask] = 0.0
     if not np.all(np.isfinite(moved)):
         return None
-    kept = fit.linear.columns[..., : fit.integration.stop]
+    columns, start = [fit.linear.columns[..., : fit.integration.stop]], 1
+    for effect in effects:
+        if (known := fit.columns_at(effect)) is not None:
+            columns.append(fit.linear.columns[..., known])
+        else:
+            columns.append(moved[..., start : start + len(effect.values)])
+            start += len(effect.values)
     linear = with_priors(
         fit.linear.chain,
         fit.linear.residual - moved[..., 0],
-        np.concatenate([kept, moved[..., 1:]], axis=3),
+        np.concatenate(columns, axis=3),
         len(parameters),
     )
+    linear = _supposed(fit, linear, effects)
     try:
         noise, normal = estimate(linear, noise, ~np.isnan(sensor))
     except np.linalg.LinAlgError:  # what it leaves has no finite variance beside exact readings
@@ -186,6 +208,18 @@ def _evaluated(
     return replace(
         fit, parameters=parameters, effects=effects, linear=linear, noise=noise, normal=normal
     )
+
+
+def _supposed(fit: Fit, linear: Linear, effects: Sequence[Effect]) -> Linear:
+    """The linear model with the priors of all effects that are not known to be there."""
+    added = effects[fit.known :]
+    if not added:
+        return linear
+    values = np.concatenate([effect.values for effect in added])
+    likely = np.concatenate([plausible_of(fit.simulator.base, effect) for effect in added])
+    mean, precision = linear.mean.copy(), linear.precision.copy()
+    mean[-len(values) :], precision[-len(values) :] = -values, 1 / likely**2
+    return replace(linear, mean=mean, precision=precision)
 
 
 def _exact(simulator: Simulator) -> np.ndarray:
@@ -203,13 +237,11 @@ def _first_noise(linear: Linear, sensor: Vector) -> Noise:
 
 
 def _strengthened(effects: tuple[Effect, ...], change: Vector) -> tuple[Effect, ...]:
-    """Effects with changed strengths, at the edge of what makes sense at most."""
+    """Effects with changed strengths."""
     moved: list[Effect] = []
     for effect in effects:
         count = len(effect.values)
-        low = [strength.low for strength in get_mechanism(effect.kind).strengths]
-        values = np.maximum(np.array(effect.values) + change[:count], low)
-        moved.append(replace(effect, values=tuple(values.tolist())))
+        moved.append(sensible(effect, np.array(effect.values) + change[:count]))
         change = change[count:]
     return tuple(moved)
 

@@ -7,7 +7,8 @@
 the log-likelihood of each episode as a function of a small change.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,18 +49,25 @@ class Normal:
         inner = products(z[..., 1:], z)
         return cls(inner[..., 1:], inner[..., 0], log_likelihood, linear.mean, linear.precision)
 
-    def with_columns(self, own: np.ndarray, cross: np.ndarray, score: Matrix) -> "Normal":
-        """Normal equations with k more columns: their information (E, k, k), that with ours
-        (E, p, k), and their score (E, k)."""
-        top = np.concatenate([self.information, cross], axis=2)
-        bottom = np.concatenate([cross.swapaxes(1, 2), own], axis=2)
-        nothing = np.zeros(own.shape[1])
+    @classmethod
+    def joined(cls, parts: "Sequence[Normal]") -> "Normal":
+        """Normal equations of all episodes, from those of some at a time."""
+        return replace(
+            parts[0],
+            information=np.concatenate([part.information for part in parts]),
+            score=np.concatenate([part.score for part in parts]),
+            log_likelihood=np.concatenate([part.log_likelihood for part in parts]),
+        )
+
+    def only(self, columns: Sequence[int]) -> "Normal":
+        """Normal equations of some columns, beside which the others do not change."""
+        which = np.asarray(columns, dtype=np.int64)
         return Normal(
-            np.concatenate([top, bottom], axis=1),
-            np.concatenate([self.score, score], axis=1),
+            self.information[:, which[:, None], which],
+            self.score[:, which],
             self.log_likelihood,
-            np.concatenate([self.mean, nothing]),
-            np.concatenate([self.precision, nothing]),
+            self.mean[which],
+            self.precision[which],
         )
 
     def change(self) -> tuple[Vector, Matrix]:
@@ -84,7 +92,8 @@ class Normal:
         precision, mean = self.precision[columns], self.mean[columns]
         information = self.information[:, columns, columns].sum(axis=0) + np.diag(precision)
         score = self.score[:, columns].sum(axis=0) + precision * mean
-        return float(self.log_likelihood.sum() + 0.5 * score @ inverse(information) @ score)
+        before = self.log_likelihood.sum() - 0.5 * self.precision @ self.mean**2
+        return float(before + 0.5 * score @ inverse(information) @ score)
 
     def left_out(self) -> Vector:
         """(E,) log-likelihood of each episode, by a fit to all the others."""

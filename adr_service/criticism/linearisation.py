@@ -5,7 +5,7 @@
 The columns of the result are the parameters, what integration adds, and the effects' strengths.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from adr_service.criticism.noise import Chain
 from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
-from adr_service.effects.models import element_of
+from adr_service.effects.models import typical_of
 from adr_service.errors import InvalidInput
 
 FINER = 3  # how much smaller a step shows what numerical integration adds
@@ -70,7 +70,11 @@ def linearise(
     offset = (simulator.measured - states)[simulator.starts]
     after = simulator.measured[simulator.starts + 1]
     residual = after - mean - (transition @ offset[..., None])[..., 0]
-    columns = [*_by_parameters(point), *_by_integration(point), *by_strengths(simulator, *known)]
+    columns = [
+        *_by_parameters(point),
+        *_by_integration(point),
+        *by_strengths(simulator, *known, effects),
+    ]
     free = simulator.predict_free(*known)
     stiff = np.any(np.abs(free - quickly) > _TOUCHED * spread(simulator), axis=1)
     everything = np.concatenate([residual[..., None], transition, np.stack(columns, axis=2)], 2)
@@ -87,22 +91,24 @@ def with_priors(chain: Chain, residual: Array3, columns: np.ndarray, parameters:
 
 
 def by_strengths(
-    simulator: Simulator, parameters: Vector, effects: tuple[Effect, ...], states: Matrix
+    simulator: Simulator,
+    parameters: Vector,
+    effects: tuple[Effect, ...],
+    states: Matrix,
+    by: Sequence[Effect],
 ) -> list[Matrix]:
-    """Derivatives (N, m) of the prediction by each strength of each effect.
+    """Derivatives (N, m) of the prediction by each strength of some of the effects.
 
     The smaller of the slopes to both sides, where a strength has two: a contact that begins or
     ends in between would make the one side infinitely steep. Of several strengths, those that are
     not identifiable are zero and stay so.
     """
-    if not effects:
+    if not by:
         return []
     predicted = simulator.predict_quickly(parameters, effects, states)
     derivatives: list[Matrix] = []
-    for effect in effects:
-        typical = get_mechanism(effect.kind).typical(
-            simulator.base, element_of(simulator.base, effect.location)
-        )
+    for effect in by:
+        typical = typical_of(simulator.base, effect.kind, effect.location)
         for number, size in enumerate(typical):
             if len(typical) > 1 and effect.values[number] == 0:
                 derivatives.append(np.zeros_like(predicted))

@@ -1,6 +1,6 @@
 """The search for the effects that a simulator lacks, one after the other.
 
-    named, final, chance = name_effects(baseline, candidates, responses, sensor, rng, progress)
+    named, final, chance = name_effects(baseline, candidates, block, sensor, rng, progress)
     named, final = narrowed(*pruned(named, final, sensor), sensor)
 
 Each is named on its own evidence beside those named before, and dropped again if the others make
@@ -24,17 +24,20 @@ from adr_service.criticism.decision import (
     is_evidence,
 )
 from adr_service.criticism.evidence import Fit, refine, settled, smoothed
+from adr_service.criticism.inverse import Group
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import Candidate, scan
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
+from adr_service.effects.models import sensible
 from adr_service.progress import Progress
 
 _REFINED, _CLOSE, _MOST_REFINED = 6, 0.9, 10
 _GROUPS_REFINED = 2
 _OTHER_STARTS = (0.5, 2.0)  # times the estimated strengths
 _PROMISING = THRESHOLD / 4  # [nats] by the scan; refining adds little more
-_MOST_NAMED = 5
+_MOST_NAMED = 8
+_FAR = 3.0  # times what the best candidate gains alone
 
 
 @dataclass(frozen=True)
@@ -62,26 +65,55 @@ class Weighed:
         return self.fit.effects[len(self.fit.effects) - len(self.effects) :]
 
 
+@dataclass(frozen=True)
+class Block:
+    """Effects that supply the forces which the motion needs, as predictions judge them."""
+
+    groups: tuple[Group, ...]
+    fit: Fit
+    gains: Vector  # (E,) nats of all together
+
+    @property
+    def fair_gain(self) -> float:
+        """Gain after a handicap for every group."""
+        return float(self.gains.sum()) - THRESHOLD * len(self.groups)
+
+
+def block_of(start: Fit, groups: Sequence[Group], sensor: Vector) -> Block | None:
+    """The groups together in a fit; None if there are none, or nothing can be simulated."""
+    effects = [effect for group in groups for effect in group]
+    refined = refine(start, effects, sensor) if groups else None
+    if refined is None:
+        return None
+    return Block(tuple(groups), refined, refined.held_out - start.held_out)
+
+
 Alike = tuple[Weighed, ...]  # the best candidate, then all that explain as much
 
 
 def name_effects(
     baseline: Fit,
     candidates: Sequence[Candidate],
-    responses: Responses,
+    block: Block | None,
     sensor: Vector,
     rng: np.random.Generator,
     progress: Progress,
 ) -> tuple[list[Alike], Fit, float]:
     """The effects with evidence, the fit with all of them, and the probability that the next one
-    would be chance."""
+    would be chance.
+
+    `block`: effects to begin with, if they are far better together than any candidate alone.
+    """
     named: list[Alike] = []
     current, chance = baseline, 1.0
-    for count in range(_MOST_NAMED):
+    if block is not None and _is_far_better(block, baseline, candidates[:1], sensor):
+        named, current = _standing(block, sensor)
+        chance = 0.0
+    for count in range(len(named), _MOST_NAMED):
         done = 0.1 + 0.7 * count / _MOST_NAMED
         progress(done, causes=count)
         if count > 0:
-            candidates = scan(current, responses)
+            candidates = scan(current, Responses(current))
         decision, weighed = _weigh(current, candidates, sensor, rng, partial(progress, done))
         chance = float(decision.confidence[-1])
         if not decision.alike:
@@ -89,6 +121,30 @@ def name_effects(
         named.append(_simplest_first([weighed[number] for number in decision.alike]))
         current = smoothed(_from_elsewhere(current, named[-1][0].fit, sensor), sensor)
     return named, current, chance
+
+
+def _is_far_better(block: Block, baseline: Fit, best: Sequence[Candidate], sensor: Vector) -> bool:
+    """True if a block gains `_FAR` times as much as the best candidate, refined, does alone."""
+    most = THRESHOLD
+    without = settled(baseline, sensor).held_out
+    for candidate in best:
+        refined = refine(baseline, candidate.effects, sensor)
+        if refined is not None:
+            most = max(most, float((refined.held_out - without).sum()))
+    return block.fair_gain > _FAR * most
+
+
+def _standing(block: Block, sensor: Vector) -> tuple[list[Alike], Fit]:
+    """The groups of a block, each with what the others alone explain less, and the fit."""
+    current = smoothed(block.fit, sensor)
+    everything = settled(current, sensor).held_out
+    named: list[Alike] = [(Weighed(group, current, block.gains, 1.0),) for group in block.groups]
+    for number, slot in enumerate(slots(named)):
+        rest = _without(slot, current, sensor)
+        if rest is not None:  # otherwise nothing can be simulated without it
+            gains = everything - rest.held_out
+            named[number] = (replace(named[number][0], gains=gains),)
+    return named, current
 
 
 def _weigh(
@@ -143,8 +199,7 @@ def _from_elsewhere(current: Fit, best: Fit, sensor: Vector) -> Fit:
     """The best of a fit with newer effects, and of fits from other strengths of those."""
     newest = best.effects[len(current.effects) :]
     starts = [
-        [replace(e, values=tuple(factor * v for v in e.values)) for e in newest]
-        for factor in _OTHER_STARTS
+        [sensible(e, factor * np.array(e.values)) for e in newest] for factor in _OTHER_STARTS
     ]
     others = (refine(current, [*current.effects, *start], sensor) for start in starts)
     fits = [best, *(other for other in others if other is not None)]
@@ -161,10 +216,7 @@ def pruned(named: list[Alike], current: Fit, sensor: Vector) -> tuple[list[Alike
     """The named effects without those that the others make superfluous."""
     while len(named) > 1:
         everything = settled(current, sensor).held_out
-        shorter = [
-            refine(current, [*current.effects[: slot.start], *current.effects[slot.stop :]], sensor)
-            for slot in slots(named)
-        ]
+        shorter = [_without(slot, current, sensor) for slot in slots(named)]
         rests = {
             number: rest
             for number, rest in enumerate(shorter)
@@ -176,6 +228,11 @@ def pruned(named: list[Alike], current: Fit, sensor: Vector) -> tuple[list[Alike
         named = [alike for number, alike in enumerate(named) if number != least]
         current = smoothed(rest, sensor)
     return named, current
+
+
+def _without(slot: slice, current: Fit, sensor: Vector) -> Fit | None:
+    """The fit without some of its effects."""
+    return refine(current, [*current.effects[: slot.start], *current.effects[slot.stop :]], sensor)
 
 
 def narrowed(named: Sequence[Alike], current: Fit, sensor: Vector) -> tuple[list[Alike], Fit]:

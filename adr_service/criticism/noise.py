@@ -91,6 +91,17 @@ class Whitener:
             log_determinant += 2 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         return cls(chain, noise, inverse, below, log_determinant)
 
+    def of_episodes(self, which: slice) -> "Whitener":
+        """The same for some of the episodes."""
+        chain, noise = self.chain, self.noise
+        return Whitener(
+            Chain(chain.mask[which], chain.transition[which], chain.stiff[which], chain.measured),
+            replace(noise, weights=noise.weights[which]),
+            self.inverse[which],
+            self.below[which],
+            self.log_determinant[which],
+        )
+
     def whiten(self, columns: np.ndarray) -> np.ndarray:
         """(E, T, m, c) residuals or sensitivities, made independent."""
         white = np.empty_like(columns)

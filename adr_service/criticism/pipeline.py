@@ -25,9 +25,19 @@ from adr_service.criticism.experiments import separating_experiment
 from adr_service.criticism.extension import Extension, extend
 from adr_service.criticism.flexible_force import flexible_gains
 from adr_service.criticism.gain import measure_gain
+from adr_service.criticism.inverse import needed_effects
 from adr_service.criticism.linearisation import FINER
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.naming import Alike, name_effects, narrowed, pruned, slots, still_tied
+from adr_service.criticism.naming import (
+    Alike,
+    Block,
+    block_of,
+    name_effects,
+    narrowed,
+    pruned,
+    slots,
+    still_tied,
+)
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.remarks import on_commands, on_refuted
 from adr_service.criticism.responses import Responses
@@ -94,11 +104,11 @@ def criticise(
     with ExitStack() as simulators:
         simulators.enter_context(threadpool_limits(1))
         progress(0.02)
-        baseline = smoothed(_best_step(nominal, learned, sensor, threads, simulators), sensor)
+        start, block = _best_step(nominal, learned, sensor, threads, simulators)
+        baseline = smoothed(start, sensor)
         progress(0.1)
-        responses = Responses(baseline)
-        first = scan(baseline, responses)
-        named, final, chance = name_effects(baseline, first, responses, sensor, rng, progress)
+        first = scan(baseline, Responses(baseline))
+        named, final, chance = name_effects(baseline, first, block, sensor, rng, progress)
         progress(0.8, causes=len(named))
         named, final = narrowed(*pruned(named, final, sensor), sensor)
         progress(0.9, causes=len(named))
@@ -126,19 +136,27 @@ def _best_step(
     sensor: Vector,
     threads: int | None,
     simulators: ExitStack,
-) -> Fit:
+) -> tuple[Fit, Block | None]:
     """A first fit with the model's own step or a smaller one, whichever makes the data likelier
-    (or simulates more of them at all).
+    (or simulates more of them at all), and the effects that forces ask for, if there are several.
 
     The step of an integrator of first order may be the largest error of all, and would look like
-    inertia and friction; if the data were simulated with that very step, it is right.
+    inertia and friction; if the data were simulated with that very step, it is right. Where many
+    things are wrong at once, it is chosen with them.
     """
     steps = (1, FINER) if is_first_order(nominal.model(nominal.start)) else (1,)
-    fits = [
-        fit(simulators.enter_context(Simulator(nominal, data, threads, finer)), sensor)
-        for finer in steps
-    ]
-    return max(fits, key=lambda each: (each.linear.chain.mask.sum(), each.held_out.sum()))
+    tried = [simulators.enter_context(Simulator(nominal, data, threads, finer)) for finer in steps]
+    groups = needed_effects(tried[0])
+    first = [fit(simulator, sensor) for simulator in tried]
+    blocks = [block_of(each, groups, sensor) for each in first]
+    return max(zip(first, blocks, strict=True), key=_likelihood)
+
+
+def _likelihood(begun: tuple[Fit, Block | None]) -> tuple[int, float]:
+    """Number of transitions that can be simulated, and how likely they are at best."""
+    start, block = begun
+    gained = 0.0 if block is None else max(block.fair_gain, 0.0)
+    return int(start.linear.chain.mask.sum()), float(start.held_out.sum()) + gained
 
 
 def _opened(

@@ -10,19 +10,21 @@ evidence. A group is one mechanism at all its places at once, each with a streng
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.criticism.evidence import Fit
-from adr_service.criticism.linear import Normal, products
+from adr_service.criticism.linear import Linear, Normal, inverse
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect, sensors
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
-from adr_service.effects.models import element_of
+from adr_service.effects.models import plausible_of, typical_of
 
 _ABSORBED = 1e2  # most that fitted parameters may divide the information on a strength by
+_AT_ONCE = 2e7  # numbers of responses that are whitened at a time
 _UNSEEN = 1e8  # variance of a strength, in typical ones, that no sensible robot has
 
 
@@ -50,15 +52,23 @@ class Candidate:
 
 def scan(fit: Fit, responses: Responses) -> list[Candidate]:
     """A candidate for every kind at every location, and for every group; the best first."""
-    look = _Scan(fit, responses)
-    known = {(effect.kind, effect.location) for effect in fit.effects}
-    candidates = [look.alone(*place) for place in places(fit.simulator) if place not in known]
+    known, base = {(effect.kind, effect.location) for effect in fit.effects}, fit.simulator.base
+    asked = [place for place in places(fit.simulator) if place not in known]
+    look = _Scan(fit, responses, [effect for at in asked for effect in tried_at(base, *at)])
+    candidates = [look.alone(*place) for place in asked]
     groups: dict[str, list[Candidate]] = {}
     for candidate in candidates:
         if len(get_mechanism(candidate.kind).strengths) == 1:
             groups.setdefault(candidate.kind, []).append(candidate)
     candidates += [look.together(members) for members in groups.values() if len(members) > 1]
     return sorted(candidates, key=lambda candidate: -candidate.gain)
+
+
+def tried_at(model: mujoco.MjModel, kind: str, location: str) -> list[Effect]:
+    """An effect at a place, in all sizes where its response may differ."""
+    typical = typical_of(model, kind, location)
+    sizes = get_mechanism(kind).sizes
+    return [Effect(kind, location, tuple((size * typical).tolist())) for size in sizes]
 
 
 def location_of(effects: Sequence[Effect]) -> str:
@@ -83,19 +93,24 @@ def places(simulator: Simulator) -> list[tuple[str, str]]:
 class _Scan:
     """Linearised fits of one candidate after the other."""
 
-    def __init__(self, fit: Fit, responses: Responses):
-        self._fit, self._responses = fit, responses
-        self._without = fit.held_out
-        self._whitener = Whitener.of(fit.linear.chain, fit.noise)
-        known = np.concatenate([fit.linear.columns, fit.linear.residual[..., None]], axis=3)
-        self._z = self._whitener.whiten(known)
+    def __init__(self, fit: Fit, responses: Responses, tried: Sequence[Effect]):
+        """`tried`: all effects, at all sizes where their responses may differ."""
+        self._base, self._without = fit.simulator.base, fit.held_out
+        self._own = list(range(fit.linear.columns.shape[3]))
+        finite = {e: r for e in tried if np.all(np.isfinite(r := responses.of(e)))}
+        ends = len(self._own) + np.cumsum([len(effect.values) for effect in finite])
+        self._columns = {
+            effect: list(range(end - len(effect.values), end))
+            for effect, end in zip(finite, ends.tolist(), strict=True)
+        }
+        self._normal = _beside(fit, list(finite.values()), self._likely(list(finite)))
 
     def alone(self, kind: str, location: str) -> Candidate:
         """The candidate at the best of the sizes where its response may differ."""
-        mechanism, typical = get_mechanism(kind), self._typical(kind, location)
-        best = self._nothing([Effect(kind, location, tuple(typical.tolist()))])
-        for factor in mechanism.sizes:
-            candidate = self._at([Effect(kind, location, tuple((factor * typical).tolist()))])
+        first, *_ = sizes = tried_at(self._base, kind, location)
+        best = self._nothing([first])
+        for effect in sizes:
+            candidate = self._at([effect])
             if candidate is None or (candidate.gain <= best.gain and best.gain > 0):
                 continue
             if candidate.gain <= 0:  # no evidence, but its deviations set the detection limit
@@ -116,10 +131,10 @@ class _Scan:
             left = [effect for effect, is_so in zip(left, sensible, strict=True) if is_so]
         return self._nothing(everywhere)
 
-    def _typical(self, kind: str, location: str) -> Vector:
-        base = self._fit.simulator.base
-        sizes = get_mechanism(kind).typical(base, element_of(base, location))
-        return np.asarray(sizes, dtype=np.float64)
+    def _likely(self, tried: Sequence[Effect]) -> Vector:
+        """Precisions of the priors of all strengths, in the sizes tried."""
+        sizes = [np.abs(e.values) / plausible_of(self._base, e) for e in tried]
+        return np.concatenate([*sizes, np.empty(0)]) ** 2
 
     def _nothing(self, effects: Sequence[Effect]) -> Candidate:
         nothing = tuple(replace(e, values=(0.0,) * len(e.values)) for e in effects)
@@ -131,14 +146,13 @@ class _Scan:
 
         A single effect whose estimated strength makes no sense has no strength and no gain.
         """
-        response = np.concatenate([self._responses.of(effect) for effect in tried], axis=3)
-        response = np.where(self._fit.linear.chain.mask[..., None, None], response, 0.0)
-        if not np.all(np.isfinite(response)):
+        if not all(effect in self._columns for effect in tried):
             return None
+        new = [column for effect in tried for column in self._columns[effect]]
         sizes = np.concatenate([effect.values for effect in tried])
-        normal, own = self._with(response)
+        normal = self._normal.only([*self._own, *new])
         change, covariance = normal.change()
-        seen, deviations = _identifiable(covariance, own, sizes)
+        seen, deviations = _identifiable(normal, covariance, sizes)
         if not seen.any():
             return None
         strengths = np.where(seen, change[-len(sizes) :] * sizes, 0.0)
@@ -151,20 +165,32 @@ class _Scan:
             return replace(self._nothing(tried), deviations=deviations)
         return Candidate(tuple(tried), effects, gains, deviations)
 
-    def _with(self, response: np.ndarray) -> tuple[Normal, np.ndarray]:
-        """Normal equations with responses (E, T, m, k) beside the fit's columns, and the
-        responses' own information (E, k, k)."""
-        design = self._whitener.whiten(response)
-        own = products(design, design)
-        cross = products(self._z[..., :-1], design)
-        score = products(design, self._z[..., -1:])[..., 0]
-        return self._fit.normal.with_columns(own, cross, score), own
+
+def _beside(fit: Fit, responses: Sequence[np.ndarray], precision: Vector) -> Normal:
+    """Normal equations with responses (E, T, m, k) beside a fit's columns, whitened some episodes
+    at a time, and the `precision` of their priors about zero."""
+    linear, whitener = fit.linear, Whitener.of(fit.linear.chain, fit.noise)
+    mean = np.concatenate([linear.mean, np.zeros(len(precision))])
+    precision = np.concatenate([linear.precision, precision])
+    episodes, *rest = linear.residual.shape
+    step = max(1, int(_AT_ONCE / (np.prod(rest) * len(precision))))
+    parts: list[Normal] = []
+    for first in range(0, episodes, step):
+        which = slice(first, first + step)
+        columns = np.concatenate([linear.columns[which], *(r[which] for r in responses)], axis=3)
+        part = whitener.of_episodes(which)
+        some = Linear(part.chain, linear.residual[which], columns, mean, precision)
+        parts.append(Normal.of(part, some))
+    return Normal.joined(parts)
 
 
-def _identifiable(covariance: Matrix, own: np.ndarray, sizes: Vector) -> tuple[np.ndarray, Vector]:
-    """Mask (k,) of the strengths that the data determine, and their deviations, inf elsewhere."""
-    count = len(sizes)
-    variance, alone = np.diagonal(covariance)[-count:], np.diagonal(own.sum(axis=0))
+def _identifiable(normal: Normal, covariance: Matrix, sizes: Vector) -> tuple[np.ndarray, Vector]:
+    """Mask (k,) of the last strengths that the data determine without their priors, and their
+    deviations by the data alone, inf elsewhere."""
+    new = slice(len(covariance) - len(sizes), None)
+    alone = np.diagonal(normal.information[:, new, new].sum(axis=0))
+    by_data = inverse(covariance[new, new]) - np.diag(normal.precision[new])
+    variance = np.diagonal(inverse(by_data))
     seen = (variance > 0) & (variance * alone < _ABSORBED) & (variance < _UNSEEN)
     return seen, np.where(seen, np.sqrt(np.abs(variance)) * np.abs(sizes), np.inf)
 

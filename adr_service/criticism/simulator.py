@@ -23,7 +23,7 @@ from adr_service.arrays import Array3, Indices, Matrix, Vector
 from adr_service.criticism.compatibility import check_columns, steps_between
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
-from adr_service.effects.base import Effect
+from adr_service.effects.base import Effect, is_added
 from adr_service.effects.signals import acts_on_commands, behind, obeyed, shown, uses_rates
 
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
@@ -234,15 +234,17 @@ class Simulator:
         return after
 
     def _data(self, model: mujoco.MjModel) -> list[mujoco.MjData]:
-        if (model.nu, model.nsite) == (self.base.nu, self.base.nsite):
+        base = self.base
+        if (model.nbody, model.nu, model.nsite) == (base.nbody, base.nu, base.nsite):
             return self._scratch
         return [mujoco.MjData(model) for _ in self._scratch]
 
     def _is_possible(self, model: mujoco.MjModel) -> bool:
         """True if every body that has a mass and inertias in the base model still has them."""
+        before, after = _bodies(self.base), _bodies(model)
         pairs = (
-            (self.base.body_mass, model.body_mass),
-            (self.base.body_inertia, model.body_inertia),
+            (self.base.body_mass[before], model.body_mass[after]),
+            (self.base.body_inertia[before], model.body_inertia[after]),
         )
         return all(np.all((now > mujoco.mjMINVAL) | (was == 0)) for was, now in pairs)
 
@@ -273,6 +275,11 @@ def other_integrator(integrator: int) -> int:
     kinds = mujoco.mjtIntegrator
     implicit = kinds.mjINT_IMPLICITFAST
     return int(kinds.mjINT_RK4 if integrator == implicit else implicit)
+
+
+def _bodies(model: mujoco.MjModel) -> list[int]:
+    """Numbers of the bodies that no mechanism added."""
+    return [i for i in range(model.nbody) if not is_added(model.body(i).name)]
 
 
 def _finite(states: Array3) -> Array3:

@@ -81,6 +81,7 @@ BIAS = Mechanism(
     change=_bias,
     prepare=_add_bias,
     applies=_turns_a_joint,
+    in_force=True,
 )
 
 

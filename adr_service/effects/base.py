@@ -149,6 +149,8 @@ class Mechanism:
     sensing: Sensing | None = None
     applies: Applies = lambda model, element: True  # True if it makes sense at a place
     sizes: tuple[float, ...] = (1.0,)  # times typical, for effects that are not in proportion
+    in_force: bool = False  # True if joint forces are in proportion to its strength
+    plausible: float = 25.0  # times typical: deviation of what real robots have and models lack
     has_sides: bool = False  # True if more and less of it are effects of their own
     includes: str = ""  # kind that it equals while its last strengths are zero
 

@@ -4,8 +4,9 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Vector
-from adr_service.effects.base import SENSOR_SIZE, Mechanism, Strength
+from adr_service.effects.base import ADDED, SENSOR_SIZE, Mechanism, Strength
 
+LOADED = f"{ADDED}load_"  # bodies, by body
 _GRAVITY = 9.81  # [m/s²] for typical sizes alone
 
 
@@ -48,6 +49,7 @@ CENTRE_OF_MASS = Mechanism(
     typical=lambda model, body: (SENSOR_SIZE,) * 3,
     change=_com,
     applies=has_mass,
+    in_force=True,
 )
 
 
@@ -108,4 +110,62 @@ PAYLOAD = Mechanism(
     typical=_fiftieth_of_mass,
     change=_payload,
     applies=has_mass,
+)
+
+
+def _add_load(spec: mujoco.MjSpec, body: str) -> None:
+    """Add a body without mass, which `_load` fills: what a robot carries is no part of its link,
+    whose gravity may be compensated."""
+    if spec.body(LOADED + body) is None:
+        load = spec.body(body).add_body(name=LOADED + body, explicitinertial=True, ipos=[1, 0, 0])
+        load.simple = False
+
+
+def _load(model: mujoco.MjModel, body: int, values: Vector) -> None:
+    """A point mass anywhere, whose first moments (3,) are its place times its mass."""
+    if values[0] != 0:
+        load = model.body(LOADED + model.body(body).name).id
+        model.body_mass[load], model.body_ipos[load] = values[0], values[1:] / values[0]
+
+
+def _typical_load(model: mujoco.MjModel, body: int) -> tuple[float, ...]:
+    """A fiftieth of the body's mass, as far from its origin as it reaches in each direction."""
+    (mass,) = _fiftieth_of_mass(model, body)
+    reach = float(np.linalg.norm(_far_end(model, body)))
+    return (mass, *(mass * reach,) * 3)
+
+
+LOAD = Mechanism(
+    "body_load",
+    "body",
+    (
+        Strength("mass", "kg", low=0.0),
+        Strength("moment x", "kg m"),
+        Strength("moment y", "kg m"),
+        Strength("moment z", "kg m"),
+    ),
+    typical=_typical_load,
+    change=_load,
+    prepare=_add_load,
+    applies=has_mass,
+    in_force=True,
+)
+
+
+def _is_compensated(model: mujoco.MjModel, body: int) -> bool:
+    return has_mass(model, body) and bool(model.body_gravcomp[body] != 0)
+
+
+def _compensation(model: mujoco.MjModel, body: int, values: Vector) -> None:
+    model.body_gravcomp[body] *= 1 + values[0]
+
+
+GRAVITY_COMPENSATION = Mechanism(
+    "gravity_compensation",
+    "body",
+    (Strength("relative change", "1"),),
+    typical=lambda model, body: (0.01,),
+    change=_compensation,
+    applies=_is_compensated,
+    in_force=True,
 )

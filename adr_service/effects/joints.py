@@ -56,6 +56,7 @@ COULOMB_FRICTION = Mechanism(
     (Strength("friction", "N m", low=0.0),),
     typical=_one_torque,
     change=_coulomb,
+    in_force=True,
 )
 
 
@@ -69,6 +70,7 @@ VISCOUS_FRICTION = Mechanism(
     (Strength("damping", "N m s/rad"),),
     typical=_one_torque,
     change=_viscous,
+    in_force=True,
 )
 
 
@@ -143,6 +145,7 @@ SPRING = Mechanism(
     (Strength("stiffness", "N m/rad"),),
     typical=_one_torque,
     change=_spring,
+    in_force=True,
 )
 
 
@@ -164,17 +167,21 @@ def _armature(model: mujoco.MjModel, joint: int, values: Vector) -> None:
     model.dof_armature[_dof(model, joint)] += values[0]
 
 
-def _twentieth_of_inertia(model: mujoco.MjModel, joint: int) -> tuple[float, ...]:
-    return (0.05 * float(model.dof_M0[_dof(model, joint)]),)
+def _typical_armature(model: mujoco.MjModel, joint: int) -> tuple[float, ...]:
+    """A twentieth of the joint's inertia, or, where links are light, what a geared drive of that
+    torque has: about 4 g m² for each N m, of which this is a twentieth."""
+    inertia = float(model.dof_M0[_dof(model, joint)])
+    return (max(0.05 * inertia, 0.02 * _torque(model, joint)),)
 
 
 ARMATURE = Mechanism(
     "joint_armature",
     "joint",
     (Strength("armature", "kg m²"),),
-    typical=_twentieth_of_inertia,
+    typical=_typical_armature,
     change=_armature,
     applies=_is_driven,
+    in_force=True,
 )
 
 

@@ -9,10 +9,12 @@ the effects on commands and in sensors.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
+from adr_service.arrays import Vector
 from adr_service.effects.base import Effect, sensors
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
 from adr_service.errors import InvalidInput, UnknownName
@@ -116,6 +118,22 @@ def element_of(model: mujoco.MjModel, location: str) -> int:
         return int(getattr(model, place)(name).id)
     except (KeyError, AttributeError) as error:
         raise InvalidInput(f"the model has no {location!r}: {error}") from error
+
+
+def typical_of(model: mujoco.MjModel, kind: str, location: str) -> Vector:
+    """Sizes (k,) of a mechanism's strengths that a sensible simulator might lack at a place."""
+    return np.array(get_mechanism(kind).typical(model, element_of(model, location)), dtype=float)
+
+
+def plausible_of(model: mujoco.MjModel, effect: Effect) -> Vector:
+    """Deviations (k,) of an effect's strengths among all robots, about zero."""
+    return get_mechanism(effect.kind).plausible * typical_of(model, effect.kind, effect.location)
+
+
+def sensible(effect: Effect, values: Vector) -> Effect:
+    """The effect at these strengths, each at the edge of what makes sense at most."""
+    low = [strength.low for strength in get_mechanism(effect.kind).strengths]
+    return replace(effect, values=tuple(np.maximum(values, low).tolist()))
 
 
 def unit_of(model: mujoco.MjModel, location: str, unit: str) -> str:

@@ -29,6 +29,7 @@ GRAVITY_TILT = Mechanism(
     (Strength("pitch", "rad"), Strength("roll", "rad")),
     typical=lambda model, element: (0.01, 0.01),
     change=_tilt,
+    in_force=True,
 )
 
 
@@ -105,4 +106,5 @@ EXTERNAL_FORCE = Mechanism(
     change=_force,
     prepare=_add_force,
     applies=has_mass,
+    in_force=True,
 )

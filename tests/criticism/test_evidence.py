@@ -7,6 +7,7 @@ from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import expected_errors, fit, refine, settled, smoothed
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
+from adr_service.effects.models import plausible_of
 from benchmarks.planted import draw_case
 from tests.hidden import arm
 
@@ -44,3 +45,12 @@ def test_columns_of_strengths_follow_those_of_integration(refined):
     columns = refined.columns_of(slice(0, 1))
     assert (columns.start, columns.stop) == (refined.integration.stop, refined.integration.stop + 1)
     assert refined.linear.columns.shape[3] == columns.stop
+
+
+def test_a_supposed_effect_has_a_prior_about_zero_and_a_known_one_has_none(baseline, refined):
+    column = refined.columns_of(slice(0, 1)).start
+    (likely,) = plausible_of(baseline.simulator.base, refined.effects[0])
+    assert refined.normal.precision[column] == pytest.approx(1 / likely**2)
+    assert refined.normal.mean[column] == pytest.approx(-refined.effects[0].values[0])
+    known = fit(baseline.simulator, baseline.simulator.data.sensor_variance(), refined.effects)
+    assert known.normal.precision[column] == 0.0

@@ -52,15 +52,27 @@ def test_an_episode_is_left_out_as_by_a_fit_to_the_others(linear):
         assert left[number] == pytest.approx(-np.sum(rest**2) / 2 - constant + weights, rel=1e-5)
 
 
-def test_more_columns_later_are_the_same_as_all_at_once(linear):
+def test_some_columns_of_all_are_the_same_as_these_alone(linear):
+    alone = replace(
+        linear, columns=linear.columns[..., [0, 2]], mean=np.zeros(2), precision=np.zeros(2)
+    )
+    some = normal_of(linear).only([0, 2])
+    np.testing.assert_allclose(some.change()[0], normal_of(alone).change()[0], rtol=1e-9)
+    np.testing.assert_allclose(some.left_out(), normal_of(alone).left_out(), rtol=1e-9)
+
+
+def test_episodes_of_two_parts_are_those_of_the_whole(linear):
     whole = normal_of(linear)
-    parts = replace(
-        linear, columns=linear.columns[..., :2], mean=np.zeros(2), precision=np.zeros(2)
-    )
-    later = normal_of(parts).with_columns(
-        whole.information[:, 2:, 2:], whole.information[:, :2, 2:], whole.score[:, 2:]
-    )
-    np.testing.assert_allclose(later.change()[0], whole.change()[0], rtol=1e-9)
+    halves = [
+        replace(
+            whole,
+            information=whole.information[part],
+            score=whole.score[part],
+            log_likelihood=whole.log_likelihood[part],
+        )
+        for part in (slice(0, 2), slice(2, None))
+    ]
+    np.testing.assert_array_equal(type(whole).joined(halves).left_out(), whole.left_out())
 
 
 def test_a_strong_prior_keeps_a_column_where_it_was(linear):

@@ -83,7 +83,7 @@ def test_derivatives_by_states_are_differences_of_predictions(linear, simulator)
 
 def test_derivatives_by_strengths_are_differences_of_predictions(simulator):
     start, states = simulator.nominal.start, simulator.measured
-    (derivative,) = by_strengths(simulator, start, (SPRING,), states)
+    (derivative,) = by_strengths(simulator, start, (SPRING,), states, (SPRING,))
     below, above = (
         simulator.predict_quickly(start, (replace(SPRING, values=(k,)),), states)
         for k in (0.49, 0.51)
@@ -94,7 +94,7 @@ def test_derivatives_by_strengths_are_differences_of_predictions(simulator):
 def test_a_strength_that_cannot_be_negative_is_moved_to_one_side(simulator):
     start, states = simulator.nominal.start, simulator.measured
     none = Effect("joint_coulomb_friction", "joint:elbow", (0.0,))
-    (derivative,) = by_strengths(simulator, start, (none,), states)
+    (derivative,) = by_strengths(simulator, start, (none,), states, (none,))
     plain = simulator.predict_quickly(start, (), states)
     some = simulator.predict_quickly(start, (replace(none, values=(1e-3,)),), states)
     assert np.all(np.isfinite(derivative))
@@ -102,7 +102,7 @@ def test_a_strength_that_cannot_be_negative_is_moved_to_one_side(simulator):
 
 
 def test_no_effects_have_no_derivatives(simulator):
-    assert by_strengths(simulator, simulator.nominal.start, (), simulator.measured) == []
+    assert by_strengths(simulator, simulator.nominal.start, (SPRING,), simulator.measured, ()) == []
 
 
 def test_only_the_transition_that_diverges_is_masked(simulator):

@@ -9,6 +9,7 @@ from adr_service.criticism.decision import THRESHOLD, is_evidence
 from adr_service.criticism.evidence import refine, settled
 from adr_service.criticism.naming import (
     Weighed,
+    block_of,
     name_effects,
     narrowed,
     pruned,
@@ -18,6 +19,7 @@ from adr_service.criticism.naming import (
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import scan
 from adr_service.effects.base import Effect
+from adr_service.effects.models import sensible
 from adr_service.progress import silent
 
 SPRING = Effect("joint_spring", "joint:elbow", (0.05,))
@@ -27,9 +29,8 @@ ELSEWHERE = Effect("joint_coulomb_friction", "joint:shoulder", (0.001,))
 @pytest.fixture(scope="module")
 def search(baseline, sensor):
     """The named effects, the fit with them, and the probability of chance."""
-    responses = Responses(baseline)
-    candidates = scan(baseline, responses)[:8]
-    return name_effects(baseline, candidates, responses, sensor, np.random.default_rng(0), silent)
+    candidates = scan(baseline, Responses(baseline))[:8]
+    return name_effects(baseline, candidates, None, sensor, np.random.default_rng(0), silent)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,7 @@ def test_an_alternative_keeps_its_own_fit(search):
 
 def test_no_candidates_leave_the_fit_as_it_is(baseline, sensor):
     rng = np.random.default_rng(0)
-    named, final, chance = name_effects(baseline, [], Responses(baseline), sensor, rng, silent)
+    named, final, chance = name_effects(baseline, [], None, sensor, rng, silent)
     assert (named, chance) == ([], 1.0)
     assert final is baseline
 
@@ -126,3 +127,25 @@ def test_an_alternative_that_is_named_elsewhere_is_tied_no_more(baseline, both, 
     other = weighed(refine(baseline, [SPRING], sensor), SPRING)
     named = [(weighed(both, SPRING),), (weighed(both, friction), other)]
     assert still_tied(named, both, sensor)[1] == named[1][:1]
+
+
+def test_a_block_is_taken_only_if_it_is_far_better_than_the_best_effect_alone(
+    search, baseline, sensor, friction
+):
+    """Two effects that are the hidden one by another name gain no more than it does."""
+    groups = ((friction,), (SPRING,))
+    block = block_of(baseline, groups, sensor)
+    candidates = scan(baseline, Responses(baseline))
+    rng = np.random.default_rng(0)
+    named, _, _ = name_effects(baseline, candidates[:8], block, sensor, rng, silent)
+    assert [alike[0].effects[0].kind for alike in named] == [
+        alike[0].effects[0].kind for alike in search[0]
+    ]
+    assert block.fair_gain == pytest.approx(block.gains.sum() - 2 * THRESHOLD)
+    assert block_of(baseline, (), sensor) is None
+
+
+def test_other_starts_of_a_strength_stay_where_they_make_sense():
+    """Twice a loss of .6 of the inertia would be a negative one."""
+    lost = Effect("body_inertia", "body:fore", (-0.6,))
+    assert sensible(lost, np.array([-1.2])).values == (-1.0,)

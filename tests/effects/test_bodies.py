@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from adr_service.effects.base import Effect
+from tests.effects.conftest import PLAIN
 from tests.hidden import arm
 
 
@@ -40,3 +41,38 @@ def test_a_moved_centre_of_mass_leaves_the_mass(cart):
     before, after = cart(), cart(Effect("body_com", "body:cart", (0.1, 0.0, -0.2)))
     np.testing.assert_allclose(after.body("cart").ipos - before.body("cart").ipos, [0.1, 0.0, -0.2])
     np.testing.assert_array_equal(after.body_mass, before.body_mass)
+
+
+def test_a_load_is_a_point_mass_where_its_moments_say():
+    """The same as a payload, if it is where that one hangs."""
+    nominal = arm()[1]
+    carried, loaded = (
+        nominal.model(nominal.start, [effect])
+        for effect in (
+            Effect("payload", "body:fore", (0.2,)),
+            Effect("body_load", "body:fore", (0.2, 0.0, 0.0, -0.2 * 0.5)),
+        )
+    )
+    forces: list[np.ndarray] = []
+    for model in (carried, loaded):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = [0.4, -0.7], [1.0, 2.0]
+        mujoco.mj_forward(model, data)
+        data.qacc[:] = [3.0, -1.0]
+        mujoco.mj_inverse(model, data)
+        forces.append(data.qfrc_inverse.copy())
+    np.testing.assert_allclose(forces[1], forces[0], rtol=1e-9)
+
+
+def test_gravity_is_compensated_for_the_link_and_not_for_its_load(cart):
+    xml = PLAIN.replace('name="cart"', 'name="cart" gravcomp="1"').replace("1 0 0", "0 0 1")
+    compensated = Effect("gravity_compensation", "body:cart", (-0.1,))
+    for effects, missing in (
+        ([], 0.0),
+        ([compensated], 0.1 * 2.0),
+        ([Effect("body_load", "body:cart", (0.5, 0.0, 0.0, 0.0))], 0.5),
+    ):
+        model = cart(*effects, xml=xml)
+        data = mujoco.MjData(model)
+        mujoco.mj_inverse(model, data)
+        assert data.qfrc_inverse[0] == pytest.approx(9.81 * missing, abs=1e-9)

@@ -1,0 +1,73 @@
+"""Forces that a motion needs beyond the simulator's, on whole arms."""
+
+import numpy as np
+import pytest
+
+from adr_service.criticism.inverse import missing_forces, needed_effects
+from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.pipeline import criticise
+from adr_service.criticism.simulator import Simulator
+from adr_service.effects.base import Effect
+from adr_service.parameters import ParameterSpace
+from benchmarks.arms import ARMS, hidden, model_of, recorded
+
+LINKS = ARMS[6]
+
+
+@pytest.fixture(scope="module")
+def bare():
+    """An arm of six joints without friction and rotors."""
+    return Nominal.of_model(model_of(LINKS), ParameterSpace(()))
+
+
+@pytest.fixture(scope="module")
+def robot():
+    """Everything that the real arm has beyond it."""
+    return hidden(LINKS, np.random.default_rng(1))
+
+
+@pytest.fixture(scope="module")
+def data(bare, robot):
+    return recorded(bare, LINKS, robot, np.random.default_rng(2)).episodes(range(16))
+
+
+def needed(nominal, data):
+    with Simulator(nominal, data, threads=1) as simulator:
+        return needed_effects(simulator)
+
+
+def test_forces_show_friction_and_rotors_at_all_joints_and_the_load(bare, robot, data):
+    groups = needed(bare, data)
+    found = {(e.kind, e.location): e.values[0] for group in groups for e in group}
+    true = {(e.kind, e.location): e.values[0] for e in robot if e.kind != "gravity_compensation"}
+    assert found.keys() == true.keys()
+    for place, strength in true.items():
+        if place[1] in ("joint:joint1", "joint:joint2", "joint:joint3", "joint:joint4"):
+            assert found[place] == pytest.approx(strength, rel=0.15), place  # a first guess
+
+
+def test_a_rotor_needs_its_inertia_times_the_acceleration(bare, data):
+    rotor = Effect("joint_armature", "joint:joint3", (0.2,))
+    with Simulator(bare, data, threads=1) as simulator:
+        more = missing_forces(simulator, [rotor]) - missing_forces(simulator, [])
+        change = simulator.measured[simulator.starts + 1] - simulator.measured[simulator.starts]
+    expected = np.zeros_like(more)
+    expected[:, 2] = 0.2 * change[:, 6 + 2] / simulator.period
+    np.testing.assert_allclose(more, expected, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_an_arm_without_friction_and_rotors_gets_them_at_once(bare, robot, data):
+    found = criticise(bare, data, np.random.default_rng(0), threads=1)
+    named = {(cause.kind, cause.location) for cause in found.verdict.causes}
+    assert named >= {
+        ("joint_coulomb_friction", "joint:*"),
+        ("joint_viscous_friction", "joint:*"),
+        ("joint_armature", "joint:*"),
+        ("body_load", "body:link6"),
+    }
+    strengths = {(e.kind, e.location): e.values[0] for e in found.final.effects}
+    for effect in robot:
+        if effect.kind != "gravity_compensation":
+            place = (effect.kind, effect.location)
+            assert strengths[place] == pytest.approx(effect.values[0], rel=0.15), place
