@@ -7,6 +7,7 @@ from adr_service.arrays import Vector
 from adr_service.effects.base import ADDED, SENSOR_SIZE, Mechanism, Strength
 
 LOADED = f"{ADDED}load_"  # bodies, by body
+_REACH = 0.1  # [m] of a body without extent
 _GRAVITY = 9.81  # [m/s²] for typical sizes alone
 
 
@@ -129,9 +130,9 @@ def _load(model: mujoco.MjModel, body: int, values: Vector) -> None:
 
 
 def _typical_load(model: mujoco.MjModel, body: int) -> tuple[float, ...]:
-    """A fiftieth of the body's mass, as far from its origin as it reaches in each direction."""
+    """A fiftieth of the body's mass, as far from its origin as it reaches, in each direction."""
     (mass,) = _fiftieth_of_mass(model, body)
-    reach = float(np.linalg.norm(_far_end(model, body)))
+    reach = float(np.linalg.norm(_far_end(model, body))) or _REACH
     return (mass, *(mass * reach,) * 3)
 
 

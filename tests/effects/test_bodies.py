@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from adr_service.effects.base import Effect
+from adr_service.effects.models import typical_of
 from tests.effects.conftest import PLAIN
 from tests.hidden import arm
 
@@ -76,3 +77,7 @@ def test_gravity_is_compensated_for_the_link_and_not_for_its_load(cart):
         data = mujoco.MjData(model)
         mujoco.mj_inverse(model, data)
         assert data.qfrc_inverse[0] == pytest.approx(9.81 * missing, abs=1e-9)
+
+
+def test_a_body_without_extent_may_carry_a_load_beside_it(cart):
+    assert all(size > 0 for size in typical_of(cart(), "body_load", "body:cart"))
