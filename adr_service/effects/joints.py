@@ -168,8 +168,8 @@ def _armature(model: mujoco.MjModel, joint: int, values: Vector) -> None:
 
 
 def _typical_armature(model: mujoco.MjModel, joint: int) -> tuple[float, ...]:
-    """A twentieth of the joint's inertia, or, where links are light, what a geared drive of that
-    torque has: about 4 g m² for each N m, of which this is a twentieth."""
+    """A twentieth of the joint's inertia or of its drive's, whichever is larger; a geared drive has
+    about 4 g m² for each N m."""
     inertia = float(model.dof_M0[_dof(model, joint)])
     return (max(0.05 * inertia, 0.02 * _torque(model, joint)),)
 
