@@ -56,6 +56,8 @@ def extend(nominal: Nominal, parameters: Vector, effects: Sequence[Effect]) -> E
     spec = nominal.spec(parameters)
     model = with_effects(spec, lambda model: nominal.write(model, parameters), effects)
     spec.copy_back(model)
+    for body in spec.bodies[1:]:  # the one field of an effect that MuJoCo does not copy back
+        body.gravcomp = float(model.body_gravcomp[model.body(body.name).id])
     return Extension(written_out(spec), tuple(effects))
 
 

@@ -32,7 +32,8 @@ def _scale(motion: Motion, values: Vector) -> Vector:
 
 
 def _scale_shown(motion: Motion, values: Vector) -> Vector:
-    return _scale(motion, values) / (1 + values[0])
+    with np.errstate(divide="ignore", invalid="ignore"):  # at -1 nothing is shown: not finite
+        return _scale(motion, values) / (1 + values[0])
 
 
 def _scaled(truth: Matrix, values: Vector, period: float) -> Matrix:

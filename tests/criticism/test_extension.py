@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 
 from adr_service.criticism.extension import extend, written_out
+from adr_service.criticism.nominal import Nominal
 from adr_service.effects.base import Effect
+from adr_service.parameters import ParameterSpace
+from benchmarks.arms import ARMS, hidden, model_of
 from tests.hidden import arm
 
 SPRING = Effect("joint_spring", "joint:elbow", (1 / 3,))
@@ -19,6 +22,17 @@ def test_an_extension_has_every_digit_of_its_parameters_and_effects():
     expected = nominal.model(values, [SPRING])
     np.testing.assert_array_equal(written.jnt_stiffness, expected.jnt_stiffness)
     np.testing.assert_array_equal(written.body_mass, expected.body_mass)
+
+
+def test_an_extended_arm_is_the_robot_that_lacked_nothing():
+    """With a load and other compensations of gravity, which no task of ours has."""
+    links = ARMS[7]
+    bare = Nominal.of_model(model_of(links), ParameterSpace(()))
+    effects = hidden(links, np.random.default_rng(0))
+    written = extend(bare, bare.start, effects).nominal().model(np.empty(0))
+    expected = bare.model(bare.start, effects)
+    for field in ("body_gravcomp", "body_mass", "body_ipos", "dof_frictionloss", "dof_armature"):
+        np.testing.assert_array_equal(getattr(written, field), getattr(expected, field), field)
 
 
 def test_an_effect_on_commands_stands_beside_the_model():
