@@ -73,7 +73,7 @@ bench-coverage: setup
 bench-criticism: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.criticism
 
-# two hours on two cores
+# hours on two cores
 bench-arms: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.arms
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.arms --nulls

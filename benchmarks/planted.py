@@ -23,7 +23,7 @@ from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
-from adr_service.effects.models import element_of
+from adr_service.effects.models import typical_of
 from adr_service.effects.signals import obeyed, recorded
 from adr_service.errors import InvalidInput
 from adr_service.tasks.base import State, Task
@@ -114,7 +114,7 @@ class _Robot:
         """A random effect as strong as `ratio` says; None where it cannot be."""
         kind, place = self._places[int(rng.integers(len(self._places)))]
         mechanism = get_mechanism(kind)
-        typical = np.array(mechanism.typical(self._base, element_of(self._base, place)))
+        typical = typical_of(self._base, kind, place)
         mixed = rng.uniform(0.5, 1.0, len(typical)) if len(typical) > 1 else np.ones(1)
         signs = [1.0 if s.low == 0 else rng.choice([-1.0, 1.0]) for s in mechanism.strengths]
         values = typical * mixed * np.array(signs)

@@ -3,7 +3,8 @@
 Read in this order: `measurements` (the data) and `nominal` (the model); `simulator` (predictions
 one control step ahead); `layout` and `linearisation` (residuals by episode, and how they would
 change); `noise` and `linear` (their likelihood); `evidence` (fits); `responses` and `scan` (every
-possible effect, linearised); `decision` and `naming` (which effects are causes);
+possible effect, linearised); `inverse` (many effects at once, by the forces that the motion needs);
+`decision` and `naming` (which effects are causes);
 `flexible_force` and `sensor_spread` (causes that no effect moves on average); `gain` (worth on
 sealed episodes); `summary`, `verdict`, `extension`, `experiments`, `remarks`, `report`, `figures`
 (the answer); `pipeline` runs it all.

@@ -181,16 +181,17 @@ def _evaluated(
     """
     simulator = fit.simulator
     predicted = simulator.predict(parameters, effects, fit.states)
-    new = [e for e in effects if fit.columns_at(e) is None]
+    kept = [fit.columns_at(effect) for effect in effects]
+    new = [effect for effect, where in zip(effects, kept, strict=True) if where is None]
     derivatives = by_strengths(simulator, parameters, effects, fit.states, new)
     moved = fit.layout.fold(np.stack([predicted - before, *derivatives], axis=2))
     moved[~fit.linear.chain.mask] = 0.0
     if not np.all(np.isfinite(moved)):
         return None
     columns, start = [fit.linear.columns[..., : fit.integration.stop]], 1
-    for effect in effects:
-        if (known := fit.columns_at(effect)) is not None:
-            columns.append(fit.linear.columns[..., known])
+    for effect, where in zip(effects, kept, strict=True):
+        if where is not None:
+            columns.append(fit.linear.columns[..., where])
         else:
             columns.append(moved[..., start : start + len(effect.values)])
             start += len(effect.values)

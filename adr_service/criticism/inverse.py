@@ -22,10 +22,11 @@ from adr_service.criticism.noise import DEGREES
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import MECHANISMS
-from adr_service.effects.models import plausible_of, sensible, typical_of
+from adr_service.effects.models import prior_precision, sensible, typical_of
 
 _SHARE = 0.05  # of what is explained already, that one more question must explain
 _ROUNDS = 6  # of reweighting
+_LEAST = 1e-12  # [N or N m] deviation of a force, where some are exactly as expected
 
 Group = tuple[Effect, ...]  # one effect, or one kind at all of its places
 
@@ -33,8 +34,11 @@ Group = tuple[Effect, ...]  # one effect, or one kind at all of its places
 def needed_effects(simulator: Simulator) -> tuple[Group, ...]:
     """Effects and groups that supply the missing forces together, the most important first.
 
-    Nothing if a single question answers it, which the search by predictions judges better.
+    Nothing if a single question answers it, which the search by predictions judges better, or if
+    some position or velocity was not measured: forces take both.
     """
+    if not simulator.data.is_measured().all():
+        return ()
     search = _Search(simulator)
     chosen = search.chosen()
     return search.answers(chosen) if len(chosen) > 1 else ()
@@ -44,16 +48,14 @@ class _Search:
     """Regression of the missing forces on all effects that these are in proportion to."""
 
     def __init__(self, simulator: Simulator):
-        self._base, self._missing = simulator.base, missing_forces(simulator, ())
+        self._missing = missing_forces(simulator, ())
         self._effects = list(_possible(simulator.base))
         parts = [self._columns(simulator, effect) for effect in self._effects]
         self._design = np.concatenate(parts, axis=2)  # (N, nv, p)
         ends = np.cumsum([part.shape[2] for part in parts]).tolist()
         slots = [range(e - part.shape[2], e) for e, part in zip(ends, parts, strict=True)]
         self._slots = dict(zip(self._effects, slots, strict=True))
-        self._precision = np.concatenate(
-            [(np.array(e.values) / plausible_of(self._base, e)) ** 2 for e in self._effects]
-        )
+        self._precision = prior_precision(simulator.base, self._effects)
         self._episodes = np.unique(simulator.data.episode[simulator.starts], return_index=True)[1]
 
     def chosen(self) -> list[Group]:
@@ -116,14 +118,15 @@ class _Search:
         slots = self._slots_of(chosen)
         design, precision = self._design[..., slots], np.diag(self._precision[slots])
         nv, left = self._missing.shape[1], self._missing
-        weights, scale = np.ones((len(left), 1)), 1.4826 * np.median(np.abs(left), axis=0)
+        weights = np.ones((len(left), 1))
+        scale = np.maximum(1.4826 * np.median(np.abs(left), axis=0), _LEAST)
         for _ in range(_ROUNDS):
             root = np.sqrt(weights) / scale  # (N, nv)
             rows, known = design * root[..., None], self._missing * root
             information = np.einsum("nij,nik->jk", rows, rows, optimize=True) + precision
             score = np.einsum("nij,ni->j", rows, known)
             left = self._missing - design @ np.linalg.solve(information, score)
-            scale = np.sqrt(np.mean(weights * left**2, axis=0))
+            scale = np.maximum(np.sqrt(np.mean(weights * left**2, axis=0)), _LEAST)
             energy = np.sum((left / scale) ** 2, axis=1, keepdims=True)
             weights = (DEGREES + nv) / (DEGREES + energy)
         root = np.sqrt(weights) / scale
@@ -159,7 +162,8 @@ def _possible(model: mujoco.MjModel) -> Iterator[Effect]:
 
 
 def missing_forces(simulator: Simulator, effects: Sequence[Effect]) -> Matrix:
-    """(N, nv) generalised forces that the measured motion needs beyond those of the actuators."""
+    """(N, nv) generalised forces that the measured motion needs beyond those of the actuators, with
+    the model's own parameters."""
     nominal, states = simulator.nominal, simulator.measured
     model = nominal.model(nominal.start, effects)
     data, nv = mujoco.MjData(model), model.nv

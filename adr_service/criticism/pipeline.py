@@ -107,8 +107,11 @@ def criticise(
         start, block = _best_step(nominal, learned, sensor, threads, simulators)
         baseline = smoothed(start, sensor)
         progress(0.1)
-        first = scan(baseline, Responses(baseline))
-        named, final, chance = name_effects(baseline, first, block, sensor, rng, progress)
+        responses = Responses(baseline)
+        first = scan(baseline, responses)
+        named, final, chance = name_effects(
+            baseline, first, responses, block, sensor, rng, progress
+        )
         progress(0.8, causes=len(named))
         named, final = narrowed(*pruned(named, final, sensor), sensor)
         progress(0.9, causes=len(named))

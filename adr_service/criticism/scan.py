@@ -21,7 +21,7 @@ from adr_service.criticism.responses import Responses
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect, sensors
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
-from adr_service.effects.models import plausible_of, typical_of
+from adr_service.effects.models import prior_precision, typical_of
 
 _ABSORBED = 1e2  # most that fitted parameters may divide the information on a strength by
 _AT_ONCE = 2e7  # numbers of responses that are whitened at a time
@@ -54,7 +54,7 @@ def scan(fit: Fit, responses: Responses) -> list[Candidate]:
     """A candidate for every kind at every location, and for every group; the best first."""
     known, base = {(effect.kind, effect.location) for effect in fit.effects}, fit.simulator.base
     asked = [place for place in places(fit.simulator) if place not in known]
-    look = _Scan(fit, responses, [effect for at in asked for effect in tried_at(base, *at)])
+    look = _Scan(fit, responses, [effect for at in asked for effect in _tried_at(base, *at)])
     candidates = [look.alone(*place) for place in asked]
     groups: dict[str, list[Candidate]] = {}
     for candidate in candidates:
@@ -64,7 +64,7 @@ def scan(fit: Fit, responses: Responses) -> list[Candidate]:
     return sorted(candidates, key=lambda candidate: -candidate.gain)
 
 
-def tried_at(model: mujoco.MjModel, kind: str, location: str) -> list[Effect]:
+def _tried_at(model: mujoco.MjModel, kind: str, location: str) -> list[Effect]:
     """An effect at a place, in all sizes where its response may differ."""
     typical = typical_of(model, kind, location)
     sizes = get_mechanism(kind).sizes
@@ -97,17 +97,20 @@ class _Scan:
         """`tried`: all effects, at all sizes where their responses may differ."""
         self._base, self._without = fit.simulator.base, fit.held_out
         self._own = list(range(fit.linear.columns.shape[3]))
-        finite = {e: r for e in tried if np.all(np.isfinite(r := responses.of(e)))}
+        mask = fit.linear.chain.mask[..., None, None]  # an earlier fit may have simulated more
+        known = ((effect, np.where(mask, responses.of(effect), 0.0)) for effect in tried)
+        finite = {effect: response for effect, response in known if np.isfinite(response).all()}
         ends = len(self._own) + np.cumsum([len(effect.values) for effect in finite])
         self._columns = {
             effect: list(range(end - len(effect.values), end))
             for effect, end in zip(finite, ends.tolist(), strict=True)
         }
-        self._normal = _beside(fit, list(finite.values()), self._likely(list(finite)))
+        precision = prior_precision(self._base, list(finite))
+        self._normal = _beside(fit, list(finite.values()), precision)
 
     def alone(self, kind: str, location: str) -> Candidate:
         """The candidate at the best of the sizes where its response may differ."""
-        first, *_ = sizes = tried_at(self._base, kind, location)
+        first, *_ = sizes = _tried_at(self._base, kind, location)
         best = self._nothing([first])
         for effect in sizes:
             candidate = self._at([effect])
@@ -130,11 +133,6 @@ class _Scan:
                 return group
             left = [effect for effect, is_so in zip(left, sensible, strict=True) if is_so]
         return self._nothing(everywhere)
-
-    def _likely(self, tried: Sequence[Effect]) -> Vector:
-        """Precisions of the priors of all strengths, in the sizes tried."""
-        sizes = [np.abs(e.values) / plausible_of(self._base, e) for e in tried]
-        return np.concatenate([*sizes, np.empty(0)]) ** 2
 
     def _nothing(self, effects: Sequence[Effect]) -> Candidate:
         nothing = tuple(replace(e, values=(0.0,) * len(e.values)) for e in effects)

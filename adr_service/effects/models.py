@@ -35,7 +35,8 @@ def with_effects(
 ) -> mujoco.MjModel:
     """A compiled model with effects on top of what `write` puts into it.
 
-    The spec gets the elements that the effects need; `spec.copy_back(model)` then has all of it.
+    The spec gets the elements that the effects need; `spec.copy_back(model)` then has all of it but
+    the compensation of gravity.
     """
     model = prepared(spec, effects)
     write(model)
@@ -128,6 +129,12 @@ def typical_of(model: mujoco.MjModel, kind: str, location: str) -> Vector:
 def plausible_of(model: mujoco.MjModel, effect: Effect) -> Vector:
     """Deviations (k,) of an effect's strengths among all robots, about zero."""
     return get_mechanism(effect.kind).plausible * typical_of(model, effect.kind, effect.location)
+
+
+def prior_precision(model: mujoco.MjModel, effects: Sequence[Effect]) -> Vector:
+    """Precisions (k,) of the priors of all strengths, in units of the effects' own."""
+    sizes = [np.array(effect.values) / plausible_of(model, effect) for effect in effects]
+    return np.concatenate([*sizes, np.empty(0)]) ** 2
 
 
 def sensible(effect: Effect, values: Vector) -> Effect:

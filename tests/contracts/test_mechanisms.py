@@ -9,7 +9,7 @@ from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
-from adr_service.effects.models import element_of
+from adr_service.effects.models import typical_of
 from adr_service.effects.signals import behind, recorded, shown
 from adr_service.tasks.catalogue import get_task, source_of
 
@@ -44,8 +44,7 @@ def simulator(request):
 
 def typical(model, kind, place):
     """The effect of a kind at a place, as strong as a sensible simulator might lack."""
-    values = get_mechanism(kind).typical(model, element_of(model, place))
-    return Effect(kind, place, tuple(values))
+    return Effect(kind, place, tuple(typical_of(model, kind, place).tolist()))
 
 
 def nothing(kind, place):

@@ -1,15 +1,19 @@
 """Forces that a motion needs beyond the simulator's, on whole arms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from adr_service.criticism.inverse import missing_forces, needed_effects
+from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.parameters import ParameterSpace
 from benchmarks.arms import ARMS, hidden, model_of, recorded
+from tests.effects.conftest import PLAIN
 
 LINKS = ARMS[6]
 
@@ -54,6 +58,19 @@ def test_a_rotor_needs_its_inertia_times_the_acceleration(bare, data):
     expected = np.zeros_like(more)
     expected[:, 2] = 0.2 * change[:, 6 + 2] / simulator.period
     np.testing.assert_allclose(more, expected, atol=1e-9)
+
+
+def test_velocities_that_nobody_measured_show_no_forces(bare, data):
+    assert needed(bare, replace(data, qvel_std=np.inf)) == ()
+
+
+def test_a_motion_exactly_as_expected_needs_no_forces():
+    """A cart that coasts, without any noise."""
+    cart = Nominal.of_model(PLAIN, ParameterSpace(()))
+    rows = np.arange(240)
+    time = 0.01 * rows
+    data = Measurement(time, time[:, None], np.ones((240, 1)), np.zeros((240, 1)), rows // 24)
+    assert needed(cart, data) == ()
 
 
 @pytest.mark.slow

@@ -92,3 +92,12 @@ def test_settling_all_columns_gains_at_least_as_much_as_some(linear):
 def test_the_inverse_of_a_column_without_information_is_zero():
     information = np.diag([4.0, 0.0, 1e-12])
     np.testing.assert_allclose(inverse(information), np.diag([0.25, 0.0, 1e12]), rtol=1e-6)
+
+
+def test_the_best_likelihood_does_not_depend_on_where_changes_are_counted_from(linear):
+    """With a prior, which is about the same place then."""
+    here = replace(linear, mean=np.array([1.0, -2.0, 0.5]), precision=np.array([3.0, 1.0, 2.0]))
+    moved = np.array([0.3, 0.7, -0.4])
+    there = replace(here, residual=here.residual - here.columns @ moved, mean=here.mean - moved)
+    best = [normal_of(each).best_log_likelihood() for each in (here, there)]
+    assert best[0] == pytest.approx(best[1], rel=1e-9)

@@ -10,6 +10,7 @@ from adr_service.criticism.evidence import refine, settled
 from adr_service.criticism.naming import (
     Weighed,
     block_of,
+    from_elsewhere,
     name_effects,
     narrowed,
     pruned,
@@ -19,7 +20,6 @@ from adr_service.criticism.naming import (
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import scan
 from adr_service.effects.base import Effect
-from adr_service.effects.models import sensible
 from adr_service.progress import silent
 
 SPRING = Effect("joint_spring", "joint:elbow", (0.05,))
@@ -29,8 +29,9 @@ ELSEWHERE = Effect("joint_coulomb_friction", "joint:shoulder", (0.001,))
 @pytest.fixture(scope="module")
 def search(baseline, sensor):
     """The named effects, the fit with them, and the probability of chance."""
-    candidates = scan(baseline, Responses(baseline))[:8]
-    return name_effects(baseline, candidates, None, sensor, np.random.default_rng(0), silent)
+    responses, rng = Responses(baseline), np.random.default_rng(0)
+    candidates = scan(baseline, responses)[:8]
+    return name_effects(baseline, candidates, responses, None, sensor, rng, silent)
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +68,9 @@ def test_an_alternative_keeps_its_own_fit(search):
 
 def test_no_candidates_leave_the_fit_as_it_is(baseline, sensor):
     rng = np.random.default_rng(0)
-    named, final, chance = name_effects(baseline, [], None, sensor, rng, silent)
+    named, final, chance = name_effects(
+        baseline, [], Responses(baseline), None, sensor, rng, silent
+    )
     assert (named, chance) == ([], 1.0)
     assert final is baseline
 
@@ -129,23 +132,46 @@ def test_an_alternative_that_is_named_elsewhere_is_tied_no_more(baseline, both, 
     assert still_tied(named, both, sensor)[1] == named[1][:1]
 
 
-def test_a_block_is_taken_only_if_it_is_far_better_than_the_best_effect_alone(
-    search, baseline, sensor, friction
+@pytest.fixture(scope="module")
+def block(baseline, sensor, friction):
+    """The friction and a spring that the data do not have, together."""
+    return block_of(baseline, ((friction,), (SPRING,)), sensor)
+
+
+def named_from(block, baseline, sensor):
+    responses, rng = Responses(baseline), np.random.default_rng(0)
+    candidates = scan(baseline, responses)[:8]
+    return name_effects(baseline, candidates, responses, block, sensor, rng, silent)[:2]
+
+
+def test_a_block_that_gains_no_more_than_one_effect_alone_is_not_taken(
+    block, search, baseline, sensor
 ):
-    """Two effects that are the hidden one by another name gain no more than it does."""
-    groups = ((friction,), (SPRING,))
-    block = block_of(baseline, groups, sensor)
-    candidates = scan(baseline, Responses(baseline))
-    rng = np.random.default_rng(0)
-    named, _, _ = name_effects(baseline, candidates[:8], block, sensor, rng, silent)
-    assert [alike[0].effects[0].kind for alike in named] == [
-        alike[0].effects[0].kind for alike in search[0]
-    ]
-    assert block.fair_gain == pytest.approx(block.gains.sum() - 2 * THRESHOLD)
+    named, _ = named_from(block, baseline, sensor)
+    kinds = [[alike[0].effects[0].kind for alike in each] for each in (named, search[0])]
+    assert kinds[0] == kinds[1]
+
+
+def test_groups_of_a_block_are_weighed_by_what_the_others_leave(block, baseline, sensor, friction):
+    far = replace(block, gains=10 * block.gains)  # as if it explained much more
+    named, current = named_from(far, baseline, sensor)
+    (first,), (second,) = named[:2]
+    assert [first.effects, second.effects] == [(friction,), (SPRING,)]
+    assert is_evidence(first.gains)
+    assert first.confidence > 0.99
+    assert not is_evidence(second.gains)
+    assert second.confidence == 0.0
+    (kept,), _ = pruned(named, current, sensor)
+    assert kept[0].effects == (friction,)
+
+
+def test_nothing_is_no_block(baseline, sensor):
     assert block_of(baseline, (), sensor) is None
 
 
-def test_other_starts_of_a_strength_stay_where_they_make_sense():
+def test_other_starts_of_a_strength_stay_where_they_make_sense(baseline, sensor):
     """Twice a loss of .6 of the inertia would be a negative one."""
-    lost = Effect("body_inertia", "body:fore", (-0.6,))
-    assert sensible(lost, np.array([-1.2])).values == (-1.0,)
+    lost = refine(baseline, [Effect("body_inertia", "body:fore", (-0.6,))], sensor)
+    beyond = replace(lost, effects=(replace(lost.effects[0], values=(-0.6,)),))
+    best = from_elsewhere(baseline, beyond, sensor)
+    assert best.held_out.sum() >= beyond.held_out.sum()

@@ -168,3 +168,14 @@ def test_variances_come_back_from_next_to_nothing():
     linear = Linear(chain, residual, columns, mean=np.empty(0), precision=np.empty(0))
     found = estimate(linear, lifted(collapsed, chain, residual, known), known)[0]
     np.testing.assert_allclose(found.sensor, SENSOR, rtol=0.15)
+
+
+def test_some_episodes_are_whitened_as_among_all():
+    chain, residual, _ = drawn(SENSOR, MISFIT, np.random.default_rng(8))
+    whitener = Whitener.of(chain, Noise(SENSOR, MISFIT, np.ones(chain.mask.shape)))
+    which = slice(2, 5)  # one of them is shorter
+    part = whitener.of_episodes(which)
+    white = whitener.whiten(residual[..., None])
+    np.testing.assert_array_equal(part.whiten(residual[which, ..., None]), white[which])
+    likely = whitener.log_likelihood(white[..., 0])[which]
+    np.testing.assert_array_equal(part.log_likelihood(white[which, ..., 0]), likely)

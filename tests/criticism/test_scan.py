@@ -1,10 +1,14 @@
 """The scan over all effects at all places."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import fit, smoothed
+from adr_service.criticism.linear import Normal
+from adr_service.criticism.noise import Whitener
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import location_of, places, scan
 from adr_service.criticism.simulator import Simulator
@@ -48,3 +52,20 @@ def test_sensors_without_readings_are_no_places():
     ):
         missing = set(places(all_read)) - set(places(one))
     assert {location for _, location in missing} == {"sensor:shoulder.position"}
+
+
+def test_responses_of_an_earlier_fit_count_where_the_later_one_simulates(baseline):
+    mask = baseline.linear.chain.mask.copy()
+    mask[3, 40:] = False
+    there = mask[..., None]
+    linear = replace(
+        baseline.linear,
+        chain=baseline.linear.chain.where(mask),
+        residual=np.where(there, baseline.linear.residual, 0.0),
+        columns=np.where(there[..., None], baseline.linear.columns, 0.0),
+    )
+    normal = Normal.of(Whitener.of(linear.chain, baseline.noise), linear)
+    later = replace(baseline, linear=linear, normal=normal)
+    one, other = (scan(later, Responses(fitted)) for fitted in (baseline, later))
+    assert [c.location for c in one[:20]] == [c.location for c in other[:20]]
+    np.testing.assert_allclose([c.gain for c in one], [c.gain for c in other], rtol=1e-6)
