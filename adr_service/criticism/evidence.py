@@ -17,7 +17,7 @@ import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.criticism.layout import Layout
-from adr_service.criticism.linear import Linear, Normal, estimate
+from adr_service.criticism.linear import Linear, Normal, estimate, likelihood
 from adr_service.criticism.linearisation import (
     INTEGRATION,
     by_strengths,
@@ -118,6 +118,22 @@ def settled(fit: Fit, sensor: Vector) -> Fit:
     return refine(fit, fit.effects, sensor) or fit
 
 
+def held_out_without(fit: Fit, gone: Sequence[int], sensor: Vector) -> Vector:
+    """(E,) nats: `Fit.held_out` without effects of these numbers, as far as all is linear."""
+    lost, linear = [fit.columns_of(slice(n, n + 1)) for n in gone], fit.linear
+    columns = np.concatenate([np.arange(s.start, s.stop) for s in lost])
+    values = np.concatenate([fit.effects[n].values for n in gone])
+    kept = np.setdiff1d(np.arange(linear.columns.shape[3]), columns)
+    linear = Linear(
+        linear.chain,
+        linear.residual + linear.columns[..., columns] @ values,
+        linear.columns[..., kept],
+        linear.mean[kept],
+        linear.precision[kept],
+    )
+    return estimate(linear, _likelier(fit, linear, sensor), ~np.isnan(sensor))[1].left_out()
+
+
 def residuals_of(fit: Fit, simulator: Simulator) -> tuple[Chain, Array3]:
     """Residuals (E, T, m) of a fit on other data, around the states as they were measured."""
     layout, states = Layout.of(simulator), simulator.measured
@@ -142,8 +158,7 @@ def refine(fit: Fit, effects: Sequence[Effect], sensor: Vector) -> Fit | None:
     where it did not before, and they explain nothing. Compare with `settled(fit)`.
     """
     before = fit.simulator.predict(fit.parameters, fit.effects, fit.states)
-    noise = lifted(fit.noise, fit.linear.chain, fit.left, ~np.isnan(sensor))
-    best = _evaluated(fit, before, fit.parameters, tuple(effects), noise, sensor)
+    best = _evaluated(fit, before, fit.parameters, tuple(effects), None, sensor)
     if best is None:
         return None
     step = best.normal.change()[0]
@@ -171,13 +186,13 @@ def _evaluated(
     before: Matrix,
     parameters: Vector,
     effects: tuple[Effect, ...],
-    noise: Noise,
+    noise: Noise | None,
     sensor: Vector,
 ) -> Fit | None:
     """Another fit's states and sensitivities, with other parameters and effects.
 
-    `before` (N, m) is what the other fit predicts. None: some transition diverges, or the noise
-    does.
+    `before` (N, m) is what the other fit predicts; `noise` to start from, None: the likelier of the
+    other fit's and of a guess. None: some transition diverges, or the noise does.
     """
     simulator = fit.simulator
     predicted = simulator.predict(parameters, effects, fit.states)
@@ -203,7 +218,8 @@ def _evaluated(
     )
     linear = _supposed(fit, linear, effects)
     try:
-        noise, normal = estimate(linear, noise, ~np.isnan(sensor))
+        start = _likelier(fit, linear, sensor) if noise is None else noise
+        noise, normal = estimate(linear, start, ~np.isnan(sensor))
     except np.linalg.LinAlgError:  # what it leaves has no finite variance beside exact readings
         return None
     return replace(
@@ -227,6 +243,12 @@ def _exact(simulator: Simulator) -> np.ndarray:
     """Roots (rows, m, m) for states that are not known to be uncertain."""
     rows, m = simulator.measured.shape
     return np.broadcast_to(tiny_root(simulator), (rows, m, m))
+
+
+def _likelier(fit: Fit, linear: Linear, sensor: Vector) -> Noise:
+    """Noise to start from: a fit's own, or a guess where other effects leave much more."""
+    own = lifted(fit.noise, fit.linear.chain, fit.left, ~np.isnan(sensor))
+    return max((own, _first_noise(linear, sensor)), key=lambda noise: likelihood(linear, noise))
 
 
 def _first_noise(linear: Linear, sensor: Vector) -> Noise:

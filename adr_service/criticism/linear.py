@@ -132,6 +132,11 @@ def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
     return whitener.noise, normal
 
 
+def likelihood(linear: Linear, noise: Noise) -> float:
+    """Log-likelihood of all residuals under a noise, with the best coefficients of the columns."""
+    return _judged(linear, noise)[1].best_log_likelihood()
+
+
 def products(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """(E, i, j) inner products of columns (E, T, m, i) and (E, T, m, j), by episode."""
     e, t, m, i = one.shape

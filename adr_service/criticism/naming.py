@@ -25,7 +25,7 @@ from adr_service.criticism.decision import (
     decide,
     is_evidence,
 )
-from adr_service.criticism.evidence import Fit, refine, settled, smoothed
+from adr_service.criticism.evidence import Fit, held_out_without, refine, settled, smoothed
 from adr_service.criticism.inverse import Group
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import Candidate, scan
@@ -40,6 +40,7 @@ _OTHER_STARTS = (0.5, 2.0)  # times the estimated strengths
 _PROMISING = THRESHOLD / 4  # [nats] by the scan; refining adds little more
 _MOST_NAMED = 8
 _FAR = 2.0  # times what the best candidate gains alone, that a block gains beyond it
+_CLEARLY = 20.0  # thresholds, by which something is missed even if all is far from linear
 _CLOSER = 0.5  # [nats] by reading, that it gains beyond it: errors are two fifths smaller
 
 
@@ -72,7 +73,7 @@ class Weighed:
 class Block:
     """Effects that supply the forces which the motion needs, as predictions judge them."""
 
-    groups: tuple[Group, ...]
+    groups: tuple[Group, ...]  # with their strengths in the fit
     fit: Fit
     gains: Vector  # (E,) nats of all together
 
@@ -88,7 +89,9 @@ def block_of(start: Fit, groups: Sequence[Group], sensor: Vector) -> Block | Non
     refined = refine(start, effects, sensor) if groups else None
     if refined is None:
         return None
-    return Block(tuple(groups), refined, refined.held_out - start.held_out)
+    found = iter(refined.effects)
+    strong = tuple(tuple(next(found) for _ in group) for group in groups)
+    return Block(strong, refined, refined.held_out - start.held_out)
 
 
 Alike = tuple[Weighed, ...]  # the best candidate, then all that explain as much
@@ -145,13 +148,10 @@ def _is_far_better(block: Block, baseline: Fit, best: Sequence[Candidate], senso
 def _standing(block: Block, sensor: Vector, rng: np.random.Generator) -> tuple[list[Alike], Fit]:
     """The groups of a block, each with what the others alone explain less, and the fit."""
     current = smoothed(block.fit, sensor)
-    everything = settled(current, sensor).held_out
     whole: list[Alike] = [(Weighed(group, current, block.gains, 0.0),) for group in block.groups]
     named: list[Alike] = []
     for slot, (weighed,) in zip(slots(whole), whole, strict=True):
-        rest = _without(slot, current, sensor)
-        # without it nothing can be simulated, or less is explained
-        gains = block.gains if rest is None else everything - rest.held_out
+        gains = current.held_out - held_out_without(current, _numbers(slot), sensor)
         confidence = float(decide(gains[None], rng).confidence[0])
         named.append((replace(weighed, gains=gains, confidence=confidence),))
     return named, current
@@ -226,10 +226,14 @@ def pruned(named: list[Alike], current: Fit, sensor: Vector) -> tuple[list[Alike
     """The named effects without those that the others make superfluous."""
     while len(named) > 1:
         everything = settled(current, sensor).held_out
-        shorter = [_without(slot, current, sensor) for slot in slots(named)]
+        shorter = {
+            number: _without(slot, current, sensor)
+            for number, slot in enumerate(slots(named))
+            if not _is_clearly_missed(_numbers(slot), current, sensor)
+        }
         rests = {
             number: rest
-            for number, rest in enumerate(shorter)
+            for number, rest in shorter.items()
             if rest is not None and not is_evidence(everything - rest.held_out)
         }
         if not rests:
@@ -243,6 +247,17 @@ def pruned(named: list[Alike], current: Fit, sensor: Vector) -> tuple[list[Alike
 def _without(slot: slice, current: Fit, sensor: Vector) -> Fit | None:
     """The fit without some of its effects."""
     return refine(current, [*current.effects[: slot.start], *current.effects[slot.stop :]], sensor)
+
+
+def _is_clearly_missed(numbers: Sequence[int], current: Fit, sensor: Vector) -> bool:
+    """True if a fit without some effects, linearised, is so much worse that refining it, which
+    takes many simulations, would not tell otherwise."""
+    loss = current.held_out - held_out_without(current, numbers, sensor)
+    return is_evidence(loss) and float(loss.sum()) > _CLEARLY * THRESHOLD
+
+
+def _numbers(slot: slice) -> Sequence[int]:
+    return range(slot.start, slot.stop)
 
 
 def narrowed(named: Sequence[Alike], current: Fit, sensor: Vector) -> tuple[list[Alike], Fit]:
@@ -265,6 +280,9 @@ def _single(alike: Alike, current: Fit, slot: slice, sensor: Vector) -> Alike | 
     group, *others = alike
     before, after = current.effects[: slot.start], current.effects[slot.stop :]
     alone = max(current.effects[slot], key=lambda effect: _significance(current, effect))
+    elsewhere = [n for n in _numbers(slot) if current.effects[n] is not alone]
+    if _is_clearly_missed(elsewhere, current, sensor):
+        return None
     rest = refine(current, [*before, alone, *after], sensor)
     if rest is None or is_evidence(settled(current, sensor).held_out - rest.held_out):
         return None

@@ -25,7 +25,7 @@ from adr_service.criticism.experiments import separating_experiment
 from adr_service.criticism.extension import Extension, extend
 from adr_service.criticism.flexible_force import flexible_gains
 from adr_service.criticism.gain import measure_gain
-from adr_service.criticism.inverse import needed_effects
+from adr_service.criticism.inverse import Group, needed_effects
 from adr_service.criticism.linearisation import FINER
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.naming import (
@@ -50,6 +50,7 @@ from adr_service.effects.base import Effect
 from adr_service.progress import Progress, silent
 
 _SEALED = 4  # every fourth episode
+_ENOUGH, _FEWEST = 1000, 8  # transitions and episodes, at least, to choose the simulator's step by
 
 
 @dataclass(frozen=True)
@@ -145,14 +146,26 @@ def _best_step(
 
     The step of an integrator of first order may be the largest error of all, and would look like
     inertia and friction; if the data were simulated with that very step, it is right. Where many
-    things are wrong at once, it is chosen with them.
+    things are wrong at once, it is chosen with them. A part of many episodes tells it.
     """
+    first = simulators.enter_context(Simulator(nominal, data, threads))
+    groups, episodes = needed_effects(first), len(data.spans())
+    apart = max(1, min(len(first.starts) // _ENOUGH, episodes // _FEWEST))
+    some = data.episodes(range(0, episodes, apart))
     steps = (1, FINER) if is_first_order(nominal.model(nominal.start)) else (1,)
-    tried = [simulators.enter_context(Simulator(nominal, data, threads, finer)) for finer in steps]
-    groups = needed_effects(tried[0])
-    first = [fit(simulator, sensor) for simulator in tried]
-    blocks = [block_of(each, groups, sensor) for each in first]
-    return max(zip(first, blocks, strict=True), key=_likelihood)
+    tried = [simulators.enter_context(Simulator(nominal, some, threads, finer)) for finer in steps]
+    start, block = max((_begun(each, groups, sensor) for each in tried), key=_likelihood)
+    if apart == 1:
+        return start, block
+    whole = Simulator(nominal, data, threads, start.simulator.finer)
+    return _begun(simulators.enter_context(whole), () if block is None else block.groups, sensor)
+
+
+def _begun(
+    simulator: Simulator, groups: Sequence[Group], sensor: Vector
+) -> tuple[Fit, Block | None]:
+    start = fit(simulator, sensor)
+    return start, block_of(start, groups, sensor)
 
 
 def _likelihood(begun: tuple[Fit, Block | None]) -> tuple[int, float]:

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from adr_service.criticism.decision import is_evidence
-from adr_service.criticism.evidence import expected_errors, fit, refine, settled, smoothed
+from adr_service.criticism.evidence import (
+    expected_errors,
+    fit,
+    held_out_without,
+    refine,
+    settled,
+    smoothed,
+)
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.effects.models import plausible_of
@@ -54,3 +61,10 @@ def test_a_supposed_effect_has_a_prior_about_zero_and_a_known_one_has_none(basel
     assert refined.normal.mean[column] == pytest.approx(-refined.effects[0].values[0])
     known = fit(baseline.simulator, baseline.simulator.data.sensor_variance(), refined.effects)
     assert known.normal.precision[column] == 0.0
+
+
+def test_an_effect_is_missed_as_much_by_linearisation_as_when_all_is_refined(refined, sensor):
+    rests = held_out_without(refined, [0], sensor), refine(refined, [], sensor).held_out
+    roughly, exactly = ((refined.held_out - rest).sum() for rest in rests)
+    assert exactly > 200
+    assert roughly == pytest.approx(exactly, rel=0.2)

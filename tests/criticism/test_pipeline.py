@@ -109,6 +109,15 @@ def test_what_the_sealed_episodes_refute_is_not_named():
     assert found.extension is None
 
 
+def test_of_many_episodes_a_part_chooses_the_step_and_all_are_judged(monkeypatch):
+    hidden = case(100)
+    monkeypatch.setattr("adr_service.criticism.pipeline._ENOUGH", 500)
+    found = criticise(hidden.nominal, hidden.measurement, np.random.default_rng(0), threads=1)
+    assert found.verdict.causes[0].kind == hidden.effects[0].kind
+    learned, _ = split(hidden.measurement)
+    assert len(found.baseline.simulator.measured) == len(learned.time)
+
+
 def test_too_few_episodes_are_refused_before_anything_is_simulated(good):
     measurement = Measurement(**good).episodes(range(7))
     with pytest.raises(InvalidInput, match="in 7 episodes are too few"):
