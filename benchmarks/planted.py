@@ -81,10 +81,14 @@ def draw_case(
 
 
 def hide(
-    task: Task, nominal: Nominal, rng: np.random.Generator, effects: Sequence[Effect]
+    task: Task,
+    nominal: Nominal,
+    rng: np.random.Generator,
+    effects: Sequence[Effect],
+    force: Force | None = None,
 ) -> Measurement:
     """A measurement of a robot that has `nominal.start` for parameters, and these effects."""
-    return _Robot(task, nominal).record(rng, effects, None)
+    return _Robot(task, nominal).record(rng, effects, force)
 
 
 @dataclass(frozen=True)

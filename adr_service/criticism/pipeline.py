@@ -23,7 +23,7 @@ from adr_service.criticism.decision import THRESHOLD, is_unknown
 from adr_service.criticism.evidence import Fit, fit, settled, smoothed
 from adr_service.criticism.experiments import separating_experiment
 from adr_service.criticism.extension import Extension, extend
-from adr_service.criticism.flexible_force import flexible_gains
+from adr_service.criticism.flexible_force import Unexplained, unexplained
 from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.inverse import Group, needed_effects
 from adr_service.criticism.linearisation import FINER
@@ -83,7 +83,7 @@ class _Judgement:
     spread: list[NamedCause]  # sensors that have steps, or noise that the measurement hides
     conclusion: Conclusion
     confidence: float
-    flexible: Vector  # (E,) nats of a flexible force beside the named effects
+    flexible: Unexplained  # by a flexible force beside the named effects
 
 
 def criticise(
@@ -196,10 +196,10 @@ def _opened(
 def _judged(outcome: _Outcome, baseline: Fit, sensor: Vector) -> _Judgement:
     """The outcome beside a flexible force, which may explain more than all named effects."""
     whole = settled(outcome.final, sensor)
-    flexible = flexible_gains(whole, sensor)
-    confidence = _confidence(outcome.named, outcome.chance, flexible)
+    flexible = unexplained(whole, sensor)
+    confidence = _confidence(outcome.named, outcome.chance, flexible.gains)
     conclusion = Conclusion.NONE
-    if is_unknown(flexible, sum(alike[0].gain for alike in outcome.named)):
+    if is_unknown(flexible.gains, sum(alike[0].gain for alike in outcome.named)):
         conclusion = Conclusion.UNKNOWN
         outcome = replace(outcome, named=[], final=baseline, gain=None)
     outcome = replace(outcome, named=still_tied(outcome.named, outcome.final, sensor))

@@ -70,8 +70,8 @@ def _finding(verdict: Verdict) -> str:
             )
         case Conclusion.UNKNOWN:
             return (
-                f"Something is missing that is none of the effects we know ({how_sure}): a "
-                f"flexible force predicts {verdict.residual.unexplained_nats:.0f} nats better."
+                f"Something is missing that is none of the effects we know ({how_sure}): "
+                f"{_flexible(verdict.residual)}."
             )
         case Conclusion.CAUSE | Conclusion.TIE:
             names = "; ".join(_words(cause) for cause in verdict.causes)
@@ -83,10 +83,17 @@ def _finding(verdict: Verdict) -> str:
             rest = ""
             if verdict.residual.rest == "unknown":
                 rest = (
-                    " Something else is missing that is none of the effects we know: a flexible "
-                    f"force predicts another {verdict.residual.unexplained_nats:.0f} nats better."
+                    " Something else is missing that is none of the effects we know: "
+                    f"{_flexible(verdict.residual)}."
                 )
             return f"The simulator lacks {names} ({how_sure}).{tie}{rest}"
+
+
+def _flexible(residual: Residual) -> str:
+    return (
+        f"a flexible force, most of all at {escape(residual.rest_at)}, that depends on "
+        f"{escape(residual.rest_by)} predicts {residual.unexplained_nats:.0f} nats better"
+    )
 
 
 def _bounds(verdict: Verdict) -> str:

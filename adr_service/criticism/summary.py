@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from adr_service.arrays import Vector
 from adr_service.criticism.decision import THRESHOLD, is_evidence
 from adr_service.criticism.evidence import Fit
+from adr_service.criticism.flexible_force import Unexplained
 from adr_service.criticism.naming import Weighed
 from adr_service.criticism.scan import Candidate, location_of
 from adr_service.criticism.verdict import NamedCause, Residual, StrengthInterval
@@ -55,11 +55,11 @@ def _intervals(fit: Fit, slot: slice) -> tuple[StrengthInterval, ...]:
 
 
 def residual_of(
-    baseline: Fit, final: Fit, first: Sequence[Candidate], flexible: Vector
+    baseline: Fit, final: Fit, first: Sequence[Candidate], flexible: Unexplained
 ) -> Residual:
     """Everything that the final fit leaves, and the detection limits of the first scan.
 
-    `flexible` (E,): nats of a flexible force beside the final fit.
+    `flexible`: what a flexible force explains beside the final fit.
     """
     simulator, space = final.simulator, final.simulator.nominal.space
     used = int(final.linear.chain.mask.sum())
@@ -69,8 +69,10 @@ def residual_of(
         noise=tuple(np.sqrt(final.noise.sensor).tolist()),
         step=simulator.base.opt.timestep / simulator.finer,
         own_step=simulator.base.opt.timestep,
-        unexplained_nats=float(flexible.sum()),
-        rest="unknown" if is_evidence(flexible) else "none",
+        unexplained_nats=float(flexible.gains.sum()),
+        rest="unknown" if is_evidence(flexible.gains) else "none",
+        rest_at=flexible.location,
+        rest_by=flexible.depends_on,
         moved=dict(zip(space.names, fitted, strict=True)),
         at_bound=tuple(n for n, is_at in zip(space.names, at_bound, strict=True) if is_at),
         used=used,

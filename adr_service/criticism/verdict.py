@@ -100,6 +100,8 @@ class Residual:
     own_step: float  # [s] that its file has
     unexplained_nats: float  # what a flexible force would still gain
     rest: Literal["none", "unknown"]  # unknown: that is evidence, beside the named causes
+    rest_at: str  # "joint:NAME" where the flexible force explains most, if only by chance
+    rest_by: str  # words: what it is a function of
     moved: dict[str, tuple[float, float]]  # parameter -> fitted without and with the causes
     at_bound: tuple[str, ...]  # parameters at the edge of their bounds
     used: int  # transitions
@@ -113,6 +115,9 @@ class Residual:
             "timestep": {"judged_with": self.step, "of_the_model": self.own_step},
             "unexplained_nats": self.unexplained_nats,
             "rest": self.rest,
+            "where": None
+            if self.rest == "none"
+            else {"location": self.rest_at, "depends_on": self.rest_by},
             "parameters": {
                 name: {"without": before, "with": after, "at_bound": name in self.at_bound}
                 for name, (before, after) in self.moved.items()

@@ -160,3 +160,17 @@ SATURATION = Mechanism(
     applies=_is_limited,
     sizes=(0.3, 1.0, 4.0),
 )
+
+
+def _fade(commands: Commands, values: Vector) -> Matrix:
+    elapsed = commands.timestep * np.arange(commands.values.shape[1])
+    return commands.values * (1 - values[0] * elapsed)
+
+
+FADE = Mechanism(
+    "actuator_fade",
+    "actuator",
+    (Strength("loss in an episode", "1/s"),),
+    typical=lambda model, actuator: (0.05,),
+    command=_fade,
+)

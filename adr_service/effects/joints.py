@@ -74,6 +74,20 @@ VISCOUS_FRICTION = Mechanism(
 )
 
 
+def _quadratic(model: mujoco.MjModel, joint: int, values: Vector) -> None:
+    model.dof_dampingpoly[_dof(model, joint), 0] += values[0]
+
+
+QUADRATIC_FRICTION = Mechanism(
+    "joint_quadratic_friction",
+    "joint",
+    (Strength("drag", "N m s²/rad²"),),
+    typical=_one_torque,
+    change=_quadratic,
+    in_force=True,
+)
+
+
 def _add_brake(spec: mujoco.MjSpec, joint: str) -> None:
     """Add an actuator that can only pull one way; `_brake` gives it its sign and strength."""
     _add_limited(spec, BRAKE + joint, joint)
@@ -145,6 +159,20 @@ SPRING = Mechanism(
     (Strength("stiffness", "N m/rad"),),
     typical=_one_torque,
     change=_spring,
+    in_force=True,
+)
+
+
+def _cubic_spring(model: mujoco.MjModel, joint: int, values: Vector) -> None:
+    model.jnt_stiffnesspoly[joint, 1] += values[0]
+
+
+CUBIC_SPRING = Mechanism(
+    "joint_cubic_spring",
+    "joint",
+    (Strength("hardening", "N m/rad³"),),
+    typical=_one_torque,
+    change=_cubic_spring,
     in_force=True,
 )
 

@@ -22,7 +22,9 @@ from adr_service.errors import InvalidInput, UnknownName
 _OF_SLIDES = {
     "N m": "N",
     "N m/rad": "N/m",
+    "N m/rad³": "N/m³",
     "N m s/rad": "N s/m",
+    "N m s²/rad²": "N s²/m²",
     "kg m²": "kg",
     "rad": "m",
     "rad/s": "m/s",

@@ -33,8 +33,21 @@ def _warnings(verdict: Json) -> list[str]:
             f"do not rely on it: {at_bound} is at the edge of its bounds (are the order and the "
             "units of the columns the model's? are the bounds wide enough?)"
         )
-    if verdict["residual"]["rest"] == "unknown" and verdict["causes"]:
+    if verdict["residual"]["rest"] == "unknown":
+        lines += _rest(verdict)
+    return lines
+
+
+def _rest(verdict: Json) -> list[str]:
+    """What is left beside the causes, and where."""
+    lines: list[str] = []
+    if verdict["causes"]:
         lines.append("something else is missing that is none of the effects we know")
+    if where := verdict["residual"].get("where"):  # stored verdicts of earlier versions lack it
+        lines.append(
+            f"what is left is best explained by a force at {where['location']} that depends on "
+            f"{where['depends_on']}"
+        )
     return lines
 
 

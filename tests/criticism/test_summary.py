@@ -7,6 +7,7 @@ import pytest
 
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import refine
+from adr_service.criticism.flexible_force import Unexplained
 from adr_service.criticism.naming import Weighed
 from adr_service.criticism.scan import Candidate
 from adr_service.criticism.summary import alternative, named_cause, residual_of
@@ -79,6 +80,11 @@ def test_a_strength_that_the_data_do_not_determine_has_no_bounds(refined, fricti
     assert (strength.low, strength.high) == (-np.inf, np.inf)
 
 
+def left(nats):
+    """What a flexible force explains of each of twelve episodes."""
+    return Unexplained(np.full(12, nats), "time", "joint:elbow")
+
+
 def candidate(*effects, deviation):
     nothing, deviations = np.zeros(12), np.full(len(effects), deviation)
     return Candidate(effects, effects, nothing, deviations)
@@ -91,7 +97,7 @@ def test_detection_limits_are_strengths_that_would_reach_the_threshold(baseline,
         candidate(ELSEWHERE, deviation=np.inf),  # the data do not determine it
         candidate(ELSEWHERE, friction, deviation=0.1),  # a group
     ]
-    limits = residual_of(baseline, baseline, first, np.zeros(12)).detectable
+    limits = residual_of(baseline, baseline, first, left(0.0)).detectable
     ((name, (size, unit)),) = limits.items()
     assert (name, unit) == ("joint_coulomb_friction joint:elbow", "N m")
     assert 0.5 * (size / 0.002) ** 2 == pytest.approx(THRESHOLD)
@@ -99,16 +105,18 @@ def test_detection_limits_are_strengths_that_would_reach_the_threshold(baseline,
 
 @pytest.mark.parametrize(("nats", "rest"), [(0.0, "none"), (1.0, "none"), (10.0, "unknown")])
 def test_the_rest_is_unknown_where_a_flexible_force_has_evidence(baseline, nats, rest):
-    residual = residual_of(baseline, baseline, [], np.full(12, nats))
+    residual = residual_of(baseline, baseline, [], left(nats))
     assert residual.unexplained_nats == 12 * nats
     assert residual.rest == rest
+    where = {"location": "joint:elbow", "depends_on": "time"}
+    assert residual.to_json()["where"] == (None if rest == "none" else where)
 
 
 def test_parameters_at_their_bounds_are_listed(baseline):
     space = baseline.simulator.nominal.space
     bounded = baseline.parameters.copy()
     bounded[0], bounded[2] = space.high[0], space.feasible_low[2]
-    moved = residual_of(baseline, replace(baseline, parameters=bounded), [], np.zeros(12))
+    moved = residual_of(baseline, replace(baseline, parameters=bounded), [], left(0.0))
     assert moved.at_bound == (space.names[0], space.names[2])
     assert tuple(moved.moved) == space.names
     fitted = (baseline.parameters[0], space.high[0])
@@ -116,17 +124,17 @@ def test_parameters_at_their_bounds_are_listed(baseline):
 
 
 def test_steps_and_noise_are_those_of_the_final_fit(baseline, refined):
-    residual = residual_of(baseline, refined, [], np.zeros(12))
+    residual = residual_of(baseline, refined, [], left(0.0))
     assert residual.own_step == pytest.approx(3 * residual.step)
     np.testing.assert_allclose(residual.noise, [1e-3, 1e-3, 1e-2, 1e-2], rtol=0.2)
 
 
 def test_every_transition_is_counted_once(baseline):
-    residual = residual_of(baseline, baseline, [], np.zeros(12))
+    residual = residual_of(baseline, baseline, [], left(0.0))
     assert (residual.used, residual.diverged) == (12 * 75, 0)
     mask = baseline.linear.chain.mask.copy()
     mask[0, :3] = False
     chain = baseline.linear.chain.where(mask)
     fewer = replace(baseline, linear=replace(baseline.linear, chain=chain))
-    residual = residual_of(baseline, fewer, [], np.zeros(12))
+    residual = residual_of(baseline, fewer, [], left(0.0))
     assert (residual.used, residual.diverged) == (12 * 75 - 3, 3)

@@ -6,9 +6,11 @@ from adr_service.effects.catalogue import MECHANISMS, get_mechanism
 from adr_service.errors import UnknownName
 
 KINDS = """
-joint_coulomb_friction joint_viscous_friction joint_asymmetric_viscous_friction
-joint_stribeck_friction joint_spring joint_reference_offset joint_armature joint_backlash
+joint_coulomb_friction joint_viscous_friction joint_quadratic_friction
+joint_asymmetric_viscous_friction joint_stribeck_friction joint_spring joint_cubic_spring
+joint_reference_offset joint_armature joint_backlash
 actuator_gain actuator_bias actuator_delay actuator_lag actuator_deadband actuator_saturation
+actuator_fade
 body_mass body_com body_inertia payload body_load gravity_compensation
 gravity_tilt gravity_magnitude fluid_drag wind external_force
 contact_friction contact_softness contact_margin

@@ -1,5 +1,6 @@
 """Effects at joints do what their formulas say."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -28,6 +29,24 @@ def test_viscous_friction_brakes_both_ways(moving):
     after = slide.predict(np.empty(0), [effect], slide.measured)[:, 1]
     before = slide.measured[slide.starts, 1]
     np.testing.assert_allclose(after, before * np.exp(-0.002 * 4 / 2), rtol=1e-4)
+
+
+def test_quadratic_friction_brakes_both_ways_with_the_square_of_speed(cart):
+    model = cart(Effect("joint_quadratic_friction", "joint:x", (4.0,)))
+    data = mujoco.MjData(model)
+    for speed, force in ((1.0, -4.0), (-1.0, 4.0), (0.5, -1.0)):
+        data.qvel[0] = speed
+        mujoco.mj_forward(model, data)
+        assert data.qfrc_passive[0] == pytest.approx(force)
+
+
+def test_a_cubic_spring_pulls_with_the_cube_of_the_displacement(cart):
+    model = cart(Effect("joint_cubic_spring", "joint:x", (8.0,)))
+    data = mujoco.MjData(model)
+    for position, force in ((0.5, -1.0), (-0.5, 1.0), (1.0, -8.0)):
+        data.qpos[0] = position
+        mujoco.mj_forward(model, data)
+        assert data.qfrc_passive[0] == pytest.approx(force)
 
 
 def test_stribeck_friction_is_smaller_at_speed_than_coulomb_friction(moving):

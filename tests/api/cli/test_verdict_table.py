@@ -47,6 +47,13 @@ def test_a_parameter_at_its_bound_is_a_warning():
     assert "something else is missing" in text
 
 
+def test_what_is_left_is_shown_with_its_place():
+    where = {"location": "joint:knee", "depends_on": "time"}
+    residual = {"rest": "unknown", "parameters": {}, "where": where}
+    verdict = {**VERDICT, "verdict": "unknown", "causes": [], "tied": [], "residual": residual}
+    assert "a force at joint:knee that depends on time" in shown(verdict, 200)
+
+
 def test_the_gain_is_shown_with_its_interval_and_time_step():
     gain = {"low": 0.5, "sse_removed": 0.6, "high": 0.7}
     step = {"judged_with": 0.001, "of_the_model": 0.002}
