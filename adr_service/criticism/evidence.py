@@ -119,10 +119,13 @@ def settled(fit: Fit, sensor: Vector) -> Fit:
 
 
 def held_out_without(fit: Fit, gone: Sequence[int], sensor: Vector) -> Vector:
-    """(E,) nats: `Fit.held_out` without effects of these numbers, as far as all is linear."""
+    """(E,) nats: `Fit.held_out` without effects of these numbers, as far as all is linear.
+
+    Compare with the same without none: both start from the likelier of two noises.
+    """
     lost, linear = [fit.columns_of(slice(n, n + 1)) for n in gone], fit.linear
-    columns = np.concatenate([np.arange(s.start, s.stop) for s in lost])
-    values = np.concatenate([fit.effects[n].values for n in gone])
+    columns = [column for slot in lost for column in range(slot.start, slot.stop)]
+    values = np.array([value for n in gone for value in fit.effects[n].values])
     kept = np.setdiff1d(np.arange(linear.columns.shape[3]), columns)
     linear = Linear(
         linear.chain,
@@ -196,20 +199,20 @@ def _evaluated(
     """
     simulator = fit.simulator
     predicted = simulator.predict(parameters, effects, fit.states)
-    kept = [fit.columns_at(effect) for effect in effects]
-    new = [effect for effect, where in zip(effects, kept, strict=True) if where is None]
+    places = [fit.columns_at(effect) for effect in effects]
+    new = [effect for effect, where in zip(effects, places, strict=True) if where is None]
     derivatives = by_strengths(simulator, parameters, effects, fit.states, new)
     moved = fit.layout.fold(np.stack([predicted - before, *derivatives], axis=2))
     moved[~fit.linear.chain.mask] = 0.0
     if not np.all(np.isfinite(moved)):
         return None
-    columns, start = [fit.linear.columns[..., : fit.integration.stop]], 1
-    for effect, where in zip(effects, kept, strict=True):
+    columns, first = [fit.linear.columns[..., : fit.integration.stop]], 1
+    for effect, where in zip(effects, places, strict=True):
         if where is not None:
             columns.append(fit.linear.columns[..., where])
         else:
-            columns.append(moved[..., start : start + len(effect.values)])
-            start += len(effect.values)
+            columns.append(moved[..., first : first + len(effect.values)])
+            first += len(effect.values)
     linear = with_priors(
         fit.linear.chain,
         fit.linear.residual - moved[..., 0],
@@ -247,8 +250,10 @@ def _exact(simulator: Simulator) -> np.ndarray:
 
 def _likelier(fit: Fit, linear: Linear, sensor: Vector) -> Noise:
     """Noise to start from: a fit's own, or a guess where other effects leave much more."""
-    own = lifted(fit.noise, fit.linear.chain, fit.left, ~np.isnan(sensor))
-    return max((own, _first_noise(linear, sensor)), key=lambda noise: likelihood(linear, noise))
+    known = ~np.isnan(sensor)
+    own = lifted(fit.noise, fit.linear.chain, fit.left, known)
+    guess = lifted(_first_noise(linear, sensor), linear.chain, linear.residual, known)
+    return max((own, guess), key=lambda noise: likelihood(linear, noise))
 
 
 def _first_noise(linear: Linear, sensor: Vector) -> Noise:

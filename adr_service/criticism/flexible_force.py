@@ -1,17 +1,16 @@
 """A flexible force on the joints, which may predict better than any named effect.
 
     rest = unexplained(fit, sensor)
-    rest.gains, rest.depends_on, rest.location
+    rest.gains, rest.where
 
 A ridge regression of the whitened residuals on generalised forces, for one question after the
 other: does what is left depend on motion and commands, on where a joint is, on time, on how a drive
 is used, or does it swing at one frequency? Where the best of these predicts episodes that it has
 not seen better than the named effects do, they are not the whole story. One question at a time,
-because what the others would add is noise: a gain that fades within every episode has 295 nats by
-the question of time, and 212 by all at once (one case, by hand).
+because what the others would add is noise.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -21,16 +20,13 @@ from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.linear import Linear, Normal, estimate
 from adr_service.criticism.noise import Whitener
+from adr_service.criticism.verdict import Dependence, Rest
 from adr_service.effects.actuators import drives
 
 _PADDED = 4  # times as many frequencies as the recording resolves
 _SLOWEST = 3  # swings in a recording; less is a drift
 _RIDGES = (0.01, 0.1, 1.0, 10.0)  # prior precisions, relative to the information in all data
-_WAVES = (1, 2, 3, 4, 6, 8, 12, 16)  # [1/rad] of a hinge; of a slide, half waves of its range
-_NOW = "its motion and the commands"
-_WHERE = "its position"
-_WHEN = "time"
-_USE = "how its drive is used"
+_WAVES = (1, 2, 3, 4, 6, 8, 12, 16)  # in a turn of a hinge; of a slide, half waves of its range
 
 
 @dataclass(frozen=True)
@@ -38,15 +34,14 @@ class Unexplained:
     """What a flexible force explains beside a fit."""
 
     gains: Vector  # (E,) nats by episode left out
-    depends_on: str  # words: what the best flexible force is a function of
-    location: str  # "joint:NAME" where it explains most
+    where: Rest
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _Regression:
     """A fit with forces that depend on one thing."""
 
-    depends_on: str
+    depends_on: Dependence
     linear: Linear  # with the best ridge
     normal: Normal  # under the noise of the fit without
     columns: tuple[range, ...]  # by degree of freedom
@@ -55,26 +50,30 @@ class _Asked:
 def unexplained(fit: Fit, sensor: Vector) -> Unexplained:
     """The best flexible force beside a fit, if only by chance."""
     responses = _responses(fit)
-    moments = [_Moment.of(fit, dof) for dof in range(len(responses))]
-    asked = [
-        _asked(
-            fit,
-            words,
-            [r[:, :, None] * terms(m)[:, None, :] for r, m in zip(responses, moments, strict=True)],
-        )
-        for words, terms in _QUESTIONS.items()
-    ]
     swing, hertz = _swing(fit, responses)
-    asked.append(_asked(fit, f"time, swinging at {hertz:.3g} Hz", swing))
-    best = max(asked, key=lambda each: each.normal.left_out().sum())
+    best = max(_regressions(fit, responses, swing), key=lambda each: each.normal.left_out().sum())
     known = ~np.isnan(sensor)
     _, with_force = estimate(best.linear, fit.noise, known)
     _, without = estimate(fit.linear, fit.noise, known)
     gains = with_force.left_out() - without.left_out()
-    return Unexplained(gains, best.depends_on, _location(fit, best))
+    is_swing = best.depends_on == "frequency"
+    where = Rest(_location(fit, best), best.depends_on, hertz if is_swing else None)
+    return Unexplained(gains, where)
 
 
-def _asked(fit: Fit, words: str, forces: Sequence[Array3]) -> _Asked:
+def _regressions(
+    fit: Fit, responses: Sequence[Matrix], swing: Sequence[Array3]
+) -> Iterator[_Regression]:
+    moments = [_Moment.of(fit, dof) for dof in range(len(responses))]
+    for depends_on, terms in _TERMS.items():
+        forces = [
+            r[:, :, None] * terms(m)[:, None, :] for r, m in zip(responses, moments, strict=True)
+        ]
+        yield _regression(fit, depends_on, forces)
+    yield _regression(fit, "frequency", swing)
+
+
+def _regression(fit: Fit, depends_on: Dependence, forces: Sequence[Array3]) -> _Regression:
     """Forces (N, m, k) on each degree of freedom, with the ridge that predicts best."""
     base = fit.linear.columns.shape[3]
     folded = fit.layout.fold(np.concatenate(forces, axis=2))
@@ -96,13 +95,13 @@ def _asked(fit: Fit, words: str, forces: Sequence[Array3]) -> _Asked:
     columns = tuple(
         range(end - force.shape[2], end) for end, force in zip(ends.tolist(), forces, strict=True)
     )
-    return _Asked(words, replace(plain, precision=best.precision), best, columns)
+    return _Regression(depends_on, replace(plain, precision=best.precision), best, columns)
 
 
-def _location(fit: Fit, asked: _Asked) -> str:
+def _location(fit: Fit, best: _Regression) -> str:
     """The joint where a flexible force alone explains most."""
     own, model = list(range(fit.linear.columns.shape[3])), fit.simulator.base
-    alone = [asked.normal.only([*own, *columns]).left_out().sum() for columns in asked.columns]
+    alone = [best.normal.only([*own, *columns]).left_out().sum() for columns in best.columns]
     return f"joint:{model.joint(model.dof_jntid[int(np.argmax(alone))]).name}"
 
 
@@ -120,7 +119,8 @@ def _responses(fit: Fit) -> list[Matrix]:
 
 def _swing(fit: Fit, responses: Sequence[Matrix]) -> tuple[list[Array3], float]:
     """(N, m, 2) effects of a sine and a cosine, at the degree of freedom and the frequency [Hz]
-    where the log-likelihood rises most (none elsewhere); episodes are parts of one recording.
+    where the log-likelihood rises most (none elsewhere); episodes are parts of one recording,
+    whose rows are a period apart.
 
     Both are chosen from all episodes. By that choice, chance gains about 10 nats (the logarithm of
     the number of choices).
@@ -132,14 +132,15 @@ def _swing(fit: Fit, responses: Sequence[Matrix]) -> tuple[list[Array3], float]:
     folded[~chain.mask] = 0.0
     pull = np.einsum("etmd,etm->det", folded, adjoint)
     information = np.sum(whitener.whiten(folded) ** 2, axis=(0, 1, 2))  # (d,) on a unit force
-    rows = np.zeros((len(responses), _PADDED * len(simulator.data.time)))
-    rows[:, simulator.starts] = np.nan_to_num(pull[:, layout.mask])
+    when = simulator.data.rows[simulator.starts]
+    rows = np.zeros((len(responses), _PADDED * (int(when[-1]) + 1)))
+    rows[:, when] = np.nan_to_num(pull[:, layout.mask])
     power = np.abs(np.fft.rfft(rows)) ** 2
     power /= np.maximum(information, 1e-300)[:, None]
     power[:, : _SLOWEST * _PADDED] = 0.0
     dof, wave = np.unravel_index(np.argmax(power), power.shape)
     turns = int(wave) / rows.shape[1]  # in a control step
-    angle = 2 * np.pi * turns * simulator.starts
+    angle = 2 * np.pi * turns * when
     swung = np.column_stack([np.sin(angle), np.cos(angle)])
     forces = [
         r[:, :, None] * (swung if n == dof else swung[:, :0])[:, None]
@@ -154,11 +155,11 @@ class _Moment:
 
     q: Vector  # (N,) position
     v: Vector
-    way: Vector  # (N,) direction of motion, smooth about standstill
+    direction: Vector  # (N,) of motion, smooth about standstill
     wave: float  # angle of the slowest wave, by unit of position
     commands: Matrix  # (N, nu)
     before: Matrix  # (N, nu) commands of the step before; zero at first
-    own: Matrix  # (N, …) commands of the actuators that move it
+    own: Matrix  # (N, …) commands of its actuators, and of those that are on no single joint
     elapsed: Vector  # (N,) time in the episode, -1 to 1
     whole: Vector  # (N,) place in the whole recording, -1 to 1
 
@@ -168,63 +169,61 @@ class _Moment:
         starts, count = simulator.starts, len(simulator.starts)
         q, v = fit.states[starts, dof], fit.states[starts, model.nv + dof]
         commands = simulator.data.ctrl[starts]
-        first = np.diff(simulator.data.episode[starts], prepend=-1) != 0
+        first = np.r_[True, np.diff(simulator.data.episode[starts]) != 0]
         steps = np.arange(count) - np.maximum.accumulate(np.where(first, np.arange(count), 0))
         joint = model.dof_jntid[dof]
+        elsewhere = np.flatnonzero(model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT)
+        acting = np.union1d(drives(model, joint), elsewhere).astype(int)
         is_hinge = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
         return cls(
             q,
             v,
-            way=np.tanh(v / (0.1 * max(float(v.std()), 1e-6))),
+            direction=np.tanh(v / (0.1 * max(float(v.std()), 1e-6))),
             wave=1.0 if is_hinge else np.pi / max(float(np.ptp(q)), 1e-6),
             commands=commands,
             before=np.where(first[:, None], 0.0, np.roll(commands, 1, axis=0)),
-            own=commands[:, [n for n in drives(model, joint) if n < commands.shape[1]]],
+            own=commands[:, acting[acting < commands.shape[1]]],
             elapsed=2 * steps / max(int(steps.max()), 1) - 1,
             whole=np.linspace(-1.0, 1.0, count),
         )
 
 
-def _now(at: _Moment) -> Matrix:
-    v, speed = at.v[:, None], np.abs(at.v)
-    own = [np.ones_like(at.q), at.q, at.v, at.way, at.v * speed, np.maximum(at.v, 0.0)]
-    return np.column_stack([*own, at.commands, at.before, at.commands * v, np.abs(at.commands)])
+def _motion_terms(at: _Moment) -> Matrix:
+    """Springs and friction of any smooth shape, and what any actuator is commanded."""
+    q, v, speed = at.q, at.v, np.abs(at.v)
+    own = [np.ones_like(q), q, q**2, q**3, q * v, v, v * speed, v**3, np.maximum(v, 0.0)]
+    pushed = [at.commands, at.before, at.commands * v[:, None], np.abs(at.commands)]
+    return np.column_stack([*own, at.direction, at.direction * v**2, *pushed])
 
 
-def _where(at: _Moment) -> Matrix:
+def _position_terms(at: _Moment) -> Matrix:
     """Ripple, and friction that differs from place to place."""
     angles = np.outer(at.wave * at.q, _WAVES)
     waves = np.column_stack([np.sin(angles), np.cos(angles)])
-    return np.column_stack([np.ones_like(at.q), at.q, at.v, at.way, waves, at.way[:, None] * waves])
+    own = [np.ones_like(at.q), at.q, at.v, at.direction]
+    return np.column_stack([*own, waves, at.direction[:, None] * waves])
 
 
-def _when(at: _Moment) -> Matrix:
+def _time_terms(at: _Moment) -> Matrix:
     """What changes within an episode, or over the recording."""
-    slow = np.column_stack([at.elapsed, at.elapsed**2, at.whole, at.whole**2])
-    changing = np.column_stack([np.ones_like(at.q), at.v, at.way, at.own])
+    one = np.ones_like(at.q)
+    slow = np.column_stack([one, at.elapsed, at.elapsed**2, at.whole, at.whole**2])
+    changing = np.column_stack([one, at.v, at.direction, at.own])
     return np.column_stack([changed[:, None] * slow for changed in changing.T])
 
 
-def _use(at: _Moment) -> Matrix:
-    """Gains that depend on position and speed, and friction that depends on load."""
-    q, v, speed, way = at.q, at.v, np.abs(at.v)[:, None], at.way[:, None]
-    angles = at.wave * q
-    turned = [np.sin(angles), np.cos(angles), np.sin(2 * angles), np.cos(2 * angles), q]
-    own = at.own
-    return np.column_stack(
-        [
-            *(own * each[:, None] for each in turned),
-            own * speed,
-            own**3,
-            np.abs(own) * way,
-            *(q * v, q**2, v**3, at.way * v**2),
-        ]
-    )
+def _drive_terms(at: _Moment) -> Matrix:
+    """Gains that depend on position, speed and load, and friction that depends on load."""
+    angles, own = at.wave * at.q, at.own
+    by = [np.ones_like(at.q), at.q, np.sin(angles), np.cos(angles)]
+    by += [np.sin(2 * angles), np.cos(2 * angles), np.abs(at.v)]
+    turned = [own * each[:, None] for each in by]
+    return np.column_stack([*turned, own**3, np.abs(own) * at.direction[:, None]])
 
 
-_QUESTIONS: dict[str, Callable[[_Moment], Matrix]] = {
-    _NOW: _now,
-    _WHERE: _where,
-    _WHEN: _when,
-    _USE: _use,
+_TERMS: dict[Dependence, Callable[[_Moment], Matrix]] = {
+    "motion": _motion_terms,
+    "position": _position_terms,
+    "time": _time_terms,
+    "drive": _drive_terms,
 }

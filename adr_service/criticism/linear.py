@@ -133,8 +133,12 @@ def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
 
 
 def likelihood(linear: Linear, noise: Noise) -> float:
-    """Log-likelihood of all residuals under a noise, with the best coefficients of the columns."""
-    return _judged(linear, noise)[1].best_log_likelihood()
+    """Log-likelihood of all residuals under a noise, with the best coefficients of the columns;
+    minus infinity for variances that are too far apart."""
+    try:
+        return _judged(linear, noise)[1].best_log_likelihood()
+    except np.linalg.LinAlgError:
+        return -np.inf
 
 
 def products(one: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +38,7 @@ class Measurement:
     episode: Indices  # (N,) non-decreasing
     qpos_std: Vector | None = None  # (nq,) of the sensors' noise, where known; inf: not measured
     qvel_std: Vector | None = None  # (nv,)
+    row: Indices | None = None  # (N,) in the recording that this is a part of; None: it is whole
 
     def __post_init__(self) -> None:
         for name, dimensions in (("time", 1), ("qpos", 2), ("qvel", 2), ("ctrl", 2)):
@@ -86,7 +88,9 @@ class Measurement:
             )
         rows = [_numbers(number, line, header) for number, line in lines[1:]]
         table = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
-        fields = {n: table[:, [header.index(c) for c in group]] for n, group in columns.items()}
+        fields: dict[str, Any] = {
+            n: table[:, [header.index(c) for c in group]] for n, group in columns.items()
+        }
         episode = table[:, header.index("episode")]
         if not np.all(np.isfinite(episode) & (episode == np.round(episode))):
             raise InvalidInput("the CSV's episodes must be whole numbers")
@@ -108,7 +112,13 @@ class Measurement:
             qvel=self.qvel[rows],
             ctrl=self.ctrl[rows],
             episode=self.episode[rows],
+            row=self.rows[rows],
         )
+
+    @property
+    def rows(self) -> Indices:
+        """(N,) of each row, its number in the whole recording."""
+        return np.arange(len(self.time)) if self.row is None else self.row
 
     def sensor_variance(self) -> Vector:
         """(nq + nv,) variances of the noise in positions and velocities, NaN if not known.

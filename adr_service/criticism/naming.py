@@ -39,9 +39,10 @@ _GROUPS_REFINED = 2
 _OTHER_STARTS = (0.5, 2.0)  # times the estimated strengths
 _PROMISING = THRESHOLD / 4  # [nats] by the scan; refining adds little more
 _MOST_NAMED = 8
-_FAR = 2.0  # times what the best candidate gains alone, that a block gains beyond it
-_CLEARLY = 20.0  # thresholds, by which something is missed even if all is far from linear
-_CLOSER = 0.5  # [nats] by reading, that it gains beyond it: errors are two fifths smaller
+# A block must gain this much more than the best candidate alone: times that candidate's gain, or
+# nats by reading (exp(-.5): errors are two fifths smaller), whichever is less.
+_FAR, _CLOSER = 2.0, 0.5
+_CLEARLY = 20.0  # thresholds that a loss exceeds by linearisation, if no refinement need confirm it
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ def name_effects(
     """
     named: list[Alike] = []
     current, chance = baseline, 1.0
-    if block is not None and _is_far_better(block, baseline, candidates[:1], sensor):
+    if block is not None and _is_far_better(block, baseline, candidates[:_REFINED], sensor):
         named, current = _standing(block, sensor, rng)
         responses, chance = Responses(current), 0.0  # about the baseline all would be others
     for count in range(len(named), _MOST_NAMED):
@@ -141,19 +142,21 @@ def _is_far_better(block: Block, baseline: Fit, best: Sequence[Candidate], senso
         refined = refine(baseline, candidate.effects, sensor)
         if refined is not None:
             most = max(most, float((refined.held_out - without).sum()))
+            break
     readings = int(baseline.linear.chain.mask.sum()) * baseline.linear.residual.shape[2]
     return block.fair_gain - most > min(_FAR * most, _CLOSER * readings)
 
 
 def _standing(block: Block, sensor: Vector, rng: np.random.Generator) -> tuple[list[Alike], Fit]:
-    """The groups of a block, each with what the others alone explain less, and the fit."""
-    current = smoothed(block.fit, sensor)
-    whole: list[Alike] = [(Weighed(group, current, block.gains, 0.0),) for group in block.groups]
+    """The groups of a block that the others do not make superfluous, each with what these explain
+    less alone, and the fit."""
+    whole: list[Alike] = [(Weighed(group, block.fit, block.gains, 0.0),) for group in block.groups]
+    kept, current = pruned(whole, smoothed(block.fit, sensor), sensor)
     named: list[Alike] = []
-    for slot, (weighed,) in zip(slots(whole), whole, strict=True):
-        gains = current.held_out - held_out_without(current, _numbers(slot), sensor)
+    for slot, (weighed,) in zip(slots(kept), kept, strict=True):
+        gains = _loss(_numbers(slot), current, sensor)
         confidence = float(decide(gains[None], rng).confidence[0])
-        named.append((replace(weighed, gains=gains, confidence=confidence),))
+        named.append((replace(weighed, fit=current, gains=gains, confidence=confidence),))
     return named, current
 
 
@@ -252,8 +255,14 @@ def _without(slot: slice, current: Fit, sensor: Vector) -> Fit | None:
 def _is_clearly_missed(numbers: Sequence[int], current: Fit, sensor: Vector) -> bool:
     """True if a fit without some effects, linearised, is so much worse that refining it, which
     takes many simulations, would not tell otherwise."""
-    loss = current.held_out - held_out_without(current, numbers, sensor)
+    loss = _loss(numbers, current, sensor)
     return is_evidence(loss) and float(loss.sum()) > _CLEARLY * THRESHOLD
+
+
+def _loss(numbers: Sequence[int], current: Fit, sensor: Vector) -> Vector:
+    """(E,) nats that a fit loses without some of its effects, linearised."""
+    whole, rest = (held_out_without(current, gone, sensor) for gone in ((), numbers))
+    return whole - rest
 
 
 def _numbers(slot: slice) -> Sequence[int]:

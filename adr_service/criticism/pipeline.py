@@ -50,7 +50,8 @@ from adr_service.effects.base import Effect
 from adr_service.progress import Progress, silent
 
 _SEALED = 4  # every fourth episode
-_ENOUGH, _FEWEST = 1000, 8  # transitions and episodes, at least, to choose the simulator's step by
+# transitions and episodes to choose the simulator's step by, if there are more than twice as many
+_ENOUGH, _FEWEST = 1000, 8
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ def criticise(
     with ExitStack() as simulators:
         simulators.enter_context(threadpool_limits(1))
         progress(0.02)
-        start, block = _best_step(nominal, learned, sensor, threads, simulators)
+        start, block = _best_step(nominal, learned, sensor, rng, threads, simulators)
         baseline = smoothed(start, sensor)
         progress(0.1)
         responses = Responses(baseline)
@@ -138,6 +139,7 @@ def _best_step(
     nominal: Nominal,
     data: Measurement,
     sensor: Vector,
+    rng: np.random.Generator,
     threads: int | None,
     simulators: ExitStack,
 ) -> tuple[Fit, Block | None]:
@@ -149,16 +151,23 @@ def _best_step(
     things are wrong at once, it is chosen with them. A part of many episodes tells it.
     """
     first = simulators.enter_context(Simulator(nominal, data, threads))
-    groups, episodes = needed_effects(first), len(data.spans())
-    apart = max(1, min(len(first.starts) // _ENOUGH, episodes // _FEWEST))
-    some = data.episodes(range(0, episodes, apart))
-    steps = (1, FINER) if is_first_order(nominal.model(nominal.start)) else (1,)
-    tried = [simulators.enter_context(Simulator(nominal, some, threads, finer)) for finer in steps]
+    groups = needed_effects(first)
+    if not is_first_order(nominal.model(nominal.start)):
+        return _begun(first, groups, sensor)
+    episodes = len(data.spans())
+    count = min(episodes, max(episodes * _ENOUGH // len(first.starts), _FEWEST))
+    if 2 * count > episodes:
+        tried = [first, simulators.enter_context(Simulator(nominal, data, threads, FINER))]
+        return max((_begun(each, groups, sensor) for each in tried), key=_likelihood)
+    some = data.episodes(np.sort(rng.choice(episodes, count, replace=False)).tolist())
+    tried = [
+        simulators.enter_context(Simulator(nominal, some, threads, finer)) for finer in (1, FINER)
+    ]
     start, block = max((_begun(each, groups, sensor) for each in tried), key=_likelihood)
-    if apart == 1:
-        return start, block
-    whole = Simulator(nominal, data, threads, start.simulator.finer)
-    return _begun(simulators.enter_context(whole), () if block is None else block.groups, sensor)
+    chosen, whole = start.simulator.finer, first
+    if chosen > 1:
+        whole = simulators.enter_context(Simulator(nominal, data, threads, chosen))
+    return _begun(whole, groups if block is None else block.groups, sensor)
 
 
 def _begun(
@@ -202,6 +211,7 @@ def _judged(outcome: _Outcome, baseline: Fit, sensor: Vector) -> _Judgement:
     if is_unknown(flexible.gains, sum(alike[0].gain for alike in outcome.named)):
         conclusion = Conclusion.UNKNOWN
         outcome = replace(outcome, named=[], final=baseline, gain=None)
+        flexible = unexplained(settled(baseline, sensor), sensor)  # beside nothing, as is named
     outcome = replace(outcome, named=still_tied(outcome.named, outcome.final, sensor))
     spread = spread_causes(whole, sensor)
     if conclusion == Conclusion.NONE and (outcome.named or spread):

@@ -91,8 +91,8 @@ def _finding(verdict: Verdict) -> str:
 
 def _flexible(residual: Residual) -> str:
     return (
-        f"a flexible force, most of all at {escape(residual.rest_at)}, that depends on "
-        f"{escape(residual.rest_by)} predicts {residual.unexplained_nats:.0f} nats better"
+        f"{escape(residual.where.words)}, of whatever shape, predicts "
+        f"{residual.unexplained_nats:.0f} nats better"
     )
 
 

@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from math import isfinite
 from typing import Any, Literal
@@ -91,6 +91,31 @@ class Experiment:
         }
 
 
+Dependence = Literal["motion", "position", "time", "drive", "frequency"]
+_WORDS: dict[str, str] = {
+    "motion": "its motion and the commands",
+    "position": "its position",
+    "time": "time",
+    "drive": "how its drive is used",
+    "frequency": "time, at {:.3g} Hz",
+}
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Where a flexible force explains most of what is left, and what it is a function of."""
+
+    location: str  # "joint:NAME"
+    depends_on: Dependence
+    hertz: float | None  # of a swing; None for all others
+
+    @property
+    def words(self) -> str:
+        """As "a force at joint:elbow that depends on time"."""
+        dependence = _WORDS[self.depends_on].format(self.hertz)
+        return f"a force at {self.location} that depends on {dependence}"
+
+
 @dataclass(frozen=True)
 class Residual:
     """Everything that the named causes leave, and detection limits."""
@@ -100,8 +125,7 @@ class Residual:
     own_step: float  # [s] that its file has
     unexplained_nats: float  # what a flexible force would still gain
     rest: Literal["none", "unknown"]  # unknown: that is evidence, beside the named causes
-    rest_at: str  # "joint:NAME" where the flexible force explains most, if only by chance
-    rest_by: str  # words: what it is a function of
+    where: Rest  # of what a flexible force gains, if only by chance
     moved: dict[str, tuple[float, float]]  # parameter -> fitted without and with the causes
     at_bound: tuple[str, ...]  # parameters at the edge of their bounds
     used: int  # transitions
@@ -115,9 +139,7 @@ class Residual:
             "timestep": {"judged_with": self.step, "of_the_model": self.own_step},
             "unexplained_nats": self.unexplained_nats,
             "rest": self.rest,
-            "where": None
-            if self.rest == "none"
-            else {"location": self.rest_at, "depends_on": self.rest_by},
+            "where": None if self.rest == "none" else asdict(self.where),
             "parameters": {
                 name: {"without": before, "with": after, "at_bound": name in self.at_bound}
                 for name, (before, after) in self.moved.items()

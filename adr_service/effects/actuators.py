@@ -164,7 +164,7 @@ SATURATION = Mechanism(
 
 def _fade(commands: Commands, values: Vector) -> Matrix:
     elapsed = commands.timestep * np.arange(commands.values.shape[1])
-    return commands.values * (1 - values[0] * elapsed)
+    return commands.values * np.exp(-values[0] * elapsed)
 
 
 FADE = Mechanism(

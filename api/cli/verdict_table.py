@@ -5,7 +5,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from adr_service.criticism.verdict import sure
+from adr_service.criticism.verdict import Rest, sure
 from api.client import Json
 
 
@@ -44,10 +44,7 @@ def _rest(verdict: Json) -> list[str]:
     if verdict["causes"]:
         lines.append("something else is missing that is none of the effects we know")
     if where := verdict["residual"].get("where"):  # stored verdicts of earlier versions lack it
-        lines.append(
-            f"what is left is best explained by a force at {where['location']} that depends on "
-            f"{where['depends_on']}"
-        )
+        lines.append(f"what is left is best explained by {Rest(**where).words}")
     return lines
 
 

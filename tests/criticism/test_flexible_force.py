@@ -1,5 +1,6 @@
 """A flexible force, beside fits that lack something and fits that lack nothing."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -7,8 +8,11 @@ from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import fit, refine, settled, smoothed
 from adr_service.criticism.flexible_force import unexplained
 from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.pipeline import split
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
+from adr_service.parameters import ParameterSpace
 from benchmarks.outside import Force
 from benchmarks.planted import draw_case, hide
 from tests.hidden import arm
@@ -28,7 +32,7 @@ def test_a_flexible_force_gains_nothing_where_nothing_is_hidden(clean):
 
 @pytest.mark.parametrize(
     ("seed", "ratio", "effect", "depends_on"),
-    [(300, 1.0, "gain_drift", "time"), (312, 0.3, "disturbance", "time, swinging at 2.7 Hz")],
+    [(300, 1.0, "gain_drift", "time"), (312, 0.3, "disturbance", "frequency")],
 )
 def test_a_flexible_force_gains_where_an_effect_outside_the_catalogue_is(
     seed, ratio, effect, depends_on
@@ -37,7 +41,8 @@ def test_a_flexible_force_gains_where_an_effect_outside_the_catalogue_is(
     assert case.outside == effect
     rest = found(case.nominal, case.measurement.episodes(range(12)))
     assert is_evidence(rest.gains)
-    assert rest.depends_on == depends_on
+    assert rest.where.depends_on == depends_on
+    assert rest.where.hertz == (pytest.approx(2.7, rel=0.01) if effect == "disturbance" else None)
 
 
 FRICTION = Effect("joint_coulomb_friction", "joint:elbow", (0.01,))
@@ -46,26 +51,71 @@ FADE = Effect("actuator_fade", "actuator:elbow", (0.07,))
 
 
 @pytest.mark.parametrize(
-    ("kind", "size", "mean", "depends_on"),
+    ("kind", "dof", "size", "mean", "depends_on"),
     [
-        ("torque_ripple", 0.1, (), "its position"),
-        ("position_dependent_friction", 0.1, (FRICTION,), "its position"),
-        ("cross_coupling", 0.3, (), "its motion and the commands"),
+        ("torque_ripple", 0, 0.2, (), "position"),
+        ("position_dependent_friction", 1, 0.1, (FRICTION,), "position"),
+        ("cross_coupling", 1, 0.3, (), "motion"),
     ],
 )
-def test_what_varies_about_a_named_mean_is_found_with_its_joint(kind, size, mean, depends_on):
-    force = Force(kind, dof=1, actuator=1, other=0, size=size)  # of a motor of 12 N m
+def test_what_varies_about_a_named_mean_is_found_with_its_joint(kind, dof, size, mean, depends_on):
+    force = Force(kind, dof, actuator=dof, other=1 - dof, size=size)  # of a motor of 12 N m
     data = hide(*arm(), np.random.default_rng(5), [], force).episodes(range(12))
     rest = found(arm()[1], data, *mean)
     assert rest.gains.sum() > 100
-    assert (rest.location, rest.depends_on) == ("joint:elbow", depends_on)
+    joint = ("joint:shoulder", "joint:elbow")[dof]
+    assert (rest.where.location, rest.where.depends_on) == (joint, depends_on)
+
+
+def test_a_swing_is_found_at_its_frequency_where_every_fourth_episode_is_sealed():
+    force = Force("disturbance", dof=1, actuator=1, other=0, size=0.3)
+    learned, _ = split(hide(*arm(), np.random.default_rng(5), [], force))
+    rest = found(arm()[1], learned)
+    assert rest.where.hertz == pytest.approx(2.7, rel=0.002)
+
+
+SWUNG = """
+<mujoco><option timestep="0.005"/><worldbody><body>
+<joint name="slide" type="slide" axis="1 0 0" damping="1"/><geom size=".1" mass="1"/></body>
+</worldbody><tendon><fixed name="cord"><joint joint="slide" coef="1"/></fixed></tendon>
+<actuator><motor name="pull" {drive} gear="5"/></actuator></mujoco>
+"""
+
+
+@pytest.mark.parametrize("drive", ['joint="slide"', 'tendon="cord"'])
+@pytest.mark.parametrize(
+    ("hidden", "depends_on"),
+    [
+        (lambda data, u: -0.2 * u * data.time / 0.4, "time"),
+        (lambda data, u: 0.1 * u * np.sin(40 * data.qpos[0]), "drive"),
+    ],
+)
+def test_what_a_drive_does_is_found_however_it_pulls(drive, hidden, depends_on):
+    nominal = Nominal.of_model(SWUNG.format(drive=drive), ParameterSpace(()))
+    model = nominal.model(nominal.start)
+    data, rng, rows = mujoco.MjData(model), np.random.default_rng(6), []
+    for episode in range(14):
+        mujoco.mj_resetData(model, data)
+        for row in range(41):
+            command = float(np.sign(np.sin(0.4 * row + episode)) * rng.uniform(0.3, 1))
+            shown = rng.normal([data.qpos[0], data.qvel[0]], [1e-4, 1e-3])
+            rows.append((episode, 0.01 * row, *shown, command))
+            for _ in range(2):
+                data.ctrl[0], data.qfrc_applied[0] = command, hidden(data, command)
+                mujoco.mj_step(model, data)
+    episode, time, q, v, u = np.array(rows).T
+    rest = found(
+        nominal, Measurement(time, q[:, None], v[:, None], u[:, None], episode.astype(int))
+    )
+    assert is_evidence(rest.gains)
+    assert (rest.where.location, rest.where.depends_on) == ("joint:slide", depends_on)
 
 
 def test_a_gain_that_fades_within_every_episode_is_more_than_its_mean():
     data = hide(*arm(), np.random.default_rng(5), [FADE]).episodes(range(12))
     rest = found(arm()[1], data, GAIN)
     assert rest.gains.sum() > 300
-    assert (rest.location, rest.depends_on) == ("joint:elbow", "time")
+    assert (rest.where.location, rest.where.depends_on) == ("joint:elbow", "time")
 
 
 def test_a_flexible_force_adds_nothing_to_the_true_effect(refined, sensor):

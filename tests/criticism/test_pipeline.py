@@ -109,12 +109,13 @@ def test_what_the_sealed_episodes_refute_is_not_named():
     assert found.extension is None
 
 
-def test_of_many_episodes_a_part_chooses_the_step_and_all_are_judged(monkeypatch):
-    hidden = case(100)
-    monkeypatch.setattr("adr_service.criticism.pipeline._ENOUGH", 500)
-    found = criticise(hidden.nominal, hidden.measurement, np.random.default_rng(0), threads=1)
-    assert found.verdict.causes[0].kind == hidden.effects[0].kind
-    learned, _ = split(hidden.measurement)
+def test_of_many_episodes_a_part_chooses_the_step_and_all_are_judged(friction):
+    parts = [recorded(hide(*arm(), np.random.default_rng(n), [friction])) for n in (405, 406)]
+    parts[1] = {**parts[1], "episode": parts[1]["episode"] + 30}
+    data = Measurement(**{name: np.concatenate([p[name] for p in parts]) for name in parts[0]})
+    found = criticise(arm()[1], data, np.random.default_rng(0), threads=1)
+    assert found.verdict.causes[0].kind == friction.kind
+    learned, _ = split(data)
     assert len(found.baseline.simulator.measured) == len(learned.time)
 
 

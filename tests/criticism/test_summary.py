@@ -11,6 +11,7 @@ from adr_service.criticism.flexible_force import Unexplained
 from adr_service.criticism.naming import Weighed
 from adr_service.criticism.scan import Candidate
 from adr_service.criticism.summary import alternative, named_cause, residual_of
+from adr_service.criticism.verdict import Rest
 from adr_service.effects.base import Effect
 
 ELSEWHERE = Effect("joint_coulomb_friction", "joint:shoulder", (0.01,))
@@ -82,7 +83,7 @@ def test_a_strength_that_the_data_do_not_determine_has_no_bounds(refined, fricti
 
 def left(nats):
     """What a flexible force explains of each of twelve episodes."""
-    return Unexplained(np.full(12, nats), "time", "joint:elbow")
+    return Unexplained(np.full(12, nats), Rest("joint:elbow", "time", None))
 
 
 def candidate(*effects, deviation):
@@ -108,7 +109,7 @@ def test_the_rest_is_unknown_where_a_flexible_force_has_evidence(baseline, nats,
     residual = residual_of(baseline, baseline, [], left(nats))
     assert residual.unexplained_nats == 12 * nats
     assert residual.rest == rest
-    where = {"location": "joint:elbow", "depends_on": "time"}
+    where = {"location": "joint:elbow", "depends_on": "time", "hertz": None}
     assert residual.to_json()["where"] == (None if rest == "none" else where)
 
 

@@ -38,10 +38,9 @@ def test_a_saturation_cuts_the_largest_commands():
     )
 
 
-def test_a_fading_gain_is_whole_at_an_episode_s_start_and_less_by_every_step():
-    np.testing.assert_allclose(
-        obeyed("actuator_fade", 10.0), [[1.0, 0.9, -0.4, 0.14, 0.0, 0.4]], atol=1e-12
-    )
+def test_a_fading_gain_is_whole_at_first_and_less_by_a_factor_in_every_step():
+    expected = COMMANDS.values * 0.9 ** np.arange(6)
+    np.testing.assert_allclose(obeyed("actuator_fade", -100 * np.log(0.9)), expected, rtol=1e-12)
 
 
 def test_a_bias_is_a_force_after_the_gear(cart):
