@@ -1,6 +1,6 @@
 """A flexible force on the joints, which may predict better than any named effect.
 
-    rest = unexplained(fit, sensor)
+    rest = unexplained(baseline, sensor)
     rest.gains, rest.where
 
 A ridge regression of the whitened residuals on generalised forces, for one question after the
