@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
+from scipy.ndimage import median_filter
 
-from adr_service.arrays import Array3, Matrix, Vector
+from adr_service.arrays import Array3, Indices, Matrix, Vector
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.linear import Linear, Normal, estimate
 from adr_service.criticism.noise import Whitener
@@ -25,13 +26,14 @@ from adr_service.effects.actuators import drives
 
 _PADDED = 4  # times as many frequencies as the recording resolves
 _SLOWEST = 3  # swings in a recording; less is a drift
+_AROUND = 30  # resolved frequencies to either side, above which one has to stand out
 _RIDGES = (0.01, 0.1, 1.0, 10.0)  # prior precisions, relative to the information in all data
 _WAVES = (1, 2, 3, 4, 6, 8, 12, 16)  # in a turn of a hinge; of a slide, half waves of its range
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What a flexible force explains beside a fit."""
+    """What the best flexible force still explains, after all that a fit has explained."""
 
     gains: Vector  # (E,) nats by episode left out
     where: Rest
@@ -45,32 +47,34 @@ class _Regression:
     linear: Linear  # with the best ridge
     normal: Normal  # under the noise of the fit without
     columns: tuple[range, ...]  # by degree of freedom
+    excess: float = 1.0  # factor by which noise alone gains more than white noise would
 
 
 def unexplained(fit: Fit, sensor: Vector) -> Unexplained:
     """The best flexible force beside a fit, if only by chance."""
     responses = _responses(fit)
-    swing, hertz = _swing(fit, responses)
-    best = max(_regressions(fit, responses, swing), key=lambda each: each.normal.left_out().sum())
+    swing = _swing(fit, responses)
+    best = max(
+        _regressions(fit, responses, swing),
+        key=lambda each: (each.normal.left_out() - fit.held_out).sum() / each.excess,
+    )
     known = ~np.isnan(sensor)
     _, with_force = estimate(best.linear, fit.noise, known)
     _, without = estimate(fit.linear, fit.noise, known)
-    gains = with_force.left_out() - without.left_out()
+    gains = (with_force.left_out() - without.left_out()) / best.excess
     is_swing = best.depends_on == "frequency"
-    where = Rest(_location(fit, best), best.depends_on, hertz if is_swing else None)
+    where = Rest(_location(fit, best), best.depends_on, swing.hertz if is_swing else None)
     return Unexplained(gains, where)
 
 
-def _regressions(
-    fit: Fit, responses: Sequence[Matrix], swing: Sequence[Array3]
-) -> Iterator[_Regression]:
+def _regressions(fit: Fit, responses: Sequence[Matrix], swing: "_Swing") -> Iterator[_Regression]:
     moments = [_Moment.of(fit, dof) for dof in range(len(responses))]
     for depends_on, terms in _TERMS.items():
         forces = [
             r[:, :, None] * terms(m)[:, None, :] for r, m in zip(responses, moments, strict=True)
         ]
         yield _regression(fit, depends_on, forces)
-    yield _regression(fit, "frequency", swing)
+    yield replace(_regression(fit, "frequency", swing.forces), excess=swing.excess)
 
 
 def _regression(fit: Fit, depends_on: Dependence, forces: Sequence[Array3]) -> _Regression:
@@ -117,41 +121,67 @@ def _responses(fit: Fit) -> list[Matrix]:
     ]
 
 
-def _swing(fit: Fit, responses: Sequence[Matrix]) -> tuple[list[Array3], float]:
-    """(N, m, 2) effects of a sine and a cosine, at the degree of freedom and the frequency [Hz]
-    where the log-likelihood rises most (none elsewhere); episodes are parts of one recording,
-    whose rows are a period apart.
+@dataclass(frozen=True)
+class _Swing:
+    """A sine and a cosine at one frequency, on one degree of freedom."""
 
-    Both are chosen from all episodes. By that choice, chance gains about 10 nats (the logarithm of
-    the number of choices).
+    forces: list[Array3]  # (N, m, 2) their effects; (N, m, 0) on all others
+    hertz: float
+    excess: float  # of what frequencies around it gain, over what most do
+
+
+def _swing(fit: Fit, responses: Sequence[Matrix]) -> _Swing:
+    """The swing that gains most; episodes are parts of one recording, whose rows are a period
+    apart.
+
+    What frequencies around it gain as well comes from forces that are correlated in time, and only
+    what is beyond that counts. Degree of freedom and frequency are chosen from all episodes. By
+    that choice, chance gains about 10 nats (the logarithm of the number of choices).
     """
     simulator, layout, chain = fit.simulator, fit.layout, fit.linear.chain
     whitener = Whitener.of(chain, fit.noise)
     adjoint = whitener.adjoint(whitener.whiten(fit.left[..., None])[..., 0])
     folded = np.stack([layout.fold(r) for r in responses], axis=3)
     folded[~chain.mask] = 0.0
-    pull = np.einsum("etmd,etm->det", folded, adjoint)
+    pull = np.nan_to_num(np.einsum("etmd,etm->det", folded, adjoint)[:, layout.mask])  # (d, N)
     information = np.sum(whitener.whiten(folded) ** 2, axis=(0, 1, 2))  # (d,) on a unit force
+    pull /= np.sqrt(np.maximum(information, 1e-300))[:, None]
     when = simulator.data.rows[simulator.starts]
-    rows = np.zeros((len(responses), _PADDED * (int(when[-1]) + 1)))
-    rows[:, when] = np.nan_to_num(pull[:, layout.mask])
-    power = np.abs(np.fft.rfft(rows)) ** 2
-    power /= np.maximum(information, 1e-300)[:, None]
-    power[:, : _SLOWEST * _PADDED] = 0.0
-    dof, wave = np.unravel_index(np.argmax(power), power.shape)
-    turns = int(wave) / rows.shape[1]  # in a control step
+    power = _power(pull, when)
+    dof, wave = np.unravel_index(np.argmax(power / _excess(power)), power.shape)
+    turns = int(wave) / (_PADDED * (int(when[-1]) + 1))  # in a control step
     angle = 2 * np.pi * turns * when
     swung = np.column_stack([np.sin(angle), np.cos(angle)])
     forces = [
         r[:, :, None] * (swung if n == dof else swung[:, :0])[:, None]
         for n, r in enumerate(responses)
     ]
-    return forces, turns / simulator.period
+    own = pull[dof] - swung @ np.linalg.lstsq(swung, pull[dof], rcond=None)[0]  # it leaks
+    return _Swing(
+        forces, turns / simulator.period, float(_excess(_power(own[None], when))[0, wave])
+    )
+
+
+def _power(pull: Matrix, when: Indices) -> Matrix:
+    """(d, F) squared Fourier sums of rows (d, N) at these moments; zero below the slowest swing."""
+    rows = np.zeros((len(pull), _PADDED * (int(when[-1]) + 1)))
+    rows[:, when] = pull
+    power = np.abs(np.fft.rfft(rows)) ** 2
+    power[:, : _SLOWEST * _PADDED] = 0.0
+    return power
+
+
+def _excess(power: Matrix) -> Matrix:
+    """(d, F) power at the frequencies around each, over that at most, where it is more."""
+    slowest = _SLOWEST * _PADDED
+    around = median_filter(power[:, slowest:], (1, 2 * _AROUND * _PADDED + 1), mode="mirror")
+    typical = np.maximum(np.median(around, axis=1, keepdims=True), 1e-300)
+    return np.pad(np.maximum(around / typical, 1.0), ((0, 0), (slowest, 0)), constant_values=1.0)
 
 
 @dataclass(frozen=True)
 class _Moment:
-    """What a force on a degree of freedom may depend on, in each transition."""
+    """All that a force on one degree of freedom could depend on, for each transition."""
 
     q: Vector  # (N,) position
     v: Vector
@@ -174,7 +204,7 @@ class _Moment:
         joint = model.dof_jntid[dof]
         elsewhere = np.flatnonzero(model.actuator_trntype != mujoco.mjtTrn.mjTRN_JOINT)
         acting = np.union1d(drives(model, joint), elsewhere).astype(int)
-        is_hinge = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+        is_hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
         return cls(
             q,
             v,
@@ -205,7 +235,7 @@ def _position_terms(at: _Moment) -> Matrix:
 
 
 def _time_terms(at: _Moment) -> Matrix:
-    """What changes within an episode, or over the recording."""
+    """Friction and gains that change within an episode, or over the recording."""
     one = np.ones_like(at.q)
     slow = np.column_stack([one, at.elapsed, at.elapsed**2, at.whole, at.whole**2])
     changing = np.column_stack([one, at.v, at.direction, at.own])

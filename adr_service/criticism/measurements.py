@@ -38,7 +38,7 @@ class Measurement:
     episode: Indices  # (N,) non-decreasing
     qpos_std: Vector | None = None  # (nq,) of the sensors' noise, where known; inf: not measured
     qvel_std: Vector | None = None  # (nv,)
-    row: Indices | None = None  # (N,) in the recording that this is a part of; None: it is whole
+    origin: Indices | None = None  # (N,) rows of the recording that this is a part of; None: whole
 
     def __post_init__(self) -> None:
         for name, dimensions in (("time", 1), ("qpos", 2), ("qvel", 2), ("ctrl", 2)):
@@ -112,13 +112,13 @@ class Measurement:
             qvel=self.qvel[rows],
             ctrl=self.ctrl[rows],
             episode=self.episode[rows],
-            row=self.rows[rows],
+            origin=self.rows[rows],
         )
 
     @property
     def rows(self) -> Indices:
         """(N,) of each row, its number in the whole recording."""
-        return np.arange(len(self.time)) if self.row is None else self.row
+        return np.arange(len(self.time)) if self.origin is None else self.origin
 
     def sensor_variance(self) -> Vector:
         """(nq + nv,) variances of the noise in positions and velocities, NaN if not known.

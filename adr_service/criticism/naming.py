@@ -152,9 +152,10 @@ def _standing(block: Block, sensor: Vector, rng: np.random.Generator) -> tuple[l
     less alone, and the fit."""
     whole: list[Alike] = [(Weighed(group, block.fit, block.gains, 0.0),) for group in block.groups]
     kept, current = pruned(whole, smoothed(block.fit, sensor), sensor)
+    everything = held_out_without(current, (), sensor)
     named: list[Alike] = []
     for slot, (weighed,) in zip(slots(kept), kept, strict=True):
-        gains = _loss(_numbers(slot), current, sensor)
+        gains = everything - held_out_without(current, _numbers(slot), sensor)
         confidence = float(decide(gains[None], rng).confidence[0])
         named.append((replace(weighed, fit=current, gains=gains, confidence=confidence),))
     return named, current
@@ -229,10 +230,11 @@ def pruned(named: list[Alike], current: Fit, sensor: Vector) -> tuple[list[Alike
     """The named effects without those that the others make superfluous."""
     while len(named) > 1:
         everything = settled(current, sensor).held_out
+        linearised = held_out_without(current, (), sensor)
         shorter = {
             number: _without(slot, current, sensor)
             for number, slot in enumerate(slots(named))
-            if not _is_clearly_missed(_numbers(slot), current, sensor)
+            if not _are_clearly_missed(_numbers(slot), linearised, current, sensor)
         }
         rests = {
             number: rest
@@ -252,17 +254,13 @@ def _without(slot: slice, current: Fit, sensor: Vector) -> Fit | None:
     return refine(current, [*current.effects[: slot.start], *current.effects[slot.stop :]], sensor)
 
 
-def _is_clearly_missed(numbers: Sequence[int], current: Fit, sensor: Vector) -> bool:
-    """True if a fit without some effects, linearised, is so much worse that refining it, which
-    takes many simulations, would not tell otherwise."""
-    loss = _loss(numbers, current, sensor)
+def _are_clearly_missed(
+    numbers: Sequence[int], linearised: Vector, current: Fit, sensor: Vector
+) -> bool:
+    """True if a fit without some effects is so much worse than with all, both `linearised`, that
+    refining it, which takes many simulations, would not tell otherwise."""
+    loss = linearised - held_out_without(current, numbers, sensor)
     return is_evidence(loss) and float(loss.sum()) > _CLEARLY * THRESHOLD
-
-
-def _loss(numbers: Sequence[int], current: Fit, sensor: Vector) -> Vector:
-    """(E,) nats that a fit loses without some of its effects, linearised."""
-    whole, rest = (held_out_without(current, gone, sensor) for gone in ((), numbers))
-    return whole - rest
 
 
 def _numbers(slot: slice) -> Sequence[int]:
@@ -290,7 +288,8 @@ def _single(alike: Alike, current: Fit, slot: slice, sensor: Vector) -> Alike | 
     before, after = current.effects[: slot.start], current.effects[slot.stop :]
     alone = max(current.effects[slot], key=lambda effect: _significance(current, effect))
     elsewhere = [n for n in _numbers(slot) if current.effects[n] is not alone]
-    if _is_clearly_missed(elsewhere, current, sensor):
+    linearised = held_out_without(current, (), sensor)
+    if _are_clearly_missed(elsewhere, linearised, current, sensor):
         return None
     rest = refine(current, [*before, alone, *after], sensor)
     if rest is None or is_evidence(settled(current, sensor).held_out - rest.held_out):

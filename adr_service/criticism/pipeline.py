@@ -50,8 +50,7 @@ from adr_service.effects.base import Effect
 from adr_service.progress import Progress, silent
 
 _SEALED = 4  # every fourth episode
-# transitions and episodes to choose the simulator's step by, if there are more than twice as many
-_ENOUGH, _FEWEST = 1000, 8
+_ENOUGH, _FEWEST = 1000, 8  # transitions and episodes to choose the simulator's step by
 
 
 @dataclass(frozen=True)
@@ -154,20 +153,26 @@ def _best_step(
     groups = needed_effects(first)
     if not is_first_order(nominal.model(nominal.start)):
         return _begun(first, groups, sensor)
-    episodes = len(data.spans())
-    count = min(episodes, max(episodes * _ENOUGH // len(first.starts), _FEWEST))
-    if 2 * count > episodes:
-        tried = [first, simulators.enter_context(Simulator(nominal, data, threads, FINER))]
-        return max((_begun(each, groups, sensor) for each in tried), key=_likelihood)
-    some = data.episodes(np.sort(rng.choice(episodes, count, replace=False)).tolist())
-    tried = [
-        simulators.enter_context(Simulator(nominal, some, threads, finer)) for finer in (1, FINER)
-    ]
-    start, block = max((_begun(each, groups, sensor) for each in tried), key=_likelihood)
-    chosen, whole = start.simulator.finer, first
-    if chosen > 1:
-        whole = simulators.enter_context(Simulator(nominal, data, threads, chosen))
+    part = _part(data, rng)
+    coarse = first if part is data else simulators.enter_context(Simulator(nominal, part, threads))
+    fine = simulators.enter_context(Simulator(nominal, part, threads, FINER))
+    start, block = max((_begun(each, groups, sensor) for each in (coarse, fine)), key=_likelihood)
+    if part is data:
+        return start, block
+    whole = first
+    if start.simulator is fine:
+        whole = simulators.enter_context(Simulator(nominal, data, threads, FINER))
     return _begun(whole, groups if block is None else block.groups, sensor)
+
+
+def _part(data: Measurement, rng: np.random.Generator) -> Measurement:
+    """All episodes, or some of them if half would be too many to choose a step by."""
+    episodes = len(data.spans())
+    transitions = len(data.time) - episodes
+    count = max(episodes * _ENOUGH // transitions, _FEWEST)
+    if 2 * count > episodes:
+        return data
+    return data.episodes(np.sort(rng.choice(episodes, count, replace=False)).tolist())
 
 
 def _begun(
@@ -211,7 +216,6 @@ def _judged(outcome: _Outcome, baseline: Fit, sensor: Vector) -> _Judgement:
     if is_unknown(flexible.gains, sum(alike[0].gain for alike in outcome.named)):
         conclusion = Conclusion.UNKNOWN
         outcome = replace(outcome, named=[], final=baseline, gain=None)
-        flexible = unexplained(settled(baseline, sensor), sensor)  # beside nothing, as is named
     outcome = replace(outcome, named=still_tied(outcome.named, outcome.final, sensor))
     spread = spread_causes(whole, sensor)
     if conclusion == Conclusion.NONE and (outcome.named or spread):

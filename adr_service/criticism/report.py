@@ -71,7 +71,7 @@ def _finding(verdict: Verdict) -> str:
         case Conclusion.UNKNOWN:
             return (
                 f"Something is missing that is none of the effects we know ({how_sure}): "
-                f"{_flexible(verdict.residual)}."
+                f"{_flexible(verdict.residual)} than the best of them."
             )
         case Conclusion.CAUSE | Conclusion.TIE:
             names = "; ".join(_words(cause) for cause in verdict.causes)
@@ -84,16 +84,13 @@ def _finding(verdict: Verdict) -> str:
             if verdict.residual.rest == "unknown":
                 rest = (
                     " Something else is missing that is none of the effects we know: "
-                    f"{_flexible(verdict.residual)}."
+                    f"{_flexible(verdict.residual)} than these alone."
                 )
             return f"The simulator lacks {names} ({how_sure}).{tie}{rest}"
 
 
 def _flexible(residual: Residual) -> str:
-    return (
-        f"{escape(residual.where.words)}, of whatever shape, predicts "
-        f"{residual.unexplained_nats:.0f} nats better"
-    )
+    return f"{escape(residual.where.words)} predicts {residual.unexplained_nats:.0f} nats better"
 
 
 def _bounds(verdict: Verdict) -> str:

@@ -103,7 +103,7 @@ _WORDS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class Rest:
-    """Where a flexible force explains most of what is left, and what it is a function of."""
+    """The joint whose force would explain most of what is left, and what it would depend on."""
 
     location: str  # "joint:NAME"
     depends_on: Dependence
@@ -123,9 +123,10 @@ class Residual:
     noise: tuple[float, ...]  # standard deviation of each sensor, in its unit
     step: float  # [s] of the simulator that judged the data
     own_step: float  # [s] that its file has
-    unexplained_nats: float  # what a flexible force would still gain
+    # what a flexible force would still gain beside the best effects, be they named or not
+    unexplained_nats: float
     rest: Literal["none", "unknown"]  # unknown: that is evidence, beside the named causes
-    where: Rest  # of what a flexible force gains, if only by chance
+    where: Rest  # of the flexible force that gains most, even if that is chance
     moved: dict[str, tuple[float, float]]  # parameter -> fitted without and with the causes
     at_bound: tuple[str, ...]  # parameters at the edge of their bounds
     used: int  # transitions

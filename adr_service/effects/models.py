@@ -134,7 +134,7 @@ def plausible_of(model: mujoco.MjModel, effect: Effect) -> Vector:
 
 
 def prior_precision(model: mujoco.MjModel, effects: Sequence[Effect]) -> Vector:
-    """Precisions (k,) of the priors of all strengths, in units of the effects' own."""
+    """Precisions (k,) of the priors of all strengths, each as a multiple of the effect's own."""
     sizes = [np.array(effect.values) / plausible_of(model, effect) for effect in effects]
     return np.concatenate([*sizes, np.empty(0)]) ** 2
 

@@ -39,7 +39,7 @@ def _warnings(verdict: Json) -> list[str]:
 
 
 def _rest(verdict: Json) -> list[str]:
-    """What is left beside the causes, and where."""
+    """What the named causes do not explain, and at which joint."""
     lines: list[str] = []
     if verdict["causes"]:
         lines.append("something else is missing that is none of the effects we know")

@@ -25,7 +25,7 @@ def test_an_extension_has_every_digit_of_its_parameters_and_effects():
 
 
 def test_an_extended_arm_is_the_robot_that_lacked_nothing():
-    """With a load and other compensations of gravity, which no task of ours has."""
+    """It carries a load and compensates gravity wrongly, as no task of ours does."""
     links = ARMS[7]
     bare = Nominal.of_model(model_of(links), ParameterSpace(()))
     effects = hidden(links, np.random.default_rng(0))

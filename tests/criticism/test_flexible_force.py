@@ -19,7 +19,7 @@ from tests.hidden import arm
 
 
 def found(nominal, data, *effects):
-    """What a flexible force explains beside a fit with these effects."""
+    """What a flexible force still explains when a fit already has these effects."""
     sensor = data.sensor_variance()
     with Simulator(nominal, data, threads=1, finer=3) as simulator:
         baseline = smoothed(fit(simulator, sensor), sensor)
@@ -92,9 +92,32 @@ SWUNG = """
 )
 def test_what_a_drive_does_is_found_however_it_pulls(drive, hidden, depends_on):
     nominal = Nominal.of_model(SWUNG.format(drive=drive), ParameterSpace(()))
+    rest = found(nominal, swung(nominal, 14, hidden))
+    assert is_evidence(rest.gains)
+    assert (rest.where.location, rest.where.depends_on) == ("joint:slide", depends_on)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_forces_that_are_correlated_in_time_are_no_swing(seed):
+    """First-order noise, which lasts for a tenth of a second."""
+    nominal = Nominal.of_model(SWUNG.format(drive='joint="slide"'), ParameterSpace(()))
+    beside = iter(correlated(np.random.default_rng(seed)))
+    data = swung(nominal, 30, lambda data, u: next(beside))
+    assert not is_evidence(found(nominal, data).gains)
+
+
+def correlated(rng):
+    force = 0.0
+    while True:
+        force = 0.95 * force + 0.1 * rng.standard_normal()
+        yield force
+
+
+def swung(nominal, episodes, hidden):
+    """A measurement of a slide that a hidden force pulls as well."""
     model = nominal.model(nominal.start)
     data, rng, rows = mujoco.MjData(model), np.random.default_rng(6), []
-    for episode in range(14):
+    for episode in range(episodes):
         mujoco.mj_resetData(model, data)
         for row in range(41):
             command = float(np.sign(np.sin(0.4 * row + episode)) * rng.uniform(0.3, 1))
@@ -104,11 +127,7 @@ def test_what_a_drive_does_is_found_however_it_pulls(drive, hidden, depends_on):
                 data.ctrl[0], data.qfrc_applied[0] = command, hidden(data, command)
                 mujoco.mj_step(model, data)
     episode, time, q, v, u = np.array(rows).T
-    rest = found(
-        nominal, Measurement(time, q[:, None], v[:, None], u[:, None], episode.astype(int))
-    )
-    assert is_evidence(rest.gains)
-    assert (rest.where.location, rest.where.depends_on) == ("joint:slide", depends_on)
+    return Measurement(time, q[:, None], v[:, None], u[:, None], episode.astype(int))
 
 
 def test_a_gain_that_fades_within_every_episode_is_more_than_its_mean():

@@ -95,7 +95,7 @@ def test_the_inverse_of_a_column_without_information_is_zero():
 
 
 def test_the_best_likelihood_does_not_depend_on_where_changes_are_counted_from(linear):
-    """With a prior, which is about the same place then."""
+    """The prior stays where it is, so its mean moves by as much."""
     here = replace(linear, mean=np.array([1.0, -2.0, 0.5]), precision=np.array([3.0, 1.0, 2.0]))
     moved = np.array([0.3, 0.7, -0.4])
     there = replace(here, residual=here.residual - here.columns @ moved, mean=here.mean - moved)

@@ -1,9 +1,11 @@
 """Files of a criticism: the page, the verdict and the extended model."""
 
 import json
+from dataclasses import replace
 from xml.etree import ElementTree
 
 from adr_service.criticism.report import FILES, files_of, report_page
+from adr_service.criticism.verdict import Conclusion, Rest
 
 
 def test_a_named_cause_has_all_files(criticism):
@@ -33,3 +35,13 @@ def test_the_page_names_each_cause_and_its_alternatives(criticism):
             assert each.kind.replace("_", " ") in page
     for strength in criticism.verdict.causes[0].strengths:
         assert strength.interval in page
+
+
+def test_the_page_says_where_something_unknown_is_left(criticism):
+    where = Rest("joint:elbow", "frequency", 2.7)
+    residual = replace(
+        criticism.verdict.residual, rest="unknown", unexplained_nats=30.0, where=where
+    )
+    verdict = replace(criticism.verdict, conclusion=Conclusion.UNKNOWN, residual=residual)
+    page = report_page(replace(criticism, verdict=verdict), "arm")
+    assert "a force at joint:elbow that depends on time, at 2.7 Hz predicts 30 nats better" in page

@@ -82,7 +82,7 @@ def test_a_strength_that_the_data_do_not_determine_has_no_bounds(refined, fricti
 
 
 def left(nats):
-    """What a flexible force explains of each of twelve episodes."""
+    """A flexible force that gains this much on each of twelve episodes."""
     return Unexplained(np.full(12, nats), Rest("joint:elbow", "time", None))
 
 
