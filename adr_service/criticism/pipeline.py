@@ -28,16 +28,7 @@ from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.inverse import Group, needed_effects
 from adr_service.criticism.linearisation import FINER
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.naming import (
-    Alike,
-    Block,
-    block_of,
-    name_effects,
-    narrowed,
-    pruned,
-    slots,
-    still_tied,
-)
+from adr_service.criticism.naming import Block, block_of, name_effects
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.remarks import on_commands, on_refuted
 from adr_service.criticism.responses import Responses
@@ -46,6 +37,7 @@ from adr_service.criticism.sensor_spread import spread_causes
 from adr_service.criticism.simulator import Simulator, is_first_order
 from adr_service.criticism.summary import INTERVAL, alternative, named_cause, residual_of
 from adr_service.criticism.verdict import Conclusion, Gain, NamedCause, Verdict
+from adr_service.criticism.weighing import Alike, slots
 from adr_service.effects.base import Effect
 from adr_service.progress import Progress, silent
 
@@ -113,8 +105,6 @@ def criticise(
         named, final, chance = name_effects(
             baseline, first, responses, block, sensor, rng, progress
         )
-        progress(0.8, causes=len(named))
-        named, final = narrowed(*pruned(named, final, sensor), sensor)
         progress(0.9, causes=len(named))
         outcome = _Outcome(named, final, chance, None, on_commands(baseline.simulator.base, data))
         outcome = _opened(outcome, baseline, sealed, rng, threads)
@@ -216,7 +206,6 @@ def _judged(outcome: _Outcome, baseline: Fit, sensor: Vector) -> _Judgement:
     if is_unknown(flexible.gains, sum(alike[0].gain for alike in outcome.named)):
         conclusion = Conclusion.UNKNOWN
         outcome = replace(outcome, named=[], final=baseline, gain=None)
-    outcome = replace(outcome, named=still_tied(outcome.named, outcome.final, sensor))
     spread = spread_causes(whole, sensor)
     if conclusion == Conclusion.NONE and (outcome.named or spread):
         is_tied = any(len(alike) > 1 for alike in outcome.named)

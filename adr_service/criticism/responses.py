@@ -58,10 +58,12 @@ class Responses:
     def _in_sensor(self, effect: Effect) -> np.ndarray:
         """The sensor shows something else before the step, and after it."""
         simulator, fit = self._simulator, self._fit
-        column, before = offset_of(simulator.base, effect, fit.states, self._rates)
+        known = (simulator.base, effect)
+        column, before = offset_of(*known, fit.states, self._rates, simulator.past)
         starts = fit.states[simulator.starts]
-        rates = (self._predicted - starts) / simulator.period
-        _, after = offset_of(simulator.base, effect, self._predicted, rates)
+        moved = self._predicted - starts
+        past = simulator.past_after(moved)
+        _, after = offset_of(*known, self._predicted, moved / simulator.period, past)
         folded = fit.layout.fold(np.column_stack([before[simulator.starts], after]))
         response = -fit.linear.chain.transition[..., column] * folded[..., :1]
         response[..., column] += folded[..., 1]

@@ -23,9 +23,10 @@ from adr_service.arrays import Array3, Indices, Matrix, Vector
 from adr_service.criticism.compatibility import check_columns, steps_between
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
-from adr_service.effects.base import Effect, is_added
+from adr_service.effects.base import Effect, Past, is_added
 from adr_service.effects.signals import acts_on_commands, behind, obeyed, shown, uses_rates
 
+_REMEMBERED = 32  # rows that an effect in a sensor may know of the past
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
 
@@ -57,6 +58,7 @@ class Simulator:
         self._pool = rollout.Rollout(nthread=_threads(threads))
         self._scratch = [mujoco.MjData(self.base) for _ in range(max(1, _threads(threads)))]
         self.simulated_steps = 0  # control steps, of all predictions
+        self._pasts: dict[int, Matrix] = {}
         self._rough = 1  # steps that `predict_quickly` takes for one of the model's
         if finer > 1 and np.isnan(self.predict_quickly(nominal.start, (), self.measured)).any():
             self._rough = finer  # the model's own step diverges
@@ -92,7 +94,7 @@ class Simulator:
             after = self._rollout(model, start, control, mujoco.mjtState.mjSTATE_CTRL)
             ends = _finite(after[0, self.steps - 1 :: self.steps, 1:])
             before = np.concatenate([true[first][None], ends[:-1]])
-            followed[first + 1 : last] = self._shown(effects, before, ends)
+            followed[first + 1 : last] = self._shown(effects, before, ends, slice(begin, end))
         return followed
 
     def predict_quickly(self, values: Vector, effects: Sequence[Effect], states: Matrix) -> Matrix:
@@ -167,6 +169,31 @@ class Simulator:
         Simulated: the measured rate would reveal to the simulator what it is to predict.
         """
         return self._rates(effects, states, self._quick(values, effects))
+
+    def past(self, column: int) -> Matrix:
+        """(rows, k) how far a position has come since each of the rows before, back to an episode's
+        first, by its measured velocities (by itself where there are none)."""
+        if column not in self._pasts:
+            nv = self.measured.shape[1] // 2
+            come, own = np.zeros(len(self.measured)), self.measured[:, nv + column]
+            moved = (own[self.starts] + own[self.starts + 1]) / 2 * self.period
+            if not self.data.is_measured()[nv + column]:
+                moved = np.diff(self.measured[:, column])[self.starts]
+            come[self.starts + 1] = moved
+            come = np.cumsum(come)
+            first = np.concatenate([np.full(b - a, a) for a, b in self.data.spans()])
+            before = np.arange(len(come))[:, None] - np.arange(1, _REMEMBERED + 1)
+            self._pasts[column] = come[:, None] - come[np.maximum(before, first[:, None])]
+        return self._pasts[column]
+
+    def past_after(self, moved: Matrix, which: slice = slice(None)) -> Past:
+        """The same after transitions (n, 2 nv), some or all, that move the states."""
+
+        def after(column: int) -> Matrix:
+            before = self.past(column)[self.starts[which], :-1]
+            return moved[:, [column]] + np.column_stack([np.zeros(len(before)), before])
+
+        return after
 
     def _rates(self, effects: Sequence[Effect], states: Matrix, model: mujoco.MjModel) -> Matrix:
         ends = self._ends(effects, states, model)
@@ -258,11 +285,19 @@ class Simulator:
         """The robot's states (rows, 2 nv) behind what its sensors show."""
         moving = uses_rates(effects)
         rates = self._rates(effects, states, model) if moving else np.zeros_like(states)
-        return behind(self.base, effects, states, rates)
+        return behind(self.base, effects, states, rates, self.past)
 
-    def _shown(self, effects: Sequence[Effect], before: Matrix, after: Matrix) -> Matrix:
-        """Readings after a control step, from true states before and after it."""
-        return shown(self.base, effects, after, (after - before) / self.period)
+    def _shown(
+        self,
+        effects: Sequence[Effect],
+        before: Matrix,
+        after: Matrix,
+        which: slice = slice(None),
+    ) -> Matrix:
+        """Readings after transitions, from true states before and after them."""
+        moved = after - before
+        past = self.past_after(moved, which)
+        return shown(self.base, effects, after, moved / self.period, past)
 
 
 def is_first_order(model: mujoco.MjModel) -> bool:

@@ -8,9 +8,9 @@ from scipy import stats
 from adr_service.criticism.decision import THRESHOLD, is_evidence
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.flexible_force import Unexplained
-from adr_service.criticism.naming import Weighed
 from adr_service.criticism.scan import Candidate, location_of
 from adr_service.criticism.verdict import NamedCause, Residual, StrengthInterval
+from adr_service.criticism.weighing import Weighed
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import unit_of
 

@@ -112,9 +112,13 @@ class Motion:
     states: Matrix  # (n, 2 nv) positions, then velocities
     rates: Matrix  # (n, 2 nv) of change [1/s]; zero unless some sensor effect uses rates
     column: int
+    # (n, k) how far the column has come since each of the moments before, the latest first; without
+    # columns unless the effect uses the past
+    past: Matrix
 
 
 Offset = Callable[[Motion, Vector], Vector]
+Past = Callable[[int], Matrix]  # `Motion.past` of a column
 Record = Callable[[Matrix, Vector, float], Matrix]
 
 
@@ -133,6 +137,7 @@ class Sensing:
     offset_shown: Offset | None = None  # `offset` by the motion as sensors show it, if it differs
     column: Column = _own_column  # of the states, by the element at the effect's place
     uses_rates: bool = False
+    uses_past: bool = False
 
 
 @dataclass(frozen=True)

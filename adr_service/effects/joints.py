@@ -213,12 +213,6 @@ ARMATURE = Mechanism(
 )
 
 
-def _behind(motion: Motion, values: Vector) -> Vector:
-    """Half of the gap, on the side that the joint's velocity leaves."""
-    velocity = motion.states[:, motion.states.shape[1] // 2 + motion.column]
-    return -values[0] / 2 * np.sign(velocity)
-
-
 def _play(positions: Matrix, values: Vector, period: float) -> Matrix:
     """The play operator, whose output follows only the edges of the gap that push it."""
     gap = values[0]
@@ -229,11 +223,17 @@ def _play(positions: Matrix, values: Vector, period: float) -> Matrix:
     return shown
 
 
+def _behind(motion: Motion, values: Vector) -> Vector:
+    """What the play operator shows of the last moments, if it began amid the gap."""
+    path = np.column_stack([-motion.past[:, ::-1], np.zeros(len(motion.past))])
+    return _play(path, values, np.nan)[:, -1]
+
+
 BACKLASH = Mechanism(
     "joint_backlash",
     "joint",
     (Strength("gap", "rad", low=0.0),),
     typical=lambda model, joint: (SENSOR_SIZE,),
-    sensing=Sensing(_behind, _play, column=_dof),
+    sensing=Sensing(_behind, _play, column=_dof, uses_past=True),
     applies=_is_driven,
 )

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
-from adr_service.effects.base import Commands, Effect, Motion, Sensing
+from adr_service.effects.base import Commands, Effect, Motion, Past, Sensing
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import element_of
 from adr_service.errors import InvalidInput
@@ -50,37 +50,44 @@ def uses_rates(effects: Sequence[Effect]) -> bool:
 
 
 def shown(
-    model: mujoco.MjModel, effects: Sequence[Effect], states: Matrix, rates: Matrix
+    model: mujoco.MjModel, effects: Sequence[Effect], states: Matrix, rates: Matrix, past: Past
 ) -> Matrix:
     """Readings (n, 2 nv) of true states that change by `rates` [1/s]."""
     readings = states.copy()
     for effect, _ in _in_sensors(effects):
-        column, offset = offset_of(model, effect, states, rates)
+        column, offset = offset_of(model, effect, states, rates, past)
         readings[:, column] += offset
     return readings
 
 
 def behind(
-    model: mujoco.MjModel, effects: Sequence[Effect], states: Matrix, rates: Matrix
+    model: mujoco.MjModel, effects: Sequence[Effect], states: Matrix, rates: Matrix, past: Past
 ) -> Matrix:
     """True states (n, 2 nv) behind readings that change by `rates` [1/s]."""
     true = states.copy()
     for effect, sensing in reversed(_in_sensors(effects)):
         column = sensing.column(model, element_of(model, effect.location))
         offset = sensing.offset_shown or sensing.offset
-        true[:, column] -= offset(Motion(states, rates, column), np.array(effect.values))
+        motion = _motion(sensing, states, rates, column, past)
+        true[:, column] -= offset(motion, np.array(effect.values))
     return true
 
 
 def offset_of(
-    model: mujoco.MjModel, effect: Effect, states: Matrix, rates: Matrix
+    model: mujoco.MjModel, effect: Effect, states: Matrix, rates: Matrix, past: Past
 ) -> tuple[int, Vector]:
     """Column of an effect in a sensor, and what it adds to the readings (n,) of true states."""
     sensing = get_mechanism(effect.kind).sensing
     if sensing is None:
         raise InvalidInput(f"{effect.kind} is not in a sensor")
     column = sensing.column(model, element_of(model, effect.location))
-    return column, sensing.offset(Motion(states, rates, column), np.array(effect.values))
+    motion = _motion(sensing, states, rates, column, past)
+    return column, sensing.offset(motion, np.array(effect.values))
+
+
+def _motion(sensing: Sensing, states: Matrix, rates: Matrix, column: int, past: Past) -> Motion:
+    known = past(column) if sensing.uses_past else np.empty((len(states), 0))
+    return Motion(states, rates, column, known)
 
 
 def recorded(

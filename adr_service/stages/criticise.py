@@ -41,7 +41,7 @@ class Criticise(Stage[Criticised]):
     """A whole criticism: sharing its parts between runs would not be worth it."""
 
     kind: ClassVar = "criticise"
-    version: ClassVar = 3  # 2: many effects at once; 3: when they are, and what is left
+    version: ClassVar = 4  # 2: many effects at once, 3: when they are, 4: named ones asked again
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 

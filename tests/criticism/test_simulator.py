@@ -1,10 +1,14 @@
 """Predictions of a simulator with effects."""
 
 import numpy as np
+import pytest
 
+from adr_service.criticism.decision import THRESHOLD
+from adr_service.criticism.evidence import fit, refine, smoothed
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.effects.base import Effect
+from benchmarks.planted import hide
 from tests.hidden import arm
 
 
@@ -82,3 +86,43 @@ def test_a_push_changes_predictions_in_proportion(good):
             simulator.predict_pushed(*known, 1, size) for size in (0.0, 0.01, 0.02)
         )
     np.testing.assert_allclose(twice - still, 2 * (once - still), rtol=1e-3, atol=1e-8)
+
+
+def test_the_past_is_what_velocities_add_up_to_within_an_episode(good):
+    """By positions where velocities were not measured; the episode's first row has no past."""
+    data = Measurement(**good)
+    blind = Measurement(**good, qpos_std=np.ones(2), qvel_std=np.array([1.0, np.inf]))
+    first, last = data.spans()[1]
+    moved = (data.qvel[first : last - 1, 1] + data.qvel[first + 1 : last, 1]) / 2 * data.period()
+    for measured, expected in ((data, moved), (blind, np.diff(data.qpos[first:last, 1]))):
+        with Simulator(arm()[1], measured, threads=1) as simulator:
+            past = simulator.past(1)[first:last]
+        np.testing.assert_array_equal(past[0], 0.0)
+        np.testing.assert_allclose(past[1:, 0], expected, atol=1e-12)
+        np.testing.assert_allclose(past[3, :5], np.cumsum(expected[2::-1])[[0, 1, 2, 2, 2]])
+
+
+def test_the_past_after_a_transition_begins_with_it(good):
+    with Simulator(arm()[1], Measurement(**good), threads=1) as simulator:
+        moved = np.ones((len(simulator.starts), 4))
+        after = simulator.past_after(moved)(1)
+        np.testing.assert_array_equal(after[:, 0], 1.0)
+        before = simulator.past(1)[simulator.starts]
+        np.testing.assert_array_equal(after[:, 1:], 1.0 + before[:, :-1])
+        some = simulator.past_after(moved[5:8], slice(5, 8))(1)
+        np.testing.assert_array_equal(some, after[5:8])
+
+
+def test_backlash_much_wider_than_the_noise_is_measured_and_not_called_a_late_sensor():
+    gap, late = (
+        Effect("joint_backlash", "joint:elbow", (0.009,)),
+        Effect("sensor_delay", "sensor:elbow.position", (0.0004,)),
+    )
+    task, nominal = arm()
+    data = hide(task, nominal, np.random.default_rng(407), [gap]).episodes(range(12))
+    sensor = data.sensor_variance()
+    with Simulator(nominal, data, threads=1, finer=3) as simulator:
+        baseline = smoothed(fit(simulator, sensor), sensor)
+        fits = [refine(baseline, [effect], sensor) for effect in (gap, late)]
+    assert fits[0].effects[0].values == pytest.approx(gap.values, rel=0.1)
+    assert fits[0].held_out.sum() > fits[1].held_out.sum() + 4 * THRESHOLD

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from adr_service.criticism.extension import extend
-from adr_service.effects.base import Effect
+from adr_service.effects.base import Effect, Motion
 from adr_service.effects.catalogue import MECHANISMS
 from adr_service.effects.joints import BACKLASH
 
@@ -85,3 +85,13 @@ def test_backlash_follows_only_the_edge_that_pushes():
     shown = BACKLASH.sensing.record(positions, np.array([0.4]), 0.01)
     np.testing.assert_allclose(shown, [[0.0, 0.1, 0.8, 0.8, 0.6, -0.8]])
     np.testing.assert_array_less(np.abs(shown - positions), 0.2 + 1e-12)
+
+
+def test_the_offset_of_backlash_is_what_a_whole_record_shows():
+    """Once the joint has moved through the gap, whatever it was before."""
+    rows = 0.1 * np.arange(100)
+    truth, values = np.sin(rows), np.array([0.4])
+    before = np.maximum(np.arange(100)[:, None] - np.arange(1, 33), 0)
+    motion = Motion(truth[:, None], truth[:, None], 0, past=truth[:, None] - truth[before])
+    expected = BACKLASH.sensing.record(truth[None], values, 0.1)[0] - truth
+    np.testing.assert_allclose(BACKLASH.sensing.offset(motion, values), expected, atol=1e-12)

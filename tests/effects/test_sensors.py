@@ -7,7 +7,7 @@ from adr_service.effects.base import Effect, Motion
 from adr_service.effects.catalogue import MECHANISMS
 
 TRUTH = np.array([[0.0, 1.0, 3.0, 3.0]])
-PERIOD = 0.5
+PERIOD, NO_PAST = 0.5, np.empty((4, 0))
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,7 @@ def test_readings_are_those_that_a_reader_computes_by_hand(kind, strength, expec
 def test_an_offset_is_the_difference_between_record_and_truth(kind):
     sensing, values = MECHANISMS[kind].sensing, np.array([0.1])
     rates = np.diff(TRUTH[0], prepend=0.0) / PERIOD
-    motion = Motion(TRUTH.T, rates[:, None], column=0)
+    motion = Motion(TRUTH.T, rates[:, None], column=0, past=NO_PAST)
     expected = (sensing.record(TRUTH, values, PERIOD) - TRUTH)[0]
     np.testing.assert_allclose(sensing.offset(motion, values), expected, atol=1e-15)
 
@@ -38,7 +38,7 @@ def test_a_delay_alone_uses_rates():
 
 
 def test_steps_and_noise_move_nothing_on_average():
-    motion = Motion(TRUTH.T, np.zeros((4, 1)), column=0)
+    motion = Motion(TRUTH.T, np.zeros((4, 1)), column=0, past=NO_PAST)
     for kind in ("sensor_quantisation", "sensor_noise"):
         assert MECHANISMS[kind].only_spreads
         assert not MECHANISMS[kind].sensing.offset(motion, np.array([1.0])).any()

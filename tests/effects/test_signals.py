@@ -12,21 +12,25 @@ SCALE = Effect("sensor_scale", "sensor:x.position", (0.1,))
 STATES, RATES = np.array([[1.0, 2.0], [3.0, -1.0]]), np.zeros((2, 2))
 
 
+def no_past(column):
+    return np.empty((2, 0))
+
+
 def test_effects_in_sensors_leave_other_columns_alone(cart):
-    readings = shown(cart(), [BIAS, SCALE], STATES, RATES)
+    readings = shown(cart(), [BIAS, SCALE], STATES, RATES, no_past)
     np.testing.assert_allclose(readings[:, 0], [1.6, 3.8])  # offsets by the true position add up
     np.testing.assert_array_equal(readings[:, 1], STATES[:, 1])
 
 
 def test_each_effect_is_undone(cart):
     for effect in (BIAS, SCALE):
-        readings = shown(cart(), [effect], STATES, RATES)
-        np.testing.assert_allclose(behind(cart(), [effect], readings, RATES), STATES)
+        readings = shown(cart(), [effect], STATES, RATES, no_past)
+        np.testing.assert_allclose(behind(cart(), [effect], readings, RATES, no_past), STATES)
 
 
 def test_without_effects_signals_stay(cart):
-    np.testing.assert_array_equal(shown(cart(), [], STATES, RATES), STATES)
-    np.testing.assert_array_equal(behind(cart(), [], STATES, RATES), STATES)
+    np.testing.assert_array_equal(shown(cart(), [], STATES, RATES, no_past), STATES)
+    np.testing.assert_array_equal(behind(cart(), [], STATES, RATES, no_past), STATES)
     commands = np.ones((1, 3, 1))
     np.testing.assert_array_equal(obeyed(cart(), [], commands, 0.01), commands)
 
@@ -53,7 +57,17 @@ def test_what_only_spreads_has_no_record(cart):
 
 def test_an_effect_in_the_model_is_no_effect_in_a_sensor(cart):
     with pytest.raises(InvalidInput, match="joint_spring is not in a sensor"):
-        offset_of(cart(), Effect("joint_spring", "joint:x", (1.0,)), STATES, RATES)
+        offset_of(cart(), Effect("joint_spring", "joint:x", (1.0,)), STATES, RATES, no_past)
+
+
+def test_an_effect_that_uses_the_past_is_given_that_of_its_column(cart):
+    """The first row came 3 m forwards, the second 2 m backwards; half of the gap is .2 m."""
+    pasts = {0: np.array([[1.0, 3.0], [-2.0, -2.0]])}
+    backlash = Effect("joint_backlash", "joint:x", (0.4,))
+    readings = shown(cart(), [backlash], STATES, RATES, pasts.__getitem__)
+    np.testing.assert_allclose(readings, STATES + np.array([[-0.2, 0], [0.2, 0]]))
+    true = behind(cart(), [backlash], readings, RATES, pasts.__getitem__)
+    np.testing.assert_allclose(true, STATES)
 
 
 def test_rates_are_needed_for_delays_alone():

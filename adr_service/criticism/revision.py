@@ -1,0 +1,166 @@
+"""Named effects in the light of each other.
+
+    named, current = reconsidered(named, current, count, responses, sensor, rng, alive)
+    named, current = narrowed(*pruned(named, current, sensor), sensor)
+
+What explained most before the others were known may be another's stand-in, superfluous now, or a
+group of which a few places would do.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from adr_service.arrays import Vector
+from adr_service.criticism.decision import THRESHOLD, is_evidence
+from adr_service.criticism.evidence import Fit, held_out_without, refine, settled, smoothed
+from adr_service.criticism.responses import Responses
+from adr_service.criticism.scan import scan
+from adr_service.criticism.weighing import (
+    Alike,
+    close_to_best,
+    from_elsewhere,
+    missed,
+    parts,
+    single_places,
+    slots,
+    weigh,
+)
+from adr_service.effects.base import Effect
+
+_CLEARLY = 20.0  # thresholds that a loss exceeds by linearisation, if no refinement need confirm it
+
+
+def reconsidered(
+    named: Sequence[Alike],
+    current: Fit,
+    count: int,
+    responses: Responses,
+    sensor: Vector,
+    rng: np.random.Generator,
+    alive: Callable[[], None],
+) -> tuple[list[Alike], Fit]:
+    """The first `count` named effects weighed again beside all others, and the fit: what explained
+    most before these were known may be another's stand-in. One that is replaced becomes the last.
+    """
+    kept, number = list(named), 0
+    for _ in range(count):
+        slot = slots(kept)[number]
+        before, own = kept[number], current.effects[slot]
+        is_asked = len(own) == 1 or len(before) > 1
+        rest = _without(slot, current, sensor) if is_asked else None
+        tried = [] if rest is None else _rivals(rest, before, own, responses)
+        again = weigh(rest, tried, sensor, rng, alive)[0] if rest and len(tried) > 1 else ()
+        if rest and again and parts(again[0].effects) != parts(own):
+            kept = [*kept[:number], *kept[number + 1 :], again]
+            current = smoothed(from_elsewhere(rest, again[0].fit, sensor), sensor)
+        else:
+            kept[number] = again or before
+            number += 1
+    return kept, current
+
+
+def _rivals(
+    rest: Fit, alike: Alike, own: tuple[Effect, ...], responses: Responses
+) -> list[tuple[Effect, ...]]:
+    """A named effect, what was tied with it and, for a single one, what explains about as much now
+    by the scan of a fit with all others."""
+    taken = parts(rest.effects)
+    tried = [own, *(other.newest for other in alike[1:] if not parts(other.newest) & taken)]
+    if len(own) > 1:
+        return tried
+    known = set().union(*map(parts, tried))
+    close = close_to_best(single_places(scan(rest, responses)))
+    return [*tried, *(each.effects for each in close if not parts(each.effects) & known)]
+
+
+def pruned(named: list[Alike], current: Fit, sensor: Vector) -> tuple[list[Alike], Fit]:
+    """The named effects without those that the others make superfluous."""
+    while len(named) > 1:
+        everything = settled(current, sensor).held_out
+        linearised = held_out_without(current, (), sensor)
+        shorter = {
+            number: _without(slot, current, sensor)
+            for number, slot in enumerate(slots(named))
+            if not _are_clearly_missed(range(slot.start, slot.stop), linearised, current, sensor)
+        }
+        rests = {
+            number: rest
+            for number, rest in shorter.items()
+            if rest is not None and not is_evidence(everything - rest.held_out)
+        }
+        if not rests:
+            break
+        least, rest = max(rests.items(), key=lambda entry: entry[1].held_out.sum())
+        named = [alike for number, alike in enumerate(named) if number != least]
+        current = smoothed(rest, sensor)
+    return named, current
+
+
+def _without(slot: slice, current: Fit, sensor: Vector) -> Fit | None:
+    """The fit without some of its effects."""
+    return refine(current, [*current.effects[: slot.start], *current.effects[slot.stop :]], sensor)
+
+
+def _are_clearly_missed(
+    numbers: Sequence[int], linearised: Vector, current: Fit, sensor: Vector
+) -> bool:
+    """True if a fit without some effects is so much worse than with all, both `linearised`, that
+    refining it, which takes many simulations, would not tell otherwise."""
+    loss = linearised - held_out_without(current, numbers, sensor)
+    return is_evidence(loss) and float(loss.sum()) > _CLEARLY * THRESHOLD
+
+
+def narrowed(named: Sequence[Alike], current: Fit, sensor: Vector) -> tuple[list[Alike], Fit]:
+    """The named effects with a few places instead of a group that needs no others, now that all
+    are known."""
+    kept: list[Alike] = []
+    for number, alike in enumerate(named):
+        slot = slots([*kept, *named[number:]])[len(kept)]
+        few = _few_places(current, slot, sensor) if len(alike[0].effects) > 1 else None
+        if few is None:
+            kept.append(alike)
+            continue
+        gone = len(current.effects) - len(few.effects)
+        current = smoothed(few, sensor)
+        kept += _apart(alike, current, range(slot.start, slot.stop - gone), sensor)
+    return kept, current
+
+
+def _few_places(current: Fit, slot: slice, sensor: Vector) -> Fit | None:
+    """The fit with at most half of a group's places, the most significant ones; None if the others
+    would be missed."""
+    order = sorted(range(slot.start, slot.stop), key=lambda n: -_significance(current, n))
+    linearised, half = held_out_without(current, (), sensor), len(order) // 2
+    if _are_clearly_missed(order[half:], linearised, current, sensor):
+        return None
+    everything = settled(current, sensor).held_out
+    for count in range(1, half + 1):
+        gone = order[count:]
+        if _are_clearly_missed(gone, linearised, current, sensor):
+            continue
+        left = [effect for n, effect in enumerate(current.effects) if n not in gone]
+        few = refine(current, left, sensor)
+        if few is not None and not is_evidence(everything - few.held_out):
+            return few
+    return None
+
+
+def _apart(alike: Alike, current: Fit, numbers: Sequence[int], sensor: Vector) -> list[Alike]:
+    """The places of a group that are left in a fit, as causes of their own; one alone is tied with
+    the places that its group was tied with."""
+    group, *others = alike
+    whole = held_out_without(current, (), sensor)
+    apart = [missed(group, [number], current, whole, sensor) for number in numbers]
+    if len(apart) > 1:
+        return [(each,) for each in apart]
+    known = parts(apart[0].effects)
+    single = (each for each in others if len(each.effects) == 1)
+    return [(apart[0], *(each for each in single if not parts(each.effects) & known))]
+
+
+def _significance(fit: Fit, number: int) -> float:
+    """First strength of one of a fit's effects, in standard deviations."""
+    column = fit.columns_of(slice(number, number + 1)).start
+    deviation = np.sqrt(fit.normal.change()[1][column, column])
+    return abs(fit.effects[number].values[0]) / float(deviation) if deviation > 0 else 0.0

@@ -1,0 +1,133 @@
+"""Evidence for effects and groups beside a fit, and what explains as much as the best of them.
+
+    alike, chance = weigh(current, tried, sensor, rng, alive)
+    alike[0].effects, alike[0].gain         # the best; the others are tied with it
+
+`tried` are effects, or groups of one kind at several places, each with a strength to start from.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from adr_service.arrays import Vector
+from adr_service.criticism.decision import ALIKE, THRESHOLD, TIE, decide
+from adr_service.criticism.evidence import Fit, held_out_without, refine, settled
+from adr_service.criticism.scan import Candidate
+from adr_service.effects.base import Effect
+from adr_service.effects.catalogue import get_mechanism
+from adr_service.effects.models import sensible
+
+_PROMISING = THRESHOLD / 4  # [nats] by the scan; refining adds little more
+_CLOSE = 0.9  # of the best gain
+_OTHER_STARTS = (0.5, 2.0)  # times the estimated strengths
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A candidate as the newest effect of a fit, and the evidence for it."""
+
+    effects: tuple[Effect, ...]  # as they were tried: one, or a group
+    fit: Fit
+    gains: Vector  # (E,) nats
+    confidence: float
+
+    @property
+    def gain(self) -> float:
+        return float(self.gains.sum())
+
+    @property
+    def fair_gain(self) -> float:
+        """Gain after a group's handicap: it must beat the best single place by the threshold of
+        evidence."""
+        return self.gain - THRESHOLD * (len(self.effects) > 1)
+
+    @property
+    def newest(self) -> tuple[Effect, ...]:
+        """The effects with the strengths that they have in the fit."""
+        return self.fit.effects[len(self.fit.effects) - len(self.effects) :]
+
+
+Alike = tuple[Weighed, ...]  # the best candidate, then all that explain as much
+
+
+def single_places(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates of one place that are worth a look, the best first."""
+    return [c for c in candidates if len(c.effects) == 1 and c.gain > _PROMISING]
+
+
+def close_to_best(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates, the best first, that come close to it."""
+    return [c for c in candidates if c.gain > _CLOSE * candidates[0].gain]
+
+
+def weigh(
+    current: Fit,
+    tried: Sequence[Sequence[Effect]],
+    sensor: Vector,
+    rng: np.random.Generator,
+    alive: Callable[[], None],
+) -> tuple[Alike, float]:
+    """The best of effects or groups, refined beside a fit's, with all that explain as much (none
+    without evidence), and the probability that it is chance; `alive` is called before each."""
+    without = settled(current, sensor).held_out
+    weighed: list[Weighed] = []
+    for effects in tried:
+        alive()
+        refined = refine(current, [*current.effects, *effects], sensor)
+        if refined is not None:
+            gains = refined.held_out - without
+            weighed.append(Weighed(tuple(effects), refined, gains, 0.0))
+    fair = [each.gains + (each.fair_gain - each.gain) / len(without) for each in weighed]
+    decision = decide(np.reshape(fair, (len(weighed), len(without))), rng)
+    *likely, chance = decision.confidence.tolist()
+    alike = [replace(weighed[number], confidence=likely[number]) for number in decision.alike]
+    return _simplest_first(alike), chance
+
+
+def _simplest_first(alike: Sequence[Weighed]) -> Alike:
+    """Indistinguishable candidates, one with the fewest strengths first, then the best; without
+    those that are the first with a strength more."""
+    if not alike:
+        return ()
+    best = max(each.fair_gain for each in alike)
+    near = [each for each in alike if best - each.fair_gain < max(TIE, ALIKE * best)]
+    first = min(near, key=lambda each: (sum(len(e.values) for e in each.effects), -each.fair_gain))
+    known = parts(first.effects)
+    others = [each for each in alike if each is first or not known <= _included(each.effects)]
+    return (first, *(each for each in others if each is not first))
+
+
+def _included(effects: Sequence[Effect]) -> set[tuple[str, str]]:
+    return {(get_mechanism(effect.kind).includes, effect.location) for effect in effects}
+
+
+def from_elsewhere(current: Fit, best: Fit, sensor: Vector) -> Fit:
+    """The best of a fit with newer effects, and of fits from other strengths of those."""
+    newest = best.effects[len(current.effects) :]
+    starts = [
+        [sensible(e, factor * np.array(e.values)) for e in newest] for factor in _OTHER_STARTS
+    ]
+    others = (refine(current, [*current.effects, *start], sensor) for start in starts)
+    fits = [best, *(other for other in others if other is not None)]
+    return max(fits, key=lambda fit: fit.held_out.sum())
+
+
+def missed(
+    weighed: Weighed, numbers: Sequence[int], current: Fit, whole: Vector, sensor: Vector
+) -> Weighed:
+    """Some of a fit's effects, with what the others explain less (of `whole`) without them."""
+    gains = whole - held_out_without(current, numbers, sensor)
+    effects = tuple(current.effects[number] for number in numbers)
+    return replace(weighed, effects=effects, fit=current, gains=gains)
+
+
+def slots(named: Sequence[Alike]) -> list[slice]:
+    """Positions, among the effects of a fit, of each that was named."""
+    ends = np.cumsum([len(alike[0].effects) for alike in named]).tolist()
+    return [slice(e - len(a[0].effects), e) for e, a in zip(ends, named, strict=True)]
+
+
+def parts(effects: Sequence[Effect]) -> set[tuple[str, str]]:
+    return {(effect.kind, effect.location) for effect in effects}

@@ -1,0 +1,136 @@
+"""Named effects that others make superfluous, replace or narrow."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adr_service.criticism.decision import THRESHOLD
+from adr_service.criticism.evidence import fit, refine, smoothed
+from adr_service.criticism.responses import Responses
+from adr_service.criticism.revision import narrowed, pruned, reconsidered
+from adr_service.criticism.simulator import Simulator
+from adr_service.criticism.weighing import Weighed
+from adr_service.effects.base import Effect
+from benchmarks.planted import hide
+from tests.hidden import arm
+
+SPRING = Effect("joint_spring", "joint:elbow", (0.05,))
+ELSEWHERE = Effect("joint_coulomb_friction", "joint:shoulder", (0.001,))
+STAND_IN = Effect("joint_viscous_friction", "joint:elbow", (0.01,))
+BIASES = tuple(
+    Effect("sensor_bias", f"sensor:{joint}.{column}", (0.01,))
+    for joint in ("shoulder", "elbow")
+    for column in ("position", "velocity")
+)
+
+
+@pytest.fixture(scope="module")
+def responses(baseline):
+    return Responses(baseline)
+
+
+@pytest.fixture(scope="module")
+def both(baseline, sensor, friction):
+    """A fit with the friction, and with a spring that the data do not have."""
+    return refine(baseline, [SPRING, friction], sensor)
+
+
+def weighed(fit, *effects, gains=None):
+    return Weighed(effects, fit, fit.held_out if gains is None else gains, 1.0)
+
+
+def test_an_effect_that_the_others_make_superfluous_is_dropped(both, sensor, friction):
+    named = [(weighed(both, SPRING),), (weighed(both, friction),)]
+    (kept,), final = pruned(named, both, sensor)
+    assert kept[0].effects == (friction,)
+    assert [effect.kind for effect in final.effects] == [friction.kind]
+
+
+def test_a_single_effect_is_neither_pruned_nor_narrowed(refined, sensor, friction):
+    named = [(weighed(refined, friction),)]
+    for change in (pruned, narrowed):
+        kept, final = change(named, refined, sensor)
+        assert kept == named
+        assert final is refined
+
+
+def test_a_group_is_narrowed_to_the_place_that_needs_it(baseline, sensor, friction):
+    """The friction is at the elbow alone."""
+    fit = refine(baseline, [SPRING, ELSEWHERE, friction], sensor)
+    named = [(weighed(fit, SPRING),), (weighed(fit, ELSEWHERE, friction),)]
+    (first, (single,)), final = narrowed(named, fit, sensor)
+    assert first == named[0]
+    assert [effect.location for effect in single.effects] == [friction.location]
+    assert [effect.location for effect in final.effects] == [SPRING.location, friction.location]
+
+
+def test_a_group_that_needs_two_places_of_four_becomes_two_causes():
+    """Both velocities are shown with a bias, and no position."""
+    hidden = [replace(bias, values=(0.05,)) for bias in BIASES if "velocity" in bias.location]
+    data = hide(*arm(), np.random.default_rng(406), hidden).episodes(range(12))
+    sensor = data.sensor_variance()
+    with Simulator(arm()[1], data, threads=1, finer=3) as simulator:
+        group = refine(smoothed(fit(simulator, sensor), sensor), BIASES, sensor)
+        named, final = narrowed([(weighed(group, *BIASES),)], group, sensor)
+    assert [[each.effects[0].location for each in alike] for alike in named] == [
+        ["sensor:shoulder.velocity"],
+        ["sensor:elbow.velocity"],
+    ]
+    for (alone,), bias in zip(named, hidden, strict=True):
+        assert alone.effects[0].values == pytest.approx(bias.values, rel=0.05)
+        assert alone.gain > THRESHOLD
+    assert len(final.effects) == 2
+
+
+def test_a_stand_in_is_replaced_by_what_explains_more_beside_the_others(
+    baseline, responses, sensor, friction
+):
+    """It was named first; what replaces it stands last."""
+    fit = refine(baseline, [STAND_IN, SPRING], sensor)
+    named = [(weighed(fit, STAND_IN),), (weighed(fit, SPRING),)]
+    again, final = asked_again(named, fit, 1, responses, sensor)
+    assert again[0] == named[1]
+    assert again[1][0].effects[0].kind == friction.kind
+    assert [effect.kind for effect in final.effects] == [SPRING.kind, friction.kind]
+    assert final.held_out.sum() > fit.held_out.sum() + THRESHOLD
+
+
+def test_what_still_explains_most_keeps_its_place_and_its_fit(both, responses, sensor, friction):
+    named = [(weighed(both, SPRING),), (weighed(both, friction),)]
+    again, final = asked_again(named, both, 2, responses, sensor)
+    assert final is both
+    assert [alike[0].effects[0].kind for alike in again] == [SPRING.kind, friction.kind]
+
+
+def test_an_alternative_that_does_worse_beside_the_others_is_tied_no_more(
+    baseline, both, responses, sensor, friction
+):
+    worse, same = (
+        weighed(refine(baseline, [effect], sensor), effect)
+        for effect in (ELSEWHERE, replace(friction, values=(0.08,)))
+    )
+    named = [(weighed(both, SPRING),), (weighed(both, friction), worse, same)]
+    (_, alike), _ = asked_again(named, both, 2, responses, sensor)
+    places = {each.effects[0].location for each in alike}
+    assert places == {friction.location}
+
+
+def test_an_alternative_that_is_named_elsewhere_is_tied_no_more(
+    baseline, both, responses, sensor, friction
+):
+    other = weighed(refine(baseline, [SPRING], sensor), SPRING)
+    named = [(weighed(both, SPRING),), (weighed(both, friction), other)]
+    (_, alike), _ = asked_again(named, both, 2, responses, sensor)
+    assert [each.effects[0].kind for each in alike] == [friction.kind]
+
+
+def test_a_group_without_a_tie_is_not_asked_again(baseline, responses, sensor, friction):
+    fit = refine(baseline, [ELSEWHERE, friction], sensor)
+    named = [(weighed(fit, ELSEWHERE, friction),)]
+    assert asked_again(named, fit, 1, responses, sensor) == (named, fit)
+
+
+def asked_again(named, fit, count, responses, sensor):
+    rng = np.random.default_rng(0)
+    return reconsidered(named, fit, count, responses, sensor, rng, lambda: None)

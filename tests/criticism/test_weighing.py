@@ -1,0 +1,85 @@
+"""Evidence for effects beside a fit, and what is tied with the best of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adr_service.criticism.decision import THRESHOLD
+from adr_service.criticism.evidence import held_out_without, refine, smoothed
+from adr_service.criticism.responses import Responses
+from adr_service.criticism.scan import scan
+from adr_service.criticism.weighing import (
+    Weighed,
+    close_to_best,
+    from_elsewhere,
+    missed,
+    single_places,
+    slots,
+    weigh,
+)
+from adr_service.effects.base import Effect
+
+
+@pytest.fixture(scope="module")
+def candidates(baseline):
+    return scan(baseline, Responses(baseline))
+
+
+def weighed(fit, *effects, gains=None):
+    return Weighed(effects, fit, fit.held_out if gains is None else gains, 1.0)
+
+
+def test_effects_of_a_fit_belong_to_those_that_were_named(refined, friction):
+    single, pair = weighed(refined, friction), weighed(refined, friction, friction)
+    assert slots([(pair, single), (single,)]) == [slice(0, 2), slice(2, 3)]
+    assert slots([]) == []
+
+
+def test_a_group_is_worth_less_than_a_single_place_with_the_same_gain(refined, friction):
+    single, pair = weighed(refined, friction), weighed(refined, friction, friction)
+    assert single.fair_gain == single.gain == pair.gain
+    assert pair.fair_gain == pair.gain - THRESHOLD
+
+
+def test_the_best_of_the_places_come_first_and_groups_are_no_places(candidates, friction):
+    single = single_places(candidates)
+    assert single[0].effects[0].kind == friction.kind
+    assert all(len(candidate.effects) == 1 for candidate in single)
+    assert [c.gain for c in single] == sorted((c.gain for c in single), reverse=True)
+    close = close_to_best(single)
+    assert close == single[: len(close)]
+    assert close[-1].gain > 0.9 * single[0].gain
+    assert close_to_best([]) == []
+
+
+def test_the_hidden_effect_is_weighed_above_another(baseline, sensor, friction):
+    other = Effect("joint_coulomb_friction", "joint:shoulder", (0.01,))
+    rng = np.random.default_rng(0)
+    (best,), chance = weigh(baseline, [(other,), (friction,)], sensor, rng, lambda: None)
+    assert best.effects == (friction,)
+    assert chance < 0.01
+
+
+def test_without_evidence_nothing_is_the_best(baseline, sensor):
+    rng = np.random.default_rng(0)
+    other = Effect("joint_coulomb_friction", "joint:shoulder", (0.001,))
+    assert weigh(baseline, [(other,)], sensor, rng, lambda: None)[0] == ()
+    assert weigh(baseline, [], sensor, rng, lambda: None) == ((), 1.0)
+
+
+def test_what_is_missed_without_an_effect_is_what_it_explains(refined, sensor, friction):
+    current = smoothed(refined, sensor)
+    whole = held_out_without(current, (), sensor)
+    alone = missed(weighed(refined, friction), [0], current, whole, sensor)
+    assert alone.effects == current.effects
+    assert alone.gain > 10 * THRESHOLD
+
+
+def test_other_starts_of_a_strength_stay_where_they_make_sense(baseline, sensor):
+    """Twice a loss of .6 of the inertia would be a negative one."""
+    lost = refine(baseline, [Effect("body_inertia", "body:fore", (-0.6,))], sensor)
+    beyond = replace(lost, effects=(replace(lost.effects[0], values=(-0.6,)),))
+    best = from_elsewhere(baseline, beyond, sensor)
+    assert best.held_out.sum() >= beyond.held_out.sum()
+    assert best.effects[0].values[0] >= -1.0
