@@ -12,6 +12,7 @@ Nor is what a smaller simulator step would change, which is fitted as if it were
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -29,9 +30,10 @@ from adr_service.criticism.linearisation import (
 from adr_service.criticism.noise import Chain, Noise, Whitener, at_start, lifted, misfit_variance
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
-from adr_service.effects.models import plausible_of, sensible
+from adr_service.effects.models import plausible_of, sensible, typical_of
 
 _ROUNDS, _CONVERGED = 4, 0.3  # of steps at most; [nats] that a step gains at least
+_NEAR = 0.25  # of a strength or of a typical one: so far, derivatives by it hardly change
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,11 @@ class Fit:
     noise: Noise
     normal: Normal
     known: int = 0  # of the effects, the first ones, that are there for sure, however strong
+
+    @cached_property
+    def predicted(self) -> Matrix:
+        """(N, m) by the simulator, from the smoothed states."""
+        return self.simulator.predict(self.parameters, self.effects, self.states)
 
     @property
     def held_out(self) -> Vector:
@@ -156,29 +163,41 @@ def expected_errors(fit: Fit) -> Vector:
 def refine(fit: Fit, effects: Sequence[Effect], sensor: Vector) -> Fit | None:
     """The fit with these effects, from strengths near the best ones; its states stay.
 
-    A step that makes the data less probable is halved. The derivatives by parameters, and by
-    effects that the fit has already, stay as well. None: with these effects the simulation diverges
-    where it did not before, and they explain nothing. Compare with `settled(fit)`.
+    None: with these effects the simulation diverges where it did not before, and they explain
+    nothing. Compare with `settled(fit)`.
     """
-    before = fit.simulator.predict(fit.parameters, fit.effects, fit.states)
-    best = _evaluated(fit, before, fit.parameters, tuple(effects), None, sensor)
-    if best is None:
-        return None
-    step = best.normal.change()[0]
+    first = tried(fit, effects, sensor)
+    return None if first is None else improved(fit, first, sensor)
+
+
+def tried(fit: Fit, effects: Sequence[Effect], sensor: Vector) -> Fit | None:
+    """`refine` without its steps: at the strengths as they are, and linear about them."""
+    return _evaluated(fit, fit.parameters, tuple(effects), None, sensor)
+
+
+def improved(fit: Fit, first: Fit, sensor: Vector) -> Fit:
+    """What was `tried` beside a fit, after steps to better strengths.
+
+    A step that makes the data less probable is halved. The derivatives by parameters, and by
+    effects that the fit has already, stay as well, those by new strengths while these stay near.
+    """
+    best, about, step = first, first.effects, first.normal.change()[0]
     reached = best.normal.best_log_likelihood(fit.integration)
     for _ in range(_ROUNDS - 1):
         parameters = _moved(fit.simulator, best.parameters, step)
         moved = _strengthened(best.effects, step[fit.integration.stop :])
-        tried = _evaluated(fit, before, parameters, moved, best.noise, sensor)
+        known = best if _are_near(fit.simulator, about, moved) else None
+        other = _evaluated(fit, parameters, moved, best.noise, sensor, known)
         gained = (
             -np.inf
-            if tried is None
-            else tried.normal.best_log_likelihood(fit.integration) - reached
+            if other is None
+            else other.normal.best_log_likelihood(fit.integration) - reached
         )
-        if tried is None or gained <= 0:
+        if other is None or gained <= 0:
             step = step / 2
             continue
-        best, step, reached = tried, tried.normal.change()[0], reached + gained
+        best, step, reached = other, other.normal.change()[0], reached + gained
+        about = about if known else moved
         if gained < _CONVERGED:
             break
     return best
@@ -186,39 +205,23 @@ def refine(fit: Fit, effects: Sequence[Effect], sensor: Vector) -> Fit | None:
 
 def _evaluated(
     fit: Fit,
-    before: Matrix,
     parameters: Vector,
     effects: tuple[Effect, ...],
     noise: Noise | None,
     sensor: Vector,
+    near: Fit | None = None,
 ) -> Fit | None:
     """Another fit's states and sensitivities, with other parameters and effects.
 
-    `before` (N, m) is what the other fit predicts; `noise` to start from, None: the likelier of the
-    other fit's and of a guess. None: some transition diverges, or the noise does.
+    `noise` to start from, None: the likelier of the other fit's and of a guess; `near`, a fit with
+    the same effects whose sensitivities will do. None: some transition diverges, or the noise does.
     """
-    simulator = fit.simulator
-    predicted = simulator.predict(parameters, effects, fit.states)
-    places = [fit.columns_at(effect) for effect in effects]
-    new = [effect for effect, where in zip(effects, places, strict=True) if where is None]
-    derivatives = by_strengths(simulator, parameters, effects, fit.states, new)
-    moved = fit.layout.fold(np.stack([predicted - before, *derivatives], axis=2))
-    moved[~fit.linear.chain.mask] = 0.0
-    if not np.all(np.isfinite(moved)):
+    moved = _folded(fit, fit.simulator.predict(parameters, effects, fit.states) - fit.predicted)
+    columns = near.linear.columns if near else _sensitivities(fit, parameters, effects)
+    if not (np.all(np.isfinite(moved)) and np.all(np.isfinite(columns))):
         return None
-    columns, first = [fit.linear.columns[..., : fit.integration.stop]], 1
-    for effect, where in zip(effects, places, strict=True):
-        if where is not None:
-            columns.append(fit.linear.columns[..., where])
-        else:
-            columns.append(moved[..., first : first + len(effect.values)])
-            first += len(effect.values)
-    linear = with_priors(
-        fit.linear.chain,
-        fit.linear.residual - moved[..., 0],
-        np.concatenate(columns, axis=3),
-        len(parameters),
-    )
+    chain, residual = fit.linear.chain, fit.linear.residual - moved
+    linear = with_priors(chain, residual, columns, len(parameters))
     linear = _supposed(fit, linear, effects)
     try:
         start = _likelier(fit, linear, sensor) if noise is None else noise
@@ -228,6 +231,38 @@ def _evaluated(
     return replace(
         fit, parameters=parameters, effects=effects, linear=linear, noise=noise, normal=normal
     )
+
+
+def _sensitivities(fit: Fit, parameters: Vector, effects: Sequence[Effect]) -> np.ndarray:
+    """Columns (E, T, m, p) of a fit's parameters and of effects, those that it has among them."""
+    places = [fit.columns_at(effect) for effect in effects]
+    new = [effect for effect, where in zip(effects, places, strict=True) if where is None]
+    derivatives = iter(by_strengths(fit.simulator, parameters, tuple(effects), fit.states, new))
+    columns = [fit.linear.columns[..., : fit.integration.stop]]
+    for effect, where in zip(effects, places, strict=True):
+        if where is not None:
+            columns.append(fit.linear.columns[..., where])
+        else:
+            own = [next(derivatives) for _ in effect.values]
+            columns.append(_folded(fit, np.stack(own, axis=2)))
+    return np.concatenate(columns, axis=3)
+
+
+def _folded(fit: Fit, changes: np.ndarray) -> np.ndarray:
+    """Changes (N, …) of predictions by episode, zero where the fit has no transition."""
+    folded = fit.layout.fold(changes)
+    folded[~fit.linear.chain.mask] = 0.0
+    return folded
+
+
+def _are_near(simulator: Simulator, before: Sequence[Effect], after: Sequence[Effect]) -> bool:
+    """True if strengths have not moved far."""
+    for one, other in zip(before, after, strict=True):
+        typical = typical_of(simulator.base, one.kind, one.location)
+        reach = _NEAR * np.maximum(np.abs(one.values), typical)
+        if np.any(np.abs(np.subtract(other.values, one.values)) > reach):
+            return False
+    return True
 
 
 def _supposed(fit: Fit, linear: Linear, effects: Sequence[Effect]) -> Linear:

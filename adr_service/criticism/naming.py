@@ -97,7 +97,10 @@ def name_effects(
         current = smoothed(from_elsewhere(current, alike[0].fit, sensor), sensor)
         named, current = reconsidered(named, current, count, responses, sensor, rng, alive)
     alive = partial(progress, 0.8, causes=len(named))
-    named, current = narrowed(*pruned(named, current, sensor), sensor)
+    named, current = pruned(named, current, sensor)
+    fewer, narrow = narrowed(named, current, sensor)
+    if narrow is not current:
+        named, current = pruned(fewer, narrow, sensor)
     if len(named) > 1:
         named, current = reconsidered(named, current, len(named), responses, sensor, rng, alive)
     return named, current, chance
@@ -129,7 +132,7 @@ def _standing(block: Block, sensor: Vector, rng: np.random.Generator) -> tuple[l
     for slot, (weighed,) in zip(slots(kept), kept, strict=True):
         alone = missed(weighed, range(slot.start, slot.stop), current, everything, sensor)
         confidence = float(decide(alone.gains[None], rng).confidence[0])
-        named.append((replace(alone, confidence=confidence),))
+        named.append((replace(alone, confidence=confidence, in_block=True),))
     return named, current
 
 

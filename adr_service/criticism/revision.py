@@ -1,7 +1,8 @@
 """Named effects in the light of each other.
 
     named, current = reconsidered(named, current, count, responses, sensor, rng, alive)
-    named, current = narrowed(*pruned(named, current, sensor), sensor)
+    named, current = pruned(named, current, sensor)
+    named, current = narrowed(named, current, sensor)
 
 What explained most before the others were known may be another's stand-in, superfluous now, or a
 group of which a few places would do.
@@ -40,14 +41,15 @@ def reconsidered(
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[list[Alike], Fit]:
-    """The first `count` named effects weighed again beside all others, and the fit: what explained
-    most before these were known may be another's stand-in. One that is replaced becomes the last.
+    """The first `count` named effects weighed again beside all others, but for those of a block,
+    and the fit: what explained most before these were known may be another's stand-in. One that is
+    replaced becomes the last.
     """
     kept, number = list(named), 0
     for _ in range(count):
         slot = slots(kept)[number]
         before, own = kept[number], current.effects[slot]
-        is_asked = len(own) == 1 or len(before) > 1
+        is_asked = not before[0].in_block and (len(own) == 1 or len(before) > 1)
         rest = _without(slot, current, sensor) if is_asked else None
         tried = [] if rest is None else _rivals(rest, before, own, responses)
         again = weigh(rest, tried, sensor, rng, alive)[0] if rest and len(tried) > 1 else ()
@@ -78,11 +80,11 @@ def pruned(named: list[Alike], current: Fit, sensor: Vector) -> tuple[list[Alike
     """The named effects without those that the others make superfluous."""
     while len(named) > 1:
         everything = settled(current, sensor).held_out
-        linearised = held_out_without(current, (), sensor)
+        whole = held_out_without(current, (), sensor)
         shorter = {
             number: _without(slot, current, sensor)
             for number, slot in enumerate(slots(named))
-            if not _are_clearly_missed(range(slot.start, slot.stop), linearised, current, sensor)
+            if not _are_clearly_missed(range(slot.start, slot.stop), whole, current, sensor)
         }
         rests = {
             number: rest
@@ -103,41 +105,46 @@ def _without(slot: slice, current: Fit, sensor: Vector) -> Fit | None:
 
 
 def _are_clearly_missed(
-    numbers: Sequence[int], linearised: Vector, current: Fit, sensor: Vector
+    numbers: Sequence[int], whole: Vector, current: Fit, sensor: Vector
 ) -> bool:
-    """True if a fit without some effects is so much worse than with all, both `linearised`, that
+    """True if a fit without some effects is, linearised, so much worse than the `whole` (E,) that
     refining it, which takes many simulations, would not tell otherwise."""
-    loss = linearised - held_out_without(current, numbers, sensor)
+    loss = whole - held_out_without(current, numbers, sensor)
     return is_evidence(loss) and float(loss.sum()) > _CLEARLY * THRESHOLD
 
 
 def narrowed(named: Sequence[Alike], current: Fit, sensor: Vector) -> tuple[list[Alike], Fit]:
     """The named effects with a few places instead of a group that needs no others, now that all
     are known."""
+    if all(len(alike[0].effects) == 1 for alike in named):
+        return list(named), current
     kept: list[Alike] = []
+    whole = held_out_without(current, (), sensor)
     for number, alike in enumerate(named):
         slot = slots([*kept, *named[number:]])[len(kept)]
-        few = _few_places(current, slot, sensor) if len(alike[0].effects) > 1 else None
+        is_group = len(alike[0].effects) > 1
+        few = _few_places(current, slot, whole, sensor) if is_group else None
         if few is None:
             kept.append(alike)
             continue
         gone = len(current.effects) - len(few.effects)
         current = smoothed(few, sensor)
-        kept += _apart(alike, current, range(slot.start, slot.stop - gone), sensor)
+        whole = held_out_without(current, (), sensor)
+        kept += _apart(alike, current, range(slot.start, slot.stop - gone), whole, sensor)
     return kept, current
 
 
-def _few_places(current: Fit, slot: slice, sensor: Vector) -> Fit | None:
+def _few_places(current: Fit, slot: slice, whole: Vector, sensor: Vector) -> Fit | None:
     """The fit with at most half of a group's places, the most significant ones; None if the others
-    would be missed."""
+    would be missed. `whole` (E,): log-likelihood with all, linearised."""
     order = sorted(range(slot.start, slot.stop), key=lambda n: -_significance(current, n))
-    linearised, half = held_out_without(current, (), sensor), len(order) // 2
-    if _are_clearly_missed(order[half:], linearised, current, sensor):
+    half = len(order) // 2
+    if _are_clearly_missed(order[half:], whole, current, sensor):
         return None
     everything = settled(current, sensor).held_out
     for count in range(1, half + 1):
         gone = order[count:]
-        if _are_clearly_missed(gone, linearised, current, sensor):
+        if _are_clearly_missed(gone, whole, current, sensor):
             continue
         left = [effect for n, effect in enumerate(current.effects) if n not in gone]
         few = refine(current, left, sensor)
@@ -146,11 +153,12 @@ def _few_places(current: Fit, slot: slice, sensor: Vector) -> Fit | None:
     return None
 
 
-def _apart(alike: Alike, current: Fit, numbers: Sequence[int], sensor: Vector) -> list[Alike]:
+def _apart(
+    alike: Alike, current: Fit, numbers: Sequence[int], whole: Vector, sensor: Vector
+) -> list[Alike]:
     """The places of a group that are left in a fit, as causes of their own; one alone is tied with
     the places that its group was tied with."""
     group, *others = alike
-    whole = held_out_without(current, (), sensor)
     apart = [missed(group, [number], current, whole, sensor) for number in numbers]
     if len(apart) > 1:
         return [(each,) for each in apart]

@@ -1,9 +1,9 @@
 """Evidence for effects and groups beside a fit, and what explains as much as the best of them.
 
-    alike, chance = weigh(current, tried, sensor, rng, alive)
+    alike, chance = weigh(current, asked, sensor, rng, alive)
     alike[0].effects, alike[0].gain         # the best; the others are tied with it
 
-`tried` are effects, or groups of one kind at several places, each with a strength to start from.
+`asked` are effects, or groups of one kind at several places, each with a strength to start from.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,7 +13,7 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import ALIKE, THRESHOLD, TIE, decide
-from adr_service.criticism.evidence import Fit, held_out_without, refine, settled
+from adr_service.criticism.evidence import Fit, held_out_without, improved, refine, settled, tried
 from adr_service.criticism.scan import Candidate
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
@@ -21,6 +21,7 @@ from adr_service.effects.models import sensible
 
 _PROMISING = THRESHOLD / 4  # [nats] by the scan; refining adds little more
 _CLOSE = 0.9  # of the best gain
+_HOPEFUL = 0.4  # of the best gain at a first look; steps to better strengths may double it
 _OTHER_STARTS = (0.5, 2.0)  # times the estimated strengths
 
 
@@ -32,6 +33,7 @@ class Weighed:
     fit: Fit
     gains: Vector  # (E,) nats
     confidence: float
+    in_block: bool = False  # one of many that were chosen together
 
     @property
     def gain(self) -> float:
@@ -64,26 +66,41 @@ def close_to_best(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 def weigh(
     current: Fit,
-    tried: Sequence[Sequence[Effect]],
+    asked: Sequence[Sequence[Effect]],
     sensor: Vector,
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[Alike, float]:
-    """The best of effects or groups, refined beside a fit's, with all that explain as much (none
-    without evidence), and the probability that it is chance; `alive` is called before each."""
+    """The best of effects or groups beside a fit's, with all that explain as much (none without
+    evidence), and the probability that it is chance; `alive` is called before each.
+
+    Those that a first look shows far below the best are not refined.
+    """
     without = settled(current, sensor).held_out
-    weighed: list[Weighed] = []
-    for effects in tried:
+    looks: list[Weighed] = []
+    for effects in asked:
         alive()
-        refined = refine(current, [*current.effects, *effects], sensor)
-        if refined is not None:
-            gains = refined.held_out - without
-            weighed.append(Weighed(tuple(effects), refined, gains, 0.0))
+        first = tried(current, [*current.effects, *effects], sensor)
+        if first is not None:
+            looks.append(Weighed(tuple(effects), first, first.held_out - without, 0.0))
+    least = _HOPEFUL * max((look.fair_gain for look in looks), default=0.0)
+    weighed = [
+        _at_best(look, current, without, sensor, alive) if look.fair_gain >= least else look
+        for look in looks
+    ]
     fair = [each.gains + (each.fair_gain - each.gain) / len(without) for each in weighed]
     decision = decide(np.reshape(fair, (len(weighed), len(without))), rng)
     *likely, chance = decision.confidence.tolist()
     alike = [replace(weighed[number], confidence=likely[number]) for number in decision.alike]
     return _simplest_first(alike), chance
+
+
+def _at_best(
+    look: Weighed, current: Fit, without: Vector, sensor: Vector, alive: Callable[[], None]
+) -> Weighed:
+    alive()
+    fit = improved(current, look.fit, sensor)
+    return replace(look, fit=fit, gains=fit.held_out - without)
 
 
 def _simplest_first(alike: Sequence[Weighed]) -> Alike:
