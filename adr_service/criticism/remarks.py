@@ -1,4 +1,4 @@
-"""Remarks of a verdict on the data, in sentences."""
+"""Remarks of a verdict on the data and on what it names, in sentences."""
 
 from collections.abc import Sequence
 
@@ -7,6 +7,10 @@ import numpy as np
 
 from adr_service.criticism.measurements import Measurement
 from adr_service.effects.base import Effect
+from adr_service.effects.catalogue import get_mechanism
+from adr_service.effects.models import plausible_of, unit_of
+
+_IMPLAUSIBLE = 2.0  # deviations of what robots have
 
 
 def on_commands(model: mujoco.MjModel, data: Measurement) -> tuple[str, ...]:
@@ -38,3 +42,20 @@ def on_refuted(effects: Sequence[Effect]) -> str:
         "opened last, are predicted worse with it; so it is not named. Do episodes differ in "
         "something that is not recorded?"
     )
+
+
+def on_implausible(model: mujoco.MjModel, effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Remarks on strengths that hardly any robot has and a model lacks."""
+    remarks: list[str] = []
+    for effect in effects:
+        likely = plausible_of(model, effect)
+        strengths = get_mechanism(effect.kind).strengths
+        for strength, value, usual in zip(strengths, effect.values, likely, strict=True):
+            if abs(value) > _IMPLAUSIBLE * usual:
+                unit = unit_of(model, effect.location, strength.unit)
+                remarks.append(
+                    f"{effect.kind} {effect.location} needs a {strength.name} of {value:.3g} "
+                    f"{unit}, where robots have {usual:.2g} {unit} at most: a unit may be wrong, "
+                    "or it may stand in for a gross error of the model."
+                )
+    return tuple(remarks)

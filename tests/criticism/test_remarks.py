@@ -1,10 +1,13 @@
 """Remarks on the data."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.remarks import on_commands, on_refuted
+from adr_service.criticism.remarks import on_commands, on_implausible, on_refuted
 from adr_service.effects.base import Effect
+from adr_service.effects.models import plausible_of
 from tests.hidden import arm
 
 
@@ -21,3 +24,13 @@ def test_constant_commands_and_commands_beyond_limits_have_a_remark(good):
 def test_a_refuted_effect_is_named_with_its_place():
     remark = on_refuted([Effect("joint_spring", "joint:elbow", (0.5,))])
     assert "joint_spring joint:elbow" in remark
+
+
+def test_a_strength_that_no_robot_has_is_pointed_out():
+    model = arm()[1].model(arm()[1].start)
+    usual = Effect("joint_spring", "joint:elbow", (0.5,))
+    (likely,) = plausible_of(model, usual)
+    assert on_implausible(model, [usual]) == ()
+    (remark,) = on_implausible(model, [usual, replace(usual, values=(-3 * likely,))])
+    assert f"joint_spring joint:elbow needs a stiffness of {-3 * likely:.3g} N m/rad" in remark
+    assert f"robots have {likely:.2g} N m/rad at most" in remark
