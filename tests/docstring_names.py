@@ -99,7 +99,7 @@ def fitted(folder: Path) -> Names:
     from adr_service.criticism.evidence import fit, smoothed
 
     names = simulated(folder)
-    baseline = smoothed(fit(names["simulator"], names["sensor"]), names["sensor"])
+    baseline = smoothed(fit(names["simulator"], names["sensor"]))
     effect = Effect("joint_coulomb_friction", "joint:elbow", (0.15,))
     return {**names, "baseline": baseline, "effect": effect}
 

@@ -1,8 +1,8 @@
 """Evidence for effects: how much better the data are predicted with them than without.
 
-    baseline = smoothed(fit(simulator, sensor), sensor)  # free parameters, noise, smoothed states
+    baseline = smoothed(fit(simulator, sensor))  # free parameters, noise, smoothed states
     candidates = scan(baseline, Responses(baseline))     # every (kind, location), linearised
-    refined = refine(baseline, candidates[0].effects, sensor)  # nonlinear, with its own noise
+    refined = refine(baseline, candidates[0].effects)  # nonlinear, with its own noise
 
 All fits are Gauss-Newton steps on whitened one-step residuals around smoothed states. A gain is
 the log-likelihood, in nats, of episodes that were left out one at a time from the fit, with the
@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from adr_service.arrays import Array3, Matrix, Vector
+from adr_service.arrays import Array3, Mask, Matrix, Vector
 from adr_service.criticism.layout import Layout
 from adr_service.criticism.linear import Linear, Normal, estimate, likelihood
 from adr_service.criticism.linearisation import (
@@ -44,6 +44,7 @@ class Fit:
     """
 
     simulator: Simulator
+    sensor: Vector  # (m,) stated variances of the sensors' noise, NaN where it is not known
     layout: Layout
     parameters: Vector  # (d,) SI
     effects: tuple[Effect, ...]
@@ -52,6 +53,16 @@ class Fit:
     noise: Noise
     normal: Normal
     known: int = 0  # of the effects, the first ones, that are there for sure, however strong
+
+    @cached_property
+    def settled(self) -> "Fit":
+        """The fit with its own effects, its strengths and noise settled around its states."""
+        return refine(self, self.effects) or self
+
+    @property
+    def stated(self) -> Mask:
+        """(m,) true for sensors whose noise is known."""
+        return ~np.isnan(self.sensor)
 
     @cached_property
     def predicted(self) -> Matrix:
@@ -92,20 +103,18 @@ def fit(simulator: Simulator, sensor: Vector, effects: Sequence[Effect] = ()) ->
 
     The effects are known to be there; others that later fits add are supposed to be about as strong
     as `Mechanism.plausible` says.
-    `sensor` (m,) are the variances of the sensors' noise, NaN where they are not known.
+    `sensor` (m,): stated variances of the sensors' noise, NaN where it is not known.
     """
     layout, states, start = Layout.of(simulator), simulator.measured, simulator.nominal.start
     linear = linearise(simulator, layout, start, tuple(effects), states, _exact(simulator))
     noise = _first_noise(linear, sensor)
     known = ~np.isnan(sensor)
     noise, normal = estimate(linear, lifted(noise, linear.chain, linear.residual, known), known)
-    first = Fit(
-        simulator, layout, start, tuple(effects), states, linear, noise, normal, len(effects)
-    )
-    return settled(first, sensor)
+    known_effects = (tuple(effects), states, linear, noise, normal, len(effects))
+    return Fit(simulator, sensor, layout, start, *known_effects).settled
 
 
-def smoothed(fit: Fit, sensor: Vector) -> Fit:
+def smoothed(fit: Fit) -> Fit:
     """A fit anew, around the states that are the most probable under it."""
     simulator, layout = fit.simulator, fit.layout
     whitener = Whitener.of(fit.linear.chain, fit.noise)
@@ -114,18 +123,12 @@ def smoothed(fit: Fit, sensor: Vector) -> Fit:
     root = root_of(layout.by_row(simulator, covariance), tiny_root(simulator))
     linear = linearise(simulator, layout, fit.parameters, fit.effects, states, root)
     linear = _supposed(fit, linear, fit.effects)
-    known = ~np.isnan(sensor)
-    start = lifted(fit.noise, linear.chain, linear.residual, known)
-    noise, normal = estimate(linear, start, known)
-    return settled(replace(fit, states=states, linear=linear, noise=noise, normal=normal), sensor)
+    start = lifted(fit.noise, linear.chain, linear.residual, fit.stated)
+    noise, normal = estimate(linear, start, fit.stated)
+    return replace(fit, states=states, linear=linear, noise=noise, normal=normal).settled
 
 
-def settled(fit: Fit, sensor: Vector) -> Fit:
-    """The fit with its own effects, its strengths and noise settled around its states."""
-    return refine(fit, fit.effects, sensor) or fit
-
-
-def held_out_without(fit: Fit, gone: Sequence[int], sensor: Vector) -> Vector:
+def held_out_without(fit: Fit, gone: Sequence[int]) -> Vector:
     """(E,) nats: `Fit.held_out` without effects of these numbers, as far as all is linear.
 
     Compare with the same without none: both start from the likelier of two noises.
@@ -141,7 +144,7 @@ def held_out_without(fit: Fit, gone: Sequence[int], sensor: Vector) -> Vector:
         linear.mean[kept],
         linear.precision[kept],
     )
-    return estimate(linear, _likelier(fit, linear, sensor), ~np.isnan(sensor))[1].left_out()
+    return estimate(linear, _likelier(fit, linear), fit.stated)[1].left_out()
 
 
 def residuals_of(fit: Fit, simulator: Simulator) -> tuple[Chain, Array3]:
@@ -160,22 +163,22 @@ def expected_errors(fit: Fit) -> Vector:
     return np.where(fit.simulator.data.is_measured(), np.sqrt(variance), np.nan)
 
 
-def refine(fit: Fit, effects: Sequence[Effect], sensor: Vector) -> Fit | None:
+def refine(fit: Fit, effects: Sequence[Effect]) -> Fit | None:
     """The fit with these effects, from strengths near the best ones; its states stay.
 
     None: with these effects the simulation diverges where it did not before, and they explain
-    nothing. Compare with `settled(fit)`.
+    nothing. Compare with `fit.settled`.
     """
-    first = tried(fit, effects, sensor)
-    return None if first is None else improved(fit, first, sensor)
+    first = tried(fit, effects)
+    return None if first is None else improved(fit, first)
 
 
-def tried(fit: Fit, effects: Sequence[Effect], sensor: Vector) -> Fit | None:
+def tried(fit: Fit, effects: Sequence[Effect]) -> Fit | None:
     """`refine` without its steps: at the strengths as they are, and linear about them."""
-    return _evaluated(fit, fit.parameters, tuple(effects), None, sensor)
+    return _evaluated(fit, fit.parameters, tuple(effects), None)
 
 
-def improved(fit: Fit, first: Fit, sensor: Vector) -> Fit:
+def improved(fit: Fit, first: Fit) -> Fit:
     """What was `tried` beside a fit, after steps to better strengths.
 
     A step that makes the data less probable is halved. The derivatives by parameters, and by
@@ -187,7 +190,7 @@ def improved(fit: Fit, first: Fit, sensor: Vector) -> Fit:
         parameters = _moved(fit.simulator, best.parameters, step)
         moved = _strengthened(best.effects, step[fit.integration.stop :])
         known = best if _are_near(fit.simulator, about, moved) else None
-        other = _evaluated(fit, parameters, moved, best.noise, sensor, known)
+        other = _evaluated(fit, parameters, moved, best.noise, known)
         gained = (
             -np.inf
             if other is None
@@ -208,7 +211,6 @@ def _evaluated(
     parameters: Vector,
     effects: tuple[Effect, ...],
     noise: Noise | None,
-    sensor: Vector,
     near: Fit | None = None,
 ) -> Fit | None:
     """Another fit's states and sensitivities, with other parameters and effects.
@@ -224,8 +226,8 @@ def _evaluated(
     linear = with_priors(chain, residual, columns, len(parameters))
     linear = _supposed(fit, linear, effects)
     try:
-        start = _likelier(fit, linear, sensor) if noise is None else noise
-        noise, normal = estimate(linear, start, ~np.isnan(sensor))
+        start = _likelier(fit, linear) if noise is None else noise
+        noise, normal = estimate(linear, start, fit.stated)
     except np.linalg.LinAlgError:  # what it leaves has no finite variance beside exact readings
         return None
     return replace(
@@ -283,11 +285,11 @@ def _exact(simulator: Simulator) -> np.ndarray:
     return np.broadcast_to(tiny_root(simulator), (rows, m, m))
 
 
-def _likelier(fit: Fit, linear: Linear, sensor: Vector) -> Noise:
+def _likelier(fit: Fit, linear: Linear) -> Noise:
     """Noise to start from: a fit's own, or a guess where other effects leave much more."""
-    known = ~np.isnan(sensor)
-    own = lifted(fit.noise, fit.linear.chain, fit.left, known)
-    guess = lifted(_first_noise(linear, sensor), linear.chain, linear.residual, known)
+    own = lifted(fit.noise, fit.linear.chain, fit.left, fit.stated)
+    guess = _first_noise(linear, fit.sensor)
+    guess = lifted(guess, linear.chain, linear.residual, fit.stated)
     return max((own, guess), key=lambda noise: likelihood(linear, noise))
 
 

@@ -1,6 +1,6 @@
 """A flexible force on the joints, which may predict better than any named effect.
 
-    rest = unexplained(baseline, sensor)
+    rest = unexplained(baseline)
     rest.gains, rest.where
 
 A ridge regression of the whitened residuals on generalised forces, for one question after the
@@ -50,7 +50,7 @@ class _Regression:
     excess: float = 1.0  # factor by which noise alone gains more than white noise would
 
 
-def unexplained(fit: Fit, sensor: Vector) -> Unexplained:
+def unexplained(fit: Fit) -> Unexplained:
     """The best flexible force beside a fit, if only by chance."""
     responses = _responses(fit)
     swing = _swing(fit, responses)
@@ -58,7 +58,7 @@ def unexplained(fit: Fit, sensor: Vector) -> Unexplained:
         _regressions(fit, responses, swing),
         key=lambda each: (each.normal.left_out() - fit.held_out).sum() / each.excess,
     )
-    known = ~np.isnan(sensor)
+    known = fit.stated
     _, with_force = estimate(best.linear, fit.noise, known)
     _, without = estimate(fit.linear, fit.noise, known)
     gains = (with_force.left_out() - without.left_out()) / best.excess

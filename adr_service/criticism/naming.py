@@ -1,7 +1,7 @@
 """The search for the effects that a simulator lacks, one after the other.
 
     named, final, chance = name_effects(
-        baseline, candidates, responses, block, sensor, rng, progress
+        baseline, candidates, responses, block, rng, progress
     )
 
 Each is named on its own evidence beside those named before, weighed again when later ones are
@@ -16,7 +16,7 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import THRESHOLD, decide
-from adr_service.criticism.evidence import Fit, held_out_without, refine, settled, smoothed
+from adr_service.criticism.evidence import Fit, held_out_without, refine, smoothed
 from adr_service.criticism.inverse import Group
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.revision import narrowed, pruned, reconsidered
@@ -54,10 +54,10 @@ class Block:
         return float(self.gains.sum()) - THRESHOLD * len(self.groups)
 
 
-def block_of(start: Fit, groups: Sequence[Group], sensor: Vector) -> Block | None:
+def block_of(start: Fit, groups: Sequence[Group]) -> Block | None:
     """The groups together in a fit; None if there are none, or nothing can be simulated."""
     effects = [effect for group in groups for effect in group]
-    refined = refine(start, effects, sensor) if groups else None
+    refined = refine(start, effects) if groups else None
     if refined is None:
         return None
     found = iter(refined.effects)
@@ -70,7 +70,6 @@ def name_effects(
     candidates: Sequence[Candidate],
     responses: Responses,
     block: Block | None,
-    sensor: Vector,
     rng: np.random.Generator,
     progress: Progress,
 ) -> tuple[list[Alike], Fit, float]:
@@ -81,8 +80,8 @@ def name_effects(
     """
     named: list[Alike] = []
     current, chance = baseline, 1.0
-    if block is not None and _is_far_better(block, baseline, candidates[:_REFINED], sensor):
-        named, current = _standing(block, sensor, rng)
+    if block is not None and _is_far_better(block, baseline, candidates[:_REFINED]):
+        named, current = _standing(block, rng)
         responses, chance = Responses(current), 0.0  # about the baseline all would be others
     for count in range(len(named), _MOST_NAMED):
         alive = partial(progress, 0.1 + 0.7 * count / _MOST_NAMED, causes=count)
@@ -90,31 +89,31 @@ def name_effects(
         if count > 0:
             candidates = scan(current, responses)
         tried = [candidate.effects for candidate in _worth_refining(candidates)]
-        alike, chance = weigh(current, tried, sensor, rng, alive)
+        alike, chance = weigh(current, tried, rng, alive)
         if not alike:
             break
         named.append(alike)
-        current = smoothed(from_elsewhere(current, alike[0].fit, sensor), sensor)
-        named, current = reconsidered(named, current, count, responses, sensor, rng, alive)
+        current = smoothed(from_elsewhere(current, alike[0].fit))
+        named, current = reconsidered(named, current, count, responses, rng, alive)
     alive = partial(progress, 0.8, causes=len(named))
-    named, current = pruned(named, current, sensor)
-    fewer, narrow = narrowed(named, current, sensor)
+    named, current = pruned(named, current)
+    fewer, narrow = narrowed(named, current)
     if narrow is not current:
-        named, current = pruned(fewer, narrow, sensor)
+        named, current = pruned(fewer, narrow)
     if len(named) > 1:
-        named, current = reconsidered(named, current, len(named), responses, sensor, rng, alive)
+        named, current = reconsidered(named, current, len(named), responses, rng, alive)
     return named, current, chance
 
 
-def _is_far_better(block: Block, baseline: Fit, best: Sequence[Candidate], sensor: Vector) -> bool:
+def _is_far_better(block: Block, baseline: Fit, best: Sequence[Candidate]) -> bool:
     """True if a block leaves much less than the best candidate does alone, refined.
 
     What could be two causes or three is left to the search, which looks beyond forces.
     """
     most = THRESHOLD
-    without = settled(baseline, sensor).held_out
+    without = baseline.settled.held_out
     for candidate in best:
-        refined = refine(baseline, candidate.effects, sensor)
+        refined = refine(baseline, candidate.effects)
         if refined is not None:
             most = max(most, float((refined.held_out - without).sum()))
             break
@@ -122,15 +121,15 @@ def _is_far_better(block: Block, baseline: Fit, best: Sequence[Candidate], senso
     return block.fair_gain - most > min(_FAR * most, _CLOSER * readings)
 
 
-def _standing(block: Block, sensor: Vector, rng: np.random.Generator) -> tuple[list[Alike], Fit]:
+def _standing(block: Block, rng: np.random.Generator) -> tuple[list[Alike], Fit]:
     """The groups of a block that the others do not make superfluous, each with what these explain
     less alone, and the fit."""
     whole: list[Alike] = [(Weighed(group, block.fit, block.gains, 0.0),) for group in block.groups]
-    kept, current = pruned(whole, smoothed(block.fit, sensor), sensor)
-    everything = held_out_without(current, (), sensor)
+    kept, current = pruned(whole, smoothed(block.fit))
+    everything = held_out_without(current, ())
     named: list[Alike] = []
     for slot, (weighed,) in zip(slots(kept), kept, strict=True):
-        alone = missed(weighed, range(slot.start, slot.stop), current, everything, sensor)
+        alone = missed(weighed, range(slot.start, slot.stop), current, everything)
         confidence = float(decide(alone.gains[None], rng).confidence[0])
         named.append((replace(alone, confidence=confidence, in_block=True),))
     return named, current

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from adr_service.arrays import Vector
 from adr_service.criticism.compatibility import check_measurement
 from adr_service.criticism.decision import THRESHOLD, is_unknown
-from adr_service.criticism.evidence import Fit, fit, settled, smoothed
+from adr_service.criticism.evidence import Fit, fit, smoothed
 from adr_service.criticism.experiments import separating_experiment
 from adr_service.criticism.extension import Extension, extend
 from adr_service.criticism.flexible_force import Unexplained, unexplained
@@ -93,22 +93,19 @@ def criticise(
     started = time.perf_counter()
     check_measurement(nominal, data)
     learned, sealed = split(data)
-    sensor = data.sensor_variance()
     with ExitStack() as simulators:
         simulators.enter_context(threadpool_limits(1))
         progress(0.02)
-        start, block = _best_step(nominal, learned, sensor, rng, threads, simulators)
-        baseline = smoothed(start, sensor)
+        start, block = _best_step(nominal, learned, rng, threads, simulators)
+        baseline = smoothed(start)
         progress(0.1)
         responses = Responses(baseline)
         first = scan(baseline, responses)
-        named, final, chance = name_effects(
-            baseline, first, responses, block, sensor, rng, progress
-        )
+        named, final, chance = name_effects(baseline, first, responses, block, rng, progress)
         progress(0.9, causes=len(named))
         outcome = _Outcome(named, final, chance, None, on_commands(baseline.simulator.base, data))
         outcome = _opened(outcome, baseline, sealed, rng, threads)
-        judgement = _judged(outcome, baseline, sensor)
+        judgement = _judged(outcome, baseline)
         verdict = _verdict(judgement, baseline, first)
     verdict = replace(verdict, seconds=time.perf_counter() - started)
     final = judgement.outcome.final
@@ -127,7 +124,6 @@ def split(data: Measurement) -> tuple[Measurement, Measurement]:
 def _best_step(
     nominal: Nominal,
     data: Measurement,
-    sensor: Vector,
     rng: np.random.Generator,
     threads: int | None,
     simulators: ExitStack,
@@ -142,17 +138,17 @@ def _best_step(
     first = simulators.enter_context(Simulator(nominal, data, threads))
     groups = needed_effects(first)
     if not is_first_order(nominal.model(nominal.start)):
-        return _begun(first, groups, sensor)
+        return _begun(first, groups)
     part = _part(data, rng)
     coarse = first if part is data else simulators.enter_context(Simulator(nominal, part, threads))
     fine = simulators.enter_context(Simulator(nominal, part, threads, FINER))
-    start, block = max((_begun(each, groups, sensor) for each in (coarse, fine)), key=_likelihood)
+    start, block = max((_begun(each, groups) for each in (coarse, fine)), key=_likelihood)
     if part is data:
         return start, block
     whole = first
     if start.simulator is fine:
         whole = simulators.enter_context(Simulator(nominal, data, threads, FINER))
-    return _begun(whole, groups if block is None else block.groups, sensor)
+    return _begun(whole, groups if block is None else block.groups)
 
 
 def _part(data: Measurement, rng: np.random.Generator) -> Measurement:
@@ -165,11 +161,9 @@ def _part(data: Measurement, rng: np.random.Generator) -> Measurement:
     return data.episodes(np.sort(rng.choice(episodes, count, replace=False)).tolist())
 
 
-def _begun(
-    simulator: Simulator, groups: Sequence[Group], sensor: Vector
-) -> tuple[Fit, Block | None]:
-    start = fit(simulator, sensor)
-    return start, block_of(start, groups, sensor)
+def _begun(simulator: Simulator, groups: Sequence[Group]) -> tuple[Fit, Block | None]:
+    start = fit(simulator, simulator.data.sensor_variance())
+    return start, block_of(start, groups)
 
 
 def _likelihood(begun: tuple[Fit, Block | None]) -> tuple[int, float]:
@@ -197,16 +191,16 @@ def _opened(
     return _Outcome([], baseline, 0.5 + INTERVAL / 2, None, remarks)
 
 
-def _judged(outcome: _Outcome, baseline: Fit, sensor: Vector) -> _Judgement:
+def _judged(outcome: _Outcome, baseline: Fit) -> _Judgement:
     """The outcome beside a flexible force, which may explain more than all named effects."""
-    whole = settled(outcome.final, sensor)
-    flexible = unexplained(whole, sensor)
+    whole = outcome.final.settled
+    flexible = unexplained(whole)
     confidence = _confidence(outcome.named, outcome.chance, flexible.gains)
     conclusion = Conclusion.NONE
     if is_unknown(flexible.gains, sum(alike[0].gain for alike in outcome.named)):
         conclusion = Conclusion.UNKNOWN
         outcome = replace(outcome, named=[], final=baseline, gain=None)
-    spread = spread_causes(whole, sensor)
+    spread = spread_causes(whole)
     if conclusion == Conclusion.NONE and (outcome.named or spread):
         is_tied = any(len(alike) > 1 for alike in outcome.named)
         conclusion = Conclusion.TIE if is_tied else Conclusion.CAUSE

@@ -1,8 +1,8 @@
 """Named effects in the light of each other.
 
-    named, current = reconsidered(named, current, count, responses, sensor, rng, alive)
-    named, current = pruned(named, current, sensor)
-    named, current = narrowed(named, current, sensor)
+    named, current = reconsidered(named, current, count, responses, rng, alive)
+    named, current = pruned(named, current)
+    named, current = narrowed(named, current)
 
 What explained most before the others were known may be another's stand-in, superfluous now, or a
 group of which a few places would do.
@@ -14,7 +14,7 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import THRESHOLD, is_evidence
-from adr_service.criticism.evidence import Fit, held_out_without, refine, settled, smoothed
+from adr_service.criticism.evidence import Fit, held_out_without, refine, smoothed
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import scan
 from adr_service.criticism.weighing import (
@@ -37,7 +37,6 @@ def reconsidered(
     current: Fit,
     count: int,
     responses: Responses,
-    sensor: Vector,
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[list[Alike], Fit]:
@@ -50,12 +49,12 @@ def reconsidered(
         slot = slots(kept)[number]
         before, own = kept[number], current.effects[slot]
         is_asked = not before[0].in_block and (len(own) == 1 or len(before) > 1)
-        rest = _without(slot, current, sensor) if is_asked else None
+        rest = _without(slot, current) if is_asked else None
         tried = [] if rest is None else _rivals(rest, before, own, responses)
-        again = weigh(rest, tried, sensor, rng, alive)[0] if rest and len(tried) > 1 else ()
+        again = weigh(rest, tried, rng, alive)[0] if rest and len(tried) > 1 else ()
         if rest and again and parts(again[0].effects) != parts(own):
             kept = [*kept[:number], *kept[number + 1 :], again]
-            current = smoothed(from_elsewhere(rest, again[0].fit, sensor), sensor)
+            current = smoothed(from_elsewhere(rest, again[0].fit))
         else:
             kept[number] = again or before
             number += 1
@@ -76,15 +75,15 @@ def _rivals(
     return [*tried, *(each.effects for each in close if not parts(each.effects) & known)]
 
 
-def pruned(named: list[Alike], current: Fit, sensor: Vector) -> tuple[list[Alike], Fit]:
+def pruned(named: list[Alike], current: Fit) -> tuple[list[Alike], Fit]:
     """The named effects without those that the others make superfluous."""
     while len(named) > 1:
-        everything = settled(current, sensor).held_out
-        whole = held_out_without(current, (), sensor)
+        everything = current.settled.held_out
+        whole = held_out_without(current, ())
         shorter = {
-            number: _without(slot, current, sensor)
+            number: _without(slot, current)
             for number, slot in enumerate(slots(named))
-            if not _are_clearly_missed(range(slot.start, slot.stop), whole, current, sensor)
+            if not _are_clearly_missed(range(slot.start, slot.stop), whole, current)
         }
         rests = {
             number: rest
@@ -95,71 +94,67 @@ def pruned(named: list[Alike], current: Fit, sensor: Vector) -> tuple[list[Alike
             break
         least, rest = max(rests.items(), key=lambda entry: entry[1].held_out.sum())
         named = [alike for number, alike in enumerate(named) if number != least]
-        current = smoothed(rest, sensor)
+        current = smoothed(rest)
     return named, current
 
 
-def _without(slot: slice, current: Fit, sensor: Vector) -> Fit | None:
+def _without(slot: slice, current: Fit) -> Fit | None:
     """The fit without some of its effects."""
-    return refine(current, [*current.effects[: slot.start], *current.effects[slot.stop :]], sensor)
+    return refine(current, [*current.effects[: slot.start], *current.effects[slot.stop :]])
 
 
-def _are_clearly_missed(
-    numbers: Sequence[int], whole: Vector, current: Fit, sensor: Vector
-) -> bool:
+def _are_clearly_missed(numbers: Sequence[int], whole: Vector, current: Fit) -> bool:
     """True if a fit without some effects is, linearised, so much worse than the `whole` (E,) that
     refining it, which takes many simulations, would not tell otherwise."""
-    loss = whole - held_out_without(current, numbers, sensor)
+    loss = whole - held_out_without(current, numbers)
     return is_evidence(loss) and float(loss.sum()) > _CLEARLY * THRESHOLD
 
 
-def narrowed(named: Sequence[Alike], current: Fit, sensor: Vector) -> tuple[list[Alike], Fit]:
+def narrowed(named: Sequence[Alike], current: Fit) -> tuple[list[Alike], Fit]:
     """The named effects with a few places instead of a group that needs no others, now that all
     are known."""
     if all(len(alike[0].effects) == 1 for alike in named):
         return list(named), current
     kept: list[Alike] = []
-    whole = held_out_without(current, (), sensor)
+    whole = held_out_without(current, ())
     for number, alike in enumerate(named):
         slot = slots([*kept, *named[number:]])[len(kept)]
         is_group = len(alike[0].effects) > 1
-        few = _few_places(current, slot, whole, sensor) if is_group else None
+        few = _few_places(current, slot, whole) if is_group else None
         if few is None:
             kept.append(alike)
             continue
         gone = len(current.effects) - len(few.effects)
-        current = smoothed(few, sensor)
-        whole = held_out_without(current, (), sensor)
-        kept += _apart(alike, current, range(slot.start, slot.stop - gone), whole, sensor)
+        current = smoothed(few)
+        whole = held_out_without(current, ())
+        kept += _apart(alike, current, range(slot.start, slot.stop - gone), whole)
     return kept, current
 
 
-def _few_places(current: Fit, slot: slice, whole: Vector, sensor: Vector) -> Fit | None:
+def _few_places(current: Fit, slot: slice, whole: Vector) -> Fit | None:
     """The fit with at most half of a group's places, the most significant ones; None if the others
     would be missed. `whole` (E,): log-likelihood with all, linearised."""
     order = sorted(range(slot.start, slot.stop), key=lambda n: -_significance(current, n))
     half = len(order) // 2
-    if _are_clearly_missed(order[half:], whole, current, sensor):
+    if _are_clearly_missed(order[half:], whole, current):
         return None
-    everything = settled(current, sensor).held_out
+    everything = current.settled.held_out
     for count in range(1, half + 1):
         gone = order[count:]
-        if _are_clearly_missed(gone, whole, current, sensor):
+        if _are_clearly_missed(gone, whole, current):
             continue
         left = [effect for n, effect in enumerate(current.effects) if n not in gone]
-        few = refine(current, left, sensor)
+        few = refine(current, left)
         if few is not None and not is_evidence(everything - few.held_out):
             return few
     return None
 
 
-def _apart(
-    alike: Alike, current: Fit, numbers: Sequence[int], whole: Vector, sensor: Vector
-) -> list[Alike]:
+def _apart(alike: Alike, current: Fit, numbers: Sequence[int], whole: Vector) -> list[Alike]:
     """The places of a group that are left in a fit, as causes of their own; one alone is tied with
     the places that its group was tied with."""
     group, *others = alike
-    apart = [missed(group, [number], current, whole, sensor) for number in numbers]
+    apart = [missed(group, [number], current, whole) for number in numbers]
     if len(apart) > 1:
         return [(each,) for each in apart]
     known = parts(apart[0].effects)

@@ -6,11 +6,13 @@ and coarser than the last digits that every number in a file has. Excess noise i
 measurement states how much there should be.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import is_evidence
-from adr_service.criticism.evidence import Fit, settled
+from adr_service.criticism.evidence import Fit
 from adr_service.criticism.verdict import NamedCause, StrengthInterval
 from adr_service.effects.base import sensors
 from adr_service.effects.catalogue import get_mechanism
@@ -23,16 +25,15 @@ _NOTICED = 0.5  # of a sensor's variance, that steps or excess noise must be
 _REACH = 1.96  # standard errors
 
 
-def spread_causes(fit: Fit, sensor: Vector) -> list[NamedCause]:
-    """Sensors with steps, or with more noise than the stated variances `sensor` (m,); NaN: not
-    stated."""
+def spread_causes(fit: Fit) -> list[NamedCause]:
+    """Sensors with steps, or with more noise than is stated."""
     causes: list[NamedCause] = []
     measured = fit.simulator.data.is_measured()
     for number, readings in enumerate(fit.simulator.measured.T):
         if not measured[number]:
             continue
         stepped = _stepped(fit, number, readings)
-        noisy = None if stepped else _noisier(fit, number, sensor)
+        noisy = None if stepped else _noisier(fit, number)
         causes += [cause for cause in (stepped, noisy) if cause is not None]
     return causes
 
@@ -64,11 +65,12 @@ def _stepped(fit: Fit, number: int, readings: Vector) -> NamedCause | None:
     return _cause(fit, "sensor_quantisation", number, step, 0.0, gain)
 
 
-def _noisier(fit: Fit, number: int, sensor: Vector) -> NamedCause | None:
-    stated = sensor[number]
+def _noisier(fit: Fit, number: int) -> NamedCause | None:
+    stated = fit.sensor[number]
     if np.isnan(stated):
         return None
-    free = settled(fit, np.where(np.arange(len(sensor)) == number, np.nan, sensor))
+    sensor = np.where(np.arange(len(fit.sensor)) == number, np.nan, fit.sensor)
+    free = replace(fit, sensor=sensor).settled
     more = free.noise.sensor[number] - stated
     gains = free.held_out - fit.held_out
     if more < _NOTICED * stated or not is_evidence(gains):

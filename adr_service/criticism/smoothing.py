@@ -60,7 +60,7 @@ def smooth(
         current = fit(simulator, sensor, source.effects)
         for number in range(1, _ROUNDS + 1):
             progress(number / (_ROUNDS + 1))
-            current = smoothed(current, sensor)
+            current = smoothed(current)
         states = current.states[simulator.starts]
     return Smoothing(
         replace(data, observations=_observed(task, source, states)),

@@ -1,6 +1,6 @@
 """Evidence for effects and groups beside a fit, and what explains as much as the best of them.
 
-    alike, chance = weigh(current, asked, sensor, rng, alive)
+    alike, chance = weigh(current, asked, rng, alive)
     alike[0].effects, alike[0].gain         # the best; the others are tied with it
 
 `asked` are effects, or groups of one kind at several places, each with a strength to start from.
@@ -13,7 +13,7 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import ALIKE, THRESHOLD, TIE, decide
-from adr_service.criticism.evidence import Fit, held_out_without, improved, refine, settled, tried
+from adr_service.criticism.evidence import Fit, held_out_without, improved, refine, tried
 from adr_service.criticism.scan import Candidate
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
@@ -67,7 +67,6 @@ def close_to_best(candidates: Sequence[Candidate]) -> list[Candidate]:
 def weigh(
     current: Fit,
     asked: Sequence[Sequence[Effect]],
-    sensor: Vector,
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[Alike, float]:
@@ -76,16 +75,16 @@ def weigh(
 
     Those that a first look shows far below the best are not refined.
     """
-    without = settled(current, sensor).held_out
+    without = current.settled.held_out
     looks: list[Weighed] = []
     for effects in asked:
         alive()
-        first = tried(current, [*current.effects, *effects], sensor)
+        first = tried(current, [*current.effects, *effects])
         if first is not None:
             looks.append(Weighed(tuple(effects), first, first.held_out - without, 0.0))
     least = _HOPEFUL * max((look.fair_gain for look in looks), default=0.0)
     weighed = [
-        _at_best(look, current, without, sensor, alive) if look.fair_gain >= least else look
+        _at_best(look, current, without, alive) if look.fair_gain >= least else look
         for look in looks
     ]
     fair = [each.gains + (each.fair_gain - each.gain) / len(without) for each in weighed]
@@ -95,11 +94,9 @@ def weigh(
     return _simplest_first(alike), chance
 
 
-def _at_best(
-    look: Weighed, current: Fit, without: Vector, sensor: Vector, alive: Callable[[], None]
-) -> Weighed:
+def _at_best(look: Weighed, current: Fit, without: Vector, alive: Callable[[], None]) -> Weighed:
     alive()
-    fit = improved(current, look.fit, sensor)
+    fit = improved(current, look.fit)
     return replace(look, fit=fit, gains=fit.held_out - without)
 
 
@@ -120,22 +117,20 @@ def _included(effects: Sequence[Effect]) -> set[tuple[str, str]]:
     return {(get_mechanism(effect.kind).includes, effect.location) for effect in effects}
 
 
-def from_elsewhere(current: Fit, best: Fit, sensor: Vector) -> Fit:
+def from_elsewhere(current: Fit, best: Fit) -> Fit:
     """The best of a fit with newer effects, and of fits from other strengths of those."""
     newest = best.effects[len(current.effects) :]
     starts = [
         [sensible(e, factor * np.array(e.values)) for e in newest] for factor in _OTHER_STARTS
     ]
-    others = (refine(current, [*current.effects, *start], sensor) for start in starts)
+    others = (refine(current, [*current.effects, *start]) for start in starts)
     fits = [best, *(other for other in others if other is not None)]
     return max(fits, key=lambda fit: fit.held_out.sum())
 
 
-def missed(
-    weighed: Weighed, numbers: Sequence[int], current: Fit, whole: Vector, sensor: Vector
-) -> Weighed:
+def missed(weighed: Weighed, numbers: Sequence[int], current: Fit, whole: Vector) -> Weighed:
     """Some of a fit's effects, with what the others explain less (of `whole`) without them."""
-    gains = whole - held_out_without(current, numbers, sensor)
+    gains = whole - held_out_without(current, numbers)
     effects = tuple(current.effects[number] for number in numbers)
     return replace(weighed, effects=effects, fit=current, gains=gains)
 

@@ -84,7 +84,7 @@ def test_a_new_mechanism_in_a_sensor_is_the_best_candidate_where_it_is_planted(s
     data = planted(sag, 8)
     sensor = data.sensor_variance()
     with Simulator(arm()[1], data, threads=1) as simulator:
-        baseline = smoothed(fit(simulator, sensor), sensor)
+        baseline = smoothed(fit(simulator, sensor))
         best = scan(baseline, Responses(baseline))[0]
     assert (best.kind, best.location) == (sag.kind, sag.location)
     assert best.effects[0].values[0] == pytest.approx(sag.values[0], rel=0.3)  # to first order

@@ -44,19 +44,13 @@ def baseline(hidden):
     data = hidden.episodes(range(12))
     sensor = data.sensor_variance()
     with Simulator(arm()[1], data, threads=1, finer=3) as simulator:
-        yield smoothed(fit(simulator, sensor), sensor)
+        yield smoothed(fit(simulator, sensor))
 
 
 @pytest.fixture(scope="session")
-def sensor(baseline):
-    """The variances of the baseline's sensors, all unknown."""
-    return baseline.simulator.data.sensor_variance()
-
-
-@pytest.fixture(scope="session")
-def refined(baseline, sensor, friction):
+def refined(baseline, friction):
     """A fit with the friction, from half of its strength."""
-    return refine(baseline, [replace(friction, values=(0.05,))], sensor)
+    return refine(baseline, [replace(friction, values=(0.05,))])
 
 
 @pytest.fixture(scope="session")

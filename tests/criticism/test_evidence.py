@@ -9,7 +9,6 @@ from adr_service.criticism.evidence import (
     fit,
     held_out_without,
     refine,
-    settled,
     smoothed,
 )
 from adr_service.criticism.simulator import Simulator
@@ -24,7 +23,7 @@ def test_parameters_that_start_off_the_truth_are_recovered():
     data = case.measurement.episodes(range(12))
     sensor = data.sensor_variance()
     with Simulator(case.nominal, data, threads=1, finer=3) as simulator:
-        parameters = smoothed(fit(simulator, sensor), sensor).parameters
+        parameters = smoothed(fit(simulator, sensor)).parameters
     np.testing.assert_allclose(parameters, case.truth, rtol=0.02)
 
 
@@ -32,8 +31,8 @@ def test_a_missing_effect_is_recovered_from_half_of_its_strength(refined):
     assert refined.effects[0].values[0] == pytest.approx(0.1, rel=0.1)
 
 
-def test_a_missing_effect_gains_evidence_on_left_out_episodes(baseline, refined, sensor):
-    without = settled(baseline, sensor).held_out
+def test_a_missing_effect_gains_evidence_on_left_out_episodes(baseline, refined):
+    without = baseline.settled.held_out
     assert is_evidence(refined.held_out - without)
 
 
@@ -43,9 +42,9 @@ def test_the_noise_of_sensors_is_estimated(refined):
     assert np.all(expected_errors(refined) > np.sqrt(refined.noise.sensor))
 
 
-def test_an_effect_without_mass_left_explains_nothing(baseline, sensor):
+def test_an_effect_without_mass_left_explains_nothing(baseline):
     gone = Effect("body_mass", "body:fore", (-5.0,))
-    assert refine(baseline, [gone], sensor) is None
+    assert refine(baseline, [gone]) is None
 
 
 def test_columns_of_strengths_follow_those_of_integration(refined):
@@ -63,8 +62,8 @@ def test_a_supposed_effect_has_a_prior_about_zero_and_a_known_one_has_none(basel
     assert known.normal.precision[column] == 0.0
 
 
-def test_an_effect_is_missed_as_much_by_linearisation_as_when_all_is_refined(refined, sensor):
-    rests = held_out_without(refined, [0], sensor), refine(refined, [], sensor).held_out
+def test_an_effect_is_missed_as_much_by_linearisation_as_when_all_is_refined(refined):
+    rests = held_out_without(refined, [0]), refine(refined, []).held_out
     roughly, exactly = ((refined.held_out - rest).sum() for rest in rests)
     assert exactly > 200
     assert roughly == pytest.approx(exactly, rel=0.2)

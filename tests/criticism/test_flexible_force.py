@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from adr_service.criticism.decision import is_evidence
-from adr_service.criticism.evidence import fit, refine, settled, smoothed
+from adr_service.criticism.evidence import fit, refine, smoothed
 from adr_service.criticism.flexible_force import unexplained
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
@@ -22,8 +22,8 @@ def found(nominal, data, *effects):
     """What a flexible force still explains when a fit already has these effects."""
     sensor = data.sensor_variance()
     with Simulator(nominal, data, threads=1, finer=3) as simulator:
-        baseline = smoothed(fit(simulator, sensor), sensor)
-        return unexplained(refine(baseline, effects, sensor), sensor)
+        baseline = smoothed(fit(simulator, sensor))
+        return unexplained(refine(baseline, effects))
 
 
 def test_a_flexible_force_gains_nothing_where_nothing_is_hidden(clean):
@@ -137,11 +137,11 @@ def test_a_gain_that_fades_within_every_episode_is_more_than_its_mean():
     assert (rest.where.location, rest.where.depends_on) == ("joint:elbow", "time")
 
 
-def test_a_flexible_force_adds_nothing_to_the_true_effect(refined, sensor):
-    assert not is_evidence(unexplained(settled(refined, sensor), sensor).gains)
+def test_a_flexible_force_adds_nothing_to_the_true_effect(refined):
+    assert not is_evidence(unexplained(refined.settled).gains)
 
 
-def test_every_episode_has_its_own_gain(baseline, sensor):
-    gained = unexplained(baseline, sensor).gains
+def test_every_episode_has_its_own_gain(baseline):
+    gained = unexplained(baseline).gains
     assert gained.shape == (12,)
     assert np.all(np.isfinite(gained))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from adr_service.criticism.decision import is_evidence
-from adr_service.criticism.evidence import settled
 from adr_service.criticism.naming import block_of, name_effects
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import scan
@@ -17,11 +16,11 @@ SPRING = Effect("joint_spring", "joint:elbow", (0.05,))
 
 
 @pytest.fixture(scope="module")
-def search(baseline, sensor):
+def search(baseline):
     """The named effects, the fit with them, and the probability of chance."""
     responses, rng = Responses(baseline), np.random.default_rng(0)
     candidates = scan(baseline, responses)[:8]
-    return name_effects(baseline, candidates, responses, None, sensor, rng, silent)
+    return name_effects(baseline, candidates, responses, None, rng, silent)
 
 
 def test_the_only_hidden_effect_is_the_only_one_that_is_named(search, friction):
@@ -32,11 +31,11 @@ def test_the_only_hidden_effect_is_the_only_one_that_is_named(search, friction):
     assert chance > 0.99
 
 
-def test_what_is_named_has_evidence_and_confidence(search, baseline, sensor):
+def test_what_is_named_has_evidence_and_confidence(search, baseline):
     (alike,), final, _ = search
     assert is_evidence(alike[0].gains)
     assert sum(each.confidence for each in alike) == pytest.approx(1.0, abs=1e-2)
-    assert is_evidence(final.held_out - settled(baseline, sensor).held_out)
+    assert is_evidence(final.held_out - baseline.settled.held_out)
 
 
 def test_an_alternative_keeps_its_own_fit(search):
@@ -46,40 +45,36 @@ def test_an_alternative_keeps_its_own_fit(search):
         assert each.newest == each.fit.effects
 
 
-def test_no_candidates_leave_the_fit_as_it_is(baseline, sensor):
+def test_no_candidates_leave_the_fit_as_it_is(baseline):
     rng = np.random.default_rng(0)
-    named, final, chance = name_effects(
-        baseline, [], Responses(baseline), None, sensor, rng, silent
-    )
+    named, final, chance = name_effects(baseline, [], Responses(baseline), None, rng, silent)
     assert (named, chance) == ([], 1.0)
     assert final is baseline
 
 
 @pytest.fixture(scope="module")
-def block(baseline, sensor, friction):
+def block(baseline, friction):
     """The friction and a spring that the data do not have, together."""
-    return block_of(baseline, ((friction,), (SPRING,)), sensor)
+    return block_of(baseline, ((friction,), (SPRING,)))
 
 
-def named_from(block, baseline, sensor):
+def named_from(block, baseline):
     responses, rng = Responses(baseline), np.random.default_rng(0)
     candidates = scan(baseline, responses)[:8]
-    return name_effects(baseline, candidates, responses, block, sensor, rng, silent)[:2]
+    return name_effects(baseline, candidates, responses, block, rng, silent)[:2]
 
 
-def test_a_block_that_gains_no_more_than_one_effect_alone_is_not_taken(
-    block, search, baseline, sensor
-):
-    named, _ = named_from(block, baseline, sensor)
+def test_a_block_that_gains_no_more_than_one_effect_alone_is_not_taken(block, search, baseline):
+    named, _ = named_from(block, baseline)
     kinds = [[alike[0].effects[0].kind for alike in each] for each in (named, search[0])]
     assert kinds[0] == kinds[1]
 
 
 def test_a_group_that_the_others_make_superfluous_does_not_stand_and_takes_no_evidence(
-    block, baseline, sensor, friction
+    block, baseline, friction
 ):
     far = replace(block, gains=10 * block.gains)  # as if it explained much more
-    named, current = named_from(far, baseline, sensor)
+    named, current = named_from(far, baseline)
     (first,) = named[0]
     assert first.effects[0].kind == friction.kind
     assert first.effects[0].values == pytest.approx(friction.values, rel=0.05)
@@ -88,5 +83,5 @@ def test_a_group_that_the_others_make_superfluous_does_not_stand_and_takes_no_ev
     assert SPRING.kind not in [effect.kind for effect in current.effects]
 
 
-def test_nothing_is_no_block(baseline, sensor):
-    assert block_of(baseline, (), sensor) is None
+def test_nothing_is_no_block(baseline):
+    assert block_of(baseline, ()) is None

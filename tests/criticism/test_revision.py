@@ -31,35 +31,35 @@ def responses(baseline):
 
 
 @pytest.fixture(scope="module")
-def both(baseline, sensor, friction):
+def both(baseline, friction):
     """A fit with the friction, and with a spring that the data do not have."""
-    return refine(baseline, [SPRING, friction], sensor)
+    return refine(baseline, [SPRING, friction])
 
 
 def weighed(fit, *effects, gains=None):
     return Weighed(effects, fit, fit.held_out if gains is None else gains, 1.0)
 
 
-def test_an_effect_that_the_others_make_superfluous_is_dropped(both, sensor, friction):
+def test_an_effect_that_the_others_make_superfluous_is_dropped(both, friction):
     named = [(weighed(both, SPRING),), (weighed(both, friction),)]
-    (kept,), final = pruned(named, both, sensor)
+    (kept,), final = pruned(named, both)
     assert kept[0].effects == (friction,)
     assert [effect.kind for effect in final.effects] == [friction.kind]
 
 
-def test_a_single_effect_is_neither_pruned_nor_narrowed(refined, sensor, friction):
+def test_a_single_effect_is_neither_pruned_nor_narrowed(refined, friction):
     named = [(weighed(refined, friction),)]
     for change in (pruned, narrowed):
-        kept, final = change(named, refined, sensor)
+        kept, final = change(named, refined)
         assert kept == named
         assert final is refined
 
 
-def test_a_group_is_narrowed_to_the_place_that_needs_it(baseline, sensor, friction):
+def test_a_group_is_narrowed_to_the_place_that_needs_it(baseline, friction):
     """The friction is at the elbow alone."""
-    fit = refine(baseline, [SPRING, ELSEWHERE, friction], sensor)
+    fit = refine(baseline, [SPRING, ELSEWHERE, friction])
     named = [(weighed(fit, SPRING),), (weighed(fit, ELSEWHERE, friction),)]
-    (first, (single,)), final = narrowed(named, fit, sensor)
+    (first, (single,)), final = narrowed(named, fit)
     assert first == named[0]
     assert [effect.location for effect in single.effects] == [friction.location]
     assert [effect.location for effect in final.effects] == [SPRING.location, friction.location]
@@ -71,8 +71,8 @@ def test_a_group_that_needs_two_places_of_four_becomes_two_causes():
     data = hide(*arm(), np.random.default_rng(406), hidden).episodes(range(12))
     sensor = data.sensor_variance()
     with Simulator(arm()[1], data, threads=1, finer=3) as simulator:
-        group = refine(smoothed(fit(simulator, sensor), sensor), BIASES, sensor)
-        named, final = narrowed([(weighed(group, *BIASES),)], group, sensor)
+        group = refine(smoothed(fit(simulator, sensor)), BIASES)
+        named, final = narrowed([(weighed(group, *BIASES),)], group)
     assert [[each.effects[0].location for each in alike] for alike in named] == [
         ["sensor:shoulder.velocity"],
         ["sensor:elbow.velocity"],
@@ -84,53 +84,53 @@ def test_a_group_that_needs_two_places_of_four_becomes_two_causes():
 
 
 def test_a_stand_in_is_replaced_by_what_explains_more_beside_the_others(
-    baseline, responses, sensor, friction
+    baseline, responses, friction
 ):
     """It was named first; what replaces it stands last."""
-    fit = refine(baseline, [STAND_IN, SPRING], sensor)
+    fit = refine(baseline, [STAND_IN, SPRING])
     named = [(weighed(fit, STAND_IN),), (weighed(fit, SPRING),)]
-    again, final = asked_again(named, fit, 1, responses, sensor)
+    again, final = asked_again(named, fit, 1, responses)
     assert again[0] == named[1]
     assert again[1][0].effects[0].kind == friction.kind
     assert [effect.kind for effect in final.effects] == [SPRING.kind, friction.kind]
     assert final.held_out.sum() > fit.held_out.sum() + THRESHOLD
 
 
-def test_what_still_explains_most_keeps_its_place_and_its_fit(both, responses, sensor, friction):
+def test_what_still_explains_most_keeps_its_place_and_its_fit(both, responses, friction):
     named = [(weighed(both, SPRING),), (weighed(both, friction),)]
-    again, final = asked_again(named, both, 2, responses, sensor)
+    again, final = asked_again(named, both, 2, responses)
     assert final is both
     assert [alike[0].effects[0].kind for alike in again] == [SPRING.kind, friction.kind]
 
 
 def test_an_alternative_that_does_worse_beside_the_others_is_tied_no_more(
-    baseline, both, responses, sensor, friction
+    baseline, both, responses, friction
 ):
     worse, same = (
-        weighed(refine(baseline, [effect], sensor), effect)
+        weighed(refine(baseline, [effect]), effect)
         for effect in (ELSEWHERE, replace(friction, values=(0.08,)))
     )
     named = [(weighed(both, SPRING),), (weighed(both, friction), worse, same)]
-    (_, alike), _ = asked_again(named, both, 2, responses, sensor)
+    (_, alike), _ = asked_again(named, both, 2, responses)
     places = {each.effects[0].location for each in alike}
     assert places == {friction.location}
 
 
 def test_an_alternative_that_is_named_elsewhere_is_tied_no_more(
-    baseline, both, responses, sensor, friction
+    baseline, both, responses, friction
 ):
-    other = weighed(refine(baseline, [SPRING], sensor), SPRING)
+    other = weighed(refine(baseline, [SPRING]), SPRING)
     named = [(weighed(both, SPRING),), (weighed(both, friction), other)]
-    (_, alike), _ = asked_again(named, both, 2, responses, sensor)
+    (_, alike), _ = asked_again(named, both, 2, responses)
     assert [each.effects[0].kind for each in alike] == [friction.kind]
 
 
-def test_a_group_without_a_tie_is_not_asked_again(baseline, responses, sensor, friction):
-    fit = refine(baseline, [ELSEWHERE, friction], sensor)
+def test_a_group_without_a_tie_is_not_asked_again(baseline, responses, friction):
+    fit = refine(baseline, [ELSEWHERE, friction])
     named = [(weighed(fit, ELSEWHERE, friction),)]
-    assert asked_again(named, fit, 1, responses, sensor) == (named, fit)
+    assert asked_again(named, fit, 1, responses) == (named, fit)
 
 
-def asked_again(named, fit, count, responses, sensor):
+def asked_again(named, fit, count, responses):
     rng = np.random.default_rng(0)
-    return reconsidered(named, fit, count, responses, sensor, rng, lambda: None)
+    return reconsidered(named, fit, count, responses, rng, lambda: None)

@@ -27,7 +27,7 @@ def test_one_effect_at_all_places_is_a_group():
     data = hide(task, nominal, np.random.default_rng(401), hidden).episodes(range(12))
     sensor = data.sensor_variance()
     with Simulator(nominal, data, threads=1, finer=3) as simulator:
-        baseline = smoothed(fit(simulator, sensor), sensor)
+        baseline = smoothed(fit(simulator, sensor))
         best, *others = scan(baseline, Responses(baseline))
     assert (best.kind, best.location) == ("joint_coulomb_friction", "joint:*")
     assert best.gain > max(c.gain for c in others if len(c.effects) == 1) + THRESHOLD

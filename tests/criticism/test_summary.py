@@ -22,9 +22,9 @@ def weighed(fit, *effects):
 
 
 @pytest.fixture(scope="module")
-def group(baseline, sensor, friction):
+def group(baseline, friction):
     """A fit with friction at both joints."""
-    return refine(baseline, [ELSEWHERE, friction], sensor)
+    return refine(baseline, [ELSEWHERE, friction])
 
 
 def test_an_interval_contains_the_planted_strength(refined, friction):

@@ -53,33 +53,33 @@ def test_the_best_of_the_places_come_first_and_groups_are_no_places(candidates, 
     assert close_to_best([]) == []
 
 
-def test_the_hidden_effect_is_weighed_above_another(baseline, sensor, friction):
+def test_the_hidden_effect_is_weighed_above_another(baseline, friction):
     other = Effect("joint_coulomb_friction", "joint:shoulder", (0.01,))
     rng = np.random.default_rng(0)
-    (best,), chance = weigh(baseline, [(other,), (friction,)], sensor, rng, lambda: None)
+    (best,), chance = weigh(baseline, [(other,), (friction,)], rng, lambda: None)
     assert best.effects == (friction,)
     assert chance < 0.01
 
 
-def test_without_evidence_nothing_is_the_best(baseline, sensor):
+def test_without_evidence_nothing_is_the_best(baseline):
     rng = np.random.default_rng(0)
     other = Effect("joint_coulomb_friction", "joint:shoulder", (0.001,))
-    assert weigh(baseline, [(other,)], sensor, rng, lambda: None)[0] == ()
-    assert weigh(baseline, [], sensor, rng, lambda: None) == ((), 1.0)
+    assert weigh(baseline, [(other,)], rng, lambda: None)[0] == ()
+    assert weigh(baseline, [], rng, lambda: None) == ((), 1.0)
 
 
-def test_what_is_missed_without_an_effect_is_what_it_explains(refined, sensor, friction):
-    current = smoothed(refined, sensor)
-    whole = held_out_without(current, (), sensor)
-    alone = missed(weighed(refined, friction), [0], current, whole, sensor)
+def test_what_is_missed_without_an_effect_is_what_it_explains(refined, friction):
+    current = smoothed(refined)
+    whole = held_out_without(current, ())
+    alone = missed(weighed(refined, friction), [0], current, whole)
     assert alone.effects == current.effects
     assert alone.gain > 10 * THRESHOLD
 
 
-def test_other_starts_of_a_strength_stay_where_they_make_sense(baseline, sensor):
+def test_other_starts_of_a_strength_stay_where_they_make_sense(baseline):
     """Twice a loss of .6 of the inertia would be a negative one."""
-    lost = refine(baseline, [Effect("body_inertia", "body:fore", (-0.6,))], sensor)
+    lost = refine(baseline, [Effect("body_inertia", "body:fore", (-0.6,))])
     beyond = replace(lost, effects=(replace(lost.effects[0], values=(-0.6,)),))
-    best = from_elsewhere(baseline, beyond, sensor)
+    best = from_elsewhere(baseline, beyond)
     assert best.held_out.sum() >= beyond.held_out.sum()
     assert best.effects[0].values[0] >= -1.0
