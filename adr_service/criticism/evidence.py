@@ -110,8 +110,9 @@ def fit(simulator: Simulator, sensor: Vector, effects: Sequence[Effect] = ()) ->
     noise = _first_noise(linear, sensor)
     known = ~np.isnan(sensor)
     noise, normal = estimate(linear, lifted(noise, linear.chain, linear.residual, known), known)
-    known_effects = (tuple(effects), states, linear, noise, normal, len(effects))
-    return Fit(simulator, sensor, layout, start, *known_effects).settled
+    added, known_effects = tuple(effects), len(effects)
+    parts = (simulator, sensor, layout, start, added, states, linear, noise, normal)
+    return Fit(*parts, known=known_effects).settled
 
 
 def smoothed(fit: Fit) -> Fit:
@@ -219,8 +220,10 @@ def _evaluated(
     the same effects whose sensitivities will do. None: some transition diverges, or the noise does.
     """
     moved = _folded(fit, fit.simulator.predict(parameters, effects, fit.states) - fit.predicted)
+    if not np.all(np.isfinite(moved)):
+        return None
     columns = near.linear.columns if near else _sensitivities(fit, parameters, effects)
-    if not (np.all(np.isfinite(moved)) and np.all(np.isfinite(columns))):
+    if not np.all(np.isfinite(columns)):
         return None
     chain, residual = fit.linear.chain, fit.linear.residual - moved
     linear = with_priors(chain, residual, columns, len(parameters))
@@ -258,7 +261,7 @@ def _folded(fit: Fit, changes: np.ndarray) -> np.ndarray:
 
 
 def _are_near(simulator: Simulator, before: Sequence[Effect], after: Sequence[Effect]) -> bool:
-    """True if strengths have not moved far."""
+    """True if all strengths are within a quarter of what they were, or of a typical one."""
     for one, other in zip(before, after, strict=True):
         typical = typical_of(simulator.base, one.kind, one.location)
         reach = _NEAR * np.maximum(np.abs(one.values), typical)

@@ -8,7 +8,7 @@ Each is named on its own evidence beside those named before, weighed again when 
 known, and dropped if the others make it superfluous.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -33,8 +33,8 @@ from adr_service.criticism.weighing import (
 )
 from adr_service.progress import Progress
 
-_REFINED, _MOST_REFINED, _GROUPS_REFINED = 6, 10, 2
-_MOST_NAMED = 8
+_REFINED, _GROUPS_REFINED = 6, 2
+_MOST_NAMED, _REVISIONS = 8, 3
 # A block must gain this much more than the best candidate alone: times that candidate's gain, or
 # nats by reading (exp(-.5): errors are two fifths smaller), whichever is less.
 _FAR, _CLOSER = 2.0, 0.5
@@ -83,26 +83,43 @@ def name_effects(
     if block is not None and _is_far_better(block, baseline, candidates[:_REFINED]):
         named, current = _standing(block, rng)
         responses, chance = Responses(current), 0.0  # about the baseline all would be others
-    for count in range(len(named), _MOST_NAMED):
+    together = len(named)  # these were weighed as a whole
+    for count in range(together, _MOST_NAMED):
         alive = partial(progress, 0.1 + 0.7 * count / _MOST_NAMED, causes=count)
         alive()
         if count > 0:
             candidates = scan(current, responses)
-        tried = [candidate.effects for candidate in _worth_refining(candidates)]
-        alike, chance = weigh(current, tried, rng, alive)
+        asked = [candidate.effects for candidate in _worth_refining(candidates)]
+        alike, chance = weigh(current, asked, rng, alive)
         if not alike:
             break
         named.append(alike)
         current = smoothed(from_elsewhere(current, alike[0].fit))
-        named, current = reconsidered(named, current, count, responses, rng, alive)
-    alive = partial(progress, 0.8, causes=len(named))
-    named, current = pruned(named, current)
-    fewer, narrow = narrowed(named, current)
-    if narrow is not current:
-        named, current = pruned(fewer, narrow)
-    if len(named) > 1:
-        named, current = reconsidered(named, current, len(named), responses, rng, alive)
+        asked_again = range(together, count)
+        named, current = reconsidered(named, current, asked_again, responses, rng, alive)
+    named, current = _revised(named, current, responses, rng, partial(progress, 0.8))
     return named, current, chance
+
+
+def _revised(
+    named: list[Alike],
+    current: Fit,
+    responses: Responses,
+    rng: np.random.Generator,
+    alive: Callable[[], None],
+) -> tuple[list[Alike], Fit]:
+    """The named effects in the light of each other, until nothing changes."""
+    for _ in range(_REVISIONS):
+        alive()
+        before = current
+        named, current = narrowed(*pruned(named, current))
+        alive()
+        if len(named) > 1 or current is not before:
+            everything = range(len(named))
+            named, current = reconsidered(named, current, everything, responses, rng, alive)
+        if current is before:
+            break
+    return named, current
 
 
 def _is_far_better(block: Block, baseline: Fit, best: Sequence[Candidate]) -> bool:
@@ -131,7 +148,7 @@ def _standing(block: Block, rng: np.random.Generator) -> tuple[list[Alike], Fit]
     for slot, (weighed,) in zip(slots(kept), kept, strict=True):
         alone = missed(weighed, range(slot.start, slot.stop), current, everything)
         confidence = float(decide(alone.gains[None], rng).confidence[0])
-        named.append((replace(alone, confidence=confidence, in_block=True),))
+        named.append((replace(alone, confidence=confidence),))
     return named, current
 
 
@@ -140,6 +157,6 @@ def _worth_refining(candidates: Sequence[Candidate]) -> list[Candidate]:
     `_MOST_REFINED`, and groups that beat it."""
     single = single_places(candidates)
     best = single[0].gain if single else 0.0
-    chosen = max(single[:_REFINED], close_to_best(single), key=len)[:_MOST_REFINED]
+    chosen = max(single[:_REFINED], close_to_best(single), key=len)
     groups = [c for c in candidates if len(c.effects) > 1 and c.gain > best + THRESHOLD]
     return [*chosen, *groups[:_GROUPS_REFINED]]

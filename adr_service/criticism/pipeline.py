@@ -197,7 +197,8 @@ def _judged(outcome: _Outcome, baseline: Fit) -> _Judgement:
     flexible = unexplained(whole)
     confidence = _confidence(outcome.named, outcome.chance, flexible.gains)
     conclusion = Conclusion.NONE
-    if is_unknown(flexible.gains, sum(alike[0].gain for alike in outcome.named)):
+    explained = float((whole.held_out - baseline.settled.held_out).sum())
+    if is_unknown(flexible.gains, explained if outcome.named else 0.0):
         conclusion = Conclusion.UNKNOWN
         outcome = replace(outcome, named=[], final=baseline, gain=None)
     spread = spread_causes(whole)

@@ -10,7 +10,7 @@ from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import plausible_of, unit_of
 
-_IMPLAUSIBLE = 2.0  # deviations of what robots have
+_IMPLAUSIBLE = 2.0  # deviations of a strength among robots
 
 
 def on_commands(model: mujoco.MjModel, data: Measurement) -> tuple[str, ...]:
@@ -55,7 +55,7 @@ def on_implausible(model: mujoco.MjModel, effects: Sequence[Effect]) -> tuple[st
                 unit = unit_of(model, effect.location, strength.unit)
                 remarks.append(
                     f"{effect.kind} {effect.location} needs a {strength.name} of {value:.3g} "
-                    f"{unit}, where robots have {usual:.2g} {unit} at most: a unit may be wrong, "
-                    "or it may stand in for a gross error of the model."
+                    f"{unit}, more than {_IMPLAUSIBLE:g} times the {usual:.2g} {unit} that a robot "
+                    "may have: a unit may be wrong, or it stands in for a gross error of the model."
                 )
     return tuple(remarks)

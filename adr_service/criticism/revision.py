@@ -1,8 +1,7 @@
 """Named effects in the light of each other.
 
-    named, current = reconsidered(named, current, count, responses, rng, alive)
-    named, current = pruned(named, current)
-    named, current = narrowed(named, current)
+    named, current = reconsidered(named, current, range(len(named)), responses, rng, alive)
+    named, current = narrowed(*pruned(named, current))
 
 What explained most before the others were known may be another's stand-in, superfluous now, or a
 group of which a few places would do.
@@ -35,29 +34,37 @@ _CLEARLY = 20.0  # thresholds that a loss exceeds by linearisation, if no refine
 def reconsidered(
     named: Sequence[Alike],
     current: Fit,
-    count: int,
+    which: range,
     responses: Responses,
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[list[Alike], Fit]:
-    """The first `count` named effects weighed again beside all others, but for those of a block,
-    and the fit: what explained most before these were known may be another's stand-in. One that is
-    replaced becomes the last.
+    """Some of the named effects weighed again beside all others, and the fit: what explained most
+    before these were known may stand in for something else.
+
+    One is replaced, and becomes the last, if something else beats it, or explains as much with
+    fewer strengths. Groups without a tie are not asked.
     """
-    kept, number = list(named), 0
-    for _ in range(count):
+    kept, number = list(named), which.start
+    for _ in which:
         slot = slots(kept)[number]
         before, own = kept[number], current.effects[slot]
-        is_asked = not before[0].in_block and (len(own) == 1 or len(before) > 1)
+        is_asked = len(own) == 1 or len(before) > 1
         rest = _without(slot, current) if is_asked else None
-        tried = [] if rest is None else _rivals(rest, before, own, responses)
-        again = weigh(rest, tried, rng, alive)[0] if rest and len(tried) > 1 else ()
-        if rest and again and parts(again[0].effects) != parts(own):
+        asked = [] if rest is None else _rivals(rest, before, own, responses)
+        again: Alike = ()
+        if rest is not None and max(len(before), len(asked)) > 1:
+            again = weigh(rest, asked, rng, alive)[0]
+        staying = [each for each in again if parts(each.effects) == parts(own)]
+        if rest is None or not again or (staying and staying[0].size <= again[0].size):
+            kept[number] = (
+                *staying,
+                *(each for each in again if parts(each.effects) != parts(own)),
+            ) or before
+            number += 1
+        else:
             kept = [*kept[:number], *kept[number + 1 :], again]
             current = smoothed(from_elsewhere(rest, again[0].fit))
-        else:
-            kept[number] = again or before
-            number += 1
     return kept, current
 
 
@@ -67,12 +74,12 @@ def _rivals(
     """A named effect, what was tied with it and, for a single one, what explains about as much now
     by the scan of a fit with all others."""
     taken = parts(rest.effects)
-    tried = [own, *(other.newest for other in alike[1:] if not parts(other.newest) & taken)]
+    asked = [own, *(other.newest for other in alike[1:] if not parts(other.newest) & taken)]
     if len(own) > 1:
-        return tried
-    known = set().union(*map(parts, tried))
+        return asked
+    known = set().union(*map(parts, asked))
     close = close_to_best(single_places(scan(rest, responses)))
-    return [*tried, *(each.effects for each in close if not parts(each.effects) & known)]
+    return [*asked, *(each.effects for each in close if not parts(each.effects) & known)]
 
 
 def pruned(named: list[Alike], current: Fit) -> tuple[list[Alike], Fit]:

@@ -58,7 +58,7 @@ class Simulator:
         self._pool = rollout.Rollout(nthread=_threads(threads))
         self._scratch = [mujoco.MjData(self.base) for _ in range(max(1, _threads(threads)))]
         self.simulated_steps = 0  # control steps, of all predictions
-        self._pasts: dict[int, Matrix] = {}
+        self._come: dict[int, Vector] = {}  # along the recording, by position
         self._rough = 1  # steps that `predict_quickly` takes for one of the model's
         if finer > 1 and np.isnan(self.predict_quickly(nominal.start, (), self.measured)).any():
             self._rough = finer  # the model's own step diverges
@@ -93,8 +93,10 @@ class Simulator:
             start = np.concatenate([[0.0], true[first]])[None]
             after = self._rollout(model, start, control, mujoco.mjtState.mjSTATE_CTRL)
             ends = _finite(after[0, self.steps - 1 :: self.steps, 1:])
-            before = np.concatenate([true[first][None], ends[:-1]])
-            followed[first + 1 : last] = self._shown(effects, before, ends, slice(begin, end))
+            path = np.concatenate([true[first][None], ends])
+            followed[first + 1 : last] = shown(
+                self.base, effects, ends, np.diff(path, axis=0) / self.period, _past_along(path)
+            )
         return followed
 
     def predict_quickly(self, values: Vector, effects: Sequence[Effect], states: Matrix) -> Matrix:
@@ -171,26 +173,25 @@ class Simulator:
         return self._rates(effects, states, self._quick(values, effects))
 
     def past(self, column: int) -> Matrix:
-        """(rows, k) how far a position has come since each of the rows before, back to an episode's
-        first, by its measured velocities (by itself where there are none)."""
-        if column not in self._pasts:
-            nv = self.measured.shape[1] // 2
-            come, own = np.zeros(len(self.measured)), self.measured[:, nv + column]
+        """(rows, k) how far a position has come since each of the rows before, the latest first,
+        back to its episode's first: by its measured velocities, or by itself where there are none.
+        """
+        if column not in self._come:
+            own = self.measured[:, self.base.nq + column]
             moved = (own[self.starts] + own[self.starts + 1]) / 2 * self.period
-            if not self.data.is_measured()[nv + column]:
+            if not self.data.is_measured()[self.base.nq + column]:
                 moved = np.diff(self.measured[:, column])[self.starts]
+            come = np.zeros(len(self.measured))
             come[self.starts + 1] = moved
-            come = np.cumsum(come)
-            first = np.concatenate([np.full(b - a, a) for a, b in self.data.spans()])
-            before = np.arange(len(come))[:, None] - np.arange(1, _REMEMBERED + 1)
-            self._pasts[column] = come[:, None] - come[np.maximum(before, first[:, None])]
-        return self._pasts[column]
+            self._come[column] = np.cumsum(come)
+        first = np.concatenate([np.full(b - a, a) for a, b in self.data.spans()])
+        return _since(self._come[column], first)
 
-    def past_after(self, moved: Matrix, which: slice = slice(None)) -> Past:
-        """The same after transitions (n, 2 nv), some or all, that move the states."""
+    def past_after(self, moved: Matrix) -> Past:
+        """`past` at the ends of all transitions, which move the states by `moved` (N, 2 nv)."""
 
         def after(column: int) -> Matrix:
-            before = self.past(column)[self.starts[which], :-1]
+            before = self.past(column)[self.starts, :-1]
             return moved[:, [column]] + np.column_stack([np.zeros(len(before)), before])
 
         return after
@@ -287,17 +288,10 @@ class Simulator:
         rates = self._rates(effects, states, model) if moving else np.zeros_like(states)
         return behind(self.base, effects, states, rates, self.past)
 
-    def _shown(
-        self,
-        effects: Sequence[Effect],
-        before: Matrix,
-        after: Matrix,
-        which: slice = slice(None),
-    ) -> Matrix:
-        """Readings after transitions, from true states before and after them."""
+    def _shown(self, effects: Sequence[Effect], before: Matrix, after: Matrix) -> Matrix:
+        """Readings after all transitions, from true states before and after them."""
         moved = after - before
-        past = self.past_after(moved, which)
-        return shown(self.base, effects, after, moved / self.period, past)
+        return shown(self.base, effects, after, moved / self.period, self.past_after(moved))
 
 
 def is_first_order(model: mujoco.MjModel) -> bool:
@@ -310,6 +304,18 @@ def other_integrator(integrator: int) -> int:
     kinds = mujoco.mjtIntegrator
     implicit = kinds.mjINT_IMPLICITFAST
     return int(kinds.mjINT_RK4 if integrator == implicit else implicit)
+
+
+def _past_along(path: Matrix) -> Past:
+    """`Simulator.past` at all states of a path (rows, 2 nv) but the first."""
+    return lambda column: _since(path[:, column], np.zeros(len(path), dtype=np.int64))[1:]
+
+
+def _since(come: Vector, first: Indices) -> Matrix:
+    """(rows, k) how far each row of a path (rows,) is from each of those before it, as far back as
+    the row `first` (rows,)."""
+    before = np.arange(len(come))[:, None] - np.arange(1, _REMEMBERED + 1)
+    return come[:, None] - come[np.maximum(before, first[:, None])]
 
 
 def _bodies(model: mujoco.MjModel) -> list[int]:

@@ -12,6 +12,7 @@ from typing import Any, Literal
 from adr_service.arrays import Matrix, Vector
 
 VERSION = 1
+_DIGITS = range(4, 10)  # significant ones of an interval
 _SEEN = 2.0  # expected errors of one step, on average over an experiment
 
 
@@ -40,8 +41,12 @@ class StrengthInterval:
 
     @property
     def interval(self) -> str:
-        """Text of the interval."""
-        return f"{self.low:.4g} to {self.high:.4g}" if isfinite(self.high) else "not determined"
+        """Text of the interval, with as many digits as its ends need to differ."""
+        if not isfinite(self.high):
+            return "not determined"
+        texts = ((f"{self.low:.{n}g}", f"{self.high:.{n}g}") for n in _DIGITS)
+        low, high = next((ends for ends in texts if ends[0] != ends[1]), (self.low, self.high))
+        return f"{low} to {high}"
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import sensible
 
 _PROMISING = THRESHOLD / 4  # [nats] by the scan; refining adds little more
-_CLOSE = 0.9  # of the best gain
-_HOPEFUL = 0.4  # of the best gain at a first look; steps to better strengths may double it
+_CLOSE, _MOST_REFINED = 0.9, 10  # of the best gain; candidates
+_HOPEFUL = 0.4  # of the best gain at a first look; steps to better strengths add to it
 _OTHER_STARTS = (0.5, 2.0)  # times the estimated strengths
 
 
@@ -33,11 +33,15 @@ class Weighed:
     fit: Fit
     gains: Vector  # (E,) nats
     confidence: float
-    in_block: bool = False  # one of many that were chosen together
 
     @property
     def gain(self) -> float:
         return float(self.gains.sum())
+
+    @property
+    def size(self) -> int:
+        """Number of strengths."""
+        return sum(len(effect.values) for effect in self.effects)
 
     @property
     def fair_gain(self) -> float:
@@ -60,8 +64,8 @@ def single_places(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def close_to_best(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Candidates, the best first, that come close to it."""
-    return [c for c in candidates if c.gain > _CLOSE * candidates[0].gain]
+    """Candidates, the best first, that come close to it; not too many to refine."""
+    return [c for c in candidates if c.gain > _CLOSE * candidates[0].gain][:_MOST_REFINED]
 
 
 def weigh(
@@ -73,7 +77,7 @@ def weigh(
     """The best of effects or groups beside a fit's, with all that explain as much (none without
     evidence), and the probability that it is chance; `alive` is called before each.
 
-    Those that a first look shows far below the best are not refined.
+    Those that a first look shows far below the best are left out.
     """
     without = current.settled.held_out
     looks: list[Weighed] = []
@@ -82,11 +86,9 @@ def weigh(
         first = tried(current, [*current.effects, *effects])
         if first is not None:
             looks.append(Weighed(tuple(effects), first, first.held_out - without, 0.0))
-    least = _HOPEFUL * max((look.fair_gain for look in looks), default=0.0)
-    weighed = [
-        _at_best(look, current, without, alive) if look.fair_gain >= least else look
-        for look in looks
-    ]
+    best = max((look.fair_gain for look in looks), default=0.0)
+    hopeful = [look for look in looks if look.fair_gain >= min(best, _HOPEFUL * best)]
+    weighed = [_at_best(look, current, without, alive) for look in hopeful]
     fair = [each.gains + (each.fair_gain - each.gain) / len(without) for each in weighed]
     decision = decide(np.reshape(fair, (len(weighed), len(without))), rng)
     *likely, chance = decision.confidence.tolist()
@@ -107,7 +109,7 @@ def _simplest_first(alike: Sequence[Weighed]) -> Alike:
         return ()
     best = max(each.fair_gain for each in alike)
     near = [each for each in alike if best - each.fair_gain < max(TIE, ALIKE * best)]
-    first = min(near, key=lambda each: (sum(len(e.values) for e in each.effects), -each.fair_gain))
+    first = min(near, key=lambda each: (each.size, -each.fair_gain))
     known = parts(first.effects)
     others = [each for each in alike if each is first or not known <= _included(each.effects)]
     return (first, *(each for each in others if each is not first))

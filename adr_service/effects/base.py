@@ -136,8 +136,8 @@ class Sensing:
     record: Record | None
     offset_shown: Offset | None = None  # `offset` by the motion as sensors show it, if it differs
     column: Column = _own_column  # of the states, by the element at the effect's place
-    uses_rates: bool = False
-    uses_past: bool = False
+    uses_rates: bool = False  # `Motion.rates` are needed
+    uses_past: bool = False  # `Motion.past` is needed
 
 
 @dataclass(frozen=True)

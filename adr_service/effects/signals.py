@@ -1,8 +1,8 @@
 """Effects on signals: commands on their way to actuators, readings on their way from sensors.
 
     obeyed(model, effects, commands, timestep)      # what the actuators do
-    shown(model, effects, states, rates)            # what the sensors show of true states
-    behind(model, effects, states, rates)           # true states behind what the sensors show
+    shown(model, effects, states, rates, past)      # what the sensors show of true states
+    behind(model, effects, states, rates, past)     # true states behind what the sensors show
 
 Effects act in their order, and are undone in the opposite one.
 """
@@ -52,7 +52,8 @@ def uses_rates(effects: Sequence[Effect]) -> bool:
 def shown(
     model: mujoco.MjModel, effects: Sequence[Effect], states: Matrix, rates: Matrix, past: Past
 ) -> Matrix:
-    """Readings (n, 2 nv) of true states that change by `rates` [1/s]."""
+    """Readings (n, 2 nv) of true states that change by `rates` [1/s] and have come a way, of each
+    position, that `past` gives."""
     readings = states.copy()
     for effect, _ in _in_sensors(effects):
         column, offset = offset_of(model, effect, states, rates, past)
@@ -63,7 +64,7 @@ def shown(
 def behind(
     model: mujoco.MjModel, effects: Sequence[Effect], states: Matrix, rates: Matrix, past: Past
 ) -> Matrix:
-    """True states (n, 2 nv) behind readings that change by `rates` [1/s]."""
+    """True states (n, 2 nv) behind readings that change by `rates` [1/s], with a `past`."""
     true = states.copy()
     for effect, sensing in reversed(_in_sensors(effects)):
         column = sensing.column(model, element_of(model, effect.location))

@@ -1,8 +1,11 @@
 """Fits of a simulator to a measurement, and the evidence that they have."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from adr_service.criticism import evidence
 from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import (
     expected_errors,
@@ -11,6 +14,7 @@ from adr_service.criticism.evidence import (
     refine,
     smoothed,
 )
+from adr_service.criticism.linearisation import by_strengths
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.effects.models import plausible_of
@@ -29,6 +33,24 @@ def test_parameters_that_start_off_the_truth_are_recovered():
 
 def test_a_missing_effect_is_recovered_from_half_of_its_strength(refined):
     assert refined.effects[0].values[0] == pytest.approx(0.1, rel=0.1)
+
+
+def test_a_start_far_away_reaches_the_same_strength_with_derivatives_of_its_own(
+    baseline, refined, friction, monkeypatch
+):
+    taken = []
+
+    def counted(simulator, parameters, effects, states, by):
+        taken.append(by)
+        return by_strengths(simulator, parameters, effects, states, by)
+
+    monkeypatch.setattr(evidence, "by_strengths", counted)
+    far = refine(baseline, [replace(friction, values=(1.0,))])
+    assert far.effects[0].values == pytest.approx(refined.effects[0].values, rel=0.02)
+    assert len(taken) > 1
+    taken.clear()
+    refine(baseline, refined.effects)
+    assert len(taken) == 1
 
 
 def test_a_missing_effect_gains_evidence_on_left_out_episodes(baseline, refined):

@@ -34,6 +34,7 @@ def test_the_only_hidden_effect_is_the_only_one_that_is_named(search, friction):
 def test_what_is_named_has_evidence_and_confidence(search, baseline):
     (alike,), final, _ = search
     assert is_evidence(alike[0].gains)
+    # the rest is that of Stribeck friction, which is this one and more
     assert sum(each.confidence for each in alike) == pytest.approx(1.0, abs=1e-2)
     assert is_evidence(final.held_out - baseline.settled.held_out)
 

@@ -33,4 +33,4 @@ def test_a_strength_that_no_robot_has_is_pointed_out():
     assert on_implausible(model, [usual]) == ()
     (remark,) = on_implausible(model, [usual, replace(usual, values=(-3 * likely,))])
     assert f"joint_spring joint:elbow needs a stiffness of {-3 * likely:.3g} N m/rad" in remark
-    assert f"robots have {likely:.2g} N m/rad at most" in remark
+    assert f"more than 2 times the {likely:.2g} N m/rad" in remark

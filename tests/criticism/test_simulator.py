@@ -8,6 +8,7 @@ from adr_service.criticism.evidence import fit, refine, smoothed
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.effects.base import Effect
+from adr_service.effects.joints import BACKLASH
 from benchmarks.planted import hide
 from tests.hidden import arm
 
@@ -109,8 +110,6 @@ def test_the_past_after_a_transition_begins_with_it(good):
         np.testing.assert_array_equal(after[:, 0], 1.0)
         before = simulator.past(1)[simulator.starts]
         np.testing.assert_array_equal(after[:, 1:], 1.0 + before[:, :-1])
-        some = simulator.past_after(moved[5:8], slice(5, 8))(1)
-        np.testing.assert_array_equal(some, after[5:8])
 
 
 def test_backlash_much_wider_than_the_noise_is_measured_and_not_called_a_late_sensor():
@@ -126,3 +125,18 @@ def test_backlash_much_wider_than_the_noise_is_measured_and_not_called_a_late_se
         fits = [refine(baseline, [effect]) for effect in (gap, late)]
     assert fits[0].effects[0].values == pytest.approx(gap.values, rel=0.1)
     assert fits[0].held_out.sum() > fits[1].held_out.sum() + 4 * THRESHOLD
+
+
+def test_a_followed_robot_shows_the_backlash_of_its_own_motion(good):
+    """And not of the recorded one, which stands still here after its first row."""
+    gap, nominal = 0.02, arm()[1]
+    still = Measurement(**{**good, "qvel": np.zeros_like(good["qvel"])})
+    with Simulator(nominal, still, threads=1) as simulator:
+        true = simulator.follow(nominal.start, [])
+        effect = Effect("joint_backlash", "joint:elbow", (gap,))
+        shown = simulator.follow(nominal.start, [effect])
+        first, last = simulator.data.spans()[0]
+    expected = BACKLASH.sensing.record(true[None, first:last, 1], np.array([gap]), 0.0)[0]
+    rows = slice(first, min(last, first + 32))
+    np.testing.assert_allclose(shown[rows, 1], expected[: rows.stop - first], atol=1e-9)
+    assert np.abs(shown[rows, 1] - true[rows, 1]).max() == pytest.approx(gap / 2)

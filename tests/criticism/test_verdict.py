@@ -16,6 +16,9 @@ def test_an_unbounded_interval_is_null_in_json():
     assert interval.to_json() == {"value": 1.0, "low": None, "high": None, "unit": "rad"}
     assert interval.interval == "not determined"
     assert StrengthInterval("offset", 1.0, 0.5, 1.5, "rad").interval == "0.5 to 1.5"
+    narrow = StrengthInterval("offset", 1.5, 1.499997, 1.500004, "rad")
+    assert narrow.interval == "1.499997 to 1.500004"
+    assert StrengthInterval("offset", 1.5, 1.5, 1.5, "rad").interval == "1.5 to 1.5"
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,20 @@ def test_the_hidden_effect_is_weighed_above_another(baseline, friction):
     assert chance < 0.01
 
 
+def test_the_best_is_refined_though_it_starts_far_beside_its_strength(baseline, friction):
+    """At ten times its strength it explains less than nothing."""
+    rng, far = np.random.default_rng(0), replace(friction, values=(10 * friction.values[0],))
+    (best,), _ = weigh(baseline, [(far,)], rng, lambda: None)
+    assert best.newest[0].values == pytest.approx(friction.values, rel=0.1)
+
+
+def test_what_is_far_below_the_best_at_a_first_look_is_not_refined(baseline, friction):
+    other = Effect("joint_coulomb_friction", "joint:shoulder", (0.01,))
+    rng, steps = np.random.default_rng(0), []
+    weigh(baseline, [(other,), (friction,)], rng, lambda: steps.append("alive"))
+    assert len(steps) == 3  # two looks, and one refinement
+
+
 def test_without_evidence_nothing_is_the_best(baseline):
     rng = np.random.default_rng(0)
     other = Effect("joint_coulomb_friction", "joint:shoulder", (0.001,))
