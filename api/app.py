@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 
 import anyio
 import anyio.to_thread
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from starlette.datastructures import State
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -19,6 +19,7 @@ from api import errors, page
 from api.errors import Problem
 from api.etags import Etags
 from api.guard import Guard
+from api.parameters import check_parameters
 from api.routes import (
     archives,
     benchmark_results,
@@ -65,7 +66,9 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.routers = [family.router for family in families]
     for router in app.state.routers:
-        app.include_router(router)
+        is_page = router is page.router  # an address that somebody shared may have more in it
+        checks = [] if is_page else [Depends(check_parameters)]
+        app.include_router(router, dependencies=checks)
     app.add_middleware(Etags)
     app.add_middleware(Guard, settings=settings)
     app.add_middleware(_Starting, state=app.state)  # outermost

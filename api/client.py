@@ -16,7 +16,7 @@ from typing import IO, Any, Self
 
 import httpx2
 
-from adr_service.errors import AdrError
+from adr_service.errors import AdrError, InvalidInput
 from api.settings import DEFAULT_URL
 
 Json = dict[str, Any]
@@ -152,8 +152,10 @@ class AdrClient:
 
     def claims(self, benchmark_id: str | None = None) -> list[Json]:
         """The paper's claims, compared with a benchmark or with all runs."""
-        at = "/v1/claims" if benchmark_id is None else f"{_path(benchmark_id)}/claims"
-        return list(self._json("GET", at))
+        if benchmark_id is None:
+            return list(self._json("GET", "/v1/claims"))
+        check_benchmark(benchmark_id, "claims are")
+        return list(self._json("GET", f"{_path(benchmark_id)}/claims"))
 
     def distribution(self, run_id: str) -> Json:
         """Training distribution of the run's latest policy."""
@@ -255,6 +257,12 @@ def is_finished(seen: Json) -> bool:
     if "is_finished" in seen:
         return bool(seen["is_finished"])
     return seen["state"] in {"succeeded", "failed", "cancelled"}
+
+
+def check_benchmark(id: str, what: str) -> None:
+    """Raise InvalidInput for an id of something else; `what` as "a report is"."""
+    if not id.startswith("bench_"):
+        raise InvalidInput(f"{what} of a benchmark; given {id}")
 
 
 def _path(id: str) -> str:

@@ -15,7 +15,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from adr_service.benchmark.archive import ArchiveReader, Manifest
 from adr_service.benchmark.figures import FIGURES
 from adr_service.errors import InvalidInput
-from api.client import AdrClient
+from api.client import AdrClient, check_benchmark
 
 _TEMPLATES = Path(__file__).parent / "page" / "templates"  # without the service, which imports Ray
 
@@ -25,8 +25,7 @@ def write_report(client: AdrClient, benchmark_id: str, folder: Path) -> Path:
 
     Raises InvalidInput if something is in the folder.
     """
-    if not benchmark_id.startswith("bench_"):
-        raise InvalidInput(f"a report is of a benchmark; given {benchmark_id}")
+    check_benchmark(benchmark_id, "a report is")
     if folder.exists() and any(folder.iterdir()):
         raise InvalidInput(f"{folder} is not empty; a report overwrites nothing")
     benchmark, found = client.get(benchmark_id), client.results(benchmark_id)

@@ -25,6 +25,17 @@ class Conclusion(StrEnum):
     UNKNOWN = "unknown"  # something is missing that is not in the catalogue
 
 
+def interval_text(low: float | None, high: float | None) -> str:
+    """An interval with as many digits as its ends need to differ; None: unbounded."""
+    if high is None:
+        return "not determined"
+    if low is None:
+        return f"-∞ to {high:.4g}"
+    texts = ((f"{low:.{n}g}", f"{high:.{n}g}") for n in _DIGITS)
+    one, other = next((ends for ends in texts if ends[0] != ends[1]), (f"{low:.4g}",) * 2)
+    return f"{one} to {other}"
+
+
 @dataclass(frozen=True)
 class StrengthInterval:
     """A strength with its 95 % interval, unbounded if the data do not determine it."""
@@ -41,12 +52,9 @@ class StrengthInterval:
 
     @property
     def interval(self) -> str:
-        """Text of the interval, with as many digits as its ends need to differ."""
-        if not isfinite(self.high):
-            return "not determined"
-        texts = ((f"{self.low:.{n}g}", f"{self.high:.{n}g}") for n in _DIGITS)
-        low, high = next((ends for ends in texts if ends[0] != ends[1]), (self.low, self.high))
-        return f"{low} to {high}"
+        """Text of the interval."""
+        bounds = self.to_json()
+        return interval_text(bounds["low"], bounds["high"])
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import typer
 from adr_service.errors import AdrError, InvalidInput
 from api.cli.options import AsJson, Url
 from api.cli.terminal import console
-from api.client import Json, connect
+from api.client import Json, check_benchmark, connect
 from api.settings import DEFAULT_URL
 
 if TYPE_CHECKING:
@@ -37,8 +37,7 @@ def export_(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Write a benchmark with all its results and policies to one file."""
-    if not benchmark.startswith("bench_"):
-        raise InvalidInput(f"an archive is of a benchmark; given {benchmark}")
+    check_benchmark(benchmark, "an archive is")
     if file.exists():
         raise InvalidInput(f"{file} is there already; an export overwrites nothing")
     if not file.parent.is_dir():

@@ -152,7 +152,7 @@ def cost_table(cost: Json) -> RenderableType:
 
 def _utilisation(used: Json | None, note: str) -> list[RenderableType]:
     if used is None:
-        text = "utilisation: known once all runs have finished, if all cores had work at once"
+        text = "utilisation: known once all runs have finished, unless the cores never all had work"
         return [Text(text, style="dim")]
     shares = Table("core seconds", "", box=None, padding=(0, 2, 0, 0))
     for name in ("computing", "waiting", "orchestration", "starting", "preparing"):

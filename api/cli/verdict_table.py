@@ -5,7 +5,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from adr_service.criticism.verdict import Rest, sure
+from adr_service.criticism.verdict import Rest, interval_text, sure
 from api.client import Json
 
 
@@ -86,13 +86,6 @@ def _add_cause(table: Table, prefix: str, cause: Json) -> None:
         table.add_row(
             *map(escape, (prefix + cause["kind"], cause["location"], strength)),
             escape(f"{estimate['value']:.4g} {estimate['unit']}"),
-            escape(_interval(estimate)),
+            escape(interval_text(estimate["low"], estimate["high"])),
             f"{cause['gain_nats']:.0f}",
         )
-
-
-def _interval(estimate: Json) -> str:
-    if estimate["high"] is None:
-        return "unknown"
-    low = "-∞" if estimate["low"] is None else f"{estimate['low']:.4g}"
-    return f"{low} to {estimate['high']:.4g}"

@@ -6,7 +6,8 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
-from api.client import AdrClient, Refused, Unreachable
+from adr_service.errors import InvalidInput
+from api.client import AdrClient, Refused, Unreachable, check_benchmark
 from tests.api.smoke import SMOKE
 
 
@@ -55,3 +56,9 @@ def test_a_refusal_and_an_absent_service_are_explained(service):
         pytest.raises(Unreachable, match="adr serve"),
     ):
         nobody.ready()
+
+
+def test_what_is_of_a_benchmark_refuses_the_id_of_a_run():
+    check_benchmark("bench_1", "claims are")
+    with pytest.raises(InvalidInput, match="claims are of a benchmark; given run_1"):
+        check_benchmark("run_1", "claims are")

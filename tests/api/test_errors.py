@@ -164,3 +164,10 @@ def test_an_unknown_path_or_id_is_a_404_problem(http, path):
 def test_a_body_of_megabytes_is_refused(http):
     response = http.post("/v1/runs", content=b"[" + b"1," * 1_000_000 + b"1]")
     assert response.status_code == 413
+
+
+def test_a_target_without_a_kind_is_told_in_plain_words(runs):
+    (error,) = runs.post("/runs", json={**SMOKE, "target": {"episodes": 1}}).json()["errors"]
+    assert error["pointer"].startswith("/body")
+    assert error["pointer"].endswith("/target")
+    assert error["detail"] == "there is no 'kind' here, which says what this is"

@@ -67,7 +67,7 @@ def test_an_unbounded_interval_is_shown_as_such():
     cause = {**CAUSE, "parameters": {"friction": {**STRENGTH, "low": None}}}
     assert "-∞ to 1.5" in shown({**VERDICT, "causes": [cause]}, 200)
     cause = {**CAUSE, "parameters": {"friction": {**STRENGTH, "high": None}}}
-    assert "unknown" in shown({**VERDICT, "causes": [cause]}, 200)
+    assert "not determined" in shown({**VERDICT, "causes": [cause]}, 200)
 
 
 def test_without_a_cause_there_is_no_table():
