@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from adr_service.arrays import Vector
-from adr_service.criticism.decision import THRESHOLD, is_evidence
+from adr_service.criticism.decision import THRESHOLD, TIE, is_evidence
 from adr_service.criticism.evidence import Fit, held_out_without, refine, smoothed
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import scan
@@ -28,6 +28,7 @@ from adr_service.criticism.weighing import (
 )
 from adr_service.effects.base import Effect
 
+_SIGNIFICANT = 3.0  # standard deviations of a strength
 _CLEARLY = 20.0  # thresholds that a loss exceeds by linearisation, if no refinement need confirm it
 
 
@@ -139,20 +140,23 @@ def narrowed(named: Sequence[Alike], current: Fit) -> tuple[list[Alike], Fit]:
 
 
 def _few_places(current: Fit, slot: slice, whole: Vector) -> Fit | None:
-    """The fit with at most half of a group's places, the most significant ones; None if the others
+    """The fit with the most significant place of a group, if there is no evidence for the others,
+    or with its significant ones (half of them at most), if the others explain nothing; None if they
     would be missed. `whole` (E,): log-likelihood with all, linearised."""
-    order = sorted(range(slot.start, slot.stop), key=lambda n: -_significance(current, n))
-    half = len(order) // 2
-    if _are_clearly_missed(order[half:], whole, current):
-        return None
-    everything = current.settled.held_out
-    for count in range(1, half + 1):
+    significance = {
+        number: _significance(current, number) for number in range(slot.start, slot.stop)
+    }
+    order = sorted(significance, key=lambda number: -significance[number])
+    strong = sum(value > _SIGNIFICANT for value in significance.values())
+    for count in sorted({1, strong}):
         gone = order[count:]
-        if _are_clearly_missed(gone, whole, current):
+        if not 0 < count <= len(order) // 2 or _are_clearly_missed(gone, whole, current):
             continue
-        left = [effect for n, effect in enumerate(current.effects) if n not in gone]
-        few = refine(current, left)
-        if few is not None and not is_evidence(everything - few.held_out):
+        few = refine(current, [e for n, e in enumerate(current.effects) if n not in gone])
+        if few is None:
+            continue
+        loss = current.settled.held_out - few.held_out
+        if loss.sum() < TIE or (count == 1 and not is_evidence(loss)):
             return few
     return None
 
