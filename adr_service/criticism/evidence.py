@@ -180,7 +180,7 @@ def tried(fit: Fit, effects: Sequence[Effect]) -> Fit | None:
 
 
 def improved(fit: Fit, first: Fit) -> Fit:
-    """What was `tried` beside a fit, after steps to better strengths.
+    """A fit that was `tried`, after steps to better strengths.
 
     A step that makes the data less probable is halved. The derivatives by parameters, and by
     effects that the fit has already, stay as well, those by new strengths while these stay near.

@@ -4,7 +4,7 @@
     named, current = narrowed(*pruned(named, current))
 
 What explained most before the others were known may be another's stand-in, superfluous now, or a
-group of which a few places would do.
+group, though a few of its places suffice.
 """
 
 from collections.abc import Callable, Sequence

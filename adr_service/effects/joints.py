@@ -224,7 +224,7 @@ def _play(positions: Matrix, values: Vector, period: float) -> Matrix:
 
 
 def _behind(motion: Motion, values: Vector) -> Vector:
-    """What the play operator shows of the last moments, if it began amid the gap."""
+    """The play operator over the last moments, from the middle of the gap."""
     path = np.column_stack([-motion.past[:, ::-1], np.zeros(len(motion.past))])
     return _play(path, values, np.nan)[:, -1]
 
