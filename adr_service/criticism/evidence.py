@@ -106,13 +106,15 @@ def fit(simulator: Simulator, sensor: Vector, effects: Sequence[Effect] = ()) ->
     `sensor` (m,): stated variances of the sensors' noise, NaN where it is not known.
     """
     layout, states, start = Layout.of(simulator), simulator.measured, simulator.nominal.start
-    linear = linearise(simulator, layout, start, tuple(effects), states, _exact(simulator))
+    own = tuple(effects)
+    linear = linearise(simulator, layout, start, own, states, _exact(simulator))
     noise = _first_noise(linear, sensor)
     known = ~np.isnan(sensor)
     noise, normal = estimate(linear, lifted(noise, linear.chain, linear.residual, known), known)
-    added, known_effects = tuple(effects), len(effects)
-    parts = (simulator, sensor, layout, start, added, states, linear, noise, normal)
-    return Fit(*parts, known=known_effects).settled
+    begun = Fit(
+        simulator, sensor, layout, start, own, states, linear, noise, normal, known=len(own)
+    )
+    return begun.settled
 
 
 def smoothed(fit: Fit) -> Fit:

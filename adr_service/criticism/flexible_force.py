@@ -33,7 +33,7 @@ _WAVES = (1, 2, 3, 4, 6, 8, 12, 16)  # in a turn of a hinge; of a slide, half wa
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What the best flexible force still explains, after all that a fit has explained."""
+    """The part of what a fit leaves that the best flexible force explains."""
 
     gains: Vector  # (E,) nats by episode left out
     where: Rest

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adr_service.criticism import evidence
 from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import (
     expected_errors,
@@ -14,7 +13,6 @@ from adr_service.criticism.evidence import (
     refine,
     smoothed,
 )
-from adr_service.criticism.linearisation import by_strengths
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.effects.models import plausible_of
@@ -36,21 +34,17 @@ def test_a_missing_effect_is_recovered_from_half_of_its_strength(refined):
 
 
 def test_a_start_far_away_reaches_the_same_strength_with_derivatives_of_its_own(
-    baseline, refined, friction, monkeypatch
+    baseline, refined, friction
 ):
-    taken = []
-
-    def counted(simulator, parameters, effects, states, by):
-        taken.append(by)
-        return by_strengths(simulator, parameters, effects, states, by)
-
-    monkeypatch.setattr(evidence, "by_strengths", counted)
-    far = refine(baseline, [replace(friction, values=(1.0,))])
-    assert far.effects[0].values == pytest.approx(refined.effects[0].values, rel=0.02)
-    assert len(taken) > 1
-    taken.clear()
+    """Each of four steps at most takes a prediction, and derivatives take three more."""
+    simulator, once = baseline.simulator, len(baseline.simulator.starts)
+    spent = simulator.simulated_steps
     refine(baseline, refined.effects)
-    assert len(taken) == 1
+    near = simulator.simulated_steps - spent
+    far = refine(baseline, [replace(friction, values=(1.0,))])
+    again = simulator.simulated_steps - spent - near
+    assert far.effects[0].values == pytest.approx(refined.effects[0].values, rel=0.02)
+    assert near <= 7 * once < again
 
 
 def test_a_missing_effect_gains_evidence_on_left_out_episodes(baseline, refined):

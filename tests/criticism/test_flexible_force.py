@@ -19,7 +19,7 @@ from tests.hidden import arm
 
 
 def found(nominal, data, *effects):
-    """What a flexible force still explains when a fit already has these effects."""
+    """A flexible force beside a fit that already has these effects."""
     sensor = data.sensor_variance()
     with Simulator(nominal, data, threads=1, finer=3) as simulator:
         baseline = smoothed(fit(simulator, sensor))
