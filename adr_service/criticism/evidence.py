@@ -18,7 +18,14 @@ import numpy as np
 
 from adr_service.arrays import Array3, Mask, Matrix, Vector
 from adr_service.criticism.layout import Layout
-from adr_service.criticism.linear import Linear, Normal, estimate, likelihood
+from adr_service.criticism.linear import (
+    Linear,
+    Normal,
+    estimate,
+    likelihood,
+    memory_of,
+    remembering,
+)
 from adr_service.criticism.linearisation import (
     INTEGRATION,
     by_strengths,
@@ -73,6 +80,11 @@ class Fit:
     def held_out(self) -> Vector:
         """(E,) nats: log-likelihood of each episode by a fit to the others."""
         return self.normal.left_out()
+
+    @cached_property
+    def memory(self) -> tuple[float, Noise]:
+        """Share of a transition's misfit that the next one keeps, and the noise with it."""
+        return memory_of(self.linear, self.noise, self.stated)
 
     @property
     def left(self) -> Array3:
@@ -132,7 +144,8 @@ def smoothed(fit: Fit) -> Fit:
 
 
 def held_out_without(fit: Fit, gone: Sequence[int]) -> Vector:
-    """(E,) nats: `Fit.held_out` without effects of these numbers, as far as all is linear.
+    """(E,) nats: `Fit.held_out_by` the fit's own memory, without effects of these numbers, as far
+    as all is linear.
 
     Compare with the same without none: both start from the likelier of two noises.
     """
@@ -147,7 +160,27 @@ def held_out_without(fit: Fit, gone: Sequence[int]) -> Vector:
         linear.mean[kept],
         linear.precision[kept],
     )
-    return estimate(linear, _likelier(fit, linear), fit.stated)[1].left_out()
+    share, noise = fit.memory
+    if share == 0:
+        return estimate(linear, _likelier(fit, linear), fit.stated)[1].left_out()
+    return remembering(linear, share, [noise, _likelier(fit, linear)], fit.stated)[1].left_out()
+
+
+def gained(fit: Fit, without: Fit, memory: tuple[float, Noise] | None = None) -> Vector:
+    """(E,) nats by which a fit predicts better than one without some of its effects, where misfit
+    has a memory (that of the fit itself, if none is given).
+
+    Forces that are correlated in time, and a controller that answers them, look like effects to
+    whoever takes each transition's misfit for its own.
+    """
+    share, noise = fit.memory if memory is None else memory
+    if share == 0:
+        return fit.held_out - without.held_out
+    with_memory = (
+        remembering(each.linear, share, [noise, each.noise], each.stated)[1].left_out()
+        for each in (fit, without)
+    )
+    return next(with_memory) - next(with_memory)
 
 
 def residuals_of(fit: Fit, simulator: Simulator) -> tuple[Chain, Array3]:

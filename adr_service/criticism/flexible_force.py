@@ -18,7 +18,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from adr_service.arrays import Array3, Indices, Matrix, Vector
-from adr_service.criticism.evidence import Fit
+from adr_service.criticism.evidence import Fit, gained
 from adr_service.criticism.linear import Linear, Normal, estimate
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.verdict import Dependence, Rest
@@ -59,9 +59,9 @@ def unexplained(fit: Fit) -> Unexplained:
         key=lambda each: (each.normal.left_out() - fit.held_out).sum() / each.excess,
     )
     known = fit.stated
-    _, with_force = estimate(best.linear, fit.noise, known)
-    _, without = estimate(fit.linear, fit.noise, known)
-    gains = (with_force.left_out() - without.left_out()) / best.excess
+    noise, normal = estimate(best.linear, fit.noise, known)
+    flexible = replace(fit, linear=best.linear, noise=noise, normal=normal)
+    gains = gained(flexible, fit) / best.excess
     is_swing = best.depends_on == "frequency"
     where = Rest(_location(fit, best), best.depends_on, swing.hertz if is_swing else None)
     return Unexplained(gains, where)

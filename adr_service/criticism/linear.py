@@ -13,12 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adr_service.arrays import Array3, Mask, Matrix, Vector
-from adr_service.criticism.noise import Ascent, Chain, Noise, Whitener
+from adr_service.criticism.noise import Ascent, Chain, Noise, Whitener, lifted
 
 _SETTLED, _MOST_STEPS = 0.3, 60  # [nats] that a step gains at least
 _RIDGE = 1e-9  # of the information on a column
 _DAMPING = (1e-3, 1e2)  # of Newton steps, relative to the information: least and most
 _HARDER, _EASIER = 30.0, 3.0  # factors of it, after a step that failed and one that did not
+_SHARES = (0.4, 0.7, 0.9)  # of a transition's misfit that the next one may keep
+_EVIDENT = 4.0  # [nats] that a memory gains, or there is none
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,15 @@ class Linear:
     columns: np.ndarray  # (E, T, m, p)
     mean: Vector  # (p,) of each column's coefficient, before the data
     precision: Vector  # (p,) of that prior; zero: no prior
+
+    def remembering(self, share: float) -> "Linear":
+        """The same data, where each transition's misfit keeps a share of the one before."""
+        if share == 0:
+            return self
+        chain = self.chain.remembering(share)
+        assert chain.memory is not None
+        new = chain.memory.innovations
+        return replace(self, chain=chain, residual=new(self.residual), columns=new(self.columns))
 
 
 @dataclass(frozen=True)
@@ -130,6 +141,29 @@ def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
             break
         damping = max(damping / _EASIER, _DAMPING[0])
     return whitener.noise, normal
+
+
+def memory_of(linear: Linear, noise: Noise, known: Mask) -> tuple[float, Noise]:
+    """Share of a transition's misfit that the next one keeps, zero unless that is evident, and the
+    noise with it; `noise` is the best without."""
+    best = (likelihood(linear, noise) + _EVIDENT, 0.0, noise)
+    for share in _SHARES:
+        noise, normal = remembering(linear, share, [noise], known)
+        reached = normal.best_log_likelihood()
+        if reached < best[0]:
+            break
+        best = (reached, share, noise)
+    return best[1:]
+
+
+def remembering(
+    linear: Linear, share: float, starts: Sequence[Noise], known: Mask
+) -> tuple[Noise, Normal]:
+    """`estimate` where each transition's misfit keeps a share of the one before, from the likeliest
+    of some noises."""
+    linear = linear.remembering(share)
+    lift = [lifted(noise, linear.chain, linear.residual, known) for noise in starts]
+    return estimate(linear, max(lift, key=lambda noise: likelihood(linear, noise)), known)
 
 
 def likelihood(linear: Linear, noise: Noise) -> float:

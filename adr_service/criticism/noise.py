@@ -12,6 +12,9 @@ independent numbers of variance one. Variances are maximum-likelihood estimates 
 information algorithm; Gilmour, Thompson and Cullis, 1995); the weights of the t distribution as in
 robust Kalman smoothing (Agamennoni, Nieto and Nebot, 2012).
 
+Misfit that is correlated in time, w_k = rho w_{k-1} + u_k, becomes independent in what is new,
+r_k - rho r_{k-1} (`Chain.remembering`), which shares sensors' noise with two transitions before.
+
 Arrays are (E episodes, T transitions, ...), padded; `mask` says which there are.
 """
 
@@ -32,6 +35,23 @@ _FURTHEST = 3.0  # largest step of the logarithm of a variance
 
 
 @dataclass(frozen=True)
+class Memory:
+    """A misfit that is correlated in time: w_k = share w_{k-1} + u_k."""
+
+    share: float  # 0 to 1
+    linked: Mask  # (E, T) whether there is a transition before
+    earlier: np.ndarray  # (E, T, m, m) G, through which noise passes of the state before
+
+    def innovations(self, values: np.ndarray) -> np.ndarray:
+        """Residuals or sensitivities (E, T, ...) beyond what the transitions before let expect.
+
+        They are e_{k+1} - F_k e_k + G_k e_{k-1} + u_k, with the chain's own F.
+        """
+        linked = self.linked.reshape(*self.linked.shape, *[1] * (values.ndim - 2))
+        return values - self.share * linked * np.roll(values, 1, axis=1)
+
+
+@dataclass(frozen=True)
 class Chain:
     """Sensitivities through which noise passes in the transitions of all episodes."""
 
@@ -39,11 +59,33 @@ class Chain:
     transition: np.ndarray  # (E, T, m, m) F, zero where there is none
     stiff: Mask  # (E, T) whether a contact or a limit acts
     measured: Mask  # (m,) true for sensors that have readings
+    memory: Memory | None = None  # None: each transition's misfit is its own
 
     def where(self, mask: Mask) -> "Chain":
         """The chain with these transitions alone."""
         return replace(
             self, mask=mask, transition=np.where(mask[..., None, None], self.transition, 0.0)
+        )
+
+    def remembering(self, share: float) -> "Chain":
+        """The chain of `Memory.innovations`, where misfit keeps a share of the one before."""
+        linked = self.mask.copy()
+        linked[:, 0] = False
+        linked[:, 1:] &= self.mask[:, :-1]
+        kept = share * linked[..., None, None]
+        earlier = kept * np.roll(self.transition, 1, axis=1)
+        moved = self.transition + kept * np.eye(self.transition.shape[2])
+        return replace(self, transition=moved, memory=Memory(share, linked, earlier))
+
+    def of_episodes(self, which: slice) -> "Chain":
+        """The chain of some of the episodes."""
+        memory = self.memory
+        return Chain(
+            self.mask[which],
+            self.transition[which],
+            self.stiff[which],
+            self.measured,
+            memory and replace(memory, linked=memory.linked[which], earlier=memory.earlier[which]),
         )
 
 
@@ -64,41 +106,36 @@ class Whitener:
     noise: Noise
     inverse: np.ndarray  # (E, T, m, m) of the factor's diagonal blocks
     below: np.ndarray  # (E, T, m, m) the factor's blocks left of the diagonal
+    further: np.ndarray | None  # (E, T, m, m) and left of those; None without memory
     log_determinant: Vector  # (E,) of the covariance
 
     @classmethod
     def of(cls, chain: Chain, noise: Noise) -> "Whitener":
-        mask, transition = chain.mask, chain.transition
-        episodes, count, m = transition.shape[:3]
-        diagonal = (transition * noise.sensor) @ transition.swapaxes(2, 3)
-        diagonal += np.diag(noise.sensor)
-        own = np.arange(m)
-        diagonal[..., own, own] += misfit_variance(chain, noise)
-        diagonal[..., own, own] *= 1 + _ROUNDING
-        diagonal[~mask] = np.eye(m)
-        left = -transition * noise.sensor  # covariance with the transition before
-        left[:, 0] = 0.0
-        left[:, 1:][~mask[:, :-1]] = 0.0
+        diagonal, left, further = _covariances(chain, noise)
         inverse, below = np.empty_like(diagonal), np.zeros_like(diagonal)
-        log_determinant = np.zeros(episodes)
-        for k in range(count):
+        log_determinant = np.zeros(len(diagonal))
+        for k in range(diagonal.shape[1]):
             block = diagonal[:, k]
+            if further is not None and k > 1:
+                further[:, k] = further[:, k] @ inverse[:, k - 2].swapaxes(1, 2)
+                left[:, k] -= further[:, k] @ below[:, k - 1].swapaxes(1, 2)
+                block = block - further[:, k] @ further[:, k].swapaxes(1, 2)
             if k > 0:
                 below[:, k] = left[:, k] @ inverse[:, k - 1].swapaxes(1, 2)
                 block = block - below[:, k] @ below[:, k].swapaxes(1, 2)
             factor = np.linalg.cholesky(block)
             inverse[:, k] = np.linalg.inv(factor)
             log_determinant += 2 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-        return cls(chain, noise, inverse, below, log_determinant)
+        return cls(chain, noise, inverse, below, further, log_determinant)
 
     def of_episodes(self, which: slice) -> "Whitener":
         """The same for some of the episodes."""
-        chain, noise = self.chain, self.noise
         return Whitener(
-            Chain(chain.mask[which], chain.transition[which], chain.stiff[which], chain.measured),
-            replace(noise, weights=noise.weights[which]),
+            self.chain.of_episodes(which),
+            replace(self.noise, weights=self.noise.weights[which]),
             self.inverse[which],
             self.below[which],
+            None if self.further is None else self.further[which],
             self.log_determinant[which],
         )
 
@@ -109,6 +146,8 @@ class Whitener:
             rest = columns[:, k]
             if k > 0:
                 rest = rest - self.below[:, k] @ white[:, k - 1]
+            if self.further is not None and k > 1:
+                rest = rest - self.further[:, k] @ white[:, k - 2]
             white[:, k] = self.inverse[:, k] @ rest
         return white
 
@@ -119,12 +158,16 @@ class Whitener:
             rest = white[:, k]
             if k + 1 < white.shape[1]:
                 rest = rest - np.einsum("eij,ei->ej", self.below[:, k + 1], whole[:, k + 1])
+            if self.further is not None and k + 2 < white.shape[1]:
+                rest = rest - np.einsum("eij,ei->ej", self.further[:, k + 2], whole[:, k + 2])
             whole[:, k] = np.einsum("eij,ei->ej", self.inverse[:, k], rest)
         return whole
 
-    def inverse_blocks(self) -> tuple[np.ndarray, np.ndarray]:
-        """Diagonal blocks (E, T, m, m) of the inverse covariance, and those left of them."""
+    def inverse_blocks(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Diagonal blocks (E, T, m, m) of the inverse covariance, those left of them and, with
+        memory, those left of these (Takahashi's recursion)."""
         diagonal, left = np.zeros_like(self.inverse), np.zeros_like(self.inverse)
+        outer = None if self.further is None else np.zeros_like(self.inverse)
         last = self.inverse.shape[1] - 1
         for k in reversed(range(last + 1)):
             own = self.inverse[:, k]
@@ -133,8 +176,16 @@ class Whitener:
                 below = self.below[:, k + 1]
                 left[:, k + 1] = -diagonal[:, k + 1] @ below @ own
                 middle = middle + below.swapaxes(1, 2) @ diagonal[:, k + 1] @ below
+            if outer is not None and self.further is not None and k + 1 < last:
+                below, further = self.below[:, k + 1], self.further[:, k + 2]
+                near = left[:, k + 2].swapaxes(1, 2) @ further
+                far = left[:, k + 2] @ below + diagonal[:, k + 2] @ further
+                left[:, k + 1] -= near @ own
+                outer[:, k + 2] = -far @ own
+                middle = middle + below.swapaxes(1, 2) @ near + further.swapaxes(1, 2) @ far
+                middle = (middle + middle.swapaxes(1, 2)) / 2  # else rounding grows
             diagonal[:, k] = own.swapaxes(1, 2) @ middle @ own
-        return diagonal, left
+        return diagonal, left, outer
 
     def log_likelihood(self, white: Array3) -> Vector:
         """(E,) of whitened residuals: a lower bound that posterior weights make tight, up to what
@@ -173,10 +224,10 @@ class Ascent:
         chain, noise = whitener.chain, whitener.noise
         mask, m = chain.mask, residual.shape[2]
         adjoint = whitener.adjoint(whitener.whiten(residual[..., None])[..., 0])
-        diagonal, left = whitener.inverse_blocks()
-        expected = np.diagonal(diagonal, axis1=2, axis2=3)
+        blocks = whitener.inverse_blocks()
+        expected = np.diagonal(blocks[0], axis1=2, axis2=3)
         score = _score(chain, adjoint)
-        covariance = _score_covariance(chain, diagonal, left, _columnwise)
+        covariance = _score_covariance(chain, *blocks, _columnwise)
         spread, own = misfit_variance(chain, noise), np.arange(m)
         regimes = (mask & ~chain.stiff, mask & chain.stiff)
         gradient, moved = np.empty((3, m)), np.zeros((*adjoint.shape, 3 * m))
@@ -184,6 +235,8 @@ class Ascent:
         error = noise.sensor * score
         moved[..., own, own] = error[:, 1:] * mask[..., None]
         moved[..., :m] -= chain.transition * error[:, :-1, None, :]
+        if chain.memory is not None:
+            moved[:, 1:, :, :m] += chain.memory.earlier[:, 1:] * error[:, :-2, None, :]
         for number, where in enumerate(regimes, 1):
             variance = where[..., None] * spread
             gradient[number] = np.sum(variance * (adjoint**2 - expected), axis=(0, 1)) / 2
@@ -219,6 +272,27 @@ class Ascent:
         return Noise(sensor, np.maximum(misfit, least), self.weights)
 
 
+def _covariances(chain: Chain, noise: Noise) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Covariances (E, T, m, m) of each transition's residual with itself, with that of the
+    transition before and, with memory, with that before it."""
+    transition, memory, sensor = chain.transition, chain.memory, noise.sensor
+    diagonal = (transition * sensor) @ transition.swapaxes(2, 3)
+    diagonal += np.diag(sensor)
+    left, further = -transition * sensor, None
+    if memory is not None:
+        known = memory.earlier * sensor
+        diagonal += known @ memory.earlier.swapaxes(2, 3)
+        left[:, 1:] -= known[:, 1:] @ transition[:, :-1].swapaxes(2, 3)
+        further = np.where(np.roll(memory.linked, 1, axis=1)[..., None, None], known, 0.0)
+    own = np.arange(len(sensor))
+    diagonal[..., own, own] += misfit_variance(chain, noise)
+    diagonal[..., own, own] *= 1 + _ROUNDING
+    diagonal[~chain.mask] = np.eye(len(sensor))
+    left[:, 0] = 0.0
+    left[:, 1:][~chain.mask[:, :-1]] = 0.0
+    return diagonal, left, further
+
+
 def lifted(noise: Noise, chain: Chain, residual: Array3, known: Mask) -> Noise:
     """Noise without variances so close to zero that no step would leave it.
 
@@ -252,8 +326,12 @@ def _typical_variance(chain: Chain, residual: Array3) -> Vector:
 
 
 def misfit_variance(chain: Chain, noise: Noise) -> Array3:
-    """(E, T, m) variances of each transition's misfit."""
-    return noise.misfit[chain.stiff.astype(int)] / noise.weights[..., None]
+    """(E, T, m) variances of each transition's misfit; with memory, of what is new in it."""
+    variance = noise.misfit[chain.stiff.astype(int)] / noise.weights[..., None]
+    if chain.memory is None:
+        return variance
+    share, linked = chain.memory.share, chain.memory.linked
+    return variance / np.where(linked, 1.0, 1 - share**2)[..., None]
 
 
 def _score(chain: Chain, adjoint: Array3) -> Array3:
@@ -265,6 +343,9 @@ def _score(chain: Chain, adjoint: Array3) -> Array3:
     score = np.zeros((e, t + 1, m))
     score[:, 1:] += adjoint * chain.mask[..., None]
     score[:, :-1] -= (chain.transition.swapaxes(2, 3) @ adjoint[..., None])[..., 0]
+    if chain.memory is not None:
+        earlier = chain.memory.earlier[:, 1:].swapaxes(2, 3)
+        score[:, :-2] += (earlier @ adjoint[:, 1:, :, None])[..., 0]
     return score
 
 
@@ -272,9 +353,10 @@ Product = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def _score_covariance(
-    chain: Chain, diagonal: np.ndarray, left: np.ndarray, inner: Product
+    chain: Chain, diagonal: np.ndarray, left: np.ndarray, outer: np.ndarray | None, inner: Product
 ) -> np.ndarray:
-    """Covariances of those scores (E, T + 1, m, m) by `_matrices`, variances by `_columnwise`."""
+    """Covariances of those scores (E, T + 1, m, m) by `_matrices`, variances by `_columnwise`, from
+    the blocks of the inverse covariance."""
     transition, mask = chain.transition, chain.mask[..., None, None]
     own = inner(np.broadcast_to(np.eye(diagonal.shape[2]), diagonal.shape), diagonal * mask)
     chance = np.zeros((len(own), own.shape[1] + 1, *own.shape[2:]))
@@ -282,6 +364,13 @@ def _score_covariance(
     chance[:, :-1] += inner(transition, diagonal @ transition)
     now, before = transition[:, 1:], left[:, 1:]
     chance[:, 1:-1] -= inner(now, before) + inner(before, now)
+    if chain.memory is not None and outer is not None:
+        earlier = chain.memory.earlier[:, 1:]
+        chance[:, :-2] += inner(earlier, diagonal[:, 1:] @ earlier)
+        passed, now = left[:, 1:].swapaxes(2, 3) @ earlier, transition[:, :-1]
+        chance[:, :-2] -= inner(now, passed) + inner(passed, now)
+        before, earlier = outer[:, 2:], earlier[:, 1:]
+        chance[:, 1:-2] += inner(before, earlier) + inner(earlier, before)
     return chance
 
 

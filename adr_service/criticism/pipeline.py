@@ -30,7 +30,12 @@ from adr_service.criticism.linearisation import FINER
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.naming import Block, block_of, name_effects
 from adr_service.criticism.nominal import Nominal
-from adr_service.criticism.remarks import on_commands, on_implausible, on_refuted
+from adr_service.criticism.remarks import (
+    on_commands,
+    on_implausible,
+    on_memory,
+    on_refuted,
+)
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import Candidate, scan
 from adr_service.criticism.sensor_spread import spread_causes
@@ -242,7 +247,11 @@ def _verdict(judgement: _Judgement, baseline: Fit, first: Sequence[Candidate]) -
             *(() for _ in spread),
         ),
         residual=residual_of(baseline, final, first, judgement.flexible),
-        remarks=(*outcome.remarks, *on_implausible(final.simulator.base, final.effects)),
+        remarks=(
+            *outcome.remarks,
+            *on_implausible(final.simulator.base, final.effects),
+            *on_memory(final.settled.memory[0]),
+        ),
         gain=outcome.gain,
         seconds=None,
     )

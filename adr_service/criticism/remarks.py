@@ -44,6 +44,17 @@ def on_refuted(effects: Sequence[Effect]) -> str:
     )
 
 
+def on_memory(share: float) -> tuple[str, ...]:
+    """A remark on misfit of which the next transition keeps a share, if there is one."""
+    if share == 0:
+        return ()
+    return (
+        f"What is left after a control step keeps about {share:g} of what was left after the one "
+        "before, as it would if forces acted that nobody recorded. Evidence is what effects "
+        "explain beside such forces.",
+    )
+
+
 def on_implausible(model: mujoco.MjModel, effects: Sequence[Effect]) -> tuple[str, ...]:
     """Remarks on strengths that hardly any robot has and a model lacks."""
     remarks: list[str] = []

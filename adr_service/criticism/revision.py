@@ -13,7 +13,7 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import THRESHOLD, TIE, is_evidence
-from adr_service.criticism.evidence import Fit, held_out_without, refine, smoothed
+from adr_service.criticism.evidence import Fit, gained, held_out_without, refine, smoothed
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import scan
 from adr_service.criticism.weighing import (
@@ -86,7 +86,6 @@ def _rivals(
 def pruned(named: list[Alike], current: Fit) -> tuple[list[Alike], Fit]:
     """The named effects without those that the others make superfluous."""
     while len(named) > 1:
-        everything = current.settled.held_out
         whole = held_out_without(current, ())
         shorter = {
             number: _without(slot, current)
@@ -96,7 +95,7 @@ def pruned(named: list[Alike], current: Fit) -> tuple[list[Alike], Fit]:
         rests = {
             number: rest
             for number, rest in shorter.items()
-            if rest is not None and not is_evidence(everything - rest.held_out)
+            if rest is not None and not is_evidence(gained(current.settled, rest))
         }
         if not rests:
             break
@@ -155,7 +154,7 @@ def _few_places(current: Fit, slot: slice, whole: Vector) -> Fit | None:
         few = refine(current, [e for n, e in enumerate(current.effects) if n not in gone])
         if few is None:
             continue
-        loss = current.settled.held_out - few.held_out
+        loss = gained(current.settled, few)
         if loss.sum() < TIE or (count == 1 and not is_evidence(loss)):
             return few
     return None

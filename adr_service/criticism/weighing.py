@@ -13,7 +13,14 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import ALIKE, THRESHOLD, TIE, decide
-from adr_service.criticism.evidence import Fit, held_out_without, improved, refine, tried
+from adr_service.criticism.evidence import (
+    Fit,
+    gained,
+    held_out_without,
+    improved,
+    refine,
+    tried,
+)
 from adr_service.criticism.scan import Candidate
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
@@ -88,7 +95,7 @@ def weigh(
             looks.append(Weighed(tuple(effects), first, first.held_out - without, 0.0))
     best = max((look.fair_gain for look in looks), default=0.0)
     hopeful = [look for look in looks if look.fair_gain >= min(best, _HOPEFUL * best)]
-    weighed = [_at_best(look, current, without, alive) for look in hopeful]
+    weighed = _with_memory([_at_best(look, current, without, alive) for look in hopeful], current)
     fair = [each.gains + (each.fair_gain - each.gain) / len(without) for each in weighed]
     decision = decide(np.reshape(fair, (len(weighed), len(without))), rng)
     *likely, chance = decision.confidence.tolist()
@@ -100,6 +107,15 @@ def _at_best(look: Weighed, current: Fit, without: Vector, alive: Callable[[], N
     alive()
     fit = improved(current, look.fit)
     return replace(look, fit=fit, gains=fit.held_out - without)
+
+
+def _with_memory(weighed: list[Weighed], current: Fit) -> list[Weighed]:
+    """Candidates with gains by the memory of what the best of them leaves."""
+    best = max(weighed, key=lambda each: each.fair_gain, default=None)
+    if best is None or best.gain < THRESHOLD:
+        return weighed
+    memory = best.fit.memory
+    return [replace(each, gains=gained(each.fit, current.settled, memory)) for each in weighed]
 
 
 def _simplest_first(alike: Sequence[Weighed]) -> Alike:

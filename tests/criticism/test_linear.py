@@ -5,8 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adr_service.criticism.linear import Linear, Normal, inverse
-from adr_service.criticism.noise import Chain, Noise, Whitener
+from adr_service.criticism.linear import (
+    Linear,
+    Normal,
+    estimate,
+    inverse,
+    memory_of,
+    remembering,
+)
+from adr_service.criticism.noise import Chain, Noise, Whitener, at_start
 
 EPISODES, STEPS, WIDTH, COLUMNS = 6, 10, 2, 3
 
@@ -101,3 +108,50 @@ def test_the_best_likelihood_does_not_depend_on_where_changes_are_counted_from(l
     there = replace(here, residual=here.residual - here.columns @ moved, mean=here.mean - moved)
     best = [normal_of(each).best_log_likelihood() for each in (here, there)]
     assert best[0] == pytest.approx(best[1], rel=1e-9)
+
+
+def pushed(share):
+    """A state that forces push about and a controller pulls back, and the state as a column: a
+    spring that is not there. `share`: of a force that the next one keeps."""
+    rng = np.random.default_rng(1)
+    mask, still = np.ones((30, 80), dtype=bool), np.zeros((30, 80, 1, 1))
+    state, force = np.zeros((30, 80)), np.zeros((30, 80))
+    for k in range(80):
+        before = force[:, k - 1] if k > 0 else rng.standard_normal(30)
+        force[:, k] = share * before + np.sqrt(1 - share**2) * rng.standard_normal(30)
+        if k > 0:
+            state[:, k] = 0.8 * state[:, k - 1] + force[:, k - 1]
+    chain = Chain(mask, still, ~mask, np.ones(1, bool))
+    columns = state[..., None, None]
+    return Linear(chain, force[..., None], columns, np.zeros(1), np.zeros(1))
+
+
+KNOWN = np.ones(1, dtype=bool)
+
+
+def settled(linear):
+    start = at_start(linear.chain, linear.residual, np.array([1e-6]))
+    return estimate(linear, start, KNOWN)[0]
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.0, 0.0), (0.4, 0.4), (0.7, 0.7), (0.9, 0.9)])
+def test_the_memory_of_a_misfit_is_found(share, found):
+    linear = pushed(share)
+    assert memory_of(linear, settled(linear), KNOWN)[0] == found
+
+
+def test_a_spring_that_only_slow_forces_feign_is_none_with_memory():
+    linear = pushed(0.7)
+    share, noise = memory_of(linear, settled(linear), KNOWN)
+    nothing = replace(
+        linear, columns=linear.columns[..., :0], mean=np.empty(0), precision=np.empty(0)
+    )
+    gains = []
+    for memory in (0.0, share):
+        with_spring, without = (
+            remembering(each, memory, [noise], KNOWN)[1].left_out().sum()
+            for each in (linear, nothing)
+        )
+        gains.append(with_spring - without)
+    assert gains[0] > 100
+    assert abs(gains[1]) < 4

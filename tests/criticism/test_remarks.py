@@ -5,7 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.remarks import on_commands, on_implausible, on_refuted
+from adr_service.criticism.remarks import (
+    on_commands,
+    on_implausible,
+    on_memory,
+    on_refuted,
+)
 from adr_service.effects.base import Effect
 from adr_service.effects.models import plausible_of
 from tests.hidden import arm
@@ -24,6 +29,11 @@ def test_constant_commands_and_commands_beyond_limits_have_a_remark(good):
 def test_a_refuted_effect_is_named_with_its_place():
     remark = on_refuted([Effect("joint_spring", "joint:elbow", (0.5,))])
     assert "joint_spring joint:elbow" in remark
+
+
+def test_a_misfit_with_memory_has_a_remark():
+    assert on_memory(0.0) == ()
+    assert "keeps about 0.7 of what was left" in on_memory(0.7)[0]
 
 
 def test_a_strength_that_no_robot_has_is_pointed_out():
