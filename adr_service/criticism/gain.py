@@ -36,26 +36,26 @@ def measure_gain(
         horizons = _horizons(simulator, before, after)
         trace = _trace(simulator, before, after)
     diverged = [len(simulator.starts) - int(chain.mask.sum()) for chain, _ in left]
-    without, with_effects, count = _innovations(left, after.noise, sealed.is_measured())
-    low, high = _interval(without, with_effects, rng)
-    # noise alone leaves one per number, or less where outliers weigh less
-    explainable = without.sum() - min(float(count), float(with_effects.sum()))
-    removed = without.sum() - with_effects.sum()
+    errors = _innovations(left, after.noise, sealed.is_measured())
+    removed, explained = _shares(errors.sum(axis=0))
+    draws = rng.integers(len(errors), size=(_DRAWS, len(errors)))  # of episodes
+    drawn, drawn_explained = _shares(errors[draws].sum(axis=1))
+    low, high = _interval(drawn)
+    is_noise = bool(np.isnan(explained))
     return Gain(
-        sse_removed=float(1 - with_effects.sum() / without.sum()),
+        sse_removed=float(removed),
         low=low,
         high=high,
-        explainable_fraction=float(removed / explainable) if explainable > 0 else None,
+        explainable_fraction=None if is_noise else float(explained),
+        explainable_interval=None if is_noise else _interval(drawn_explained),
         horizons=horizons,
         diverged=(diverged[0], diverged[1]),
         trace=trace,
     )
 
 
-def _innovations(
-    left: list[_Residuals], noise: Noise, measured: np.ndarray
-) -> tuple[Vector, Vector, int]:
-    """(E,) squared innovations by each of two fits, over transitions that both simulate, and how
+def _innovations(left: list[_Residuals], noise: Noise, measured: np.ndarray) -> Matrix:
+    """(E, 3) squared innovations by each of two fits, over transitions that both simulate, and how
     many numbers these are."""
     mask = left[0][0].mask & left[1][0].mask
     both = [(chain.where(mask), np.where(mask[..., None], r, 0.0)) for chain, r in left]
@@ -63,17 +63,26 @@ def _innovations(
     weights = np.maximum(*(_weights(*each, noise) for each in both))
     noise = replace(noise, weights=weights)
     white = (Whitener.of(chain, noise).whiten(r[..., None])[..., 0] for chain, r in both)
-    without, with_effects = (np.sum(z[..., measured] ** 2, axis=(1, 2)) for z in white)
-    return without, with_effects, int(mask.sum() * measured.sum())
+    squares = [np.sum(z[..., measured] ** 2, axis=(1, 2)) for z in white]
+    return np.column_stack([*squares, mask.sum(axis=1) * measured.sum()])
 
 
-def _interval(
-    without: Vector, with_effects: Vector, rng: np.random.Generator
-) -> tuple[float, float]:
-    """95 % bootstrap interval, over episodes, of the share that is removed."""
-    draws = rng.integers(len(without), size=(_DRAWS, len(without)))
-    removed = 1 - with_effects[draws].sum(axis=1) / without[draws].sum(axis=1)
-    low, high = np.quantile(removed, [0.025, 0.975]).tolist()
+def _shares(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Shares (...) of squared innovations (..., 3) that the effects remove: of all, and of what is
+    not noise (NaN: nothing is)."""
+    without, with_effects, count = np.moveaxis(errors, -1, 0)
+    # noise alone leaves one per number, or less where outliers weigh less
+    explainable = without - np.minimum(count, with_effects)
+    removed = without - with_effects
+    explained = np.divide(
+        removed, explainable, out=np.full_like(removed, np.nan), where=explainable > 0
+    )
+    return removed / without, explained
+
+
+def _interval(shares: Vector) -> tuple[float, float]:
+    """95 % of bootstrapped shares that are numbers."""
+    low, high = np.nanquantile(shares, [0.025, 0.975]).tolist()
     return low, high
 
 

@@ -163,7 +163,10 @@ def _rows(cause: NamedCause, prefix: str) -> list[list[Any]]:
 
 def _gain(gain: Gain, residual: Residual) -> str:
     share = gain.explainable_fraction
-    rest = "" if share is None else f": {100 * share:.0f} % of what is not noise"
+    rest = ""
+    if share is not None and gain.explainable_interval is not None:
+        low, high = gain.explainable_interval
+        rest = f": {100 * share:.0f} % [{100 * low:.0f}, {100 * high:.0f}] of what is not noise"
     finer = ""
     if residual.step < residual.own_step:
         finer = (

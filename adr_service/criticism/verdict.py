@@ -184,6 +184,7 @@ class Gain:
     low: float  # 95 % bootstrap over episodes
     high: float
     explainable_fraction: float | None  # of what is beyond the final noise; None: nothing is
+    explainable_interval: tuple[float, float] | None  # 95 % bootstrap of that
     # control steps -> error without and with, in expected errors of one step
     horizons: dict[int, tuple[float, float]]
     diverged: tuple[int, int]  # transitions that cannot be simulated, without and with
@@ -195,6 +196,7 @@ class Gain:
             "low": self.low,
             "high": self.high,
             "explainable_fraction": self.explainable_fraction,
+            "explainable_interval": self.explainable_interval and list(self.explainable_interval),
             "diverged": {"without": self.diverged[0], "with": self.diverged[1]},
             "error_by_horizon": {
                 str(steps): {"without": before, "with": after}

@@ -28,6 +28,7 @@ def gain(baseline, refined, sealed):
 def test_a_fit_gains_nothing_over_itself(baseline, hidden):
     gain = gained(baseline, baseline, hidden.episodes(range(12, 16)))
     assert (gain.sse_removed, gain.low, gain.high) == (0.0, 0.0, 0.0)
+    assert (gain.explainable_fraction, gain.explainable_interval) == (0.0, (0.0, 0.0))
     assert all(before == after for before, after in gain.horizons.values())
     np.testing.assert_array_equal(gain.trace.without, gain.trace.extended)
 
@@ -47,6 +48,9 @@ def test_the_loss_of_the_true_effect_is_no_gain(baseline, refined, sealed):
 
 def test_the_interval_contains_the_value(gain):
     assert gain.low < gain.sse_removed < gain.high <= 1
+    low, high = gain.explainable_interval
+    assert low <= gain.explainable_fraction <= high <= 1
+    assert low < high
 
 
 def test_the_random_numbers_only_move_the_interval(baseline, refined, sealed, gain):
