@@ -42,8 +42,9 @@ def _draw(painter: object, criticism: Criticism, height: float) -> str:
 def _where(figure: Figure, criticism: Criticism) -> None:
     """Share of each joint's misfit that goes with each quantity."""
     shares = np.array([_explained(criticism.baseline, d) for d in range(_width(criticism))])
-    axes = figure.subplots()
-    image = axes.imshow(100 * shares, cmap="magma_r", vmin=0, vmax=max(5.0, 100 * shares.max()))
+    figure.set_figheight(1.4 + 0.4 * len(shares))
+    axes, most = figure.subplots(), max(5.0, 100 * shares.max())
+    image = axes.imshow(100 * shares, cmap="magma_r", vmin=0, vmax=most, aspect="auto")
     axes.set_xticks(range(len(_FEATURES)), _FEATURES)
     axes.set_yticks(range(len(shares)), _joints(criticism))
     figure.colorbar(image, label="% of the misfit")
@@ -60,8 +61,10 @@ def _ranking(figure: Figure, criticism: Criticism) -> None:
     axes.barh(range(len(best)), gains, xerr=errors, color=_AFTER, ecolor="#555555")
     axes.set_yticks(range(len(best)), names)
     axes.invert_yaxis()
-    axes.axvline(THRESHOLD, color="black", linestyle="--", linewidth=0.8)
-    axes.set_xlabel("evidence [nats, ± standard error]; the line is what chance can reach")
+    chance = "what chance can reach"
+    axes.axvline(THRESHOLD, color="black", linestyle="--", linewidth=0.8, label=chance)
+    axes.legend(loc="lower right", frameon=False)
+    axes.set_xlabel("evidence [nats, ± standard error]")
     axes.set_title("Candidates, each added alone")
 
 

@@ -25,6 +25,7 @@ from adr_service.criticism.experiments import separating_experiment
 from adr_service.criticism.extension import Extension, extend
 from adr_service.criticism.flexible_force import Unexplained, unexplained
 from adr_service.criticism.gain import measure_gain
+from adr_service.criticism.identifiability import indistinguishable
 from adr_service.criticism.inverse import Group, needed_effects
 from adr_service.criticism.linearisation import FINER
 from adr_service.criticism.measurements import Measurement
@@ -111,7 +112,8 @@ def criticise(
         outcome = _Outcome(named, final, chance, None, on_commands(baseline.simulator.base, data))
         outcome = _opened(outcome, baseline, sealed, rng, threads)
         judgement = _judged(outcome, baseline)
-        verdict = _verdict(judgement, baseline, first)
+        alike = indistinguishable(baseline, responses, first)
+        verdict = _verdict(judgement, baseline, first, alike)
     verdict = replace(verdict, seconds=time.perf_counter() - started)
     final = judgement.outcome.final
     extension = _extension(nominal, final, judgement.spread) if verdict.causes else None
@@ -226,7 +228,12 @@ def _confidence(named: Sequence[Alike], chance: float, flexible: Vector) -> floa
     return unknown if is_unknown(flexible, 0.0) else chance * (1 - unknown)
 
 
-def _verdict(judgement: _Judgement, baseline: Fit, first: Sequence[Candidate]) -> Verdict:
+def _verdict(
+    judgement: _Judgement,
+    baseline: Fit,
+    first: Sequence[Candidate],
+    alike: tuple[tuple[str, ...], ...],
+) -> Verdict:
     """The verdict, but for the time that it took."""
     outcome, spread = judgement.outcome, judgement.spread
     named, final = outcome.named, outcome.final
@@ -246,7 +253,7 @@ def _verdict(judgement: _Judgement, baseline: Fit, first: Sequence[Candidate]) -
             ),
             *(() for _ in spread),
         ),
-        residual=residual_of(baseline, final, first, judgement.flexible),
+        residual=residual_of(baseline, final, first, alike, judgement.flexible),
         remarks=(
             *outcome.remarks,
             *on_implausible(final.simulator.base, final.effects),

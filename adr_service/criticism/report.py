@@ -39,7 +39,7 @@ def report_page(criticism: Criticism, name: str) -> str:
         parts.append("<h2>The cause in the data</h2>" + pictures["residual"])
         parts.append("<h2>What the extended simulator is worth</h2>" + pictures["horizons"])
         parts.append(pictures["trace"])
-    parts += [_moved(verdict), _detectable(verdict)]
+    parts += [_moved(verdict), _detectable(verdict), _alike(verdict)]
     return _PAGE.format(title=escape(f"What {name} gets wrong"), body="\n".join(parts))
 
 
@@ -208,6 +208,17 @@ def _detectable(verdict: Verdict) -> str:
         "is; what is not listed cannot be seen in these data</summary>"
         + _table(heads, rows)
         + "</details>"
+    )
+
+
+def _alike(verdict: Verdict) -> str:
+    groups = verdict.residual.alike
+    if not groups:
+        return ""
+    lines = "".join(f"<li>{escape(' = '.join(names))}</li>" for names in groups)
+    return (
+        "<details><summary>What these data cannot tell apart: in each line, one strength does what "
+        f"any other does</summary><ul>{lines}</ul></details>"
     )
 
 

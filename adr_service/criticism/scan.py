@@ -54,7 +54,7 @@ def scan(fit: Fit, responses: Responses) -> list[Candidate]:
     """A candidate for every kind at every location, and for every group; the best first."""
     known, base = {(effect.kind, effect.location) for effect in fit.effects}, fit.simulator.base
     asked = [place for place in places(fit.simulator) if place not in known]
-    look = _Scan(fit, responses, [effect for at in asked for effect in _tried_at(base, *at)])
+    look = Scan(fit, responses, [effect for at in asked for effect in _tried_at(base, *at)])
     candidates = [look.alone(*place) for place in asked]
     groups: dict[str, list[Candidate]] = {}
     for candidate in candidates:
@@ -90,23 +90,26 @@ def places(simulator: Simulator) -> list[tuple[str, str]]:
     ]
 
 
-class _Scan:
-    """Linearised fits of one candidate after the other."""
+class Scan:
+    """Linearised fits of one candidate after the other.
+
+    `normal` has a fit's `own` columns, and `columns` of each effect that can be simulated.
+    """
 
     def __init__(self, fit: Fit, responses: Responses, tried: Sequence[Effect]):
         """`tried`: all effects, at all sizes where their responses may differ."""
         self._base, self._without = fit.simulator.base, fit.held_out
-        self._own = list(range(fit.linear.columns.shape[3]))
+        self.own = list(range(fit.linear.columns.shape[3]))
         mask = fit.linear.chain.mask[..., None, None]  # an earlier fit may have simulated more
         known = ((effect, np.where(mask, responses.of(effect), 0.0)) for effect in tried)
         finite = {effect: response for effect, response in known if np.isfinite(response).all()}
-        ends = len(self._own) + np.cumsum([len(effect.values) for effect in finite])
-        self._columns = {
+        ends = len(self.own) + np.cumsum([len(effect.values) for effect in finite])
+        self.columns = {
             effect: list(range(end - len(effect.values), end))
             for effect, end in zip(finite, ends.tolist(), strict=True)
         }
         precision = prior_precision(self._base, list(finite))
-        self._normal = _beside(fit, list(finite.values()), precision)
+        self.normal = _beside(fit, list(finite.values()), precision)
 
     def alone(self, kind: str, location: str) -> Candidate:
         """The candidate at the best of the sizes where its response may differ."""
@@ -144,11 +147,11 @@ class _Scan:
 
         A single effect whose estimated strength makes no sense has no strength and no gain.
         """
-        if not all(effect in self._columns for effect in tried):
+        if not all(effect in self.columns for effect in tried):
             return None
-        new = [column for effect in tried for column in self._columns[effect]]
+        new = [column for effect in tried for column in self.columns[effect]]
         sizes = np.concatenate([effect.values for effect in tried])
-        normal = self._normal.only([*self._own, *new])
+        normal = self.normal.only([*self.own, *new])
         change, covariance = normal.change()
         seen, deviations = _identifiable(normal, covariance, sizes)
         if not seen.any():

@@ -55,9 +55,13 @@ def _intervals(fit: Fit, slot: slice) -> tuple[StrengthInterval, ...]:
 
 
 def residual_of(
-    baseline: Fit, final: Fit, first: Sequence[Candidate], flexible: Unexplained
+    baseline: Fit,
+    final: Fit,
+    first: Sequence[Candidate],
+    alike: tuple[tuple[str, ...], ...],
+    flexible: Unexplained,
 ) -> Residual:
-    """Everything that the final fit leaves, and the detection limits of the first scan.
+    """Everything that the final fit leaves, and what the first scan could see and tell apart.
 
     `flexible`: what a flexible force explains beside the final fit.
     """
@@ -77,6 +81,7 @@ def residual_of(
         used=used,
         diverged=int(final.layout.mask.sum()) - used,
         detectable=_detectable(final, first),
+        alike=alike,
     )
 
 

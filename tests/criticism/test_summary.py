@@ -98,7 +98,7 @@ def test_detection_limits_are_strengths_that_would_reach_the_threshold(baseline,
         candidate(ELSEWHERE, deviation=np.inf),  # the data do not determine it
         candidate(ELSEWHERE, friction, deviation=0.1),  # a group
     ]
-    limits = residual_of(baseline, baseline, first, left(0.0)).detectable
+    limits = residual_of(baseline, baseline, first, (), left(0.0)).detectable
     ((name, (size, unit)),) = limits.items()
     assert (name, unit) == ("joint_coulomb_friction joint:elbow", "N m")
     assert 0.5 * (size / 0.002) ** 2 == pytest.approx(THRESHOLD)
@@ -106,7 +106,7 @@ def test_detection_limits_are_strengths_that_would_reach_the_threshold(baseline,
 
 @pytest.mark.parametrize(("nats", "rest"), [(0.0, "none"), (1.0, "none"), (10.0, "unknown")])
 def test_the_rest_is_unknown_where_a_flexible_force_has_evidence(baseline, nats, rest):
-    residual = residual_of(baseline, baseline, [], left(nats))
+    residual = residual_of(baseline, baseline, [], (), left(nats))
     assert residual.unexplained_nats == 12 * nats
     assert residual.rest == rest
     where = {"location": "joint:elbow", "depends_on": "time", "hertz": None}
@@ -117,7 +117,7 @@ def test_parameters_at_their_bounds_are_listed(baseline):
     space = baseline.simulator.nominal.space
     bounded = baseline.parameters.copy()
     bounded[0], bounded[2] = space.high[0], space.feasible_low[2]
-    moved = residual_of(baseline, replace(baseline, parameters=bounded), [], left(0.0))
+    moved = residual_of(baseline, replace(baseline, parameters=bounded), [], (), left(0.0))
     assert moved.at_bound == (space.names[0], space.names[2])
     assert tuple(moved.moved) == space.names
     fitted = (baseline.parameters[0], space.high[0])
@@ -125,17 +125,17 @@ def test_parameters_at_their_bounds_are_listed(baseline):
 
 
 def test_steps_and_noise_are_those_of_the_final_fit(baseline, refined):
-    residual = residual_of(baseline, refined, [], left(0.0))
+    residual = residual_of(baseline, refined, [], (), left(0.0))
     assert residual.own_step == pytest.approx(3 * residual.step)
     np.testing.assert_allclose(residual.noise, [1e-3, 1e-3, 1e-2, 1e-2], rtol=0.2)
 
 
 def test_every_transition_is_counted_once(baseline):
-    residual = residual_of(baseline, baseline, [], left(0.0))
+    residual = residual_of(baseline, baseline, [], (), left(0.0))
     assert (residual.used, residual.diverged) == (12 * 75, 0)
     mask = baseline.linear.chain.mask.copy()
     mask[0, :3] = False
     chain = baseline.linear.chain.where(mask)
     fewer = replace(baseline, linear=replace(baseline.linear, chain=chain))
-    residual = residual_of(baseline, fewer, [], left(0.0))
+    residual = residual_of(baseline, fewer, [], (), left(0.0))
     assert (residual.used, residual.diverged) == (12 * 75 - 3, 3)

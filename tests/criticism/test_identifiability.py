@@ -1,0 +1,54 @@
+"""Strengths that a recording cannot tell apart."""
+
+import numpy as np
+import pytest
+
+from adr_service.criticism.evidence import fit, smoothed
+from adr_service.criticism.identifiability import indistinguishable
+from adr_service.criticism.responses import Responses
+from adr_service.criticism.scan import scan
+from adr_service.criticism.simulator import Simulator
+from adr_service.effects.base import Effect
+from benchmarks.planted import hide
+from tests.hidden import arm
+
+
+@pytest.fixture(scope="module")
+def looked():
+    """A fit to an arm whose fore arm is heavier than its model says, its candidates, and groups."""
+    hidden = [Effect("body_mass", "body:fore", (0.2,))]
+    task, nominal = arm()
+    data = hide(task, nominal, np.random.default_rng(402), hidden).episodes(range(12))
+    with Simulator(nominal, data, threads=1, finer=3) as simulator:
+        baseline = smoothed(fit(simulator, data.sensor_variance()))
+        responses = Responses(baseline)
+        candidates = scan(baseline, responses)
+        yield candidates, indistinguishable(baseline, responses, candidates)
+
+
+def group_of(looked, name):
+    return next((group for group in looked[1] if name in group), ())
+
+
+def test_what_does_the_same_gains_the_same_where_one_of_it_is_hidden(looked):
+    group = group_of(looked, "body_mass body:fore")
+    assert "body_inertia body:fore" in group  # about the joint, in a plane
+    alone = {f"{c.kind} {c.location}": c for c in looked[0] if len(c.effects) == 1}
+    gains = [alone[name].gain for name in group if name in alone]
+    assert min(gains) > 100
+    assert min(gains) > 0.97 * max(gains)
+
+
+def test_what_moves_differently_is_in_no_group_together(looked):
+    assert group_of(looked, "joint_coulomb_friction joint:elbow") == ()
+    masses = group_of(looked, "body_mass body:fore")
+    assert not any("friction" in name or "sensor" in name for name in masses)
+
+
+def test_a_mechanism_that_includes_another_is_not_news(looked):
+    """Stribeck friction that does not fall with speed is Coulomb friction, by construction."""
+    assert not any("stribeck" in name for group in looked[1] for name in group)
+
+
+def test_without_candidates_there_is_nothing_to_tell_apart(looked, baseline):
+    assert indistinguishable(baseline, Responses(baseline), []) == ()
