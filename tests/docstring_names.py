@@ -104,6 +104,13 @@ def fitted(folder: Path) -> Names:
     return {**names, "baseline": baseline, "effect": effect}
 
 
+def scanned(folder: Path) -> Names:
+    names = fitted(folder)
+    responses = names["Responses"](names["baseline"])
+    candidates = names["scan"](names["baseline"], responses)
+    return {**names, "responses": responses, "candidates": candidates}
+
+
 def measurement_file(folder: Path) -> Names:
     np.savez(file := io.BytesIO(), **recorded(arm_criticised(folder)["measurement"]))
     return {"path": _written(folder, file.getvalue())}

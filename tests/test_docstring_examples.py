@@ -49,6 +49,7 @@ NAMES: dict[str, Callable[..., dict[str, Any]]] = {
     "adr_service.benchmark.verification": names.stored_stage,
     "adr_service.criticism.evidence": names.simulated,
     "adr_service.criticism.flexible_force": names.fitted,
+    "adr_service.criticism.identifiability": names.scanned,
     "adr_service.criticism.inverse": names.simulated,
     "adr_service.criticism.measurements": names.measurement_file,
     "adr_service.criticism.pipeline": names.arm_with_an_effect,
