@@ -58,7 +58,7 @@ class Simulator:
         self._pool = rollout.Rollout(nthread=_threads(threads))
         self._scratch = [mujoco.MjData(self.base) for _ in range(max(1, _threads(threads)))]
         self.simulated_steps = 0  # control steps, of all predictions
-        self._come: dict[int, Vector] = {}  # along the recording, by position
+        self._past: dict[int, Matrix] = {}  # by position
         self._rough = 1  # steps that `predict_quickly` takes for one of the model's
         if finer > 1 and np.isnan(self.predict_quickly(nominal.start, (), self.measured)).any():
             self._rough = finer  # the model's own step diverges
@@ -176,16 +176,16 @@ class Simulator:
         """(rows, k) how far a position has come since each of the rows before, the latest first,
         back to its episode's first: by its measured velocities, or by itself where there are none.
         """
-        if column not in self._come:
+        if column not in self._past:
             own = self.measured[:, self.base.nq + column]
             moved = (own[self.starts] + own[self.starts + 1]) / 2 * self.period
             if not self.data.is_measured()[self.base.nq + column]:
                 moved = np.diff(self.measured[:, column])[self.starts]
             come = np.zeros(len(self.measured))
             come[self.starts + 1] = moved
-            self._come[column] = np.cumsum(come)
-        first = np.concatenate([np.full(b - a, a) for a, b in self.data.spans()])
-        return _since(self._come[column], first)
+            first = np.concatenate([np.full(b - a, a) for a, b in self.data.spans()])
+            self._past[column] = _since(np.cumsum(come), first)
+        return self._past[column]
 
     def past_after(self, moved: Matrix) -> Past:
         """`past` at the ends of all transitions, which move the states by `moved` (N, 2 nv)."""
