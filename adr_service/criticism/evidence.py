@@ -21,10 +21,11 @@ from adr_service.criticism.layout import Layout
 from adr_service.criticism.linear import (
     Linear,
     Normal,
+    Persistence,
     estimate,
     likelihood,
-    memory_of,
-    remembering,
+    persistence_of,
+    persisting,
 )
 from adr_service.criticism.linearisation import (
     INTEGRATION,
@@ -82,9 +83,9 @@ class Fit:
         return self.normal.left_out()
 
     @cached_property
-    def memory(self) -> tuple[float, Noise]:
-        """Share of a transition's misfit that the next one keeps, and the noise with it."""
-        return memory_of(self.linear, self.noise, self.stated)
+    def persistence(self) -> Persistence:
+        """How much of its misfit a transition passes on to the next one."""
+        return persistence_of(self.linear, self.noise, self.stated)
 
     @property
     def left(self) -> Array3:
@@ -144,8 +145,8 @@ def smoothed(fit: Fit) -> Fit:
 
 
 def held_out_without(fit: Fit, gone: Sequence[int]) -> Vector:
-    """(E,) nats: `Fit.held_out_by` the fit's own memory, without effects of these numbers, as far
-    as all is linear.
+    """(E,) nats: `held_out_where` with the fit's own persistence, without effects of these numbers,
+    as far as all is linear.
 
     Compare with the same without none: both start from the likelier of two noises.
     """
@@ -160,27 +161,28 @@ def held_out_without(fit: Fit, gone: Sequence[int]) -> Vector:
         linear.mean[kept],
         linear.precision[kept],
     )
-    share, noise = fit.memory
+    share, start = fit.persistence.share, _likelier(fit, linear)
     if share == 0:
-        return estimate(linear, _likelier(fit, linear), fit.stated)[1].left_out()
-    return remembering(linear, share, [noise, _likelier(fit, linear)], fit.stated)[1].left_out()
+        return estimate(linear, start, fit.stated)[1].left_out()
+    starts = [fit.persistence.noise, start]
+    return persisting(linear, share, starts, fit.stated)[1].left_out()
 
 
-def gained(fit: Fit, without: Fit, memory: tuple[float, Noise] | None = None) -> Vector:
-    """(E,) nats by which a fit predicts better than one without some of its effects, where misfit
-    has a memory (that of the fit itself, if none is given).
+def gained(fit: Fit, without: Fit) -> Vector:
+    """(E,) nats by which a fit predicts better than one without some of its effects.
 
-    Forces that are correlated in time, and a controller that answers them, look like effects to
-    whoever takes each transition's misfit for its own.
+    Where the fit's misfit persists, beside that: otherwise forces that are correlated in time, and
+    a controller's answer to them, look like an effect.
     """
-    share, noise = fit.memory if memory is None else memory
-    if share == 0:
-        return fit.held_out - without.held_out
-    with_memory = (
-        remembering(each.linear, share, [noise, each.noise], each.stated)[1].left_out()
-        for each in (fit, without)
-    )
-    return next(with_memory) - next(with_memory)
+    return held_out_where(fit.persistence, fit) - held_out_where(fit.persistence, without)
+
+
+def held_out_where(persistence: Persistence, fit: Fit) -> Vector:
+    """(E,) nats: `Fit.held_out`, where misfit persists as it does in a better fit."""
+    if persistence.share == 0:
+        return fit.held_out
+    starts = [persistence.noise, fit.noise]
+    return persisting(fit.linear, persistence.share, starts, fit.stated)[1].left_out()
 
 
 def residuals_of(fit: Fit, simulator: Simulator) -> tuple[Chain, Array3]:
@@ -227,17 +229,17 @@ def improved(fit: Fit, first: Fit) -> Fit:
         moved = _strengthened(best.effects, step[fit.integration.stop :])
         known = best if _are_near(fit.simulator, about, moved) else None
         other = _evaluated(fit, parameters, moved, best.noise, known)
-        gained = (
+        more = (
             -np.inf
             if other is None
             else other.normal.best_log_likelihood(fit.integration) - reached
         )
-        if other is None or gained <= 0:
+        if other is None or more <= 0:
             step = step / 2
             continue
-        best, step, reached = other, other.normal.change()[0], reached + gained
+        best, step, reached = other, other.normal.change()[0], reached + more
         about = about if known else moved
-        if gained < _CONVERGED:
+        if more < _CONVERGED:
             break
     return best
 

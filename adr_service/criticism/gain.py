@@ -12,7 +12,7 @@ from adr_service.criticism.simulator import Simulator
 from adr_service.criticism.verdict import Gain, Trace
 
 _HORIZONS = (1, 5, 25)  # control steps
-_DRAWS = 1000
+_DRAWS, _BEYOND = 1000, 0.025  # of a bootstrap; share that is beyond each end of an interval
 _WEIGHINGS = 5
 
 _Residuals = tuple[Chain, Array3]  # (E, T, m) of one fit
@@ -37,17 +37,19 @@ def measure_gain(
         trace = _trace(simulator, before, after)
     diverged = [len(simulator.starts) - int(chain.mask.sum()) for chain, _ in left]
     errors = _innovations(left, after.noise, sealed.is_measured())
-    removed, explained = _shares(errors.sum(axis=0))
-    draws = rng.integers(len(errors), size=(_DRAWS, len(errors)))  # of episodes
-    drawn, drawn_explained = _shares(errors[draws].sum(axis=1))
-    low, high = _interval(drawn)
-    is_noise = bool(np.isnan(explained))
+    whole = errors.sum(axis=0)
+    draws = errors[rng.integers(len(errors), size=(_DRAWS, len(errors)))].sum(axis=1)
+    # noise alone leaves one per number, or less where outliers weigh less
+    noise = min(1.0, float(whole[1] / whole[2]))
+    drawn = _explained(draws, noise)
+    is_noise = np.mean(np.isnan(drawn)) > _BEYOND or bool(np.isnan(_explained(whole, noise)))
+    low, high = _interval(_removed(draws))
     return Gain(
-        sse_removed=float(removed),
+        sse_removed=float(_removed(whole)),
         low=low,
         high=high,
-        explainable_fraction=None if is_noise else float(explained),
-        explainable_interval=None if is_noise else _interval(drawn_explained),
+        explainable_fraction=None if is_noise else float(_explained(whole, noise)),
+        explainable_interval=None if is_noise else _interval(drawn),
         horizons=horizons,
         diverged=(diverged[0], diverged[1]),
         trace=trace,
@@ -55,8 +57,8 @@ def measure_gain(
 
 
 def _innovations(left: list[_Residuals], noise: Noise, measured: np.ndarray) -> Matrix:
-    """(E, 3) squared innovations by each of two fits, over transitions that both simulate, and how
-    many numbers these are."""
+    """(E, 3) squared innovations by one fit, by the other, and their number, over transitions that
+    both simulate."""
     mask = left[0][0].mask & left[1][0].mask
     both = [(chain.where(mask), np.where(mask[..., None], r, 0.0)) for chain, r in left]
     # an outlier is what neither of the two expects
@@ -67,22 +69,21 @@ def _innovations(left: list[_Residuals], noise: Noise, measured: np.ndarray) -> 
     return np.column_stack([*squares, mask.sum(axis=1) * measured.sum()])
 
 
-def _shares(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shares (...) of squared innovations (..., 3) that the effects remove: of all, and of what is
-    not noise (NaN: nothing is)."""
+def _removed(errors: np.ndarray) -> np.ndarray:
+    """(...) share of squared innovations (..., 3) that the effects remove."""
+    return 1 - errors[..., 1] / errors[..., 0]
+
+
+def _explained(errors: np.ndarray, noise: float) -> np.ndarray:
+    """(...) share that they remove of what is not `noise` in each number; NaN: nothing is."""
     without, with_effects, count = np.moveaxis(errors, -1, 0)
-    # noise alone leaves one per number, or less where outliers weigh less
-    explainable = without - np.minimum(count, with_effects)
-    removed = without - with_effects
-    explained = np.divide(
-        removed, explainable, out=np.full_like(removed, np.nan), where=explainable > 0
-    )
-    return removed / without, explained
+    explainable = without - noise * count
+    return (without - with_effects) / np.where(explainable > 0, explainable, np.nan)
 
 
 def _interval(shares: Vector) -> tuple[float, float]:
-    """95 % of bootstrapped shares that are numbers."""
-    low, high = np.nanquantile(shares, [0.025, 0.975]).tolist()
+    """95 % interval of bootstrapped shares, those that are numbers."""
+    low, high = np.nanquantile(shares, [_BEYOND, 1 - _BEYOND]).tolist()
     return low, high
 
 

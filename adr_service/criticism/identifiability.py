@@ -1,7 +1,7 @@
 """Strengths that a recording cannot tell apart, whichever of them the robot has.
 
     for names in indistinguishable(baseline, responses, candidates):
-        print(" = ".join(names))
+        print(" or ".join(names))
 
 The data determine only what these do together, as the base parameters of a robot's dynamics
 (Gautier and Khalil, 1990), beside the free parameters that are fitted with them.
@@ -28,12 +28,14 @@ _ABSORBED = 0.01  # of the information on a strength, which fitted parameters le
 def indistinguishable(
     fit: Fit, responses: Responses, candidates: Sequence[Candidate]
 ) -> tuple[tuple[str, ...], ...]:
-    """Groups of strengths, as "kind location strength", of which each does what any other of its
-    group does, to first order and but for 1 %.
+    """Groups of strengths, as "kind location strength". Each does 99 % of what any other of its
+    group does, at the sizes that a scan tried.
 
-    Of a scan's `candidates`, single ones alone that the data determine.
+    `candidates`: of the scan. Groups of places are left out, and what the fitted parameters can do
+    as well.
     """
-    asked = [c.tried[0] for c in candidates if len(c.tried) == 1 and np.isfinite(c.deviations[0])]
+    single = [candidate for candidate in candidates if len(candidate.tried) == 1]
+    asked = [each.tried[0] for each in single if np.isfinite(each.deviations).any()]
     look = Scan(fit, responses, asked)
     named = [
         (effect, number, column)
@@ -52,8 +54,8 @@ def indistinguishable(
 
 
 def _unlikeness(normal: Normal, own: Sequence[int], asked: Sequence[int]) -> Matrix:
-    """(k, k) share of one column's information that another one cannot supply, beside a fit's own
-    columns; infinite on the diagonal for those that these absorb."""
+    """(k, k) share of what one column does that another cannot do, beside a fit's own columns;
+    infinite on the diagonal for columns that the fit's own can replace."""
     information = normal.information.sum(axis=0)
     known = information[np.ix_(own, own)] + np.diag(normal.precision[own])
     beside = information[np.ix_(own, asked)]
@@ -68,7 +70,7 @@ def _unlikeness(normal: Normal, own: Sequence[int], asked: Sequence[int]) -> Mat
 
 
 def _names(strengths: Sequence[tuple[Effect, int]]) -> tuple[str, ...]:
-    """Names of a group's strengths, but for mechanisms that include another one at this place."""
+    """Names of a group's strengths, without a mechanism that includes one of the others."""
     known = {(effect.kind, effect.location) for effect, _ in strengths}
     names: list[str] = []
     for effect, number in strengths:

@@ -19,8 +19,8 @@ _SETTLED, _MOST_STEPS = 0.3, 60  # [nats] that a step gains at least
 _RIDGE = 1e-9  # of the information on a column
 _DAMPING = (1e-3, 1e2)  # of Newton steps, relative to the information: least and most
 _HARDER, _EASIER = 30.0, 3.0  # factors of it, after a step that failed and one that did not
-_SHARES = (0.4, 0.7, 0.9)  # of a transition's misfit that the next one may keep
-_EVIDENT = 4.0  # [nats] that a memory gains, or there is none
+_SHARES = (0.4, 0.7, 0.9)  # of its misfit that a transition may pass on
+_EVIDENT = 4.0  # [nats] that passing it on gains, or it does not
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Linear:
     precision: Vector  # (p,) of that prior; zero: no prior
 
     def remembering(self, share: float) -> "Linear":
-        """The same data, where each transition's misfit keeps a share of the one before."""
+        """The same data, where each transition passes on a share of its misfit."""
         if share == 0:
             return self
         chain = self.chain.remembering(share)
@@ -143,24 +143,34 @@ def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
     return whitener.noise, normal
 
 
-def memory_of(linear: Linear, noise: Noise, known: Mask) -> tuple[float, Noise]:
-    """Share of a transition's misfit that the next one keeps, zero unless that is evident, and the
-    noise with it; `noise` is the best without."""
-    best = (likelihood(linear, noise) + _EVIDENT, 0.0, noise)
+@dataclass(frozen=True)
+class Persistence:
+    """How much of its misfit a transition passes on to the next one, and the noise with that."""
+
+    share: float  # zero: nothing
+    noise: Noise
+
+
+def persistence_of(linear: Linear, noise: Noise, known: Mask) -> Persistence:
+    """The likeliest share that misfit passes on, zero unless that is evident; `noise` is the best
+    where it passes on nothing."""
+    reached, best = likelihood(linear, noise) + _EVIDENT, Persistence(0.0, noise)
     for share in _SHARES:
-        noise, normal = remembering(linear, share, [noise], known)
-        reached = normal.best_log_likelihood()
-        if reached < best[0]:
+        try:
+            noise, normal = persisting(linear, share, [noise], known)
+        except np.linalg.LinAlgError:  # variances too far apart
             break
-        best = (reached, share, noise)
-    return best[1:]
+        if not normal.best_log_likelihood() > reached:
+            break
+        reached, best = normal.best_log_likelihood(), Persistence(share, noise)
+    return best
 
 
-def remembering(
+def persisting(
     linear: Linear, share: float, starts: Sequence[Noise], known: Mask
 ) -> tuple[Noise, Normal]:
-    """`estimate` where each transition's misfit keeps a share of the one before, from the likeliest
-    of some noises."""
+    """`estimate` where each transition passes on a share of its misfit, from the likeliest of some
+    noises."""
     linear = linear.remembering(share)
     lift = [lifted(noise, linear.chain, linear.residual, known) for noise in starts]
     return estimate(linear, max(lift, key=lambda noise: likelihood(linear, noise)), known)

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from adr_service.arrays import Vector
-from adr_service.criticism.decision import THRESHOLD, decide
+from adr_service.criticism.decision import THRESHOLD, decide, is_evidence
 from adr_service.criticism.evidence import Fit, held_out_without, refine, smoothed
 from adr_service.criticism.inverse import Group
 from adr_service.criticism.responses import Responses
@@ -81,7 +81,7 @@ def name_effects(
     named: list[Alike] = []
     current, chance = baseline, 1.0
     if block is not None and _is_far_better(block, baseline, candidates[:_REFINED]):
-        named, current = _standing(block, rng)
+        named, current = _standing(block, baseline, rng)
         responses, chance = Responses(current), 0.0  # about the baseline all would be others
     together = len(named)  # these were weighed as a whole
     for count in range(together, _MOST_NAMED):
@@ -138,9 +138,9 @@ def _is_far_better(block: Block, baseline: Fit, best: Sequence[Candidate]) -> bo
     return block.fair_gain - most > min(_FAR * most, _CLOSER * readings)
 
 
-def _standing(block: Block, rng: np.random.Generator) -> tuple[list[Alike], Fit]:
+def _standing(block: Block, baseline: Fit, rng: np.random.Generator) -> tuple[list[Alike], Fit]:
     """The groups of a block that the others do not make superfluous, each with what these explain
-    less alone, and the fit."""
+    less alone, and the fit; none and the baseline, if there is evidence for no group."""
     whole: list[Alike] = [(Weighed(group, block.fit, block.gains, 0.0),) for group in block.groups]
     kept, current = pruned(whole, smoothed(block.fit))
     everything = held_out_without(current, ())
@@ -149,6 +149,8 @@ def _standing(block: Block, rng: np.random.Generator) -> tuple[list[Alike], Fit]
         alone = missed(weighed, range(slot.start, slot.stop), current, everything)
         confidence = float(decide(alone.gains[None], rng).confidence[0])
         named.append((replace(alone, confidence=confidence),))
+    if not any(is_evidence(alone.gains) for (alone,) in named):
+        return [], baseline
     return named, current
 
 

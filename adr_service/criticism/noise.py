@@ -39,16 +39,16 @@ class Memory:
     """A misfit that is correlated in time: w_k = share w_{k-1} + u_k."""
 
     share: float  # 0 to 1
-    linked: Mask  # (E, T) whether there is a transition before
+    linked: Mask  # (E, T) whether a transition's misfit remembers that of the one before
     earlier: np.ndarray  # (E, T, m, m) G, through which noise passes of the state before
 
     def innovations(self, values: np.ndarray) -> np.ndarray:
-        """Residuals or sensitivities (E, T, ...) beyond what the transitions before let expect.
+        """What is new in residuals or sensitivities (E, T, ...).
 
-        They are e_{k+1} - F_k e_k + G_k e_{k-1} + u_k, with the chain's own F.
+        In a residual, that is e_{k+1} - F_k e_k + G_k e_{k-1} + u_k, with the chain's own F.
         """
         linked = self.linked.reshape(*self.linked.shape, *[1] * (values.ndim - 2))
-        return values - self.share * linked * np.roll(values, 1, axis=1)
+        return values - self.share * np.where(linked, np.roll(values, 1, axis=1), 0.0)
 
 
 @dataclass(frozen=True)
@@ -63,15 +63,20 @@ class Chain:
 
     def where(self, mask: Mask) -> "Chain":
         """The chain with these transitions alone."""
+        assert self.memory is None
         return replace(
             self, mask=mask, transition=np.where(mask[..., None, None], self.transition, 0.0)
         )
 
     def remembering(self, share: float) -> "Chain":
-        """The chain of `Memory.innovations`, where misfit keeps a share of the one before."""
-        linked = self.mask.copy()
+        """The chain of `Memory.innovations`, where misfit keeps a share of the one before.
+
+        That of a contact or a limit is over with its transition.
+        """
+        assert self.memory is None
+        linked = self.mask & ~self.stiff
+        linked[:, 1:] &= linked[:, :-1].copy()
         linked[:, 0] = False
-        linked[:, 1:] &= self.mask[:, :-1]
         kept = share * linked[..., None, None]
         earlier = kept * np.roll(self.transition, 1, axis=1)
         moved = self.transition + kept * np.eye(self.transition.shape[2])
@@ -283,7 +288,7 @@ def _covariances(chain: Chain, noise: Noise) -> tuple[np.ndarray, np.ndarray, np
         known = memory.earlier * sensor
         diagonal += known @ memory.earlier.swapaxes(2, 3)
         left[:, 1:] -= known[:, 1:] @ transition[:, :-1].swapaxes(2, 3)
-        further = np.where(np.roll(memory.linked, 1, axis=1)[..., None, None], known, 0.0)
+        further = np.where(np.roll(chain.mask, 2, axis=1)[..., None, None], known, 0.0)
     own = np.arange(len(sensor))
     diagonal[..., own, own] += misfit_variance(chain, noise)
     diagonal[..., own, own] *= 1 + _ROUNDING

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from adr_service.arrays import Vector
 from adr_service.criticism.compatibility import check_measurement
 from adr_service.criticism.decision import THRESHOLD, is_unknown
-from adr_service.criticism.evidence import Fit, fit, smoothed
+from adr_service.criticism.evidence import Fit, fit, gained, smoothed
 from adr_service.criticism.experiments import separating_experiment
 from adr_service.criticism.extension import Extension, extend
 from adr_service.criticism.flexible_force import Unexplained, unexplained
@@ -34,7 +34,7 @@ from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.remarks import (
     on_commands,
     on_implausible,
-    on_memory,
+    on_persistence,
     on_refuted,
 )
 from adr_service.criticism.responses import Responses
@@ -112,8 +112,8 @@ def criticise(
         outcome = _Outcome(named, final, chance, None, on_commands(baseline.simulator.base, data))
         outcome = _opened(outcome, baseline, sealed, rng, threads)
         judgement = _judged(outcome, baseline)
-        alike = indistinguishable(baseline, responses, first)
-        verdict = _verdict(judgement, baseline, first, alike)
+        confused = indistinguishable(baseline, responses, first)
+        verdict = _verdict(judgement, baseline, first, confused)
     verdict = replace(verdict, seconds=time.perf_counter() - started)
     final = judgement.outcome.final
     extension = _extension(nominal, final, judgement.spread) if verdict.causes else None
@@ -176,8 +176,8 @@ def _begun(simulator: Simulator, groups: Sequence[Group]) -> tuple[Fit, Block | 
 def _likelihood(begun: tuple[Fit, Block | None]) -> tuple[int, float]:
     """Number of transitions that can be simulated, and how likely they are at best."""
     start, block = begun
-    gained = 0.0 if block is None else max(block.fair_gain, 0.0)
-    return int(start.linear.chain.mask.sum()), float(start.held_out.sum()) + gained
+    more = 0.0 if block is None else max(block.fair_gain, 0.0)
+    return int(start.linear.chain.mask.sum()), float(start.held_out.sum()) + more
 
 
 def _opened(
@@ -204,8 +204,9 @@ def _judged(outcome: _Outcome, baseline: Fit) -> _Judgement:
     flexible = unexplained(whole)
     confidence = _confidence(outcome.named, outcome.chance, flexible.gains)
     conclusion = Conclusion.NONE
-    explained = float((whole.held_out - baseline.settled.held_out).sum())
-    if is_unknown(flexible.gains, explained if outcome.named else 0.0):
+    outcome = replace(outcome, remarks=(*outcome.remarks, *on_persistence(whole.persistence)))
+    explained = float(gained(whole, baseline.settled).sum()) if outcome.named else 0.0
+    if is_unknown(flexible.gains, explained):
         conclusion = Conclusion.UNKNOWN
         outcome = replace(outcome, named=[], final=baseline, gain=None)
     spread = spread_causes(whole)
@@ -232,7 +233,7 @@ def _verdict(
     judgement: _Judgement,
     baseline: Fit,
     first: Sequence[Candidate],
-    alike: tuple[tuple[str, ...], ...],
+    confused: tuple[tuple[str, ...], ...],
 ) -> Verdict:
     """The verdict, but for the time that it took."""
     outcome, spread = judgement.outcome, judgement.spread
@@ -253,12 +254,8 @@ def _verdict(
             ),
             *(() for _ in spread),
         ),
-        residual=residual_of(baseline, final, first, alike, judgement.flexible),
-        remarks=(
-            *outcome.remarks,
-            *on_implausible(final.simulator.base, final.effects),
-            *on_memory(final.settled.memory[0]),
-        ),
+        residual=residual_of(baseline, final, first, confused, judgement.flexible),
+        remarks=(*outcome.remarks, *on_implausible(final.simulator.base, final.effects)),
         gain=outcome.gain,
         seconds=None,
     )

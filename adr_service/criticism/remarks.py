@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from adr_service.criticism.linear import Persistence
 from adr_service.criticism.measurements import Measurement
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
@@ -44,14 +45,13 @@ def on_refuted(effects: Sequence[Effect]) -> str:
     )
 
 
-def on_memory(share: float) -> tuple[str, ...]:
-    """A remark on misfit of which the next transition keeps a share, if there is one."""
-    if share == 0:
+def on_persistence(persistence: Persistence) -> tuple[str, ...]:
+    """A remark where a transition passes on some of its misfit."""
+    if persistence.share == 0:
         return ()
     return (
-        f"What is left after a control step keeps about {share:g} of what was left after the one "
-        "before, as it would if forces acted that nobody recorded. Evidence is what effects "
-        "explain beside such forces.",
+        f"What is left after a control step passes about {persistence.share:g} of itself on to the "
+        "next one: forces act that nobody recorded, or that none of the effects explains.",
     )
 
 

@@ -39,7 +39,7 @@ def report_page(criticism: Criticism, name: str) -> str:
         parts.append("<h2>The cause in the data</h2>" + pictures["residual"])
         parts.append("<h2>What the extended simulator is worth</h2>" + pictures["horizons"])
         parts.append(pictures["trace"])
-    parts += [_moved(verdict), _detectable(verdict), _alike(verdict)]
+    parts += [_moved(verdict), _detectable(verdict), _confused(verdict)]
     return _PAGE.format(title=escape(f"What {name} gets wrong"), body="\n".join(parts))
 
 
@@ -211,14 +211,15 @@ def _detectable(verdict: Verdict) -> str:
     )
 
 
-def _alike(verdict: Verdict) -> str:
-    groups = verdict.residual.alike
+def _confused(verdict: Verdict) -> str:
+    groups = verdict.residual.confused
     if not groups:
         return ""
-    lines = "".join(f"<li>{escape(' = '.join(names))}</li>" for names in groups)
+    lines = "".join(f"<li>{escape(', or '.join(names))}</li>" for names in groups)
     return (
-        "<details><summary>What these data cannot tell apart: in each line, one strength does what "
-        f"any other does</summary><ul>{lines}</ul></details>"
+        "<details><summary>What these data cannot tell apart, beside the free parameters: in each "
+        "line, any of the strengths does the same as the others</summary>"
+        f"<ul>{lines}</ul></details>"
     )
 
 

@@ -92,14 +92,17 @@ def pruned(named: list[Alike], current: Fit) -> tuple[list[Alike], Fit]:
             for number, slot in enumerate(slots(named))
             if not _are_clearly_missed(range(slot.start, slot.stop), whole, current)
         }
-        rests = {
-            number: rest
+        losses = {
+            number: gained(current.settled, rest)
             for number, rest in shorter.items()
-            if rest is not None and not is_evidence(gained(current.settled, rest))
+            if rest is not None
         }
-        if not rests:
+        superfluous = [number for number, loss in losses.items() if not is_evidence(loss)]
+        if not superfluous:
             break
-        least, rest = max(rests.items(), key=lambda entry: entry[1].held_out.sum())
+        least = min(superfluous, key=lambda number: losses[number].sum())
+        rest = shorter[least]
+        assert rest is not None
         named = [alike for number, alike in enumerate(named) if number != least]
         current = smoothed(rest)
     return named, current

@@ -58,12 +58,13 @@ def residual_of(
     baseline: Fit,
     final: Fit,
     first: Sequence[Candidate],
-    alike: tuple[tuple[str, ...], ...],
+    confused: tuple[tuple[str, ...], ...],
     flexible: Unexplained,
 ) -> Residual:
-    """Everything that the final fit leaves, and what the first scan could see and tell apart.
+    """Everything that the final fit leaves, and what the first scan could see.
 
-    `flexible`: what a flexible force explains beside the final fit.
+    `confused`: groups of strengths that these data cannot tell apart. `flexible`: what a flexible
+    force explains beside the final fit.
     """
     simulator, space = final.simulator, final.simulator.nominal.space
     used = int(final.linear.chain.mask.sum())
@@ -81,7 +82,7 @@ def residual_of(
         used=used,
         diverged=int(final.layout.mask.sum()) - used,
         detectable=_detectable(final, first),
-        alike=alike,
+        confused=confused,
     )
 
 

@@ -146,7 +146,9 @@ class Residual:
     diverged: int  # transitions whose simulation diverged; left out
     # "kind location" -> smallest first strength that would have been seen, and its unit
     detectable: dict[str, tuple[float, str]]
-    alike: tuple[tuple[str, ...], ...]  # "kind location strength" that these data cannot tell apart
+    confused: tuple[
+        tuple[str, ...], ...
+    ]  # "kind location strength" that these data cannot tell apart
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -164,7 +166,7 @@ class Residual:
                 name: {"value": size, "unit": unit}
                 for name, (size, unit) in self.detectable.items()
             },
-            "alike": [list(names) for names in self.alike],
+            "confused": [list(names) for names in self.confused],
         }
 
 

@@ -15,7 +15,7 @@ from adr_service.arrays import Vector
 from adr_service.criticism.decision import ALIKE, THRESHOLD, TIE, decide
 from adr_service.criticism.evidence import (
     Fit,
-    gained,
+    held_out_where,
     held_out_without,
     improved,
     refine,
@@ -95,7 +95,8 @@ def weigh(
             looks.append(Weighed(tuple(effects), first, first.held_out - without, 0.0))
     best = max((look.fair_gain for look in looks), default=0.0)
     hopeful = [look for look in looks if look.fair_gain >= min(best, _HOPEFUL * best)]
-    weighed = _with_memory([_at_best(look, current, without, alive) for look in hopeful], current)
+    weighed = [_at_best(look, current, without, alive) for look in hopeful]
+    weighed = _beside_persistence(weighed, current)
     fair = [each.gains + (each.fair_gain - each.gain) / len(without) for each in weighed]
     decision = decide(np.reshape(fair, (len(weighed), len(without))), rng)
     *likely, chance = decision.confidence.tolist()
@@ -109,13 +110,16 @@ def _at_best(look: Weighed, current: Fit, without: Vector, alive: Callable[[], N
     return replace(look, fit=fit, gains=fit.held_out - without)
 
 
-def _with_memory(weighed: list[Weighed], current: Fit) -> list[Weighed]:
-    """Candidates with gains by the memory of what the best of them leaves."""
+def _beside_persistence(weighed: list[Weighed], current: Fit) -> list[Weighed]:
+    """Candidates with their gains where misfit persists as it does beside the best of them."""
     best = max(weighed, key=lambda each: each.fair_gain, default=None)
-    if best is None or best.gain < THRESHOLD:
+    if best is None or best.fit.persistence.share == 0:
         return weighed
-    memory = best.fit.memory
-    return [replace(each, gains=gained(each.fit, current.settled, memory)) for each in weighed]
+    persistence = best.fit.persistence
+    without = held_out_where(persistence, current.settled)
+    return [
+        replace(each, gains=held_out_where(persistence, each.fit) - without) for each in weighed
+    ]
 
 
 def _simplest_first(alike: Sequence[Weighed]) -> Alike:

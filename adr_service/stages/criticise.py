@@ -41,7 +41,8 @@ class Criticise(Stage[Criticised]):
     """A whole criticism: sharing its parts between runs would not be worth it."""
 
     kind: ClassVar = "criticise"
-    # 2: many effects at once, 3: when they are, 4: named ones asked again, 5: misfit with memory
+    # 2: many effects at once, 3: when they are, 4: named ones asked again, 5: misfit that persists,
+    # strengths that are confused, an interval for what is explained
     version: ClassVar = 5
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised

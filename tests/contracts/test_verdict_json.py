@@ -55,7 +55,7 @@ EXPECTED = {
         "parameters": {"mass": {"without": 1.0, "with": 1.1, "at_bound": True}},
         "transitions": {"used": 200, "diverged": 2},
         "detectable": {"wind global": {"value": 0.1, "unit": "kg/m³"}},
-        "alike": [["body_mass body:fore", "payload body:fore"]],
+        "confused": [["body_mass body:fore", "payload body:fore"]],
     },
     "gain": {
         "sse_removed": 0.5,
@@ -90,7 +90,7 @@ def test_every_field_of_a_verdict_keeps_its_name_and_place():
         used=200,
         diverged=2,
         detectable={"wind global": (0.1, "kg/m³")},
-        alike=(("body_mass body:fore", "payload body:fore"),),
+        confused=(("body_mass body:fore", "payload body:fore"),),
     )
     nothing = np.zeros((1, 2))
     gain = Gain(

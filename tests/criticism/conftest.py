@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 
 from adr_service.criticism.evidence import fit, refine, smoothed
+from adr_service.criticism.extension import extend
+from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
+from adr_service.parameters import ParameterSpace
+from benchmarks.arms import hidden as planted_on
+from benchmarks.arms import links_of, model_of
+from benchmarks.arms import recorded as pushed_about
 from benchmarks.planted import draw_case, hide
 from tests.hidden import arm, recorded
 
@@ -51,6 +57,20 @@ def baseline(hidden):
 def refined(baseline, friction):
     """A fit with the friction, from half of its strength."""
     return refine(baseline, [replace(friction, values=(0.05,))])
+
+
+@pytest.fixture(scope="session")
+def pushed_and_rubbing():
+    """A fit to an arm of one axis in closed loop, whose model lacks Coulomb friction; torques that
+    nobody recorded act on it, correlated in time."""
+    rng, links = np.random.default_rng([1, 0]), links_of(1)
+    bare = Nominal.of_model(model_of(links), ParameterSpace(()))
+    effects = planted_on(links, rng)
+    data = pushed_about(bare, links, effects, rng).episodes(range(25))
+    known = [effect for effect in effects if effect.kind != "joint_coulomb_friction"]
+    nominal = extend(bare, bare.start, known).nominal()
+    with Simulator(nominal, data, threads=1) as simulator:
+        yield smoothed(fit(simulator, data.sensor_variance()))
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,7 @@ from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import (
     expected_errors,
     fit,
+    gained,
     held_out_without,
     refine,
     smoothed,
@@ -83,3 +84,21 @@ def test_an_effect_is_missed_as_much_by_linearisation_as_when_all_is_refined(ref
     roughly, exactly = ((refined.held_out - rest).sum() for rest in rests)
     assert exactly > 200
     assert roughly == pytest.approx(exactly, rel=0.2)
+
+
+def test_evidence_counts_beside_misfit_that_persists(pushed_and_rubbing):
+    baseline = pushed_and_rubbing
+    friction = Effect("joint_coulomb_friction", "joint:joint1", (5.0,))
+    refined = refine(baseline, [friction])
+    assert refined.persistence.share == 0.7  # drawn: 0.8
+    exactly = gained(refined, baseline.settled).sum()
+    assert 1000 < exactly < 0.9 * (refined.held_out - baseline.settled.held_out).sum()
+    roughly = (held_out_without(refined, []) - held_out_without(refined, [0])).sum()
+    assert roughly == pytest.approx(exactly, rel=0.1)
+
+
+def test_where_misfit_does_not_persist_evidence_is_what_is_left_out(baseline, refined):
+    assert refined.persistence.share == 0
+    np.testing.assert_array_equal(
+        gained(refined, baseline.settled), refined.held_out - baseline.settled.held_out
+    )

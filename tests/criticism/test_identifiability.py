@@ -30,7 +30,7 @@ def group_of(looked, name):
     return next((group for group in looked[1] if name in group), ())
 
 
-def test_what_does_the_same_gains_the_same_where_one_of_it_is_hidden(looked):
+def test_where_one_of_a_group_is_hidden_all_of_it_gain_the_same(looked):
     group = group_of(looked, "body_mass body:fore")
     assert "body_inertia body:fore" in group  # about the joint, in a plane
     alone = {f"{c.kind} {c.location}": c for c in looked[0] if len(c.effects) == 1}
@@ -39,13 +39,15 @@ def test_what_does_the_same_gains_the_same_where_one_of_it_is_hidden(looked):
     assert min(gains) > 0.97 * max(gains)
 
 
-def test_what_moves_differently_is_in_no_group_together(looked):
+def test_strengths_that_move_the_robot_differently_are_in_no_group_together(looked):
     assert group_of(looked, "joint_coulomb_friction joint:elbow") == ()
     masses = group_of(looked, "body_mass body:fore")
+    load = group_of(looked, "body_load body:upper moment z")
+    assert "body_inertia body:upper" in load  # of a load's four strengths two can be seen
     assert not any("friction" in name or "sensor" in name for name in masses)
 
 
-def test_a_mechanism_that_includes_another_is_not_news(looked):
+def test_a_mechanism_that_includes_another_is_not_listed_with_it(looked):
     """Stribeck friction that does not fall with speed is Coulomb friction, by construction."""
     assert not any("stribeck" in name for group in looked[1] for name in group)
 

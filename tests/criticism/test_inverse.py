@@ -83,6 +83,7 @@ def test_an_arm_without_friction_and_rotors_gets_them_at_once(bare, robot, data)
         ("joint_armature", "joint:*"),
         ("body_load", "body:link6"),
     }
+    assert any("on to the next one" in remark for remark in found.verdict.remarks)
     strengths = {(e.kind, e.location): e.values[0] for e in found.final.effects}
     for effect in robot:
         if effect.kind != "gravity_compensation":

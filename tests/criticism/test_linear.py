@@ -10,8 +10,8 @@ from adr_service.criticism.linear import (
     Normal,
     estimate,
     inverse,
-    memory_of,
-    remembering,
+    persistence_of,
+    persisting,
 )
 from adr_service.criticism.noise import Chain, Noise, Whitener, at_start
 
@@ -134,22 +134,31 @@ def settled(linear):
     return estimate(linear, start, KNOWN)[0]
 
 
-@pytest.mark.parametrize(("share", "found"), [(0.0, 0.0), (0.4, 0.4), (0.7, 0.7), (0.9, 0.9)])
-def test_the_memory_of_a_misfit_is_found(share, found):
+@pytest.mark.parametrize("share", [0.0, 0.4, 0.7, 0.9])
+def test_what_misfit_passes_on_is_found(share):
     linear = pushed(share)
-    assert memory_of(linear, settled(linear), KNOWN)[0] == found
+    assert persistence_of(linear, settled(linear), KNOWN).share == share
 
 
-def test_a_spring_that_only_slow_forces_feign_is_none_with_memory():
+def test_a_touch_does_not_hide_what_misfit_passes_on():
+    """Its own misfit, a hundred times larger, is over with the transition."""
+    linear, rng = pushed(0.7), np.random.default_rng(2)
+    stiff = rng.random(linear.chain.mask.shape) < 0.05
+    touched = linear.residual + 100 * stiff[..., None] * rng.standard_normal(linear.residual.shape)
+    linear = replace(linear, chain=replace(linear.chain, stiff=stiff), residual=touched)
+    assert persistence_of(linear, settled(linear), KNOWN).share == 0.7
+
+
+def test_a_false_spring_gains_nothing_beside_misfit_that_persists():
     linear = pushed(0.7)
-    share, noise = memory_of(linear, settled(linear), KNOWN)
+    persistence = persistence_of(linear, settled(linear), KNOWN)
     nothing = replace(
         linear, columns=linear.columns[..., :0], mean=np.empty(0), precision=np.empty(0)
     )
     gains = []
-    for memory in (0.0, share):
+    for share in (0.0, persistence.share):
         with_spring, without = (
-            remembering(each, memory, [noise], KNOWN)[1].left_out().sum()
+            persisting(each, share, [persistence.noise], KNOWN)[1].left_out().sum()
             for each in (linear, nothing)
         )
         gains.append(with_spring - without)

@@ -29,7 +29,8 @@ def dense(chain, noise, episode, share=0.0):
     """One episode's covariance, written out, and how sensors' noise comes in, of all transitions
     that there are; with memory, of what is new in them."""
     there, count = chain.mask[episode], chain.mask.shape[1]
-    linked = there & np.r_[False, there[:-1]]
+    passing = there & ~chain.stiff[episode]
+    linked = passing & np.r_[False, passing[:-1]]
     mixing = np.kron(np.eye(count, count + 1, 1), np.eye(WIDTH))
     for k in range(count):
         own = slice(k * WIDTH, (k + 1) * WIDTH)

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from adr_service.criticism.linear import Persistence
 from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.noise import Noise
 from adr_service.criticism.remarks import (
     on_commands,
     on_implausible,
-    on_memory,
+    on_persistence,
     on_refuted,
 )
 from adr_service.effects.base import Effect
@@ -31,9 +33,11 @@ def test_a_refuted_effect_is_named_with_its_place():
     assert "joint_spring joint:elbow" in remark
 
 
-def test_a_misfit_with_memory_has_a_remark():
-    assert on_memory(0.0) == ()
-    assert "keeps about 0.7 of what was left" in on_memory(0.7)[0]
+def test_misfit_that_persists_has_a_remark():
+    noise = Noise(np.ones(2), np.ones((2, 2)), np.ones((1, 3)))
+    assert on_persistence(Persistence(0.0, noise)) == ()
+    (remark,) = on_persistence(Persistence(0.7, noise))
+    assert "passes about 0.7 of itself on to the next one" in remark
 
 
 def test_a_strength_that_no_robot_has_is_pointed_out():

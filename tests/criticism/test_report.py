@@ -37,6 +37,24 @@ def test_the_page_names_each_cause_and_its_alternatives(criticism):
         assert strength.interval in page
 
 
+def test_the_page_lists_what_the_data_cannot_tell_apart(criticism):
+    names = ("body_mass body:fore", "body_inertia body:fore")
+    verdict = criticism.verdict
+    for confused, is_listed in (((names,), True), ((), False)):
+        residual = replace(verdict.residual, confused=confused)
+        page = report_page(replace(criticism, verdict=replace(verdict, residual=residual)), "arm")
+        assert ("body_mass body:fore, or body_inertia body:fore" in page) == is_listed
+        assert ("cannot tell apart" in page) == is_listed
+
+
+def test_the_page_gives_the_share_of_what_is_not_noise_with_its_interval(criticism):
+    gain = replace(
+        criticism.verdict.gain, explainable_fraction=0.8, explainable_interval=(0.6, 0.9)
+    )
+    page = report_page(replace(criticism, verdict=replace(criticism.verdict, gain=gain)), "arm")
+    assert "80 % [60, 90] of what is not noise" in page
+
+
 def test_the_page_says_where_something_unknown_is_left(criticism):
     where = Rest("joint:elbow", "frequency", 2.7)
     residual = replace(

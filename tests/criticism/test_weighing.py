@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adr_service.criticism.decision import THRESHOLD
-from adr_service.criticism.evidence import held_out_without, refine, smoothed
+from adr_service.criticism.evidence import gained, held_out_without, refine, smoothed
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import scan
 from adr_service.criticism.weighing import (
@@ -98,3 +98,13 @@ def test_other_starts_of_a_strength_stay_where_they_make_sense(baseline):
     best = from_elsewhere(baseline, beyond)
     assert best.held_out.sum() >= beyond.held_out.sum()
     assert best.effects[0].values[0] >= -1.0
+
+
+def test_candidates_are_weighed_beside_misfit_that_persists(pushed_and_rubbing):
+    friction = Effect("joint_coulomb_friction", "joint:joint1", (5.0,))
+    asked = [[friction], [replace(friction, kind="joint_viscous_friction")]]
+    alike, _ = weigh(pushed_and_rubbing, asked, np.random.default_rng(0), lambda: None)
+    assert [each.effects[0].kind for each in alike] == ["joint_coulomb_friction"]
+    expected = gained(alike[0].fit, pushed_and_rubbing.settled).sum()
+    assert alike[0].gain == pytest.approx(expected)
+    assert alike[0].gain < 0.9 * (alike[0].fit.held_out - pushed_and_rubbing.held_out).sum()
