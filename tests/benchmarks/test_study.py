@@ -36,6 +36,7 @@ def study(machine, folder):
         assert process.wait(timeout=240) == 0
 
 
+@pytest.mark.slow
 def test_a_stopped_study_is_finished_on_another_machine(tmp_path):
     folder = tmp_path / "results"
     with study(tmp_path / "one", folder) as process:

@@ -109,6 +109,7 @@ def test_what_the_sealed_episodes_refute_is_not_named():
     assert found.extension is None
 
 
+@pytest.mark.slow
 def test_of_many_episodes_a_part_chooses_the_step_and_all_are_judged(friction):
     parts = [recorded(hide(*arm(), np.random.default_rng(n), [friction])) for n in (405, 406)]
     parts[1] = {**parts[1], "episode": parts[1]["episode"] + 30}
