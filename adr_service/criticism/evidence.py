@@ -84,7 +84,7 @@ class Fit:
 
     @cached_property
     def persistence(self) -> Persistence:
-        """How much of its misfit a transition passes on to the next one."""
+        """The share of its misfit that a transition passes on to the next one."""
         return persistence_of(self.linear, self.noise, self.stated)
 
     @property

@@ -145,7 +145,7 @@ def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
 
 @dataclass(frozen=True)
 class Persistence:
-    """How much of its misfit a transition passes on to the next one, and the noise with that."""
+    """The share of its misfit that a transition passes on, and the noise that fits it."""
 
     share: float  # zero: nothing
     noise: Noise

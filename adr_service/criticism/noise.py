@@ -43,9 +43,9 @@ class Memory:
     earlier: np.ndarray  # (E, T, m, m) G, through which noise passes of the state before
 
     def innovations(self, values: np.ndarray) -> np.ndarray:
-        """What is new in residuals or sensitivities (E, T, ...).
+        """Residuals or sensitivities (E, T, ...) less what the transition before passes on.
 
-        In a residual, that is e_{k+1} - F_k e_k + G_k e_{k-1} + u_k, with the chain's own F.
+        Of a residual, e_{k+1} - F_k e_k + G_k e_{k-1} + u_k is left, with the chain's own F.
         """
         linked = self.linked.reshape(*self.linked.shape, *[1] * (values.ndim - 2))
         return values - self.share * np.where(linked, np.roll(values, 1, axis=1), 0.0)
