@@ -41,14 +41,14 @@ def measure_gain(
     draws = errors[rng.integers(len(errors), size=(_DRAWS, len(errors)))].sum(axis=1)
     # noise alone leaves one per number, or less where outliers weigh less
     noise = min(1.0, float(whole[1] / whole[2]))
-    drawn = _explained(draws, noise)
-    is_noise = np.mean(np.isnan(drawn)) > _BEYOND or bool(np.isnan(_explained(whole, noise)))
+    explained, drawn = float(_explained(whole, noise)), _explained(draws, noise)
+    is_noise = np.isnan(explained) or np.mean(np.isnan(drawn)) > _BEYOND
     low, high = _interval(_removed(draws))
     return Gain(
         sse_removed=float(_removed(whole)),
         low=low,
         high=high,
-        explainable_fraction=None if is_noise else float(_explained(whole, noise)),
+        explainable_fraction=None if is_noise else explained,
         explainable_interval=None if is_noise else _interval(drawn),
         horizons=horizons,
         diverged=(diverged[0], diverged[1]),

@@ -146,9 +146,8 @@ class Residual:
     diverged: int  # transitions whose simulation diverged; left out
     # "kind location" -> smallest first strength that would have been seen, and its unit
     detectable: dict[str, tuple[float, str]]
-    confused: tuple[
-        tuple[str, ...], ...
-    ]  # "kind location strength" that these data cannot tell apart
+    # groups of "kind location strength" that these data cannot tell apart
+    confused: tuple[tuple[str, ...], ...]
 
     def to_json(self) -> dict[str, Any]:
         return {

@@ -41,8 +41,8 @@ def test_the_true_effect_gains_on_sealed_episodes(gain):
     assert extended < without
 
 
-def test_of_what_is_noise_alone_no_share_is_explained(refined, baseline, sealed):
-    """The fit that is judged leaves less than the one before it; so nothing is left to explain."""
+def test_of_what_is_noise_alone_no_share_is_explained(refined, sealed):
+    """The fit before has the effect already, and leaves noise alone."""
     gain = gained(refined, refined, sealed)
     assert (gain.explainable_fraction, gain.explainable_interval) == (None, None)
 
