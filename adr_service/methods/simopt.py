@@ -125,7 +125,7 @@ class SimOpt:
     ) -> Update:
         settings, belief = self._settings, self.ask(problem, state)
         visits = (*evidence.earlier, evidence)
-        loops = [_ClosedLoop(problem, each, settings) for each in visits]
+        loops = [ClosedLoop(problem, each, settings) for each in visits]
         history: list[dict[str, Any]] = []
         for update in range(settings.updates):
             part = part_of(progress, update, settings.updates)
@@ -137,7 +137,7 @@ class SimOpt:
     def _improved(
         self,
         belief: Gaussian,
-        loops: "Sequence[_ClosedLoop]",
+        loops: "Sequence[ClosedLoop]",
         rng: np.random.Generator,
         progress: Progress,
     ) -> tuple[Gaussian, dict[str, Any]]:
@@ -159,7 +159,7 @@ class SimOpt:
         }
 
 
-class _ClosedLoop:
+class ClosedLoop:
     """Simulations of a policy from recorded initial states, and their distance from the target."""
 
     def __init__(self, problem: Problem, evidence: Evidence, settings: _Settings):
