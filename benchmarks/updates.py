@@ -123,7 +123,8 @@ def searched(spec: RunSpec, data: bytes, policy: bytes) -> dict[str, Any]:
     space, started = problem.source.space, time.process_time()
     es = strategy(np.full(len(space), space.WIDTH / 2), std=1.0, width=space.WIDTH, rng=rng)
     evidence = Evidence(Policy.from_bytes(policy), TransitionDataset.from_npz(data))
-    loop = ClosedLoop(problem, evidence, SimOptSettings.model_validate({"samples": es.popsize}))
+    settings = SimOptSettings.model_validate({})
+    loop = ClosedLoop(problem, evidence, settings, es.popsize)
     while es.countevals < SIMULATIONS and not es.stop():
         candidates = es.ask()
         costs = loop.costs(space.denormalise(np.array(candidates)), silent)

@@ -125,7 +125,7 @@ class SimOpt:
     ) -> Update:
         settings, belief = self._settings, self.ask(problem, state)
         visits = (*evidence.earlier, evidence)
-        loops = [ClosedLoop(problem, each, settings) for each in visits]
+        loops = [ClosedLoop(problem, each, settings, settings.samples) for each in visits]
         history: list[dict[str, Any]] = []
         for update in range(settings.updates):
             part = part_of(progress, update, settings.updates)
@@ -162,11 +162,12 @@ class SimOpt:
 class ClosedLoop:
     """Simulations of a policy from recorded initial states, and their distance from the target."""
 
-    def __init__(self, problem: Problem, evidence: Evidence, settings: _Settings):
+    def __init__(self, problem: Problem, evidence: Evidence, settings: _Settings, samples: int):
+        """`samples`: how many it simulates at a time."""
         check_recorded(problem.task, evidence.data)
         self._task, self._settings = problem.task, settings
         self._act = evidence.policy.act
-        self._simulations = Simulations(problem.task, problem.source, settings.samples)
+        self._simulations = Simulations(problem.task, problem.source, samples)
         self._episodes = [
             np.concatenate([part.observations, part.next_observations[-1:]])
             for part in evidence.data.split()
