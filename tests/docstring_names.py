@@ -29,6 +29,7 @@ from api.settings import Settings
 from benchmarks.planted import hide
 from tests.hidden import arm as arm_and_nominal
 from tests.hidden import recorded
+from tests.logs.conftest import MAP, XML, motion
 from tests.recordings import recording
 from tests.stages.examples import policy as policy_with
 
@@ -307,3 +308,16 @@ def exported_benchmark(folder: Path) -> Names:
     names = finished_database(folder)
     export_benchmark(names["database"], names["benchmark_id"], names["file"])
     return names
+
+
+def robot_log(folder: Path) -> Names:
+    from adr_service.logs.catalogue import read_logs
+    from adr_service.logs.conversion import convert
+    from adr_service.logs.mapping import LogMap
+
+    columns = motion(np.arange(0.0, 10.0, 0.004))
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(folder / "run1.csv", table, delimiter=",", header=",".join(columns))
+    model = mujoco.MjModel.from_xml_string(XML)
+    known = {"read_logs": read_logs, "convert": convert, "LogMap": LogMap, "Path": Path}
+    return {**known, "text": MAP, "model": model}

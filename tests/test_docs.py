@@ -2,11 +2,13 @@
 
 import json
 import re
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from adr_service.logs.mapping import ActuatorMap, JointMap, LogMap, RowsMap
 from adr_service.simulation.batch import control_period
 from adr_service.specs import BenchmarkSpec
 from adr_service.tasks.catalogue import BUILT_IN
@@ -78,6 +80,39 @@ def test_the_sample_of_the_docs_has_the_cause_that_they_tell(tmp_path, monkeypat
     (found,) = json.loads((tmp_path / "found/verdict.json").read_text())["causes"]
     assert [found["kind"], found["location"]] == cause.split()[:2]
     assert found["parameters"]["stiffness"]["value"] == pytest.approx(1.5, rel=0.01)
+
+
+def test_the_log_of_the_docs_becomes_the_verdict_that_they_tell(tmp_path, monkeypatch, adr_here):
+    page = (ROOT / "docs/logs.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(code, {})  # noqa: S102 - our own page
+    block = re.findall(r"```sh\n(adr measure run1.csv --model.*?)```", page, re.DOTALL)[-1]
+    draft, *edits, measure, criticise = block.strip().splitlines()
+    status, shown, _ = adr_here(*draft.split()[1:-2])
+    assert status == 0
+    Path("map.toml").write_text(shown)
+    for edit in edits:
+        subprocess.run(edit, shell=True, check=True)  # noqa: S602 - our own page
+    assert adr_here(*measure.split()[1:])[0] == 0
+    status, shown, _ = adr_here(*criticise.split()[1:])
+    assert status == 0
+    (told,) = re.findall(r"```\n(cause .*?)```", page, re.DOTALL)
+    assert told.splitlines()[2] in shown
+    (found,) = json.loads((tmp_path / "found/verdict.json").read_text())["causes"]
+    assert [found["kind"], found["location"]] == told.splitlines()[1].split()[:2]
+    assert found["parameters"]["stiffness"]["value"] == pytest.approx(1.5, rel=0.01)
+    assert "joint_spring joint:shoulder" in (tmp_path / "measured.html").read_text()
+
+
+def test_the_map_of_the_docs_has_every_setting():
+    page = (ROOT / "docs/logs.md").read_text()
+    (text,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    found = LogMap.from_toml(text)
+    joint, actuator = found.joints["shoulder"], found.actuators["motor"]
+    assert joint.model_fields_set == set(JointMap.model_fields) - {"derive_velocity"}
+    assert actuator.model_fields_set == set(ActuatorMap.model_fields) - {"constant"}
+    assert found.rows.model_fields_set == set(RowsMap.model_fields)
 
 
 def test_the_loader_of_the_docs_acts_as_the_policy_does(tmp_path):

@@ -58,6 +58,8 @@ NAMES: dict[str, Callable[..., dict[str, Any]]] = {
     "adr_service.criticism.smoothing": names.arm_recording,
     "adr_service.criticism.simulator": names.simulated,
     "adr_service.distributions": names.arm,
+    "adr_service.logs": names.robot_log,
+    "adr_service.logs.base": names.robot_log,
     "adr_service.effects.models": names.hopper_model,
     "adr_service.parameters": names.parameter_values,
     "adr_service.programs": names.run_spec,

@@ -53,10 +53,21 @@ def check_columns(model: mujoco.MjModel, data: Measurement) -> None:
     """Raises InvalidInput unless the data have the model's whole state and all its commands."""
     check_state(model)
     commanded = [i for i in range(model.nu) if not is_added(model.actuator(i).name)]
+    if data.ctrl_within is not None:
+        parts, steps = data.ctrl_within.shape[1], steps_between(data.period(), model.opt.timestep)
+        if steps % parts:
+            raise InvalidInput(
+                f"ctrl_within has {parts} parts in a row, which are no whole number of the model's "
+                f"{steps} steps between rows; accepted are {_divisors(steps)}"
+            )
     widths = {"qpos": model.nq, "qvel": model.nv, "ctrl": len(commanded)}
     for name, width in widths.items():
         if (given := getattr(data, name).shape[1]) != width:
             raise InvalidInput(f"{name} has {given} columns; the model has {width}")
+
+
+def _divisors(steps: int) -> str:
+    return ", ".join(str(k) for k in range(1, steps + 1) if steps % k == 0)
 
 
 def steps_between(period: float, timestep: float) -> int:

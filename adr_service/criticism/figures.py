@@ -1,8 +1,5 @@
 """Figures of a criticism, as SVG texts by name; the same criticism gives the same bytes."""
 
-import io
-
-import matplotlib as mpl
 import mujoco
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,6 +8,7 @@ from matplotlib.figure import Figure
 from adr_service.arrays import Matrix, Vector
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import Fit
+from adr_service.criticism.page import svg
 from adr_service.criticism.pipeline import Criticism
 from adr_service.effects.models import unit_of
 
@@ -33,10 +31,7 @@ def _draw(painter: object, criticism: Criticism, height: float) -> str:
     figure = Figure(figsize=(8, 4 * height), layout="constrained")
     assert callable(painter)
     painter(figure, criticism)
-    with mpl.rc_context({"svg.hashsalt": "adr", "svg.fonttype": "none"}):
-        buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    return buffer.getvalue()
+    return svg(figure)
 
 
 def _where(figure: Figure, criticism: Criticism) -> None:

@@ -15,13 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from adr_service.arrays import Indices, Mask, Matrix, Vector, frozen, spans
+from adr_service.arrays import Array3, Indices, Mask, Matrix, Vector, frozen, spans
 from adr_service.errors import InvalidInput
-from adr_service.npz import names_in, read_arrays
+from adr_service.npz import names_in, read_arrays, write_arrays
 from adr_service.transitions import MOST_EPISODES
 
 _NEEDED = ("time", "qpos", "qvel", "ctrl", "episode")
-_OPTIONAL = ("qpos_std", "qvel_std")
+_OPTIONAL = ("qpos_std", "qvel_std", "ctrl_within")
+_SAME = 1e-6  # of the largest command: how near the mean of its parts a row's command must be
 _ALIKE, _OFF = 0.5, 1.5  # correlation of positions' changes and velocities; their ratio
 _STUCK = 0.2  # of all rows, with the very same extreme value
 _LEAST_EPISODES, _LEAST_TRANSITIONS = 8, 200
@@ -36,8 +37,11 @@ class Measurement:
     qvel: Matrix  # (N, nv)
     ctrl: Matrix  # (N, nu)
     episode: Indices  # (N,) non-decreasing
-    qpos_std: Vector | None = None  # (nq,) of the sensors' noise, where known; inf: not measured
+    # (nq,) of the sensors' noise; NaN: to be estimated; inf: not measured. None: estimate all
+    qpos_std: Vector | None = None
     qvel_std: Vector | None = None  # (nv,)
+    # (N, k, nu) commands in k equal parts of each row, whose mean is `ctrl`; None: each is constant
+    ctrl_within: Array3 | None = None
     origin: Indices | None = None  # (N,) rows of the recording that this is a part of; None: whole
 
     def __post_init__(self) -> None:
@@ -55,6 +59,10 @@ class Measurement:
         for name, width in (("qpos_std", self.qpos.shape[1]), ("qvel_std", self.qvel.shape[1])):
             if (given := getattr(self, name)) is not None:
                 object.__setattr__(self, name, _deviations(name, frozen(given), width))
+        if self.ctrl_within is not None:
+            within = frozen(self.ctrl_within)
+            _check_within(within, self.ctrl)
+            object.__setattr__(self, "ctrl_within", within)
 
     @classmethod
     def from_npz(cls, content: bytes) -> "Measurement":
@@ -97,6 +105,11 @@ class Measurement:
         time = table[:, header.index("time")]
         return cls(time=time, episode=episode.astype(np.int64), **fields)
 
+    def to_npz(self) -> bytes:
+        """The bytes that `from_npz` reads."""
+        known = {name: getattr(self, name) for name in (*_NEEDED, *_OPTIONAL)}
+        return write_arrays({name: value for name, value in known.items() if value is not None})
+
     def spans(self) -> list[tuple[int, int]]:
         """Half-open row ranges of the episodes."""
         return spans(self.episode)
@@ -111,6 +124,7 @@ class Measurement:
             qpos=self.qpos[rows],
             qvel=self.qvel[rows],
             ctrl=self.ctrl[rows],
+            ctrl_within=None if self.ctrl_within is None else self.ctrl_within[rows],
             episode=self.episode[rows],
             origin=self.rows[rows],
         )
@@ -135,7 +149,7 @@ class Measurement:
         """(nq + nv,) true for columns whose noise is not infinite."""
         stds = ((self.qpos, self.qpos_std), (self.qvel, self.qvel_std))
         known = [np.zeros(v.shape[1]) if std is None else std for v, std in stds]
-        return np.isfinite(np.concatenate(known))
+        return ~np.isinf(np.concatenate(known))
 
     def check_usable(self) -> None:
         """Raises InvalidInput for too few data to separate effects from noise, and for a stuck
@@ -202,6 +216,18 @@ def _check_array(name: str, values: Matrix, rows: int, dimensions: int) -> None:
         raise InvalidInput(f"{name} is not finite at row {where[0]}{column}")
 
 
+def _check_within(within: Array3, ctrl: Matrix) -> None:
+    if within.ndim != 3 or within.shape[::2] != ctrl.shape or not within.shape[1]:
+        rows, width = ctrl.shape
+        raise InvalidInput(
+            f"ctrl_within has shape {within.shape}; expected is ({rows}, k, {width}): the commands "
+            "in k equal parts of each row"
+        )
+    most = np.abs(within).max(initial=0.0)
+    if not np.allclose(within.mean(axis=1), ctrl, rtol=0, atol=_SAME * most):  # NaN differs too
+        raise InvalidInput("ctrl must be the mean of ctrl_within over the parts of each row")
+
+
 def _check_episodes(episode: Indices, time: Vector) -> None:
     """Refuse episode numbers and times that are not in recording order."""
     rows = len(time)
@@ -229,9 +255,10 @@ def _check_episodes(episode: Indices, time: Vector) -> None:
 
 def _deviations(name: str, given: Vector, width: int) -> Vector:
     """Standard deviations (width,) of sensors, from one for each or one for all."""
-    if given.shape not in ((), (width,)) or not np.all(given >= 0):
+    if given.shape not in ((), (width,)) or np.any(given < 0):
         raise InvalidInput(
-            f"{name} must be {width} numbers that are not negative; given {given.tolist()}"
+            f"{name} must be {width} numbers that are not negative, or NaN for those to be "
+            f"estimated; given {given.tolist()}"
         )
     return frozen(np.broadcast_to(given, (width,)))
 

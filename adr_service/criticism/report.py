@@ -6,22 +6,11 @@ from typing import Any
 
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.figures import draw_all
+from adr_service.criticism.page import page, table
 from adr_service.criticism.pipeline import Criticism
 from adr_service.criticism.verdict import Conclusion, Gain, NamedCause, Residual, Verdict, sure
 
 FILES = ("verdict.json", "report.html", "extended.xml", "effects.json")
-_PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
-<style>
-body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 52rem; margin: 2rem auto }}
-table {{ border-collapse: collapse }} td, th {{ padding: .2rem .8rem; text-align: left }}
-th {{ border-bottom: 1px solid #999 }} svg {{ max-width: 100%; height: auto }}
-.finding {{ font-size: 1.3rem }}
-</style></head><body>
-<h1>{title}</h1>
-{body}
-</body></html>
-"""
 
 
 def report_page(criticism: Criticism, name: str) -> str:
@@ -40,7 +29,7 @@ def report_page(criticism: Criticism, name: str) -> str:
         parts.append("<h2>What the extended simulator is worth</h2>" + pictures["horizons"])
         parts.append(pictures["trace"])
     parts += [_moved(verdict), _detectable(verdict), _confused(verdict)]
-    return _PAGE.format(title=escape(f"What {name} gets wrong"), body="\n".join(parts))
+    return page(f"What {name} gets wrong", parts)
 
 
 def files_of(criticism: Criticism, name: str) -> dict[str, bytes]:
@@ -117,7 +106,7 @@ def _causes(verdict: Verdict) -> str:
         for other in tied:
             rows += _rows(other, "or: ")
     heads = ["cause", "strength", "value", "95 % interval", "unit", "evidence [nats]"]
-    return "<h2>Causes</h2>" + _table(heads, rows) + _advice(verdict)
+    return "<h2>Causes</h2>" + table(heads, rows) + _advice(verdict)
 
 
 def _advice(verdict: Verdict) -> str:
@@ -194,7 +183,7 @@ def _moved(verdict: Verdict) -> str:
         "<p>A parameter that moves was bent to hide what the simulator lacks: a wider "
         "distribution of it would not have helped.</p>"
     )
-    return "<h2>The free parameters</h2>" + (text if verdict.causes else "") + _table(heads, rows)
+    return "<h2>The free parameters</h2>" + (text if verdict.causes else "") + table(heads, rows)
 
 
 def _detectable(verdict: Verdict) -> str:
@@ -206,7 +195,7 @@ def _detectable(verdict: Verdict) -> str:
     return (
         "<details><summary>How large an effect would have been seen, alone, by the simulator as it "
         "is; what is not listed cannot be seen in these data</summary>"
-        + _table(heads, rows)
+        + table(heads, rows)
         + "</details>"
     )
 
@@ -221,10 +210,3 @@ def _confused(verdict: Verdict) -> str:
         "line, any of the strengths does the same as the others</summary>"
         f"<ul>{lines}</ul></details>"
     )
-
-
-def _table(heads: list[str], rows: list[list[Any]]) -> str:
-    """Cells are HTML already."""
-    head = "".join(f"<th>{escape(h)}</th>" for h in heads)
-    body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"

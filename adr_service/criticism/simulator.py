@@ -155,8 +155,11 @@ class Simulator:
         limited = self.base.actuator_ctrllimited[:count].astype(bool)
         bounds = self.base.actuator_ctrlrange[:count].T
         low, high = np.where(limited, bounds, [[-np.inf], [np.inf]])
-        given = np.clip(self.data.ctrl[self.starts], low, high)  # as the simulator would
-        commands = np.repeat(given[:, None], steps, axis=1)
+        within = self.data.ctrl_within
+        if within is None or steps == 1:
+            within = self.data.ctrl[:, None]
+        given = np.clip(within[self.starts], low, high)  # as the simulator would
+        commands = np.repeat(given, steps // given.shape[1], axis=1)
         if acts_on_commands(effects):
             for first, last in self._transitions():
                 episode = commands[first:last].reshape(1, -1, count)

@@ -14,6 +14,7 @@ from api.cli import (
     data,
     demo,
     doctor,
+    measure,
     render,
     results,
     robot,
@@ -27,7 +28,7 @@ from api.cli.terminal import errors
 app = typer.Typer(
     help="Benchmark adaptive domain randomization.", no_args_is_help=True, add_completion=False
 )
-for family in (serve, runs, results, data, criticise, tune, render, robot, demo, doctor):
+for family in (serve, runs, results, data, measure, criticise, tune, render, robot, demo, doctor):
     app.add_typer(family.app)
 app.add_typer(archive.app, name="archive")
 app.add_typer(upkeep.app, name="db")

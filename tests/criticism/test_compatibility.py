@@ -27,6 +27,14 @@ def test_a_measurement_that_no_simulation_can_follow_is_refused(good, name, chan
         Simulator(arm()[1], measurement)
 
 
+def test_parts_of_rows_that_are_no_whole_steps_of_the_model_are_refused(good):
+    within = np.repeat(good["ctrl"][:, None], 3, axis=1)
+    with pytest.raises(
+        InvalidInput, match=r"3 parts in a row.*2 steps between rows; accepted are 1, 2"
+    ):
+        Simulator(arm()[1], Measurement(**good, ctrl_within=within))
+
+
 @pytest.mark.parametrize(
     ("xml", "message"),
     [

@@ -66,7 +66,7 @@ def test_one_deviation_stands_for_all_columns(good):
     )
 
 
-@pytest.mark.parametrize("given", [[0.1, 0.1, 0.1], [0.1, -0.1], [np.nan, 0.1]])
+@pytest.mark.parametrize("given", [[0.1, 0.1, 0.1], [0.1, -0.1]])
 def test_deviations_of_another_shape_or_sign_are_refused(good, given):
     with pytest.raises(InvalidInput, match="qvel_std must be 2 numbers that are not negative"):
         Measurement(**good, qvel_std=given)
@@ -85,6 +85,36 @@ def test_chosen_episodes_keep_their_order_and_rows(good):
     chosen = measurement.episodes([2, 5])
     assert chosen.spans() == [(0, 76), (76, 152)]
     np.testing.assert_array_equal(chosen.qpos[76:], measurement.qpos[first:last])
+
+
+def test_a_deviation_that_is_nan_is_to_be_estimated(good):
+    measurement = Measurement(**good, qvel_std=[np.nan, np.inf])
+    np.testing.assert_array_equal(measurement.is_measured(), [True, True, True, False])
+    assert np.isnan(measurement.sensor_variance()[2])
+
+
+def test_commands_within_rows_are_cut_and_kept_with_their_rows(good):
+    ctrl = np.asarray(good["ctrl"])
+    within = ctrl[:, None] + np.array([-0.1, 0.1])[None, :, None]
+    measurement = Measurement(**good, ctrl_within=within)
+    first, last = measurement.spans()[3]
+    np.testing.assert_array_equal(measurement.episodes([3]).ctrl_within, within[first:last])
+    again = Measurement.from_npz(measurement.to_npz())
+    np.testing.assert_array_equal(again.ctrl_within, within)
+
+
+@pytest.mark.parametrize("shape", [(2,), (0, 2), (3, 1), (3, 3)])
+def test_commands_within_rows_have_a_part_for_each_actuator(good, shape):
+    within = np.zeros((len(good["time"]), *shape))
+    with pytest.raises(InvalidInput, match=r"ctrl_within has shape .*; expected is .*, k, 2"):
+        Measurement(**good, ctrl_within=within)
+
+
+def test_commands_within_rows_must_have_the_rows_as_their_mean(good):
+    within = np.repeat(np.asarray(good["ctrl"])[:, None], 2, axis=1)
+    within[5, 1, 0] += 0.1
+    with pytest.raises(InvalidInput, match="ctrl must be the mean of ctrl_within"):
+        Measurement(**good, ctrl_within=within)
 
 
 def test_a_file_of_arrays_is_the_same_measurement(good, tmp_path):

@@ -1,5 +1,7 @@
 """Predictions of a simulator with effects."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -87,6 +89,26 @@ def test_a_push_changes_predictions_in_proportion(good):
             simulator.predict_pushed(*known, 1, size) for size in (0.0, 0.01, 0.02)
         )
     np.testing.assert_allclose(twice - still, 2 * (once - still), rtol=1e-3, atol=1e-8)
+
+
+def test_commands_within_rows_act_as_those_of_rows_half_as_far_apart(good):
+    """Whole episodes, each row with two commands, or each of two rows with one."""
+    nominal, whole = arm()[1], Measurement(**good).episodes([0, 1])
+    rng = np.random.default_rng(0)
+    within = rng.uniform(-1, 1, (len(whole.time), 2, 2))
+    coarse = replace(whole, ctrl=within.mean(axis=1), ctrl_within=within)
+    fine = Measurement(
+        time=whole.period() / 2 * np.arange(2 * len(whole.time)),
+        qpos=np.repeat(whole.qpos, 2, axis=0),
+        qvel=np.repeat(whole.qvel, 2, axis=0),
+        ctrl=within.reshape(-1, 2),
+        episode=np.repeat(whole.episode, 2),
+    )
+    with Simulator(nominal, coarse, threads=1) as one, Simulator(nominal, fine, threads=1) as two:
+        found, expected = (each.follow(nominal.start, ()) for each in (one, two))
+        np.testing.assert_allclose(found, expected[::2], atol=1e-12)
+        mean = one.commands((), 1)[:, 0]
+        np.testing.assert_allclose(mean, coarse.ctrl[one.starts], atol=1e-15)
 
 
 def test_the_past_is_what_velocities_add_up_to_within_an_episode(good):

@@ -1,0 +1,11 @@
+"""Logs of robots, in their makers' formats, as measurements that a criticism accepts.
+
+    logs = read_logs(Path("run1.csv"))
+    converted = convert(logs, LogMap.from_toml(text), model)
+    converted.measurement               # times, states and commands in SI units, in episodes
+    converted.records                   # what was read, how it was resampled, what was left out
+
+`base` has the columns of a log, and one file for each format reads them. `mapping` says which of
+them is which joint or command. `conversion` resamples and cuts. `excitation` says which effects the
+data could show. `report` is a page of all that.
+"""

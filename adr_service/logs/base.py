@@ -1,0 +1,136 @@
+"""A log as its file has it: named columns of numbers, each with the times of its readings.
+
+    (log,) = read_logs(Path("run1.csv"))
+    log.names                                   # every column
+    log.signal("q1", Clock("time", "s"))        # times [s] and values
+
+Columns that share their rows make a stream: a table is one stream, every topic of a bag is another.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from adr_service.arrays import Vector
+from adr_service.errors import InvalidInput, UnknownName
+
+MOST_NUMBERS = 2**25  # in all columns of a log: 256 MB
+MOST_COLUMNS = 4096
+MOST_BYTES = 2**30  # of a file, and of what it unpacks to
+
+TimeUnit = Literal["s", "ms", "us", "ns"]
+_SECONDS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The column with the times of a table's rows."""
+
+    column: str = "time"
+    unit: TimeUnit = "s"
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Readings of one column, in order of time."""
+
+    time: Vector  # (n,) [s], increasing
+    value: Vector  # (n,) in the log's unit
+    repeated: int = 0  # readings that were left out because their time was the same as the last
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Columns that share their rows."""
+
+    columns: Mapping[str, Vector]  # (n,) by name; NaN where the log has no number
+    stamps: Vector | None = None  # (n,) [s] times of the rows, where the format states them
+
+
+@dataclass(frozen=True)
+class Log:
+    """One recording."""
+
+    source: str  # the file's name
+    streams: tuple[Stream, ...]
+    texts: tuple[str, ...] = ()  # columns without numbers, which cannot be read
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all columns of numbers."""
+        return [name for stream in self.streams for name in stream.columns]
+
+    def signal(self, column: str, clock: Clock) -> Signal:
+        """The readings of a column; rows in which it has none are left out.
+
+        Raises InvalidInput if there is no such column, or if its time runs backwards.
+        """
+        stream = self._stream_of(column)
+        time = stream.stamps if stream.stamps is not None else self._times(stream, clock)
+        value = stream.columns[column]
+        known = np.isfinite(value) & np.isfinite(time)
+        if known.sum() < 2:
+            raise InvalidInput(
+                f"{self.source}: column {column!r} has {known.sum()} readings with a time; at "
+                "least two are needed"
+            )
+        rows = np.flatnonzero(known)
+        time, value = time[rows], value[rows]
+        if (back := np.flatnonzero(np.diff(time) < 0)).size:
+            row = int(back[0])
+            raise InvalidInput(
+                f"{self.source}: time goes back from {time[row]:.9g} to {time[row + 1]:.9g} s at "
+                f"row {rows[row + 1]}; give one file for each recording, or name a column under "
+                "rows.episode that changes where another recording begins"
+            )
+        is_new = np.diff(time, prepend=-np.inf) > 0
+        return Signal(time[is_new], value[is_new], int(np.sum(~is_new)))
+
+    def parts(self, column: str) -> list["Log"]:
+        """One log for each stretch of rows with one value of a column, such as a trial's number.
+
+        Raises InvalidInput if there are several streams, because nothing says which rows of another
+        stream belong to which part.
+        """
+        stream = self._stream_of(column)
+        if len(self.streams) > 1:
+            raise InvalidInput(
+                f"{self.source}: rows.episode is for tables; the topics of a bag share no rows. "
+                "Give one bag for each recording, and leave rows.episode out"
+            )
+        value = stream.columns[column]
+        edges = [0, *(np.flatnonzero(np.diff(value) != 0) + 1).tolist(), len(value)]
+        return [
+            Log(
+                f"{self.source}, {column} {value[first]:g}",
+                (Stream({name: v[first:last] for name, v in stream.columns.items()}),),
+                self.texts,
+            )
+            for first, last in pairwise(edges)
+        ]
+
+    def _stream_of(self, column: str) -> Stream:
+        for stream in self.streams:
+            if column in stream.columns:
+                return stream
+        if column in self.texts:
+            raise InvalidInput(f"{self.source}: column {column!r} holds text; expected are numbers")
+        raise UnknownName(f"column in {self.source}", column, self.names)
+
+    def _times(self, stream: Stream, clock: Clock) -> Vector:
+        if clock.column not in stream.columns:
+            raise UnknownName(f"column in {self.source}", clock.column, list(stream.columns))
+        return stream.columns[clock.column] * _SECONDS[clock.unit]
+
+
+def check_size(source: str, columns: int, numbers: int) -> None:
+    """Raises InvalidInput for a log with more than a criticism could use."""
+    if columns > MOST_COLUMNS or numbers > MOST_NUMBERS:
+        raise InvalidInput(
+            f"{source} has {columns:,} columns and {numbers:,} numbers; accepted are "
+            f"{MOST_COLUMNS:,} columns and {MOST_NUMBERS:,} numbers (cut the log, or keep only the "
+            "columns that are needed)"
+        )

@@ -1,0 +1,263 @@
+"""Which column of a log is which joint and which command: a map in TOML.
+
+[time]
+column = "stamp"          # times of the rows; "time" if left out. Bags have their own
+unit = "ms"               # s, ms, us or ns
+
+[rows]
+period = 0.01             # seconds between rows of the measurement
+seconds = 1.0             # length of the episodes that it is cut into
+episode = "trial"         # a column that changes where another recording begins
+
+[joints.shoulder]         # every joint of the model
+position = "q1"           # its column
+unit = "deg"              # rad, deg, rev; or m, cm, mm for a slide
+scale = -1.0              # position in the model = scale × (reading - zero)
+zero = 90.0
+wrap = 360.0              # of readings that start again at the end of a turn: the size of a turn
+velocity = "dq1"          # without a velocity, it counts as not measured
+velocity_unit = "rpm"     # the position's unit per second, if left out
+derive_velocity = false   # true: take the slope of the positions, for a smooth motion alone
+
+[actuators.motor]         # every actuator of the model
+command = "current_1"     # or constant = 0.0 for one that was off
+scale = 0.45              # command of the model = scale × (reading - zero)
+zero = 0.0
+unit = "deg"              # of a set-point that is a position
+delay = 0.0               # seconds from the command's stamp to when the robot obeys
+between = "hold"          # readings; or "line", of a command that changes faster than the log shows
+"""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from typing import Literal, Self
+
+import mujoco
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+
+from adr_service.effects.base import is_added
+from adr_service.errors import InvalidInput, UnknownName
+from adr_service.json_values import Wire
+from adr_service.logs.base import Clock, Log, TimeUnit
+
+PositionUnit = Literal["rad", "deg", "rev", "m", "cm", "mm"]
+VelocityUnit = Literal["rad/s", "deg/s", "rev/s", "rpm", "m/s", "cm/s", "mm/s"]
+_ANGLES = {"rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi}
+_LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+_RATES = {
+    **{f"{unit}/s": size for unit, size in {**_ANGLES, **_LENGTHS}.items()},
+    "rpm": 2 * np.pi / 60,
+}
+
+
+class TimeMap(Wire):
+    column: str = "time"
+    unit: TimeUnit = "s"
+
+    @property
+    def clock(self) -> Clock:
+        return Clock(self.column, self.unit)
+
+
+class RowsMap(Wire):
+    period: float | None = Field(None, gt=0, description="seconds between rows")
+    seconds: float = Field(1.0, gt=0, description="length of an episode")
+    episode: str | None = Field(None, description="column that changes between recordings")
+
+
+class JointMap(Wire):
+    position: str
+    unit: PositionUnit | None = Field(None, description="rad or m, if left out")
+    scale: float = 1.0
+    zero: float = 0.0
+    wrap: float | None = Field(None, gt=0, description="size of a turn, of readings that wrap")
+    velocity: str | None = None
+    velocity_unit: VelocityUnit | None = Field(None, description="unit/s, if left out")
+    derive_velocity: bool = Field(False, description="from positions, for smooth motion")
+
+    @model_validator(mode="after")
+    def _one_velocity(self) -> Self:
+        if self.velocity is not None and self.derive_velocity:
+            raise ValueError("give either velocity or derive_velocity, not both")
+        return self
+
+    def position_factor(self, is_slide: bool) -> float:
+        """SI units of the model in one unit of the reading."""
+        return self.scale * self._size(is_slide)
+
+    def velocity_factor(self, is_slide: bool) -> float:
+        size = self._size(is_slide) if self.velocity_unit is None else _RATES[self.velocity_unit]
+        return self.scale * size
+
+    def check(self, name: str, is_slide: bool) -> None:
+        """Raises InvalidInput for units of angles at a slide, or of lengths at a hinge."""
+        known, kind = (_LENGTHS, "a slide") if is_slide else (_ANGLES, "a hinge")
+        unit = (
+            "rpm" if self.velocity_unit == "rpm" else (self.velocity_unit or "").removesuffix("/s")
+        )
+        for given in (self.unit, unit):
+            if given and given not in known and not (given == "rpm" and not is_slide):
+                raise InvalidInput(
+                    f"joints.{name}: the joint is {kind}, whose units are {', '.join(known)}; "
+                    f"given {given!r}"
+                )
+
+    def _size(self, is_slide: bool) -> float:
+        known = _LENGTHS if is_slide else _ANGLES
+        return known[self.unit] if self.unit else 1.0
+
+
+class ActuatorMap(Wire):
+    command: str | None = None
+    constant: float | None = Field(None, description="of an actuator that the log lacks")
+    unit: PositionUnit | None = Field(None, description="of a set-point that is a position")
+    scale: float = 1.0
+    zero: float = 0.0
+    delay: float = Field(0.0, ge=0, description="seconds until the robot obeys")
+    between: Literal["hold", "line"] = Field("hold", description="readings of the command")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.command is None) == (self.constant is None):
+            raise ValueError("give either command, a column, or constant, a number")
+        return self
+
+    @property
+    def factor(self) -> float:
+        return self.scale * (1.0 if self.unit is None else {**_ANGLES, **_LENGTHS}[self.unit])
+
+
+class LogMap(Wire):
+    """Which columns of a log are which quantities of a model."""
+
+    time: TimeMap = TimeMap()
+    rows: RowsMap = Field(default_factory=lambda: RowsMap.model_validate({}))
+    joints: dict[str, JointMap]
+    actuators: dict[str, ActuatorMap] = Field(default_factory=dict[str, ActuatorMap])
+
+    @classmethod
+    def from_toml(cls, text: str) -> "LogMap":
+        """Raises InvalidInput with the field that is wrong, and what is accepted."""
+        try:
+            return cls.model_validate(tomllib.loads(text))
+        except tomllib.TOMLDecodeError as error:
+            raise InvalidInput(f"the map is no TOML: {error}") from error
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(str(part) for part in first["loc"]) or "the map"
+            raise InvalidInput(
+                f"the map, {place}: {first['msg'].removeprefix('Value error, ')}"
+            ) from error
+
+    def check(self, model: mujoco.MjModel) -> None:
+        """Raises InvalidInput unless the map has all joints and actuators of a model, no more."""
+        _check_names("joint", self.joints, joints_of(model))
+        _check_names("actuator", self.actuators, actuators_of(model))
+        for name, joint in self.joints.items():
+            joint.check(name, is_slide(model, name))
+
+
+def joints_of(model: mujoco.MjModel) -> list[str]:
+    return [model.joint(i).name for i in range(model.njnt)]
+
+
+def actuators_of(model: mujoco.MjModel) -> list[str]:
+    """Actuators that somebody commands, in the model's order."""
+    names = [model.actuator(i).name for i in range(model.nu)]
+    return [name for name in names if not is_added(name)]
+
+
+def is_slide(model: mujoco.MjModel, joint: str) -> bool:
+    return bool(model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def draft(logs: Sequence[Log], model: mujoco.MjModel) -> str:
+    """A map to start from, with `?` where no column's name says which joint or command it is.
+
+    Comments list all columns with their ranges.
+    """
+    names = list(dict.fromkeys(name for log in logs for name in log.names))
+    lines = ["# columns: name, readings, smallest and largest", *_listing(logs[0])]
+    if any(stream.stamps is None for stream in logs[0].streams):
+        time = next((name for name in names if set(_words(name)) & set(_TIMES)), "?")
+        lines += ["", "[time]", f'column = "{time}"']
+        lines.append(f'unit = "{_unit(time, ("s", "ms", "us", "ns"))}"  # s, ms, us, ns')
+    lines += ["", "[rows]", "seconds = 1.0  # length of an episode"]
+    places = joints_of(model)
+    for number, joint in enumerate(places):
+        units = tuple(_LENGTHS if is_slide(model, joint) else _ANGLES)
+        position = _guess(names, joint, number, len(places), _POSITIONS)
+        velocity = _guess(names, joint, number, len(places), _VELOCITIES)
+        lines += ["", f"[joints.{_key(joint)}]", f'position = "{position}"']
+        lines.append(f'unit = "{_unit(position, units)}"  # {", ".join(units)}')
+        known = f'velocity = "{velocity}"' if velocity != "?" else "# no velocity: not measured"
+        lines.append(known)
+    drives = actuators_of(model)
+    for number, actuator in enumerate(drives):
+        command = _guess(names, actuator, number, len(drives), _COMMANDS)
+        lines += ["", f"[actuators.{_key(actuator)}]", f'command = "{command}"']
+        lines.append("scale = 1.0  # of a reading in the model's command")
+    return "\n".join(lines) + "\n"
+
+
+_TIMES = ("time", "timestamp", "stamp", "t")
+_POSITIONS = ("position", "pos", "qpos", "q", "angle", "state")
+_VELOCITIES = ("velocity", "vel", "qvel", "dq", "qd", "speed")
+_COMMANDS = ("effort", "torque", "tau", "command", "cmd", "ctrl", "current", "action", "u")
+
+
+def _listing(log: Log) -> list[str]:
+    lines: list[str] = []
+    for stream in log.streams:
+        for name, values in stream.columns.items():
+            known = values[np.isfinite(values)]
+            reach = f"{known.min():.6g} to {known.max():.6g}" if known.size else "no numbers"
+            lines.append(f"#   {name}: {known.size}, {reach}")
+    lines += [f"#   {name}: no numbers" for name in log.texts]
+    return lines
+
+
+def _guess(
+    names: Sequence[str], element: str, number: int, count: int, words: Sequence[str]
+) -> str:
+    """The column named by one of the words and the element, or else the one in its place if there
+    are as many columns with such a word as elements; `?` if there is no such column."""
+    having = [name for name in names if set(_words(name)) & set(words)]
+    own = [name for name in having if element.lower() in name.lower()]
+    if len(own) == 1:
+        return own[0]
+    return having[number] if len(having) == count else "?"
+
+
+def _unit(column: str, units: Sequence[str]) -> str:
+    """The unit that a column's name ends on, or else the first."""
+    last = _words(column)[-1:]
+    return next((unit for unit in units if [unit] == last), units[0])
+
+
+def _words(name: str) -> list[str]:
+    """Parts of a column's name, digits apart from letters: dq, 1 and deg of `dq1_deg`."""
+    parts, word = [], ""
+    for letter in name.lower():
+        if word and (not letter.isalnum() or letter.isdigit() != word[-1].isdigit()):
+            parts.append(word)
+            word = ""
+        word += letter if letter.isalnum() else ""
+    return [*parts, word] if word else parts
+
+
+def _key(name: str) -> str:
+    is_bare = name.replace("_", "").replace("-", "").isalnum() and name.isascii()
+    return name if is_bare else f'"{name}"'
+
+
+def _check_names(what: str, given: Mapping[str, object], expected: Sequence[str]) -> None:
+    for name in given:
+        if name not in expected:
+            raise UnknownName(f"{what} of the model", name, expected)
+    if missing := [name for name in expected if name not in given]:
+        raise InvalidInput(
+            f"the map lacks {what}s of the model: {', '.join(missing)}; every {what} needs a table "
+            f"[{what}s.{missing[0]}]"
+        )

@@ -1,0 +1,151 @@
+"""MCAP bags, as ROS 2 records them: every topic is a stream.
+
+A message's numbers become columns named by topic and field: `/imu.angular_velocity.x`. A list of
+numbers becomes one column for each place: `/command.data_0`. Where the message names the places, as
+`sensor_msgs/JointState` does, the column has that name: `/joint_states.position.shoulder`.
+Times are the messages' own stamps (`header.stamp`), or else when the bag received them.
+"""
+
+import io
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+
+from adr_service.arrays import Vector
+from adr_service.errors import AdrError, InvalidInput
+from adr_service.logs.base import MOST_BYTES, MOST_NUMBERS, Log, Stream, check_size
+
+_DEEPEST, _LONGEST = 6, 256  # of nested fields; places of a list that are read
+_NAMES = ("name", "names", "joint_names")
+
+
+@dataclass
+class _Topic:
+    """Messages of one topic, so far."""
+
+    stamps: list[float] = field(default_factory=list[float])
+    columns: dict[str, dict[int, float]] = field(default_factory=dict[str, dict[int, float]])
+
+    def add(self, stamp: float, values: Iterator[tuple[str, float]]) -> int:
+        row, count = len(self.stamps), 0
+        self.stamps.append(stamp)
+        for name, value in values:
+            self.columns.setdefault(name, {})[row] = value
+            count += 1
+        return count
+
+    def stream(self) -> Stream:
+        columns: dict[str, Vector] = {}
+        for name, values in self.columns.items():
+            columns[name] = np.full(len(self.stamps), np.nan)
+            columns[name][list(values)] = list(values.values())
+        stamps = np.array(self.stamps)
+        order = np.argsort(stamps, kind="stable")  # bags are in order of arrival
+        return Stream({name: values[order] for name, values in columns.items()}, stamps[order])
+
+
+def read_mcap(source: str, content: bytes) -> Log:
+    """The log of a bag. Raises InvalidInput for what is none, and where `mcap` is not installed."""
+    try:
+        from mcap.reader import SeekingReader
+        from mcap_ros2.decoder import DecoderFactory
+    except ImportError as error:
+        raise InvalidInput(
+            f"bags need a package: pip install 'adr-service[mcap]' ({error})"
+        ) from error
+    topics: dict[str, _Topic] = {}
+    unread: set[str] = set()
+    count = 0
+    ros = DecoderFactory()
+    decoders: dict[int, Callable[[bytes], Any] | None] = {}
+    try:
+        reader = SeekingReader(
+            io.BytesIO(content), validate_crcs=True, record_size_limit=MOST_BYTES
+        )
+        _check_unpacked(source, reader)
+        for schema, channel, message in reader.iter_messages():
+            if channel.id not in decoders:
+                decoders[channel.id] = _decoder(ros, channel.message_encoding, schema)
+            decode = decoders[channel.id]
+            if decode is None:
+                unread.add(channel.topic)
+                continue
+            decoded = decode(message.data)
+            topic = topics.setdefault(channel.topic, _Topic())
+            stamp = _stamp(decoded)
+            stamp = message.log_time * 1e-9 if stamp is None else stamp
+            count += topic.add(stamp, _flat(channel.topic, decoded))
+            if count > MOST_NUMBERS:
+                check_size(source, 0, count)
+    except AdrError:
+        raise
+    except Exception as error:  # parsers of damaged messages raise anything
+        raise InvalidInput(f"{source} is no bag that can be read: {error}") from error
+    check_size(source, sum(len(topic.columns) for topic in topics.values()), count)
+    return Log(source, tuple(topic.stream() for topic in topics.values()), tuple(sorted(unread)))
+
+
+def _check_unpacked(source: str, reader: Any) -> None:
+    summary = reader.get_summary()
+    chunks = [] if summary is None else summary.chunk_indexes
+    unpacked = sum(chunk.uncompressed_size for chunk in chunks)
+    if unpacked > MOST_BYTES:
+        raise InvalidInput(f"{source} unpacks to {unpacked:,} bytes; accepted are {MOST_BYTES:,}")
+
+
+def _decoder(ros: Any, encoding: str, schema: Any) -> Callable[[bytes], Any] | None:
+    """The function that decodes messages of an encoding, None if we know none."""
+    if encoding == "json":
+        return json.loads
+    return ros.decoder_for(encoding, schema)
+
+
+def _stamp(message: Any) -> float | None:
+    """The message's own time [s], if it has one other than zero."""
+    stamp = _get(_get(message, "header"), "stamp")
+    seconds = _get(stamp, "sec")
+    nanoseconds = _get(stamp, "nanosec")
+    if not isinstance(seconds, int) or not isinstance(nanoseconds, int):
+        return None
+    return seconds + 1e-9 * nanoseconds or None
+
+
+def _flat(prefix: str, message: Any, depth: int = 0) -> Iterator[tuple[str, float]]:
+    """Names and values of all numbers in a message, but for its header."""
+    if depth > _DEEPEST:
+        return
+    named = next((names for n in _NAMES if (names := _get(message, n)) is not None), None)
+    for name, value in _fields(message):
+        path = f"{prefix}.{name}"
+        if name == "header":
+            continue
+        if isinstance(value, bool | int | float):
+            yield path, float(value)
+        elif isinstance(value, list | tuple | np.ndarray):
+            yield from _places(path, list(cast(Any, value)), named)
+        elif not isinstance(value, str | bytes | None):
+            yield from _flat(path, value, depth + 1)
+
+
+def _places(path: str, values: list[Any], names: Any) -> Iterator[tuple[str, float]]:
+    is_named = isinstance(names, list | tuple) and len(cast(list[Any], names)) == len(values)
+    for i, value in enumerate(values[:_LONGEST]):
+        if isinstance(value, bool | int | float | np.integer | np.floating):
+            yield (f"{path}.{names[i]}" if is_named else f"{path}_{i}"), float(value)
+
+
+def _fields(message: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(message, dict):
+        yield from cast(dict[str, Any], message).items()
+    else:
+        for name in getattr(message, "__slots__", ()):
+            yield str(name).removeprefix("_"), getattr(message, name)
+
+
+def _get(message: Any, name: str) -> Any:
+    if isinstance(message, dict):
+        return cast(dict[str, Any], message).get(name)
+    return getattr(message, name, None)

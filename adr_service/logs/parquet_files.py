@@ -1,0 +1,81 @@
+"""Parquet tables, and LeRobot data sets, which are folders of them.
+
+A LeRobot data set (v2 and v3) has its rows in `data/**/*.parquet`, and names for the places of its
+lists in `meta/info.json`: `observation.state` with the names `["shoulder", …]` becomes the columns
+`observation.state.shoulder`, …
+"""
+
+import io
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+from adr_service.arrays import Vector
+from adr_service.errors import InvalidInput
+from adr_service.logs.arrow_tables import columns_of
+from adr_service.logs.base import MOST_BYTES, MOST_COLUMNS, Log, Stream, check_size
+
+
+def read_parquet(source: str, content: bytes) -> Log:
+    """The log of a Parquet table. Raises InvalidInput for what is none, or is too large."""
+    columns, texts = _columns(source, content)
+    return Log(source, (Stream(columns),), texts)
+
+
+def read_lerobot(folder: Path) -> list[Log]:
+    """The logs of a LeRobot data set, one for each file of rows, in order."""
+    files = sorted(folder.glob("data/**/*.parquet"))
+    if not files:
+        raise InvalidInput(
+            f"{folder} has no data/**/*.parquet; accepted folders are LeRobot data sets"
+        )
+    names = _names_of_places(folder / "meta" / "info.json")
+    logs: list[Log] = []
+    for file in files:
+        columns, texts = _columns(f"{folder.name}/{file.name}", file.read_bytes())
+        renamed = {names.get(name, name): values for name, values in columns.items()}
+        logs.append(Log(f"{folder.name}/{file.name}", (Stream(renamed),), texts))
+    return logs
+
+
+def _columns(source: str, content: bytes) -> tuple[dict[str, Vector], tuple[str, ...]]:
+    from pyarrow import ArrowException, parquet  # takes a fifth of a second
+
+    try:
+        file = parquet.ParquetFile(io.BytesIO(content))
+        about = file.metadata
+        check_size(source, about.num_columns, about.num_rows)
+        unpacked = sum(about.row_group(i).total_byte_size for i in range(about.num_row_groups))
+        if unpacked > MOST_BYTES:
+            raise InvalidInput(
+                f"{source} unpacks to {unpacked:,} bytes; accepted are {MOST_BYTES:,}"
+            )
+        return columns_of(source, file.read())
+    except (ArrowException, OSError, ValueError) as error:
+        raise InvalidInput(f"{source} is no Parquet table that can be read: {error}") from error
+
+
+def _names_of_places(file: Path) -> dict[str, str]:
+    """Names of the places of lists, by the names that `columns_of` gives them."""
+    try:
+        about = json.loads(file.read_text())
+        features: Mapping[str, Any] = about["features"]
+        listed = {name: _flat(feature.get("names")) for name, feature in features.items()}
+    except (OSError, ValueError, LookupError, AttributeError, TypeError) as error:
+        raise InvalidInput(f"{file} does not describe a LeRobot data set: {error}") from error
+    return {
+        f"{name}_{i}": f"{name}.{place}"
+        for name, places in listed.items()
+        for i, place in enumerate(places[:MOST_COLUMNS])
+    }
+
+
+def _flat(names: Any) -> list[str]:
+    """The names of a feature's places: a list, or a list under one key, such as `motors`."""
+    if isinstance(names, dict):
+        lists = list(cast(dict[str, Any], names).values())
+        names = lists[0] if len(lists) == 1 else None
+    if not isinstance(names, list):
+        return []
+    return [str(name) for name in cast(list[Any], names)]

@@ -1,0 +1,181 @@
+"""A page about a conversion: what was read, what was left out, and what the data could show."""
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+import mujoco
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from adr_service.arrays import Vector
+from adr_service.criticism.decision import THRESHOLD
+from adr_service.criticism.page import page, svg, table
+from adr_service.logs.conversion import Column, Converted, Record
+from adr_service.logs.excitation import Excitation
+from adr_service.logs.mapping import actuators_of, is_slide, joints_of
+
+_AT_REST = 0.02  # of a joint's largest speed
+_MOST_GAPS = 10
+_RESAMPLING = {
+    "parabola": "parabola through the readings of each row",
+    "spline": "cubic spline through all readings",
+    "hold": "held until the next",
+}
+_SCATTER = (
+    "<p>Scatter: how far readings lie from the curve through their neighbours, as a deviation. It "
+    "is the sensor's noise, and what moves between readings. Compare it with the noise that you "
+    "expect: if it is much larger, a command jumps with the readings, or the log is too slow.</p>"
+)
+_POSITION, _VELOCITY, _COMMAND = "#0072B2", "#009E73", "#D55E00"  # Okabe and Ito
+
+
+def report_page(
+    converted: Converted, shown: Sequence[Excitation], model: mujoco.MjModel, name: str
+) -> str:
+    """HTML with its figures inside; `name` is what was converted."""
+    parts = [f'<p class="finding">{_summary(converted)}</p>', _motion(converted, model)]
+    parts += [svg(_traces(converted, model)), _limits(converted)]
+    parts.append("<h2>What the data could show</h2>" + _shown(shown))
+    parts += ["<h2>What was read</h2>", *(_read(record) for record in converted.records)]
+    return page(f"Measured: {name}", parts)
+
+
+def _summary(converted: Converted) -> str:
+    data = converted.measurement
+    lengths = [last - first for first, last in data.spans()]
+    left_out = sum(record.seconds_left_out for record in converted.records)
+    reach = f"{min(lengths)} to {max(lengths)}" if min(lengths) < max(lengths) else f"{lengths[0]}"
+    return (
+        f"{len(lengths)} episodes of {reach} rows, {1000 * converted.period:g} ms apart: "
+        f"{len(data.time) - len(lengths)} transitions. {left_out:.3g} s of "
+        f"{sum(record.seconds for record in converted.records):.3g} s were left out, in gaps and "
+        "at ends."
+    )
+
+
+def _motion(converted: Converted, model: mujoco.MjModel) -> str:
+    """How much each joint moves."""
+    data = converted.measurement
+    inside = np.diff(data.episode) == 0
+    rows: list[list[Any]] = []
+    for number, name in enumerate(joints_of(model)):
+        speed = data.qvel[:, number]
+        unit = "m" if is_slide(model, name) else "rad"
+        turns = int(np.sum((np.diff(np.sign(speed)) != 0) & inside))
+        fastest = float(np.abs(speed).max())
+        at_rest = float(np.mean(np.abs(speed) <= _AT_REST * fastest))
+        is_measured = data.qvel_std is None or not np.isinf(data.qvel_std[number])
+        rows.append(
+            [
+                escape(name),
+                f"{np.ptp(data.qpos[:, number]):.3g} {unit}",
+                f"{np.sqrt(np.mean(speed**2)):.3g} {unit}/s",
+                turns,
+                f"{at_rest:.0%}",
+                "yes" if is_measured else "no",
+            ]
+        )
+    heads = ["joint", "range", "speed, RMS", "reversals", "at rest", "velocity measured"]
+    return "<h2>Motion</h2>" + table(heads, rows)
+
+
+def _shown(shown: Sequence[Excitation]) -> str:
+    explained = (
+        "<p>Nothing is fitted yet. Each effect, of a size that a sensible simulator might lack, is "
+        f"compared with the scatter of the readings. It needs {THRESHOLD:g} nats to be named. This "
+        "is the best case: free parameters, other effects, and errors that nothing explains hide "
+        "some of it.</p>"
+    )
+    strong = [each for each in shown if each.is_shown]
+    weak = [each for each in shown if not each.is_shown]
+    heads = ["effect", "nats at a sensible size", "smallest that could be seen", ""]
+    lists = _listed(heads, strong) if strong else "<p><b>Nothing.</b></p>"
+    if not weak:
+        return explained + lists
+    return (
+        f"{explained}{lists}<details{' open' * (not strong)}><summary>{len(weak)} effects that "
+        "these data cannot show at a sensible size: move these joints further, faster, back and "
+        f"forth, or record longer</summary>{_listed(heads, weak)}</details>"
+    )
+
+
+def _listed(heads: Sequence[str], shown: Sequence[Excitation]) -> str:
+    rows = [
+        [
+            escape(f"{each.kind} {each.location}"),
+            f"{each.nats:.3g}",
+            f"{each.strength} {each.visible:.2g}",
+            escape(each.unit),
+        ]
+        for each in shown
+    ]
+    return table(heads, rows)
+
+
+def _limits(converted: Converted) -> str:
+    lines = [
+        f"<li>{escape(name)}: {share:.1%} of all rows are at the model's limit or beyond.</li>"
+        for name, share in converted.at_limit.items()
+        if share
+    ]
+
+    return f"<ul>{''.join(lines)}</ul>" if lines else ""
+
+
+def _read(record: Record) -> str:
+    heads = ["quantity", "column", "readings", "ms apart", "range", "resampled by", "scatter"]
+    rows = [_row(column) for column in record.columns]
+    gaps = ", ".join(f"{a:.4g} to {b:.4g} s" for a, b in record.gaps[:_MOST_GAPS])
+    more = f", and {len(record.gaps) - _MOST_GAPS} more" * (len(record.gaps) > _MOST_GAPS)
+    lines = [f"<h3>{escape(record.source)}</h3>", table(heads, rows)]
+    lines.append(_SCATTER)
+    if gaps:
+        lines.append(f"<p>Gaps, in which nothing was measured: {gaps}{more}.</p>")
+    if repeated := sum(column.repeated for column in record.columns):
+        lines.append(f"<p>{repeated} readings with the time of the one before were left out.</p>")
+    return "".join(lines)
+
+
+def _row(column: Column) -> list[Any]:
+    smallest, median, largest = (1000 * spacing for spacing in column.spacing)
+    low, high = column.reach
+    return [
+        escape(column.quantity),
+        escape(column.name),
+        column.readings,
+        f"{median:.4g} ({smallest:.4g} to {largest:.4g})",
+        f"{low:.4g} to {high:.4g}",
+        _RESAMPLING[column.way],
+        "" if np.isnan(column.scatter) else f"{column.scatter:.2g}",
+    ]
+
+
+def _traces(converted: Converted, model: mujoco.MjModel) -> Figure:
+    """All rows of all episodes, one after the other."""
+    data, joints, drives = converted.measurement, joints_of(model), actuators_of(model)
+    panels: list[tuple[str, Vector, str]] = []
+    for number, name in enumerate(joints):
+        unit = "m" if is_slide(model, name) else "rad"
+        panels.append((f"{name} [{unit}]", data.qpos[:, number], _POSITION))
+        panels.append((f"{name} [{unit}/s]", data.qvel[:, number], _VELOCITY))
+    panels += [(name, data.ctrl[:, number], _COMMAND) for number, name in enumerate(drives)]
+    figure = Figure(figsize=(8, 0.6 + 0.9 * len(panels)), layout="constrained")
+    time = converted.period * np.arange(len(data.time), dtype=np.float64)
+    starts = [converted.period * first for first, _ in data.spans()]
+    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for ax, (label, values, colour) in zip(axes, panels, strict=True):
+        _trace(ax, label, values, time, starts, colour)
+    axes[-1].set_xlabel("seconds of the measurement (grey: where an episode begins)")
+    return figure
+
+
+def _trace(
+    ax: Axes, label: str, values: Vector, time: Vector, starts: Sequence[float], colour: str
+) -> None:
+    for start in starts:
+        ax.axvline(start, color="#cccccc", linewidth=0.5)
+    ax.plot(time, values, ".", color=colour, markersize=1.5)
+    ax.set_ylabel(label, rotation=0, ha="right", va="center", fontsize=8)
+    ax.tick_params(labelsize=8)

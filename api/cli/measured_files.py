@@ -1,0 +1,52 @@
+"""A measurement from logs to files, without a service."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.simulator import Simulator
+from adr_service.errors import InvalidInput
+from adr_service.logs.base import Log
+from adr_service.logs.catalogue import read_logs
+from adr_service.logs.conversion import Converted, convert
+from adr_service.logs.excitation import excitation
+from adr_service.logs.mapping import LogMap, draft
+from adr_service.logs.report import report_page
+from api.cli.criticism_files import nominal_of
+
+
+def draft_of(logs: Sequence[Path], task: str | None, model: Path | None) -> str:
+    """A map to start from, in TOML."""
+    nominal, _ = nominal_of(task, None, model, ())
+    return draft(_read(logs), nominal.model(nominal.start))
+
+
+def measure_files(
+    logs: Sequence[Path], task: str | None, model: Path | None, map: Path, out: Path
+) -> Converted:
+    """Write the measurement, and a page about it beside it."""
+    nominal, name = nominal_of(task, None, model, ())
+    robot = nominal.model(nominal.start)
+    converted = convert(_read(logs), _map_of(map), robot)
+    page = _page(converted, nominal, ", ".join(log.name for log in logs), name)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_bytes(converted.measurement.to_npz())
+    out.with_suffix(".html").write_text(page)
+    return converted
+
+
+def _read(logs: Sequence[Path]) -> list[Log]:
+    return [log for path in logs for log in read_logs(path)]
+
+
+def _map_of(path: Path) -> LogMap:
+    try:
+        return LogMap.from_toml(path.read_text())
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInput(f"{path} cannot be read: {error}") from error
+
+
+def _page(converted: Converted, nominal: Nominal, logs: str, name: str) -> str:
+    with Simulator(nominal, converted.measurement) as simulator:
+        shown = excitation(simulator, converted.noise)
+        return report_page(converted, shown, simulator.base, f"{logs}, for {name}")

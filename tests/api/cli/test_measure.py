@@ -1,0 +1,53 @@
+"""Options and files of `adr measure`."""
+
+import numpy as np
+import pytest
+
+from tests.logs.conftest import MAP, XML, motion
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """A log, a model and a map, in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    columns = motion(np.arange(0, 10, 0.004))
+    np.savez("log.npz", **columns)
+    (tmp_path / "robot.xml").write_text(XML)
+    (tmp_path / "map.toml").write_text(MAP)
+    return tmp_path
+
+
+def test_without_a_map_a_draft_is_all_that_is_printed(adr_here, files):
+    status, shown, errors = adr_here("measure", "log.npz", "--model", "robot.xml")
+    assert (status, errors) == (0, "")
+    assert shown.startswith("# columns: name, readings")
+    assert '[joints.shoulder]\nposition = "q1"' in shown
+
+
+def test_with_a_map_a_measurement_and_a_page_are_written(adr_here, files):
+    out = ["--map", "map.toml", "--out", "found/measured.npz"]
+    status, shown, _ = adr_here("measure", "log.npz", "--model", "robot.xml", *out)
+    assert status == 0
+    assert "found/measured.npz: 10 episodes, 2500 rows, 4 ms apart" in shown
+    assert "What the data could show" in (files / "found/measured.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--map", "map.toml"], "give --map and --out, or neither"),
+        (["--map", "map.toml", "--out", "measured.csv"], "--out is a file that ends on .npz"),
+        (["--map", "none.toml", "--out", "a.npz"], "none.toml cannot be read"),
+        (["--map", "robot.xml", "--out", "a.npz"], "the map is no TOML"),
+    ],
+)
+def test_wrong_options_are_refused(adr_here, files, arguments, message):
+    status, _, errors = adr_here("measure", "log.npz", "--model", "robot.xml", *arguments)
+    assert status == 2
+    assert message in errors
+    assert not list(files.glob("a.*"))
+
+
+def test_a_model_or_a_task_is_needed(adr_here, files):
+    status, _, errors = adr_here("measure", "log.npz")
+    assert (status, "give either --task or --model" in errors) == (2, True)

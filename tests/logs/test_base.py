@@ -1,0 +1,69 @@
+"""Columns of a log as signals."""
+
+import numpy as np
+import pytest
+
+from adr_service.errors import InvalidInput, UnknownName
+from adr_service.logs.base import Clock, Log, Stream, check_size
+from tests.logs.conftest import log, motion
+
+SECONDS = Clock("time", "s")
+
+
+def test_rows_without_a_reading_are_left_out():
+    columns = {"time": np.array([0.0, 1, 2, 3]), "q": np.array([5.0, np.nan, 7, 8])}
+    signal = log(columns).signal("q", SECONDS)
+    np.testing.assert_array_equal(signal.time, [0, 2, 3])
+    np.testing.assert_array_equal(signal.value, [5, 7, 8])
+
+
+def test_nanoseconds_since_1970_keep_microseconds():
+    stamps = 1.7e18 + np.array([0.0, 2e6, 4e6])
+    signal = log({"t": stamps, "q": np.arange(3.0)}).signal("q", Clock("t", "ns"))
+    np.testing.assert_allclose(np.diff(signal.time), 0.002, atol=1e-6)
+
+
+def test_a_repeated_time_is_left_out_and_counted():
+    columns = {"time": np.array([0.0, 1, 1, 2]), "q": np.array([5.0, 6, 7, 8])}
+    signal = log(columns).signal("q", SECONDS)
+    np.testing.assert_array_equal(signal.value, [5, 6, 8])
+    assert signal.repeated == 1
+
+
+def test_time_that_runs_backwards_is_refused_with_its_row():
+    columns = {"time": np.array([0.0, 1, 0.5]), "q": np.arange(3.0)}
+    with pytest.raises(
+        InvalidInput, match=r"from 1 to 0.5 s at row 2.*one file for each recording"
+    ):
+        log(columns).signal("q", SECONDS)
+
+
+def test_an_unknown_column_and_an_unknown_clock_list_those_there_are():
+    columns = {"time": np.arange(3.0), "shoulder": np.arange(3.0)}
+    with pytest.raises(UnknownName, match="did you mean 'shoulder'"):
+        log(columns).signal("sholder", SECONDS)
+    with pytest.raises(UnknownName, match=r"column in log.csv 'stamp'.*accepted: time, shoulder"):
+        log(columns).signal("shoulder", Clock("stamp", "s"))
+
+
+def test_a_column_of_text_is_refused():
+    with pytest.raises(InvalidInput, match="'mode' holds text"):
+        Log("a.csv", (Stream({"time": np.arange(3.0)}),), ("mode",)).signal("mode", SECONDS)
+
+
+def test_a_log_parts_where_a_column_changes():
+    columns = {**motion(np.arange(6.0)), "trial": np.array([1.0, 1, 1, 2, 2, 2])}
+    first, second = log(columns).parts("trial")
+    assert (first.source, second.source) == ("log.csv, trial 1", "log.csv, trial 2")
+    np.testing.assert_array_equal(second.streams[0].columns["time"], [3, 4, 5])
+
+
+def test_a_bag_has_no_parts():
+    streams = (Stream({"trial": np.zeros(3)}), Stream({"q": np.zeros(3)}))
+    with pytest.raises(InvalidInput, match="Give one bag for each recording"):
+        Log("a.mcap", streams).parts("trial")
+
+
+def test_more_than_a_criticism_could_use_is_refused():
+    with pytest.raises(InvalidInput, match=r"has 5,000 columns and 10 numbers; accepted are 4,096"):
+        check_size("a.csv", 5000, 10)

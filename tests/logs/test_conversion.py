@@ -1,0 +1,227 @@
+"""Logs of a known motion as measurements: each row is compared with the motion at its time."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from adr_service.criticism.measurements import Measurement
+from adr_service.errors import InvalidInput
+from adr_service.logs.base import Log, Stream
+from adr_service.logs.conversion import convert
+from adr_service.logs.mapping import LogMap
+from tests.logs.conftest import MAP, log, motion
+
+
+def changed(*pairs):
+    """The map with other settings."""
+    text = MAP
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new)
+    return LogMap.from_toml(text)
+
+
+def assert_is_the_motion(data, tolerance):
+    truth = motion(data.time)
+    for number, name in enumerate(("1", "2")):
+        np.testing.assert_allclose(data.qpos[:, number], truth[f"q{name}"], atol=tolerance)
+        np.testing.assert_allclose(data.qvel[:, number], truth[f"dq{name}"], atol=10 * tolerance)
+
+
+def test_an_even_log_keeps_its_readings(robot, even, given):
+    converted = convert([log(even)], given, robot)
+    data = converted.measurement
+    assert converted.period == pytest.approx(0.004)
+    assert [last - first for first, last in data.spans()] == [250] * 20
+    assert_is_the_motion(data, 1e-9)
+    assert data.qvel_std is None
+
+
+def test_uneven_stamps_are_resampled(robot, given):
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.uniform(0.0017, 0.0031, 5000))
+    converted = convert([log(motion(time))], given, robot)
+    assert converted.period == 0.002
+    assert_is_the_motion(converted.measurement, 1e-7)
+    assert converted.records[0].columns[0].way == "spline"
+
+
+def test_the_scatter_of_readings_is_their_noise(robot, given):
+    """At even and uneven times, and much above the error of a spline."""
+    rng = np.random.default_rng(0)
+    for time in (np.arange(0, 20, 0.004), np.cumsum(rng.uniform(0.002, 0.006, 5000))):
+        columns = motion(time)
+        columns["q1"] = columns["q1"] + 2e-4 * rng.normal(size=len(time))
+        converted = convert([log(columns)], given, robot)
+        noisy, clean, *_ = converted.records[0].columns
+        assert noisy.scatter == pytest.approx(2e-4, rel=0.1)
+        assert clean.quantity == "slider.position"
+        assert clean.scatter < 1e-8
+        np.testing.assert_array_equal(converted.noise[:2], [noisy.scatter, clean.scatter])
+
+
+def test_units_signs_zeros_and_turns_are_converted(robot, even):
+    encoder = np.degrees(-even["q1"]) + 170
+    log_of = {**even, "q1": (encoder + 180) % 360 - 180, "dq1": -even["dq1"] * 60 / (2 * np.pi)}
+    log_of |= {"q2": 1000 * even["q2"], "time": 1000 * even["time"], "u": even["u"] / 0.4 + 1}
+    extra = 'unit = "deg"\nscale = -1.0\nzero = 170.0\nwrap = 360.0\nvelocity_unit = "rpm"'
+    given = changed(
+        ('position = "q1"', f'position = "q1"\n{extra}'),
+        ('position = "q2"', 'position = "q2"\nunit = "mm"\nvelocity_unit = "m/s"'),
+        ('command = "u"', 'command = "u"\nscale = 0.4\nzero = 1.0\n[time]\nunit = "ms"'),
+    )
+    data = convert([log(log_of)], given, robot).measurement
+    truth = motion(data.time)
+    turns = (data.qpos[:, 0] - truth["q1"]) / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns[0]), atol=1e-9)
+    np.testing.assert_allclose(data.qvel[:, 0], truth["dq1"], atol=1e-9)
+    np.testing.assert_allclose(data.qpos[:, 1], truth["q2"], atol=1e-9)
+    np.testing.assert_allclose(data.ctrl[:, 0], truth["u"], atol=1e-9)
+
+
+def test_readings_that_jump_by_a_turn_are_refused(robot, even, given):
+    wrapped = {**even, "q1": (4 * even["q1"] + np.pi) % (2 * np.pi) - np.pi}
+    with pytest.raises(InvalidInput, match=r"'q1' jumps by a turn at .* joints.shoulder.wrap"):
+        convert([log(wrapped)], given, robot)
+
+
+def test_commands_change_within_rows_at_the_steps_of_the_model(robot, even):
+    given = changed(('command = "u"', 'command = "u"\n[rows]\nperiod = 0.05'))
+    data = convert([log(even)], given, robot).measurement
+    assert data.ctrl_within is not None
+    assert data.ctrl_within.shape[1] == 25
+    times = data.time[:, None] + 0.002 * np.arange(25) + 0.001  # the middle of each step
+    np.testing.assert_allclose(data.ctrl_within[..., 0], motion(times)["u"], atol=1e-9)
+    np.testing.assert_allclose(data.ctrl, data.ctrl_within.mean(axis=1))
+
+
+def test_a_command_acts_later_by_its_delay(robot, even):
+    given = changed(('command = "u"', 'command = "u"\ndelay = 0.02'))
+    data = convert([log(even)], given, robot).measurement
+    np.testing.assert_allclose(data.ctrl[:, 0], motion(data.time - 0.02 + 1e-9)["u"], atol=1e-9)
+
+
+def test_an_actuator_that_was_off_has_a_constant(robot, even):
+    given = changed(('command = "u"', "constant = 0.25"))
+    data = convert([log(even)], given, robot).measurement
+    np.testing.assert_array_equal(data.ctrl, 0.25)
+
+
+def test_a_velocity_that_the_log_lacks_counts_as_not_measured(robot, even):
+    given = changed(('velocity = "dq2"', ""))
+    data = convert([log(even)], given, robot).measurement
+    np.testing.assert_array_equal(data.qvel_std, [np.nan, np.inf])
+    np.testing.assert_array_equal(data.is_measured(), [True, True, True, False])
+    assert_is_the_motion(data, 1e-5)  # a start for the fit
+
+
+def test_a_derived_velocity_has_errors_that_are_independent_between_rows(robot):
+    rng = np.random.default_rng(1)
+    columns = motion(np.arange(0, 60, 0.001))
+    noise = 1e-3 * rng.normal(size=len(columns["time"]))
+    given = changed(
+        ('velocity = "dq1"', "derive_velocity = true"),
+        ("[actuators", "[rows]\nperiod = 0.01\n[actuators"),
+    )
+    converted = convert([log({**columns, "q1": columns["q1"] + noise})], given, robot)
+    data = converted.measurement
+    error = data.qvel[:, 0] - motion(data.time)["dq1"]
+    # the slope of a line through n readings of deviation s, over a window w: s sqrt(12/n) / w
+    assert error.std() == pytest.approx(1e-3 * np.sqrt(12 / 10) / 0.01, rel=0.1)
+    assert converted.noise[2] == pytest.approx(error.std(), rel=0.1)
+    assert abs(np.corrcoef(error[:-1], error[1:])[0, 1]) < 3 / np.sqrt(len(error))
+
+
+def test_a_velocity_cannot_be_derived_from_few_readings(robot, even):
+    given = changed(
+        ('velocity = "dq1"', "derive_velocity = true"),
+        ("[actuators", "[rows]\nperiod = 0.01\n[actuators"),
+    )
+    with pytest.raises(InvalidInput, match=r"readings 0.004 s apart.*rows.period = 0.016 or more"):
+        convert([log(even)], given, robot)
+
+
+def test_rows_are_as_far_apart_as_a_derived_velocity_needs(robot, even):
+    given = changed(('velocity = "dq1"', "derive_velocity = true"))
+    assert convert([log(even)], given, robot).period == pytest.approx(0.02)
+
+
+def test_a_gap_parts_episodes_and_is_listed(robot, even, given):
+    kept = (even["time"] < 5.001) | (even["time"] > 7.002)
+    with_gap = {name: values[kept] for name, values in even.items()}
+    converted = convert([log(with_gap)], given, robot)
+    (record,) = converted.records
+    ((first, last),) = set(record.gaps)
+    assert (first, last) == pytest.approx((5.0, 7.004))
+    assert record.seconds_left_out == pytest.approx(2.0, abs=0.05)
+    assert_is_the_motion(converted.measurement, 1e-9)
+
+
+def test_several_recordings_and_trials_are_episodes_of_their_own(robot, even, given):
+    trials = {**even, "trial": np.floor(even["time"] / 5)}
+    by_trial = changed(('command = "u"', 'command = "u"\n[rows]\nepisode = "trial"\nseconds = 5.0'))
+    converted = convert([log(trials), log(trials, "second.csv")], by_trial, robot)
+    assert len(converted.measurement.spans()) == 8
+    assert [r.source for r in converted.records][:2] == ["log.csv, trial 0", "log.csv, trial 1"]
+
+
+def test_streams_with_clocks_of_their_own_meet(robot, given):
+    """Joint states every 4 ms, and commands every 20 ms that began earlier."""
+    states, commands = motion(np.arange(1, 21, 0.004)), motion(np.arange(0, 20, 0.02) + 1e-6)
+    of_states = Stream({n: states[n] for n in ("q1", "dq1", "q2", "dq2")}, states["time"])
+    of_commands = Stream({"u": commands["u"]}, commands["time"])
+    data = convert([Log("run.mcap", (of_states, of_commands))], given, robot).measurement
+    assert data.time[0] == pytest.approx(1.0)
+    assert_is_the_motion(data, 1e-9)
+    np.testing.assert_allclose(data.ctrl[:200, 0], motion(data.time[:200] + 1e-5)["u"], atol=1e-2)
+
+
+def test_commands_at_their_limits_are_counted(robot, even, given):
+    converted = convert([log({**even, "u": np.clip(3 * even["u"], -1, 1)})], given, robot)
+    assert converted.at_limit["motor"] == pytest.approx(
+        np.mean(np.abs(3 * even["u"]) >= 1), abs=0.02
+    )
+
+
+def test_a_column_of_zeros_is_no_velocity(robot, even, given):
+    still = {**even, "dq1": np.zeros(len(even["time"]))}
+    with pytest.raises(
+        InvalidInput, match=r"'dq1' is 0 throughout.*leave joints.shoulder.velocity out"
+    ):
+        convert([log(still)], given, robot)
+
+
+def test_a_period_that_the_model_cannot_step_is_refused(robot, even):
+    given = changed(('command = "u"', 'command = "u"\n[rows]\nperiod = 0.011'))
+    with pytest.raises(
+        InvalidInput, match=r"0.011 s, which is no multiple of the model's step of 0.002"
+    ):
+        convert([log(even)], given, robot)
+
+
+def test_a_log_that_is_too_short_is_refused(robot, even, given):
+    with pytest.raises(InvalidInput, match="no stretch without a gap is 10 rows"):
+        convert([log({n: v[:8] for n, v in even.items()})], given, robot)
+    with pytest.raises(InvalidInput, match="are too few to tell effects from noise"):
+        convert([log({n: v[:600] for n, v in even.items()})], given, robot)
+
+
+def test_degrees_that_are_given_for_radians_are_refused(robot, even, given):
+    with pytest.raises(InvalidInput, match=r"moves 57.3 times as far"):
+        convert([log({**even, "q1": np.degrees(even["q1"])})], given, robot)
+
+
+def test_a_model_with_a_free_joint_is_refused(even, given):
+    xml = "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    with pytest.raises(InvalidInput, match="free and ball joints are not supported"):
+        convert([log(even)], given, mujoco.MjModel.from_xml_string(xml))
+
+
+def test_a_measurement_survives_its_file(robot, even):
+    given = changed(
+        ('command = "u"', 'command = "u"\n[rows]\nperiod = 0.05'), ('velocity = "dq2"', "")
+    )
+    data = convert([log(even)], given, robot).measurement
+    again = Measurement.from_npz(data.to_npz())
+    for name in ("time", "qpos", "qvel", "ctrl", "episode", "qvel_std", "ctrl_within"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(data, name))

@@ -1,0 +1,53 @@
+"""Tables of text."""
+
+import numpy as np
+import pytest
+
+from adr_service.errors import InvalidInput
+from adr_service.logs.csv_files import read_csv
+
+
+def columns(text):
+    log = read_csv("log.csv", text.encode())
+    return log.streams[0].columns, log.texts
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time,q 1\n0,1.5\n0.1,2.5\n",
+        "time;q 1\n0;1,5\n0,1;2,5\n",
+        "time\tq 1\n0\t1.5\n0.1\t2.5\n",
+        "\ufefftime, q 1 \n0,1.5\n0.1,2.5\n",
+        "# time,q 1\n0,1.5\n0.1,2.5\n",
+    ],
+)
+def test_commas_semicolons_tabs_and_marks_before_the_header_are_read(text):
+    found, _ = columns(text)
+    assert list(found) == ["time", "q 1"]
+    np.testing.assert_array_equal(found["q 1"], [1.5, 2.5])
+
+
+def test_an_empty_cell_is_no_reading():
+    found, _ = columns("time,q\n0,1\n1,\n2,3\n")
+    np.testing.assert_array_equal(found["q"], [1, np.nan, 3])
+
+
+def test_texts_are_listed_and_dates_are_seconds():
+    found, texts = columns("stamp,mode,q\n2026-01-01 00:00:00.5,on,1\n2026-01-01 00:00:01,on,2\n")
+    assert texts == ("mode",)
+    np.testing.assert_allclose(np.diff(found["stamp"]), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a,b\n1,2\n3\n", "Expected 2 columns, got 1"),
+        ("", "Empty CSV file"),
+        ("0.1,0.2,0.3\n1,2,3\n", "begins with numbers .0.1, 0.2, 0.3, ….; expected are names"),
+        ("q,q\n1,2\n", "has columns twice: q"),
+    ],
+)
+def test_what_is_no_table_is_refused(text, message):
+    with pytest.raises(InvalidInput, match=message):
+        columns(text)

@@ -1,0 +1,111 @@
+"""Bags, written by the library that ROS 2 users write them with."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+from mcap.writer import Writer as JsonWriter
+from mcap_ros2.writer import Writer
+
+from adr_service.errors import InvalidInput
+from adr_service.logs.base import Clock
+from adr_service.logs.catalogue import read_logs
+from adr_service.logs.mcap_files import read_mcap
+
+JOINT_STATE = """std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+COMMANDS = "float64[] data\n"
+CLOCK = Clock("unused", "s")  # topics have their own
+
+
+def bag():
+    """Half a second of joint states, in another order every second time, and of commands."""
+    buffer = io.BytesIO()
+    writer = Writer(buffer)
+    states = writer.register_msgdef("sensor_msgs/msg/JointState", JOINT_STATE)
+    commands = writer.register_msgdef("std_msgs/msg/Float64MultiArray", COMMANDS)
+    for i in range(250):
+        nanoseconds = 2_000_000 * i
+        stamp = {"sec": 1_700_000_000, "nanosec": nanoseconds}
+        names = ["shoulder", "elbow"] if i % 2 == 0 else ["elbow", "shoulder"]
+        values = [0.01 * i, -0.01 * i] if i % 2 == 0 else [-0.01 * i, 0.01 * i]
+        header = {"stamp": stamp, "frame_id": ""}
+        message = {
+            "header": header,
+            "name": names,
+            "position": values,
+            "velocity": [],
+            "effort": [],
+        }
+        arrived = 1_700_000_000 * 10**9 + nanoseconds + 5_000_000  # five milliseconds later
+        writer.write_message("/joint_states", states, message, arrived)
+        if i % 10 == 0:
+            writer.write_message("/command", commands, {"data": [0.1 * i]}, arrived)
+    writer.finish()
+    return buffer.getvalue()
+
+
+def test_joint_states_become_columns_by_joint_at_their_own_stamps():
+    log = read_mcap("run.mcap", bag())
+    assert set(log.names) == {
+        "/joint_states.position.shoulder",
+        "/joint_states.position.elbow",
+        "/command.data_0",
+    }
+    signal = log.signal("/joint_states.position.shoulder", CLOCK)
+    np.testing.assert_allclose(signal.value, 0.01 * np.arange(250))
+    np.testing.assert_allclose(signal.time - 1.7e9, 0.002 * np.arange(250), atol=1e-6)
+
+
+def test_a_message_without_a_header_counts_from_its_arrival():
+    signal = read_mcap("run.mcap", bag()).signal("/command.data_0", CLOCK)
+    np.testing.assert_allclose(signal.time - 1.7e9, 0.02 * np.arange(25) + 0.005, atol=1e-6)
+
+
+def test_messages_in_json_are_read_and_those_in_unknown_encodings_listed():
+    buffer = io.BytesIO()
+    writer = JsonWriter(buffer)
+    writer.start()
+    schema = writer.register_schema("State", "jsonschema", b"{}")
+    known = writer.register_channel("/state", "json", schema)
+    unknown = writer.register_channel("/secret", "mystery", schema)
+    for i in range(3):
+        content = json.dumps({"arm": {"q": i, "on": True}, "mode": "auto"}).encode()
+        writer.add_message(known, i * 10**9, content, i * 10**9)
+        writer.add_message(unknown, i * 10**9, b"?", i * 10**9)
+    writer.finish()
+    log = read_mcap("run.mcap", buffer.getvalue())
+    assert sorted(log.names) == ["/state.arm.on", "/state.arm.q"]
+    assert log.texts == ("/secret",)
+
+
+@pytest.mark.parametrize("end", [0, 8, 100, 2000])
+def test_a_damaged_bag_is_refused(end):
+    with pytest.raises(InvalidInput, match=r"run\.mcap is no bag that can be read"):
+        read_mcap("run.mcap", bag()[:end])
+
+
+def test_a_bag_with_a_wrong_checksum_is_refused():
+    whole = bytearray(bag())
+    whole[1500] ^= 255
+    with pytest.raises(InvalidInput, match=r"run\.mcap is no bag that can be read"):
+        read_mcap("run.mcap", bytes(whole))
+
+
+def test_the_parts_of_a_bag_in_a_folder_are_recordings(tmp_path):
+    for number in range(2):
+        (tmp_path / f"run_{number}.mcap").write_bytes(bag())
+    assert [log.source for log in read_logs(tmp_path)] == ["run_0.mcap", "run_1.mcap"]

@@ -1,0 +1,91 @@
+"""Parquet tables and LeRobot data sets, written by the library that others write them with."""
+
+import io
+import json
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from adr_service.errors import InvalidInput
+from adr_service.logs.base import Clock
+from adr_service.logs.catalogue import read_logs
+from adr_service.logs.parquet_files import read_parquet
+
+
+def content(table):
+    buffer = io.BytesIO()
+    parquet.write_table(table, buffer)
+    return buffer.getvalue()
+
+
+def test_lists_of_numbers_become_columns():
+    states = pa.array([[1.0, 2.0], [3.0, 4.0]], pa.list_(pa.float32()))
+    fixed = pa.array([[1.0, 2.0], [3.0, 4.0]], pa.list_(pa.float32(), 2))
+    table = pa.table({"state": states, "fixed": fixed, "task": ["a", "b"], "ok": [True, False]})
+    log = read_parquet("log.parquet", content(table))
+    assert log.names == ["state_0", "state_1", "fixed_0", "fixed_1", "ok"]
+    assert log.texts == ("task",)
+    np.testing.assert_array_equal(log.streams[0].columns["state_1"], [2, 4])
+
+
+def test_lists_of_different_lengths_are_no_columns():
+    table = pa.table({"t": [0.0, 1.0], "state": [[1.0], [3.0, 4.0]]})
+    assert read_parquet("log.parquet", content(table)).names == ["t"]
+
+
+@pytest.mark.parametrize("damage", [b"", b"PAR1", b"PAR1" + b"\0" * 40 + b"PAR1"])
+def test_what_is_no_parquet_is_refused(damage):
+    with pytest.raises(InvalidInput, match=r"log\.parquet is no Parquet table that can be read"):
+        read_parquet("log.parquet", damage)
+
+
+def test_a_damaged_table_is_refused():
+    whole = bytearray(content(pa.table({"t": np.arange(1000.0)})))
+    whole[100:200] = bytes(100)
+    with pytest.raises(InvalidInput, match="is no Parquet table that can be read"):
+        read_parquet("log.parquet", bytes(whole))
+
+
+@pytest.fixture
+def lerobot(tmp_path):
+    """A data set as LeRobot v3 lays it out."""
+    folder = tmp_path / "swing"
+    (folder / "data" / "chunk-000").mkdir(parents=True)
+    (folder / "meta").mkdir()
+    motors = ["shoulder.pos", "elbow.pos"]
+    features = {
+        "observation.state": {"dtype": "float32", "shape": [2], "names": motors},
+        "action": {"dtype": "float32", "shape": [2], "names": {"motors": motors}},
+        "timestamp": {"dtype": "float32", "shape": [1], "names": None},
+    }
+    (folder / "meta" / "info.json").write_text(json.dumps({"features": features, "fps": 30}))
+    table = pa.table(
+        {
+            "observation.state": [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]],
+            "action": [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]],
+            "timestamp": [0.0, 1 / 30, 2 / 30],
+            "episode_index": [0, 0, 0],
+        }
+    )
+    parquet.write_table(table, folder / "data" / "chunk-000" / "file-000.parquet")
+    return folder
+
+
+def test_a_lerobot_data_set_names_its_columns_by_joint(lerobot):
+    (log,) = read_logs(lerobot)
+    assert "observation.state.elbow.pos" in log.names
+    signal = log.signal("action.elbow.pos", Clock("timestamp", "s"))
+    np.testing.assert_array_equal(signal.value, [2, 4, 6])
+
+
+def test_a_lerobot_data_set_without_its_description_is_refused(lerobot):
+    (lerobot / "meta" / "info.json").write_text('{"features": 3}')
+    with pytest.raises(InvalidInput, match="does not describe a LeRobot data set"):
+        read_logs(lerobot)
+
+
+def test_another_folder_is_refused(tmp_path):
+    with pytest.raises(InvalidInput, match="accepted folders are LeRobot data sets"):
+        read_logs(tmp_path)
