@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-budgets bench-coverage study bench-criticism bench-arms bench-extension bench-api clean
+.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-budgets bench-coverage study bench-criticism bench-arms bench-extension bench-separation bench-api clean
 
 setup: $(STAMP)
 
@@ -81,6 +81,10 @@ bench-arms: setup
 # half an hour on one core
 bench-extension: setup
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.extension
+
+# ten minutes on two cores
+bench-separation: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.separation --seeds 100
 
 # three minutes
 bench-api: setup

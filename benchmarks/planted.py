@@ -86,9 +86,21 @@ def hide(
     rng: np.random.Generator,
     effects: Sequence[Effect],
     force: Force | None = None,
+    commands: Array3 | None = None,
 ) -> Measurement:
-    """A measurement of a robot that has `nominal.start` for parameters, and these effects."""
-    return _Robot(task, nominal).record(rng, effects, force)
+    """A measurement of a robot that has `nominal.start` for parameters, and these effects.
+
+    `commands` (episodes, rows, nu): what it is told to do; None: coloured noise.
+    """
+    return _Robot(task, nominal).record(rng, effects, force, commands)
+
+
+def sized_effect(task: Task, nominal: Nominal, rng: np.random.Generator, ratio: float) -> Effect:
+    """A random effect of the catalogue that is as strong as `ratio` says."""
+    robot = _Robot(task, nominal)
+    while (effect := robot.sized_effect(rng, ratio)) is None:
+        pass
+    return effect
 
 
 @dataclass(frozen=True)
@@ -162,10 +174,15 @@ class _Robot:
         return Force(kind, dof, actuator, other, ratio / (per_newton * unit))
 
     def record(
-        self, rng: np.random.Generator, effects: Sequence[Effect], force: Force | None
+        self,
+        rng: np.random.Generator,
+        effects: Sequence[Effect],
+        force: Force | None,
+        commands: Array3 | None = None,
     ) -> Measurement:
         """A measurement by the robot's sensors."""
-        commands = np.stack([_commands(rng, self._task, STEPS + 1) for _ in range(EPISODES)])
+        if commands is None:
+            commands = np.stack([_commands(rng, self._task, STEPS + 1) for _ in range(EPISODES)])
         states = self._run(rng, commands, effects, force)
         shown = recorded(self._base, effects, states, self._period)
         nq = self._base.nq

@@ -8,7 +8,8 @@ effects at once, by the forces that the motion needs); `decision`, `weighing`, `
 `naming` (which effects are causes, one by one and in the light of each other); `flexible_force` and
 `sensor_spread` (causes that no effect moves on average); `gain` (worth on sealed episodes);
 `summary`, `verdict`, `extension`, `experiments`, `remarks`, `report`, `figures` (the answer);
-`pipeline` runs it all.
+`pipeline` runs it all, and `next_recording` plans what to measure next; `excitation` says what data
+could show before anything is fitted.
 
 Letters in shapes: `rows` measured rows, `N` transitions, `E` episodes, `T` the most transitions of
 an episode, `m` = 2 nv measured numbers of a row, `d` free parameters, `p` fitted columns.

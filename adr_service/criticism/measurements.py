@@ -110,6 +110,30 @@ class Measurement:
         known = {name: getattr(self, name) for name in (*_NEEDED, *_OPTIONAL)}
         return write_arrays({name: value for name, value in known.items() if value is not None})
 
+    @classmethod
+    def joined(cls, parts: "Sequence[Measurement]") -> "Measurement":
+        """Several recordings of one robot as one. Raises InvalidInput if they do not fit."""
+        first = parts[0]
+        for other in parts[1:]:
+            _check_alike(first, other)
+        if any(part.ctrl_within is not None for part in parts):
+            parts = _with_as_many_parts(parts)
+        counts = np.cumsum([0, *(1 + part.episode[-1] - part.episode[0] for part in parts)])
+        return cls(
+            time=np.concatenate([part.time for part in parts]),
+            qpos=np.concatenate([part.qpos for part in parts]),
+            qvel=np.concatenate([part.qvel for part in parts]),
+            ctrl=np.concatenate([part.ctrl for part in parts]),
+            episode=np.concatenate(
+                [p.episode - p.episode[0] + n for p, n in zip(parts, counts, strict=False)]
+            ),
+            qpos_std=first.qpos_std,
+            qvel_std=first.qvel_std,
+            ctrl_within=None
+            if parts[0].ctrl_within is None
+            else np.concatenate([p.ctrl_within for p in parts if p.ctrl_within is not None]),
+        )
+
     def spans(self) -> list[tuple[int, int]]:
         """Half-open row ranges of the episodes."""
         return spans(self.episode)
@@ -214,6 +238,46 @@ def _check_array(name: str, values: Matrix, rows: int, dimensions: int) -> None:
         where = np.argwhere(~np.isfinite(values))[0].tolist()
         column = f", column {where[1]}" if len(where) > 1 else ""
         raise InvalidInput(f"{name} is not finite at row {where[0]}{column}")
+
+
+def _check_alike(first: Measurement, other: Measurement) -> None:
+    """Raises InvalidInput unless two recordings have the same columns, period and sensors."""
+    for name in ("qpos", "qvel", "ctrl"):
+        one, two = (getattr(each, name).shape[1] for each in (first, other))
+        if one != two:
+            raise InvalidInput(
+                f"recordings that are judged together have the same columns; {name} has {one} in "
+                f"the first and {two} in another"
+            )
+    if abs(first.period() - other.period()) > 1e-3 * first.period():
+        raise InvalidInput(
+            f"rows of recordings that are judged together are equally far apart; given are "
+            f"{first.period():g} and {other.period():g} s"
+        )
+    for name in ("qpos_std", "qvel_std"):
+        one, two = getattr(first, name), getattr(other, name)
+        same = (one is None and two is None) or (
+            one is not None and two is not None and np.array_equal(one, two, equal_nan=True)
+        )
+        if not same:
+            raise InvalidInput(
+                f"recordings that are judged together have the same sensors; {name} is "
+                f"{_listed(one)} in the first and {_listed(two)} in another"
+            )
+
+
+def _listed(std: Vector | None) -> str:
+    return "not given" if std is None else str(std.tolist())
+
+
+def _with_as_many_parts(parts: "Sequence[Measurement]") -> "list[Measurement]":
+    """Recordings whose rows all have commands in as many parts."""
+    withins = [p.ctrl[:, None] if p.ctrl_within is None else p.ctrl_within for p in parts]
+    most = int(np.lcm.reduce([within.shape[1] for within in withins]))
+    return [
+        replace(part, ctrl_within=np.repeat(within, most // within.shape[1], axis=1))
+        for part, within in zip(parts, withins, strict=True)
+    ]
 
 
 def _check_within(within: Array3, ctrl: Matrix) -> None:

@@ -59,6 +59,7 @@ class Criticism:
     baseline: Fit
     final: Fit
     candidates: tuple[Candidate, ...]  # of the first scan, the best first
+    named: tuple[Alike, ...]  # each cause with what is tied with it
     extension: Extension | None  # None: nothing was named
 
 
@@ -117,7 +118,8 @@ def criticise(
     verdict = replace(verdict, seconds=time.perf_counter() - started)
     final = judgement.outcome.final
     extension = _extension(nominal, final, judgement.spread) if verdict.causes else None
-    return Criticism(verdict, baseline, final, tuple(first), extension)
+    named_at_last = tuple(judgement.outcome.named)
+    return Criticism(verdict, baseline, final, tuple(first), named_at_last, extension)
 
 
 def split(data: Measurement) -> tuple[Measurement, Measurement]:

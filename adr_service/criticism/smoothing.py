@@ -52,11 +52,11 @@ def smooth(
     of this robot.
     """
     check_recorded(task, data)
-    nominal, measurement = _nominal(task, source), _measurement(task, data)
+    nominal, measurement = _nominal(task, source), measurement_of(task, data)
     check_size(nominal.model(nominal.start), measurement)
     # the last digits of linear algebra depend on the number of threads
     with threadpool_limits(1), Simulator(nominal, measurement, threads=1) as simulator:
-        sensor = np.where(_is_measured(task), np.nan, _UNREAD**2)
+        sensor = np.where(is_measured(task), np.nan, _UNREAD**2)
         current = fit(simulator, sensor, source.effects)
         for number in range(1, _ROUNDS + 1):
             progress(number / (_ROUNDS + 1))
@@ -65,7 +65,7 @@ def smooth(
     return Smoothing(
         replace(data, observations=_observed(task, source, states)),
         frozen(current.parameters),
-        frozen(np.where(_is_measured(task), np.sqrt(current.noise.sensor), np.nan)),
+        frozen(np.where(is_measured(task), np.sqrt(current.noise.sensor), np.nan)),
         simulator.simulated_steps,
     )
 
@@ -100,8 +100,8 @@ def _nominal(task: Task, source: Source) -> Nominal:
     return Nominal(task.xml, source.space, middle, source.fixed, task)
 
 
-def _measurement(task: Task, data: TransitionDataset) -> Measurement:
-    """One row for each state of the recording."""
+def measurement_of(task: Task, data: TransitionDataset) -> Measurement:
+    """A recording as a measurement: one row for each state, the last with the command before."""
     check_chained(data)
     parts = data.split()
     states = task.state(np.concatenate([_readings(part) for part in parts]))
@@ -115,7 +115,7 @@ def _measurement(task: Task, data: TransitionDataset) -> Measurement:
     )
 
 
-def _is_measured(task: Task) -> Mask:
+def is_measured(task: Task) -> Mask:
     """(nq + nv,) true for the positions and velocities that depend on what sensors show."""
     one, other = (task.state(np.full((1, task.measured), value)) for value in (0.1, 0.2))
     pairs = zip(one[:2], other[:2], strict=True)

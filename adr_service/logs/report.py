@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import THRESHOLD
+from adr_service.criticism.excitation import Excitation
 from adr_service.criticism.page import page, svg, table
 from adr_service.logs.conversion import Column, Converted, Record
-from adr_service.logs.excitation import Excitation
 from adr_service.logs.mapping import actuators_of, is_slide, joints_of
 
 _AT_REST = 0.02  # of a joint's largest speed

@@ -18,7 +18,8 @@ app = typer.Typer()
 
 Out = Annotated[Path, typer.Option(help="Folder for verdict, report and extended model.")]
 Data = Annotated[
-    Path | None, typer.Option(help="The measurement, .npz or .csv; see docs/criticism.md.")
+    list[Path] | None,
+    typer.Option(help="The measurement, .npz or .csv; several are judged together."),
 ]
 Dataset = Annotated[
     str | None, typer.Option(help="Or an uploaded one, that the service criticises with.")
@@ -31,6 +32,14 @@ Free = Annotated[
     typer.Option(help="Parameter of --model to fit, and its bounds: body:thigh.mass=1:5, …"),
 ]
 Seed = Annotated[int, typer.Option(help="Seed of the bootstraps.")]
+Next = Annotated[
+    Path | None,
+    typer.Option("--next", help="Write the commands of the recording to make next, .npz."),
+]
+Limit = Annotated[
+    list[str] | None,
+    typer.Option(help="Limits of its commands: motor=-0.5:0.5, …; else as recorded."),
+]
 
 
 @app.command()
@@ -43,16 +52,23 @@ def criticise(
     model: Model = None,
     free: Free = None,
     seed: Seed = 0,
+    next_: Next = None,
+    limit: Limit = None,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Name what a simulator gets wrong, given measured data; with --data, without a service."""
-    if (data is None) == (dataset is None):
+    if (not data) == (dataset is None):
         raise InvalidInput("give either --data or --dataset")
     if out.exists() and not out.is_dir():
         raise InvalidInput(f"{out} is a file; --out is a folder")
-    if data is not None:
-        _criticise_here(data, out, (task, variant, model, free or []), seed)
+    if limit and next_ is None:
+        raise InvalidInput("--limit goes with --next")
+    if data:
+        given = (task, variant, model, free or [])
+        _criticise_here(data, out, given, seed, next_, limit or [])
         return
+    if next_ is not None:
+        raise InvalidInput("--next goes with --data")
     if task is None or model is not None or free:
         raise InvalidInput("--dataset goes with --task; the service takes no --model or --free")
     spec = {"task": task, "variant": variant or "vanilla", "dataset": dataset, "seed": seed}
@@ -61,7 +77,12 @@ def criticise(
 
 
 def _criticise_here(
-    data: Path, out: Path, given: tuple[str | None, str | None, Path | None, list[str]], seed: int
+    data: list[Path],
+    out: Path,
+    given: tuple[str | None, str | None, Path | None, list[str]],
+    seed: int,
+    planned: Path | None,
+    limit: list[str],
 ) -> None:
     """Criticise in this process; `given` is task, variant, model and free parameters."""
     from api.cli import criticism_files  # imports the simulator
@@ -72,6 +93,10 @@ def _criticise_here(
     console.print(verdict_table(criticism.verdict.to_json()))
     files = criticism_files.FILES[: 4 if criticism.extension else 2]
     console.print(f"{out}: {', '.join(files)}")
+    if planned is not None:
+        with console.status("planning"):
+            lines = criticism_files.plan_file(criticism, planned, limit, seed)
+        console.print("\n".join(lines), highlight=False)
 
 
 def _follow_criticism(client: AdrClient, id: str, out: Path) -> None:

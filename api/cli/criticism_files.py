@@ -9,10 +9,11 @@ import numpy as np
 
 from adr_service.criticism.extension import written_out
 from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.next_recording import Separation, next_recording, recorded_limits
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import Criticism, criticise
 from adr_service.criticism.report import FILES, files_of
-from adr_service.errors import InvalidInput
+from adr_service.errors import InvalidInput, UnknownName
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.progress import Progress
 from adr_service.tasks.catalogue import get_task, variant_of
@@ -63,12 +64,59 @@ def _parameter(text: str) -> Parameter:
 
 
 def criticise_files(
-    nominal: Nominal, name: str, data: Path, out: Path, seed: int, progress: Progress
+    nominal: Nominal, name: str, data: Sequence[Path], out: Path, seed: int, progress: Progress
 ) -> Criticism:
     """Write verdict.json, report.html and, if effects are named, the extended model."""
-    criticism = criticise(nominal, _measurement(data), np.random.default_rng(seed), progress)
+    whole = Measurement.joined([_measurement(path) for path in data])
+    criticism = criticise(nominal, whole, np.random.default_rng(seed), progress)
     write(out, files_of(criticism, name))
     return criticism
+
+
+def plan_file(criticism: Criticism, out: Path, limits: Sequence[str], seed: int) -> list[str]:
+    """Write the commands of the next recording, and return what to expect of it."""
+    simulator = criticism.final.simulator
+    allowed = recorded_limits(simulator.data)
+    names = [simulator.base.actuator(i).name for i in range(len(allowed))]
+    for text in limits:
+        name, low, high = _limit(text)
+        if name not in names:
+            raise UnknownName("actuator", name, names)
+        allowed[names.index(name)] = low, high
+    plan = next_recording(criticism, allowed, np.random.default_rng(seed))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_bytes(plan.to_npz())
+    episodes, rows, _ = plan.commands.shape
+    lines = [f"{out}: commands of {episodes} episodes, {rows * plan.period:.2g} s each"]
+    for each in plan.separations:
+        lines.append(f"  {each.named} or {each.other}: {_expected(each)}")
+    joints = [simulator.base.joint(i).name for i in range(simulator.base.njnt)]
+    reach = ", ".join(
+        f"{name} {low:.3g} to {high:.3g}"
+        for name, (low, high) in zip(joints, plan.reach, strict=True)
+    )
+    return [*lines, f"  positions in simulation: {reach}"]
+
+
+def _expected(each: Separation) -> str:
+    if not each.is_expected:
+        return "no commands that we tried tell these apart"
+    return (
+        f"{each.if_named:.0f} nats are expected if it is the first, {each.if_other:.0f} if it is "
+        "the second"
+    )
+
+
+def _limit(text: str) -> tuple[str, float, float]:
+    """The actuator and the limits of a text NAME=LOW:HIGH."""
+    name, _, bounds = text.partition("=")
+    low, _, high = bounds.partition(":")
+    try:
+        return name, float(low), float(high)
+    except ValueError as error:
+        raise InvalidInput(
+            f"--limit {text!r} is not NAME=LOW:HIGH, as in motor=-0.5:0.5"
+        ) from error
 
 
 def write(out: Path, files: Mapping[str, bytes]) -> None:

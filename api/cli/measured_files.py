@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from adr_service.criticism.excitation import excitation
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator
 from adr_service.errors import InvalidInput
 from adr_service.logs.base import Log
 from adr_service.logs.catalogue import read_logs
 from adr_service.logs.conversion import Converted, convert
-from adr_service.logs.excitation import excitation
 from adr_service.logs.mapping import LogMap, draft
 from adr_service.logs.report import report_page
 from api.cli.criticism_files import nominal_of

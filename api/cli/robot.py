@@ -1,14 +1,19 @@
 """`adr robot`: the client of a robot."""
 
 from functools import partial
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from adr_service.errors import InvalidInput
 from api.cli.options import Url
 from api.cli.terminal import console
 from api.client import connect
 from api.settings import DEFAULT_URL
+
+if TYPE_CHECKING:
+    from api.robot import Limits
 
 app = typer.Typer()
 
@@ -22,20 +27,56 @@ MaxAction = Annotated[
 ]
 
 
+Play = Annotated[
+    Path | None, typer.Option(help="Commands to send, as `adr criticise --next` plans them.")
+]
+Out = Annotated[Path | None, typer.Option(help="Measurement that --play makes, .npz.")]
+
+
 @app.command()
 def robot(
     env: Annotated[str, typer.Option(help="module:factory of a Gymnasium environment.")],
     task: Annotated[str, typer.Option(help="Task that the robot has: hopper, …")],
     name: Annotated[str, typer.Option(help="Name of the robot, shown on the page.")] = "robot",
+    play: Play = None,
+    out: Out = None,
     max_seconds: MaxSeconds = None,
     max_reset_seconds: MaxResetSeconds = 120.0,
     max_action: MaxAction = None,
     episodes: Annotated[int | None, typer.Option(help="Stop after as many.", min=1)] = None,
     url: Url = DEFAULT_URL,
 ) -> None:
-    """Run the episodes that runs with an external target ask for; see docs/robots.md."""
+    """Run the episodes that runs with an external target ask for; see docs/robots.md.
+
+    With --play, send the commands of a plan instead, without a service.
+    """
     from api.robot import Limits, Robot  # imports Gymnasium
 
     limits = Limits(max_seconds, max_reset_seconds, tuple(max_action or ()))
+    if (play is None) != (out is None):
+        raise InvalidInput("--play goes with --out")
+    if play is not None and out is not None:
+        _play(env, task, limits, play, out)
+        return
     worker = Robot(partial(connect, url), task, env, name, limits, console.print)
     worker.work(episodes)
+
+
+def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
+    from adr_service.tasks.catalogue import get_task
+    from api.robot.environment import check_environment, load_environment
+    from api.robot.playback import about, play, read_plan
+
+    robot, known = load_environment(env), get_task(task)
+    check_environment(robot, about(known), limits)
+    try:
+        commands = read_plan(plan.read_bytes(), known)
+    except OSError as error:
+        raise InvalidInput(f"{plan} cannot be read: {error}") from error
+    played = play(robot, known, limits, commands)
+    out.write_bytes(played.measurement.to_npz())
+    console.print(f"{out}: {len(commands)} episodes, {len(played.measurement.time)} rows")
+    if played.limited:
+        console.print(f"{played.limited} commands were beyond your limit, and were sent at it")
+    if played.shortened:
+        console.print(f"{played.shortened} episodes ended before their last command")

@@ -175,3 +175,29 @@ def test_a_sensor_that_is_stuck_is_named(good, name, spoil, message):
     # a column without readings may hold anything
     unread = np.where(np.arange(2) == 1, np.inf, 0.01)
     Measurement(**{**good, name: spoiled, f"{name}_std": unread}).check_usable()
+
+
+def test_recordings_are_joined_with_episodes_of_their_own(good):
+    one = Measurement(**good)
+    within = np.repeat(np.asarray(good["ctrl"])[:, None], 2, axis=1)
+    two = Measurement(**good, ctrl_within=within).episodes([4, 7])
+    both = Measurement.joined([one, two])
+    assert len(both.spans()) == len(one.spans()) + 2
+    np.testing.assert_array_equal(both.qpos[len(one.time) :], two.qpos)
+    np.testing.assert_array_equal(both.ctrl_within[len(one.time) :], two.ctrl_within)
+    np.testing.assert_array_equal(both.ctrl_within.mean(axis=1), both.ctrl)
+    assert Measurement.joined([one]).ctrl_within is None
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"ctrl": lambda a: a[:, :1]}, "ctrl has 2 in the first and 1 in another"),
+        ({"time": lambda a: 2 * a}, "equally far apart; given are"),
+        ({"qpos_std": lambda _: [0.1, 0.1]}, "qpos_std is not given in the first"),
+    ],
+)
+def test_recordings_that_do_not_fit_together_are_refused(good, change, message):
+    other = {**good, **{name: make(good.get(name)) for name, make in change.items()}}
+    with pytest.raises(InvalidInput, match=message):
+        Measurement.joined([Measurement(**good), Measurement(**other)])

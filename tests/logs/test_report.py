@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from adr_service.criticism.excitation import Excitation
 from adr_service.logs.conversion import convert
-from adr_service.logs.excitation import Excitation
 from adr_service.logs.report import report_page
 from tests.logs.conftest import log
 

@@ -73,4 +73,4 @@ def test_files_of_an_earlier_criticism_are_deleted_and_others_stay(tmp_path):
 def test_a_measurement_that_cannot_be_read_is_refused_by_its_path(tmp_path, name):
     nominal, _ = nominal_of("arm", None, None, [])
     with pytest.raises(InvalidInput, match=f"{name} cannot be read"):
-        criticise_files(nominal, "arm", Path(name), tmp_path, 0, silent)
+        criticise_files(nominal, "arm", [Path(name)], tmp_path, 0, silent)

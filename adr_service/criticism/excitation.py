@@ -7,15 +7,17 @@ N s²/2 nats, if no free parameter and no other effect can do the same, and if n
 left. So this is the best case: what it does not show, a criticism will hardly show.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.criticism.decision import THRESHOLD
+from adr_service.criticism.scan import places
 from adr_service.criticism.simulator import Simulator
-from adr_service.effects.base import Effect, sensors
-from adr_service.effects.catalogue import MECHANISMS
+from adr_service.effects.base import Effect
+from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import typical_of, unit_of
 
 _LEAST = 1e-12  # of an error, where readings are exact
@@ -27,9 +29,7 @@ class Excitation:
 
     kind: str
     location: str
-    nats: (
-        float  # that the effect would gain at its typical size, alone; NaN: it cannot be simulated
-    )
+    nats: float  # that it would gain alone, at its typical size; NaN: it cannot be simulated
     strength: str  # name of the effect's first parameter
     visible: float  # smallest value of it that could be evidence, others in proportion
     unit: str
@@ -45,27 +45,30 @@ def excitation(simulator: Simulator, noise: Vector) -> list[Excitation]:
 
     `noise` (2 nv,) has the deviations of positions and velocities, NaN where nothing is measured.
     """
-    start, states = simulator.nominal.start, simulator.measured
-    without = simulator.predict_quickly(start, (), states)
-    readings = zip(sensors(simulator.base), simulator.data.is_measured(), strict=True)
-    unread = [f"sensor:{name}" for name, is_measured in readings if not is_measured]
     found: list[Excitation] = []
-    for kind, mechanism in MECHANISMS.items():
-        if mechanism.only_spreads:
-            continue
-        for location in mechanism.locations(simulator.base):
-            typical = typical_of(simulator.base, kind, location)
+    for effect, nats in gained_by_effects(simulator, noise, simulator.measured):
+        strength = get_mechanism(effect.kind).strengths[0]
+        gain = float(np.nansum(nats)) if np.isfinite(nats).any() else np.nan
+        visible = effect.values[0] * float(np.sqrt(THRESHOLD / max(gain, _LEAST)))
+        unit = unit_of(simulator.base, effect.location, strength.unit)
+        found.append(Excitation(effect.kind, effect.location, gain, strength.name, visible, unit))
+    return sorted(found, key=lambda each: -np.nan_to_num(each.nats, nan=-1.0))
+
+
+def gained_by_effects(
+    simulator: Simulator, noise: Vector, states: Matrix
+) -> Iterator[tuple[Effect, Vector]]:
+    """Each effect at its typical size, and the nats (N,) that it would gain by each transition from
+    `states` (rows, 2 nv), NaN where it diverges."""
+    start = simulator.nominal.start
+    without = simulator.predict_quickly(start, (), states)
+    for kind, location in places(simulator):
+        typical = typical_of(simulator.base, kind, location)
+        if typical.any():
             effect = Effect(kind, location, tuple(typical.tolist()))
-            if not typical.any() or location in unread:
-                continue
             changed = simulator.predict_quickly(start, (effect,), states)
             share = _in_errors(changed - without, noise, simulator.period)
-            nats = float(np.nansum(share**2)) / 2 if np.isfinite(share).any() else np.nan
-            strength = mechanism.strengths[0]
-            visible = typical[0] * np.sqrt(THRESHOLD / max(nats, _LEAST))
-            unit = unit_of(simulator.base, location, strength.unit)
-            found.append(Excitation(kind, location, nats, strength.name, float(visible), unit))
-    return sorted(found, key=lambda each: -np.nan_to_num(each.nats, nan=-1.0))
+            yield effect, np.sum(share**2, axis=1) / 2
 
 
 def _in_errors(change: Matrix, noise: Vector, period: float) -> Matrix:
