@@ -27,6 +27,7 @@ COMPILED = {
     "adr_service.criticism.linear",
     "adr_service.criticism.linearisation",
     "adr_service.criticism.naming",
+    "adr_service.criticism.next_recording",
     "adr_service.criticism.revision",
     "adr_service.criticism.weighing",
     "adr_service.effects.signals",

@@ -9,7 +9,7 @@ from tests.acceptance.test_crash import BENCHMARK, finished_stages, wait_for_sta
 from tests.programs.smoke import iterations
 from tests.service import start_service, wait_until_finished
 
-pytestmark = pytest.mark.ray
+pytestmark = [pytest.mark.ray, pytest.mark.slow]  # a killed service, in test_crash.py, is alike
 
 
 def test_half_a_benchmark_is_finished_by_another_service(tmp_path):

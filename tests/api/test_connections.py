@@ -166,6 +166,7 @@ def files_allowed(number):
 
 
 @pytest.mark.ray
+@pytest.mark.slow
 def test_a_thousand_idle_connections_cut_nobody_off(tmp_path):
     """At 1,024 descriptors they took all, and a run failed."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
