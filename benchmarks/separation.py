@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from adr_service.arrays import Array3
+from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.next_recording import Plan, next_recording
 from adr_service.criticism.nominal import Nominal
@@ -108,9 +109,9 @@ def _groups(criticism: Criticism) -> Iterator[list[str]]:
 def _told_apart(plan: Plan, hidden: str) -> Iterator[str]:
     """Effects that the plan promised to tell from the hidden one, if that is true."""
     for each in plan.separations:
-        if each.named == hidden and each.if_named >= 25:
+        if each.named == hidden and each.if_named >= THRESHOLD:
             yield each.other
-        if each.other == hidden and each.if_other >= 25:
+        if each.other == hidden and each.if_other >= THRESHOLD:
             yield each.named
 
 

@@ -71,7 +71,7 @@ def linearise(
     after = simulator.measured[simulator.starts + 1]
     residual = after - mean - (transition @ offset[..., None])[..., 0]
     columns = [
-        *_by_parameters(point),
+        *by_parameters(point.simulator, point.parameters, point.effects, point.states),
         *_by_integration(point),
         *by_strengths(simulator, *known, effects),
     ]
@@ -152,15 +152,17 @@ def _over_states(point: _Point, root: np.ndarray) -> tuple[np.ndarray, Matrix]:
     return slopes, mean
 
 
-def _by_parameters(point: _Point) -> list[Matrix]:
-    """Derivatives (N, m) by each parameter."""
-    space = point.simulator.nominal.space
+def by_parameters(
+    simulator: Simulator, parameters: Vector, effects: tuple[Effect, ...], states: Matrix
+) -> list[Matrix]:
+    """Derivatives (N, m) of the prediction by each parameter."""
+    space = simulator.nominal.space
+    predicted = simulator.predict_quickly(parameters, effects, states)
     columns: list[Matrix] = []
     for number, size in enumerate(_DIFFERENCE * (space.high - space.low)):
-        moved = point.parameters.copy()
+        moved = parameters.copy()
         moved[number] += size
-        changed = point.simulator.predict_quickly(moved, point.effects, point.states)
-        columns.append((changed - point.quickly) / size)
+        columns.append((simulator.predict_quickly(moved, effects, states) - predicted) / size)
     return columns
 
 

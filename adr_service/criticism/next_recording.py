@@ -21,19 +21,23 @@ from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import Fit, expected_errors
 from adr_service.criticism.excitation import gained_by_effects
+from adr_service.criticism.linearisation import by_parameters, by_strengths
 from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import Criticism
 from adr_service.criticism.scan import location_of
 from adr_service.criticism.simulator import Simulator
 from adr_service.criticism.weighing import Weighed
-from adr_service.effects.base import Effect
+from adr_service.effects.models import plausible_of
 from adr_service.errors import InvalidInput
-from adr_service.npz import write_arrays
+from adr_service.npz import read_arrays, write_arrays
 
 _CANDIDATES = 96  # motions to choose from
 _PACES = (0.5, 0.8, 0.9, 0.95, 0.98)  # share of a command that is left after a control step
 _ALONE = 0.3  # of the motions move one actuator
-_STEP, _LEAST = 1e-2, 1e-6  # of a strength or parameter, for derivatives; ridge, of one error
+_LEAST = 1e-6  # ridge, in squares of an error
+_PLANNED = ("time", "ctrl", "episode")
+_Settings = tuple[Nominal, int | None, int]  # model, threads, steps for one of the model's
 
 
 @dataclass(frozen=True)
@@ -43,8 +47,7 @@ class Separation:
     named: str
     other: str
     if_named: float  # nats to expect if the named cause is true
-    # nats to expect if the other is. Where one explains all that the other can do, and more, it is
-    # told from the other only if it is true
+    # the same if the other is true. If one can do all that the other does, only its own truth shows
     if_other: float
 
     @property
@@ -88,7 +91,7 @@ class _Squares:
         )
 
     def nats(self) -> float:
-        """What is left of the difference, as half a sum of squares."""
+        """Half the sum of squares that refitting cannot absorb."""
         ridge = _LEAST * np.eye(len(self.score))
         absorbed = self.score @ np.linalg.solve(self.design + ridge, self.score)
         return max(float(self.square - absorbed), 0.0) / 2
@@ -96,7 +99,7 @@ class _Squares:
 
 @dataclass(frozen=True)
 class _Comparison:
-    """What one explanation leaves of another that is true, in the recorded data and each motion."""
+    """The part of a true explanation that another cannot make up for."""
 
     recorded: _Squares
     motions: list[_Squares]
@@ -122,49 +125,92 @@ def next_recording(
 
     Raises InvalidInput for limits of another shape.
     """
-    final = criticism.final
-    recorded = final.simulator.data
-    check_limits(limits, recorded)
+    final, recorded = criticism.final, criticism.final.simulator.data
+    check_limits(limits, final.simulator)
     rows = max(round(seconds / recorded.period()), 2)
     commands = _motions(limits, rows, rng)
-    motions = _from_recorded_starts(recorded, commands)
+    motions = _from_recorded_starts(final, commands)
     pairs = [(alike[0], other) for alike in criticism.named for other in alike[1:]]
-    nominal, finer = final.simulator.nominal, final.simulator.finer
-    with (
-        Simulator(nominal, recorded, threads, finer) as before,
-        Simulator(nominal, motions, threads, finer) as after,
-    ):
-        paths = after.follow(final.parameters, final.effects)
-        compared = [
-            (_compare(a.fit, b.fit, before, after), _compare(b.fit, a.fit, before, after))
-            for a, b in pairs
-        ]
-        chosen = (
-            _best(compared, episodes) if compared else _most_shown(final, after, paths, episodes)
+    settings = (final.simulator.nominal, threads, final.simulator.finer)
+    with _simulator(recorded, *settings) as before, _simulator(motions, *settings) as free:
+        planned = _followed(free, final)
+        compared: list[tuple[_Comparison, _Comparison]] = []
+        for one, other in pairs:
+            if_one = _compare(one.fit, other.fit, before, free, settings)
+            if_other = _compare(other.fit, one.fit, before, free, settings)
+            compared.append((if_one, if_other))
+    possible = _that_stay_finite(planned)
+    if len(possible) < episodes:
+        raise InvalidInput(
+            f"of {_CANDIDATES} motions within these limits, {len(possible)} stay finite in "
+            f"simulation; {episodes} are needed (give narrower limits)"
         )
+    if compared:
+        chosen = _best(compared, possible, episodes)
+    else:
+        with _simulator(planned, *settings) as simulator:
+            chosen = _most_shown(final, simulator, possible, episodes)
     return Plan(
         commands[chosen],
         recorded.period(),
         tuple(
-            Separation(_name(a), _name(b), if_a.nats(chosen), if_b.nats(chosen))
-            for (a, b), (if_a, if_b) in zip(pairs, compared, strict=True)
+            Separation(_name(one), _name(other), if_one.nats(chosen), if_other.nats(chosen))
+            for (one, other), (if_one, if_other) in zip(pairs, compared, strict=True)
         ),
-        _reach(paths, motions, chosen),
+        _reach(planned.episodes(sorted(chosen))),
     )
 
 
-def check_limits(limits: Matrix, data: Measurement) -> None:
-    """Raises InvalidInput unless there is a lower and a higher limit for each command."""
-    count = data.ctrl.shape[1]
-    if limits.shape != (count, 2) or not np.all(limits[:, 0] < limits[:, 1]):
+def check_limits(limits: Matrix, simulator: Simulator) -> None:
+    """Raises InvalidInput unless each command has limits that its actuator obeys."""
+    count = simulator.data.ctrl.shape[1]
+    is_good = limits.shape == (count, 2) and bool(np.all(np.isfinite(limits)))
+    if not is_good or not np.all(limits[:, 0] <= limits[:, 1]):
         raise InvalidInput(
-            f"limits of commands must be {count} pairs, the lower first; given {limits.tolist()}"
+            f"limits of commands must be {count} pairs of numbers, the lower first; given "
+            f"{limits.tolist()}"
         )
+    for number, (low, high) in enumerate(limits.tolist()):
+        actuator = simulator.base.actuator(number)
+        least, most = actuator.ctrlrange
+        if actuator.ctrllimited[0] and (low < least or high > most):
+            raise InvalidInput(
+                f"{actuator.name} obeys commands from {least:g} to {most:g}; given are limits of "
+                f"{low:g} to {high:g}"
+            )
 
 
 def recorded_limits(data: Measurement) -> Matrix:
     """(nu, 2) smallest and largest command of a recording."""
     return np.column_stack([data.ctrl.min(axis=0), data.ctrl.max(axis=0)])
+
+
+def read_commands(content: bytes, width: int, period: float) -> list[Matrix]:
+    """The commands (rows, nu) of each episode of a plan's `.npz`.
+
+    Raises InvalidInput unless each holds for `period` seconds and they are for `width` actuators.
+    """
+    arrays = read_arrays(content, _PLANNED)
+    if missing := [name for name in _PLANNED if name not in arrays]:
+        raise InvalidInput(f"the plan lacks {missing}; `adr criticise --next` writes one")
+    time, ctrl, episode = (arrays[name] for name in _PLANNED)
+    if ctrl.dtype.kind not in "iuf" or ctrl.ndim != 2 or ctrl.shape[1] != width:
+        raise InvalidInput(
+            f"the plan's commands are {ctrl.dtype} of shape {ctrl.shape}; expected are numbers of "
+            f"shape (rows, {width})"
+        )
+    # a plan is a measurement of a robot without joints
+    empty = np.empty((len(ctrl), 0))
+    plan = Measurement(time=time, qpos=empty, qvel=empty, ctrl=ctrl, episode=episode)
+    if abs(plan.period() - period) > 1e-3 * period:
+        raise InvalidInput(
+            f"the plan's commands hold for {plan.period():g} s; the robot's hold for {period:g} s"
+        )
+    return [plan.ctrl[first:last] for first, last in plan.spans()]
+
+
+def _simulator(data: Measurement, nominal: Nominal, threads: int | None, finer: int) -> Simulator:
+    return Simulator(nominal, data, threads, finer)
 
 
 def _motions(limits: Matrix, rows: int, rng: np.random.Generator) -> Array3:
@@ -185,56 +231,67 @@ def _motions(limits: Matrix, rows: int, rng: np.random.Generator) -> Array3:
     return commands
 
 
-def _from_recorded_starts(data: Measurement, commands: Array3) -> Measurement:
+def _from_recorded_starts(fit: Fit, commands: Array3) -> Measurement:
     """Motions from the states in which recorded episodes begin, in turn."""
     count, rows, width = commands.shape
+    data = fit.simulator.data
     firsts = np.array([first for first, _ in data.spans()])
-    starts = np.repeat(firsts[np.arange(count) % len(firsts)], rows)
+    states = np.repeat(fit.states[firsts[np.arange(count) % len(firsts)]], rows, axis=0)
+    qpos, qvel = np.split(states, 2, axis=1)
     return Measurement(
         time=np.tile(data.period() * np.arange(rows), count),
-        qpos=data.qpos[starts],
-        qvel=data.qvel[starts],
+        qpos=qpos,
+        qvel=qvel,
         ctrl=commands.reshape(-1, width),
         episode=np.repeat(np.arange(count), rows),
     )
 
 
-def _compare(true: Fit, other: Fit, before: Simulator, after: Simulator) -> _Comparison:
-    paths = after.follow(true.parameters, true.effects)
-    everything, motions = [slice(None)], _parts(after)
-    (recorded,) = _squares(true, other, before, true.states, everything)
-    return _Comparison(recorded, _squares(true, other, after, paths, motions))
+def _followed(simulator: Simulator, fit: Fit) -> Measurement:
+    """The simulator's motions as a fit simulates them; one that diverges stays where it was."""
+    data = simulator.data
+    path = simulator.follow(fit.parameters, fit.effects)
+    for first, last in data.spans():
+        broken = np.flatnonzero(np.isnan(path[first:last]).any(axis=1))
+        if broken.size:
+            path[first + broken[0] : last] = path[first + broken[0] - 1]
+    qpos, qvel = np.split(path, 2, axis=1)
+    return replace(data, qpos=qpos, qvel=qvel)
+
+
+def _that_stay_finite(motions: Measurement) -> list[int]:
+    """Numbers of the motions that did not diverge: these never stand still to the last bit."""
+    state = np.hstack([motions.qpos, motions.qvel])
+    ends = enumerate(last for _, last in motions.spans())
+    return [n for n, end in ends if not np.array_equal(state[end - 1], state[end - 2])]
+
+
+def _compare(
+    true: Fit, other: Fit, before: Simulator, free: Simulator, settings: _Settings
+) -> _Comparison:
+    """What refitting `other` leaves of `true`, in the recorded data and in each motion."""
+    (recorded,) = _squares(true, other, before, true.states, [(0, len(before.starts))])
+    with _simulator(_followed(free, true), *settings) as after:
+        motions = _squares(true, other, after, after.measured, after.transitions())
+    return _Comparison(recorded, motions)
 
 
 def _squares(
-    true: Fit, other: Fit, simulator: Simulator, states: Matrix, parts: Sequence[slice]
+    true: Fit, other: Fit, simulator: Simulator, states: Matrix, parts: Sequence[tuple[int, int]]
 ) -> list[_Squares]:
-    """The sums over these parts of all transitions."""
+    """The sums over these ranges of transitions."""
     unit = expected_errors(true)
-    measured = np.isfinite(unit)
-
-    def predicted(parameters: Vector, strengths: Vector) -> Matrix:
-        effects = _with(other, strengths)
-        ends = simulator.predict_quickly(parameters, effects, states)
-        return (ends / unit)[:, measured]
-
-    known, strengths = other.parameters, _strengths(other)
-    ends = predicted(known, strengths)
+    measured, base = np.isfinite(unit), simulator.base
+    known = (other.parameters, other.effects, states)
     truth = simulator.predict_quickly(true.parameters, true.effects, states)
-    rest = np.nan_to_num((truth / unit)[:, measured] - ends)
-    columns: list[Matrix] = []
-    for number, value in enumerate(known):
-        moved = known.copy()
-        moved[number] += _STEP * value or _STEP
-        columns.append((predicted(moved, strengths) - ends) / (moved[number] - value))
-    for number, value in enumerate(strengths):
-        moved = strengths.copy()
-        moved[number] += _STEP * value or _STEP
-        columns.append((predicted(known, moved) - ends) / (moved[number] - value))
-    # in units of what each column can do at most, for the ridge's sake
-    design = np.nan_to_num(np.stack(columns, axis=2))
-    design = design * np.append(np.abs(known), np.abs(strengths))
-    return [_summed(design[part], rest[part]) for part in parts]
+    rest = (truth - simulator.predict_quickly(*known)) / unit
+    columns = [*by_parameters(simulator, *known), *by_strengths(simulator, *known, other.effects)]
+    space = simulator.nominal.space
+    # the most that each can make up for, so that the ridge is small beside it
+    most = [space.high - space.low, *(plausible_of(base, effect) for effect in other.effects)]
+    design = np.stack(columns, axis=2) / unit[:, None] * np.concatenate(most)
+    rest, design = np.nan_to_num(rest[:, measured]), np.nan_to_num(design[:, measured])
+    return [_summed(design[first:last], rest[first:last]) for first, last in parts]
 
 
 def _summed(design: Array3, rest: Matrix) -> _Squares:
@@ -242,14 +299,9 @@ def _summed(design: Array3, rest: Matrix) -> _Squares:
     return _Squares(flat.T @ flat, flat.T @ short, float(short @ short))
 
 
-def _parts(simulator: Simulator) -> list[slice]:
-    """Transitions of each episode."""
-    lengths = [last - first - 1 for first, last in simulator.data.spans()]
-    ends = np.cumsum(lengths).tolist()
-    return [slice(end - length, end) for end, length in zip(ends, lengths, strict=True)]
-
-
-def _best(compared: Sequence[tuple[_Comparison, _Comparison]], episodes: int) -> list[int]:
+def _best(
+    compared: Sequence[tuple[_Comparison, _Comparison]], possible: Sequence[int], episodes: int
+) -> list[int]:
     """Motions, one by one, that separate all pairs best.
 
     The worth of evidence is its logarithm, so that a pair which is separated already counts less
@@ -257,7 +309,7 @@ def _best(compared: Sequence[tuple[_Comparison, _Comparison]], episodes: int) ->
     """
     chosen: list[int] = []
     for _ in range(episodes):
-        left = [number for number in range(_CANDIDATES) if number not in chosen]
+        left = [number for number in possible if number not in chosen]
         worth = [
             sum(np.log1p(each.nats([*chosen, n]) / THRESHOLD) for pair in compared for each in pair)
             for n in left
@@ -266,37 +318,27 @@ def _best(compared: Sequence[tuple[_Comparison, _Comparison]], episodes: int) ->
     return chosen
 
 
-def _most_shown(final: Fit, simulator: Simulator, paths: Matrix, episodes: int) -> list[int]:
+def _most_shown(
+    final: Fit, simulator: Simulator, possible: Sequence[int], episodes: int
+) -> list[int]:
     """Motions, one by one, that bring most effects near the threshold of evidence."""
     noise = np.where(final.simulator.data.is_measured(), np.sqrt(final.noise.sensor), np.nan)
-    nats = np.stack([gained for _, gained in gained_by_effects(simulator, noise, paths)])
-    each = np.stack([np.nansum(nats[:, part], axis=1) for part in _parts(simulator)])
+    gains = gained_by_effects(simulator, noise, simulator.measured)
+    nats = np.nan_to_num(np.stack([gained for _, gained in gains]))  # (effects, N)
+    each = np.stack([nats[:, a:b].sum(axis=1) for a, b in simulator.transitions()])
     chosen: list[int] = []
     total = np.zeros(each.shape[1])
     for _ in range(episodes):
-        worth = np.minimum(total + each, THRESHOLD).sum(axis=1)
-        worth[chosen] = -np.inf
-        chosen.append(int(np.argmax(worth)))
+        left = [number for number in possible if number not in chosen]
+        worth = np.minimum(total + each[left], THRESHOLD).sum(axis=1)
+        chosen.append(left[int(np.argmax(worth))])
         total = total + each[chosen[-1]]
     return chosen
-
-
-def _strengths(fit: Fit) -> Vector:
-    return np.array([value for effect in fit.effects for value in effect.values])
-
-
-def _with(fit: Fit, strengths: Vector) -> list[Effect]:
-    """The fit's effects with other strengths."""
-    left = iter(strengths.tolist())
-    return [replace(each, values=tuple(next(left) for _ in each.values)) for each in fit.effects]
 
 
 def _name(weighed: Weighed) -> str:
     return f"{weighed.effects[0].kind} {location_of(weighed.effects)}"
 
 
-def _reach(paths: Matrix, motions: Measurement, chosen: Sequence[int]) -> Matrix:
-    spans = motions.spans()
-    rows = np.concatenate([np.arange(*spans[number]) for number in chosen])
-    positions = paths[rows, : motions.qpos.shape[1]]
-    return np.column_stack([np.nanmin(positions, axis=0), np.nanmax(positions, axis=0)])
+def _reach(motions: Measurement) -> Matrix:
+    return np.column_stack([motions.qpos.min(axis=0), motions.qpos.max(axis=0)])

@@ -87,7 +87,7 @@ class Simulator:
         commands = self.commands(effects, self.steps)
         true = self._true(effects, self.measured, model)
         followed = self.measured.copy()
-        for (first, last), (begin, end) in zip(self.data.spans(), self._transitions(), strict=True):
+        for (first, last), (begin, end) in zip(self.data.spans(), self.transitions(), strict=True):
             control = np.zeros((1, (end - begin) * self.steps, model.nu))
             control[0, :, : commands.shape[2]] = commands[begin:end].reshape(-1, commands.shape[2])
             start = np.concatenate([[0.0], true[first]])[None]
@@ -161,7 +161,7 @@ class Simulator:
         given = np.clip(within[self.starts], low, high)  # as the simulator would
         commands = np.repeat(given, steps // given.shape[1], axis=1)
         if acts_on_commands(effects):
-            for first, last in self._transitions():
+            for first, last in self.transitions():
                 episode = commands[first:last].reshape(1, -1, count)
                 changed = obeyed(self.base, effects, episode, self.period / steps)
                 commands[first:last] = changed.reshape(last - first, steps, count)
@@ -279,7 +279,7 @@ class Simulator:
         )
         return all(np.all((now > mujoco.mjMINVAL) | (was == 0)) for was, now in pairs)
 
-    def _transitions(self) -> list[tuple[int, int]]:
+    def transitions(self) -> list[tuple[int, int]]:
         """Half-open ranges of each episode's transitions among `starts`."""
         lengths = [last - first - 1 for first, last in self.data.spans()]
         ends = np.cumsum(lengths).tolist()

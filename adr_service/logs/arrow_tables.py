@@ -9,42 +9,49 @@ from adr_service.errors import InvalidInput
 from adr_service.logs.base import check_size
 
 
-def columns_of(source: str, table: Any) -> tuple[dict[str, Vector], tuple[str, ...]]:
-    """Columns (n,) of a `pyarrow.Table` by name, and the names of those without numbers.
+def columns_of(source: str, table: Any) -> tuple[dict[str, Vector], dict[str, str]]:
+    """Columns (n,) of a `pyarrow.Table` by name, and why others cannot be read.
 
     An empty cell is NaN. A list of k numbers in each row becomes the columns NAME_0 to
     NAME_(k - 1). Raises InvalidInput if two columns have one name.
     """
-    import pyarrow as pa
-
-    names: list[str] = table.column_names
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise InvalidInput(f"{source} has columns twice: {', '.join(twice[:5])}")
     check_size(source, table.num_columns, table.num_columns * table.num_rows)
     columns: dict[str, Vector] = {}
-    texts: list[str] = []
-    for name in names:
-        column = table[name].combine_chunks()
-        if pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
-            parts = _listed(column)
-            check_size(source, len(parts), len(parts) * table.num_rows)
-            columns.update({f"{name}_{i}": part for i, part in enumerate(parts)})
-        elif (values := _numbers(column)) is not None:
-            columns[name] = values
-        else:
-            texts.append(name)
-    return columns, tuple(texts)
+    unread: dict[str, str] = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        found = _places(name, column.combine_chunks())
+        if isinstance(found, str):
+            unread[name] = found
+            continue
+        if twice := sorted(columns.keys() & found.keys()):
+            raise InvalidInput(f"{source} has columns twice: {', '.join(twice[:5])}")
+        columns.update(found)
+        check_size(source, len(columns), len(columns) * table.num_rows)
+    return columns, unread
 
 
-def _listed(column: Any) -> list[Vector]:
-    """The places of a column of lists, which must all be of the same length."""
-    lengths = np.unique(column.value_lengths().drop_null().to_numpy())
-    if len(lengths) != 1:
-        return []
+def _places(name: str, column: Any) -> dict[str, Vector] | str:
+    """A column by its name, or a list's places by theirs, or why there are none."""
+    import pyarrow as pa
+
+    kind = column.type
+    if not (pa.types.is_list(kind) or pa.types.is_large_list(kind) or _is_fixed(kind)):
+        values = _numbers(column)
+        return f"it holds {kind}" if values is None else {name: values}
+    lengths = np.unique(column.value_lengths().drop_null().to_numpy(zero_copy_only=False))
     values = _numbers(column.flatten())
-    if values is None or len(values) != len(column) * lengths[0]:
-        return []
-    return list(values.reshape(len(column), int(lengths[0])).T.copy())
+    if values is None:
+        return f"it holds {kind}"
+    if column.null_count or len(lengths) != 1:
+        return "its lists are not all of one length"
+    table = values.reshape(len(column), int(lengths[0]))
+    return {f"{name}_{i}": place for i, place in enumerate(table.T.copy())}
+
+
+def _is_fixed(kind: Any) -> bool:
+    import pyarrow as pa
+
+    return bool(pa.types.is_fixed_size_list(kind))
 
 
 def _numbers(array: Any) -> Vector | None:
@@ -56,7 +63,7 @@ def _numbers(array: Any) -> Vector | None:
         nanoseconds = array.cast(pa.timestamp("ns", kind.tz)).cast(pa.int64())
         return np.asarray(nanoseconds.to_numpy(zero_copy_only=False), dtype=np.float64) * 1e-9
     if pa.types.is_boolean(kind) or pa.types.is_integer(kind) or pa.types.is_floating(kind):
-        return np.asarray(array.cast(pa.float64()).to_numpy(zero_copy_only=False))
+        return np.asarray(array.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
     if pa.types.is_null(kind):
         return np.full(len(array), np.nan)
     return None

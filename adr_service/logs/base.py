@@ -8,18 +8,20 @@ Columns that share their rows make a stream: a table is one stream, every topic 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
-from adr_service.arrays import Vector
+from adr_service.arrays import Indices, Vector
 from adr_service.errors import InvalidInput, UnknownName
 
 MOST_NUMBERS = 2**25  # in all columns of a log: 256 MB
 MOST_COLUMNS = 4096
 MOST_BYTES = 2**30  # of a file, and of what it unpacks to
+_CROWDED = 0.5  # of the usual spacing: readings closer than that are as good as one
+_LEAST = 2  # readings of a column
 
 TimeUnit = Literal["s", "ms", "us", "ns"]
 _SECONDS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -39,7 +41,7 @@ class Signal:
 
     time: Vector  # (n,) [s], increasing
     value: Vector  # (n,) in the log's unit
-    repeated: int = 0  # readings that were left out because their time was the same as the last
+    crowded: int = 0  # readings that were left out because they came too soon after the last
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Log:
 
     source: str  # the file's name
     streams: tuple[Stream, ...]
-    texts: tuple[str, ...] = ()  # columns without numbers, which cannot be read
+    unread: Mapping[str, str] = field(default_factory=dict[str, str])  # why, by column
 
     @property
     def names(self) -> list[str]:
@@ -71,13 +73,7 @@ class Log:
         stream = self._stream_of(column)
         time = stream.stamps if stream.stamps is not None else self._times(stream, clock)
         value = stream.columns[column]
-        known = np.isfinite(value) & np.isfinite(time)
-        if known.sum() < 2:
-            raise InvalidInput(
-                f"{self.source}: column {column!r} has {known.sum()} readings with a time; at "
-                "least two are needed"
-            )
-        rows = np.flatnonzero(known)
+        rows = np.flatnonzero(np.isfinite(value) & np.isfinite(time))
         time, value = time[rows], value[rows]
         if (back := np.flatnonzero(np.diff(time) < 0)).size:
             row = int(back[0])
@@ -86,8 +82,13 @@ class Log:
                 f"row {rows[row + 1]}; give one file for each recording, or name a column under "
                 "rows.episode that changes where another recording begins"
             )
-        is_new = np.diff(time, prepend=-np.inf) > 0
-        return Signal(time[is_new], value[is_new], int(np.sum(~is_new)))
+        kept = _far_enough(time)
+        if len(kept) < _LEAST:
+            raise InvalidInput(
+                f"{self.source}: column {column!r} has {len(kept)} readings with a time of their "
+                f"own; at least {_LEAST} are needed"
+            )
+        return Signal(time[kept], value[kept], len(time) - len(kept))
 
     def parts(self, column: str) -> list["Log"]:
         """One log for each stretch of rows with one value of a column, such as a trial's number.
@@ -102,12 +103,17 @@ class Log:
                 "Give one bag for each recording, and leave rows.episode out"
             )
         value = stream.columns[column]
+        if np.isnan(value).any():
+            row = int(np.flatnonzero(np.isnan(value))[0])
+            raise InvalidInput(
+                f"{self.source}: {column!r} of rows.episode has no number at row {row}"
+            )
         edges = [0, *(np.flatnonzero(np.diff(value) != 0) + 1).tolist(), len(value)]
         return [
             Log(
                 f"{self.source}, {column} {value[first]:g}",
                 (Stream({name: v[first:last] for name, v in stream.columns.items()}),),
-                self.texts,
+                self.unread,
             )
             for first, last in pairwise(edges)
         ]
@@ -116,14 +122,31 @@ class Log:
         for stream in self.streams:
             if column in stream.columns:
                 return stream
-        if column in self.texts:
-            raise InvalidInput(f"{self.source}: column {column!r} holds text; expected are numbers")
+        if column in self.unread:
+            raise InvalidInput(
+                f"{self.source}: column {column!r} has no numbers to read: {self.unread[column]}"
+            )
         raise UnknownName(f"column in {self.source}", column, self.names)
 
     def _times(self, stream: Stream, clock: Clock) -> Vector:
         if clock.column not in stream.columns:
             raise UnknownName(f"column in {self.source}", clock.column, list(stream.columns))
         return stream.columns[clock.column] * _SECONDS[clock.unit]
+
+
+def _far_enough(time: Vector) -> Indices:
+    """Numbers of the readings that come at least half a usual spacing after the one kept before.
+
+    An interpolation between readings that nearly coincide multiplies their noise.
+    """
+    if len(time) < 2:
+        return np.arange(len(time))
+    least = _CROWDED * float(np.median(np.diff(np.unique(time)))) if np.ptp(time) > 0 else 0.0
+    kept = [0]
+    for number, moment in enumerate(time[1:].tolist(), start=1):
+        if moment - time[kept[-1]] > least:
+            kept.append(number)
+    return np.array(kept)
 
 
 def check_size(source: str, columns: int, numbers: int) -> None:

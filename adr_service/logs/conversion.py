@@ -3,7 +3,8 @@
 A state is what a cubic spline through all readings has at the time of a row. A joint whose velocity
 is to be derived has a window about each row instead, as long as the period, with four readings at
 least: its position is the value of the parabola that fits them best, by least squares, and its
-velocity the slope. No reading is in two windows, so the errors of different rows are independent.
+velocity the slope. Few readings are in two windows (those next to a window that has fewer than four
+of its own), so the errors of different rows are nearly independent.
 (In one row, those of position and velocity are uncorrelated if the readings lie evenly about the
 middle.) A parabola smooths what changes within a window, so windows should be short.
 
@@ -28,7 +29,8 @@ from adr_service.logs.base import Log, Signal
 from adr_service.logs.mapping import JointMap, LogMap, actuators_of, is_slide, joints_of
 
 _LEAST_READINGS = 4  # in a window, for a parabola with an error of its own
-_PREFERRED = 5  # if the log's spacing decides the period, and a velocity is to be derived
+_PREFERRED = 8  # if the log's spacing decides the period, and a velocity is to be derived
+_DENSER = 0.7  # of a column's spacing: closer rows would count a reading more than once
 _GAP = 3.0  # times the median spacing, from which on readings are missing
 _LEAST_ROWS = 10  # of an episode
 _TURN, _NEARLY = 2 * np.pi, 0.1  # a jump by a turn, to within a tenth
@@ -43,12 +45,12 @@ class Column:
     name: str  # of the log
     quantity: str  # shoulder.position, motor.command, …
     readings: int
-    repeated: int  # readings with the time of the one before, left out
+    crowded: int  # readings that came too soon after the one before, left out
     spacing: tuple[float, float, float]  # [s] smallest, median, largest
     reach: tuple[float, float]  # in the model's units
-    way: str  # parabola, spline or hold
+    way: str  # parabola, spline, hold or line
     # robust deviation of a reading [model's units] from the cubic through its four neighbours, as
-    # if all of it were noise; a spline is off by less. NaN: a command, or too few readings
+    # if all of it were noise, and at least that of the reading's steps; NaN for a command
     scatter: float
 
 
@@ -83,6 +85,7 @@ class _Track:
     quantity: str
     signal: Signal
     is_fitted: bool = False  # by parabolas, for a velocity
+    way: str = ""  # of a command between readings
 
     @property
     def spacing(self) -> float:
@@ -142,7 +145,9 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
     column = given.rows.episode
     parts = [part for log in logs for part in ([log] if column is None else log.parts(column))]
     recordings = [_recording(log, given, model) for log in parts]
+    _check_velocities(recordings)
     period = _period(recordings, given, model)
+    _check_lengths(recordings, period, given)
     episodes: list[_Episode] = []
     records: list[Record] = []
     noise: list[Vector] = []
@@ -158,7 +163,7 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
             "rows.period, or a log with fewer gaps"
         )
     joined = _joined(episodes, given, model)
-    limits = _at_limit(model, joined.ctrl)
+    limits = _at_limit(model, np.concatenate([each.ctrl for each in episodes]))
     return Converted(joined, period, tuple(records), limits, np.median(noise, axis=0))
 
 
@@ -177,14 +182,13 @@ def _recording(log: Log, given: LogMap, model: mujoco.MjModel) -> _Recording:
         if joint.velocity is not None:
             velocity = _track(log, given, joint.velocity, f"{name}.velocity", 0.0)
             velocity = _scaled(velocity, joint.velocity_factor(slide))
-            _check_moves(log, name, velocity)
         velocities.append(velocity)
     commands: list[_Track | None] = []
     for name in actuators_of(model):
         drive, command = given.actuators[name], None
         if drive.command is not None:
             command = _track(log, given, drive.command, f"{name}.command", drive.zero)
-            command = _scaled(command, drive.factor, drive.delay)
+            command = replace(_scaled(command, drive.factor, drive.delay), way=drive.between)
         commands.append(command)
     return _Recording(log.source, positions, velocities, commands)
 
@@ -209,7 +213,8 @@ def _unwrapped(track: _Track, joint: JointMap) -> _Track:
 
 def _check_wraps(log: Log, joint: str, position: _Track) -> None:
     time, jumps = position.signal.time, np.abs(np.diff(position.signal.value))
-    if (turns := np.flatnonzero(np.abs(jumps - _TURN) < _NEARLY * _TURN)).size:
+    is_near = np.diff(time) <= _GAP * position.spacing
+    if (turns := np.flatnonzero(is_near & (np.abs(jumps - _TURN) < _NEARLY * _TURN))).size:
         raise InvalidInput(
             f"{log.source}: column {position.column!r} jumps by a turn at "
             f"{time[turns[0] + 1]:.6g} s; if its readings wrap around, give joints.{joint}.wrap, "
@@ -217,13 +222,45 @@ def _check_wraps(log: Log, joint: str, position: _Track) -> None:
         )
 
 
-def _check_moves(log: Log, joint: str, velocity: _Track) -> None:
-    if np.ptp(velocity.signal.value) == 0:
+def _check_velocities(recordings: Sequence[_Recording]) -> None:
+    """Raises InvalidInput for a velocity that is the same in all recordings."""
+    for tracks in zip(*(each.velocities for each in recordings), strict=True):
+        known = [track for track in tracks if track is not None]
+        values = [value for track in known for value in track.signal.value[[0, -1]]]
+        if known and np.ptp(values) == 0 and all(np.ptp(t.signal.value) == 0 for t in known):
+            joint = known[0].quantity.removesuffix(".velocity")
+            raise InvalidInput(
+                f"column {known[0].column!r} is {values[0]:g} throughout, so it is no velocity; "
+                f"leave joints.{joint}.velocity out (not measured)"
+            )
+
+
+def _check_lengths(recordings: Sequence[_Recording], period: float, given: LogMap) -> None:
+    """Raises InvalidInput for episodes or rows that are too short, and for clocks that differ."""
+    if given.rows.seconds < _LEAST_ROWS * period:
         raise InvalidInput(
-            f"{log.source}: column {velocity.column!r} is {velocity.signal.value[0]:g} throughout, "
-            f"so it is no velocity; leave joints.{joint}.velocity out (not measured), or put "
-            "derive_velocity = true in its place"
+            f"rows.seconds is {given.rows.seconds:g}; an episode needs {_LEAST_ROWS} rows, which "
+            f"are {period:g} s apart"
         )
+    for recording in recordings:
+        for track in recording.states:
+            if period < _DENSER * track.spacing:
+                raise InvalidInput(
+                    f"{recording.source}: rows {period:g} s apart are more than the readings of "
+                    f"{track.column!r}, {track.spacing:.3g} s apart; give rows.period = "
+                    f"{track.spacing:.3g} or more"
+                )
+        tracks = [*recording.states, *(track for track in recording.commands if track is not None)]
+        last, first = (
+            max(tracks, key=lambda track: track.signal.time[0]),
+            min(recording.states, key=lambda track: track.signal.time[-1]),
+        )
+        if last.signal.time[0] >= first.signal.time[-1]:
+            raise InvalidInput(
+                f"{recording.source}: {last.column!r} begins at {last.signal.time[0]:.6g} s, after "
+                f"{first.column!r} has ended at {first.signal.time[-1]:.6g} s; do both have the "
+                "same clock?"
+            )
 
 
 def _period(recordings: Sequence[_Recording], given: LogMap, model: mujoco.MjModel) -> float:
@@ -236,7 +273,7 @@ def _period(recordings: Sequence[_Recording], given: LogMap, model: mujoco.MjMod
                 "s; change one of the two"
             )
         return asked
-    spacing = max(track.spacing for each in recordings for track in each.positions)
+    spacing = max(track.spacing for each in recordings for track in each.states)
     if any(joint.derive_velocity for joint in given.joints.values()):
         spacing *= _PREFERRED
     return max(round(spacing / step), 1) * step
@@ -250,7 +287,7 @@ def _check_derived(recording: _Recording, period: float) -> None:
             raise InvalidInput(
                 f"joints.{name}: no velocity can be derived from readings {track.spacing:.3g} s "
                 f"apart for rows {period:g} s apart, because a row needs {_LEAST_READINGS} of its "
-                f"own; give rows.period = {_LEAST_READINGS * track.spacing:.2g} or more, or leave "
+                f"own; give rows.period = {_PREFERRED * track.spacing:.2g} or so, or leave "
                 "derive_velocity out (not measured)"
             )
 
@@ -287,8 +324,7 @@ def _episode(
         if command is None:
             commands[..., number] = given.actuators[name].constant
         else:
-            held = given.actuators[name].between == "hold"
-            mean = _held if held else _interpolated
+            mean = _held if command.way == "hold" else _interpolated
             commands[..., number] = mean(command.signal, _edges(time, period, steps)).reshape(
                 len(time), steps
             )
@@ -366,7 +402,7 @@ def _record(recording: _Recording, pieces: Sequence[Vector], period: float) -> R
     columns = [
         _column(track, "parabola" if track.is_fitted else "spline") for track in recording.states
     ]
-    columns += [_column(track, "hold") for track in recording.commands if track is not None]
+    columns += [_column(track, track.way) for track in recording.commands if track is not None]
     times = [track.signal.time for track in recording.states]
     seconds = float(max(time[-1] for time in times) - min(time[0] for time in times))
     kept = period * sum(map(len, pieces))
@@ -386,11 +422,11 @@ def _column(track: _Track, way: str) -> Column:
         track.column,
         track.quantity,
         len(time),
-        track.signal.repeated,
+        track.signal.crowded,
         (float(steps.min()), float(np.median(steps)), float(steps.max())),
         (float(value.min()), float(value.max())),
         way,
-        np.nan if way == "hold" else _scatter(track),
+        _scatter(track) if way in ("parabola", "spline") else np.nan,
     )
 
 
@@ -409,7 +445,9 @@ def _scatter(track: _Track) -> float:
     weights = factors.prod(axis=2)
     misses = value[own] - np.sum(weights * value[near], axis=1)
     single = misses / np.sqrt(1 + np.sum(weights**2, axis=1))
-    return float(_TO_STD * np.median(np.abs(single)))
+    levels = np.diff(np.unique(value))
+    step = float(levels.min()) / np.sqrt(12) if len(levels) else 0.0
+    return max(float(_TO_STD * np.median(np.abs(single))), step)
 
 
 def _noise(recording: _Recording, period: float) -> Vector:
@@ -435,7 +473,7 @@ def _joined(episodes: Sequence[_Episode], given: LogMap, model: mujoco.MjModel) 
         qpos=np.concatenate([each.qpos for each in episodes]),
         qvel=np.concatenate([each.qvel for each in episodes]),
         ctrl=within.mean(axis=1),
-        ctrl_within=within if np.any(np.ptp(within, axis=1)) else None,
+        ctrl_within=within if _varies(within) else None,
         episode=np.repeat(np.arange(len(episodes)), lengths),
         qvel_std=None if all(measured) else np.where(measured, np.nan, np.inf),
     )
@@ -444,13 +482,19 @@ def _joined(episodes: Sequence[_Episode], given: LogMap, model: mujoco.MjModel) 
     return measurement
 
 
-def _at_limit(model: mujoco.MjModel, ctrl: Matrix) -> dict[str, float]:
+def _varies(within: Array3) -> bool:
+    """True if some row's command changes by more than rounding."""
+    return bool(np.ptp(within, axis=1).max(initial=0.0) > _SAME * np.abs(within).max(initial=0.0))
+
+
+def _at_limit(model: mujoco.MjModel, within: Array3) -> dict[str, float]:
+    """Share of rows with a command at a limit or beyond, from (N, steps, nu)."""
     shares: dict[str, float] = {}
     for number, name in enumerate(actuators_of(model)):
         actuator = model.actuator(name)
         if actuator.ctrllimited[0]:
             low, high = actuator.ctrlrange
             near = 1e-3 * (high - low)
-            at = (ctrl[:, number] <= low + near) | (ctrl[:, number] >= high - near)
-            shares[name] = float(at.mean())
+            at = (within[..., number] <= low + near) | (within[..., number] >= high - near)
+            shares[name] = float(at.any(axis=1).mean())
     return shares

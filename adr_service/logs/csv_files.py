@@ -14,25 +14,26 @@ _COMMENT = "#"  # before a header, as NumPy writes it
 
 def read_csv(source: str, content: bytes) -> Log:
     """The log of a table with a header. Raises InvalidInput with the line that is wrong."""
-    from pyarrow import ArrowInvalid, csv  # takes a fifth of a second
+    from pyarrow import ArrowException, csv  # takes a fifth of a second
 
     head, _, rest = content.removeprefix(b"\xef\xbb\xbf").partition(b"\n")
     if head.startswith(_COMMENT.encode()):
         content = head.removeprefix(_COMMENT.encode()).lstrip() + b"\n" + rest
     text = head.decode("utf-8", errors="replace")
     delimiter = max(_DELIMITERS, key=text.count)
+    has_commas = delimiter == ";" and b"," in rest
     try:
         table = csv.read_csv(
             io.BytesIO(content),
             parse_options=csv.ParseOptions(delimiter=delimiter),
-            convert_options=csv.ConvertOptions(decimal_point="," if delimiter == ";" else "."),
+            convert_options=csv.ConvertOptions(decimal_point="," if has_commas else "."),
         )
-    except ArrowInvalid as error:
+        names = [name.strip() for name in table.column_names]
+        _check_header(source, names)
+        columns, unread = columns_of(source, table.rename_columns(names))
+    except (ArrowException, UnicodeDecodeError) as error:
         raise InvalidInput(f"{source} is no table that can be read: {error}") from error
-    names = [name.strip() for name in table.column_names]
-    _check_header(source, names)
-    columns, texts = columns_of(source, table.rename_columns(names))
-    return Log(source, (Stream(columns),), texts)
+    return Log(source, (Stream(columns),), unread)
 
 
 def _check_header(source: str, names: list[str]) -> None:

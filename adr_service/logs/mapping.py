@@ -17,6 +17,7 @@ zero = 90.0
 wrap = 360.0              # of readings that start again at the end of a turn: the size of a turn
 velocity = "dq1"          # without a velocity, it counts as not measured
 velocity_unit = "rpm"     # the position's unit per second, if left out
+velocity_scale = -1.0     # the position's scale, if left out
 derive_velocity = false   # true: take the slope of the positions, for a smooth motion alone
 
 [actuators.motor]         # every actuator of the model
@@ -28,6 +29,7 @@ delay = 0.0               # seconds from the command's stamp to when the robot o
 between = "hold"          # readings; or "line", of a command that changes faster than the log shows
 """
 
+import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Literal, Self
@@ -74,6 +76,7 @@ class JointMap(Wire):
     wrap: float | None = Field(None, gt=0, description="size of a turn, of readings that wrap")
     velocity: str | None = None
     velocity_unit: VelocityUnit | None = Field(None, description="unit/s, if left out")
+    velocity_scale: float | None = Field(None, description="as `scale`, if left out")
     derive_velocity: bool = Field(False, description="from positions, for smooth motion")
 
     @model_validator(mode="after")
@@ -88,7 +91,7 @@ class JointMap(Wire):
 
     def velocity_factor(self, is_slide: bool) -> float:
         size = self._size(is_slide) if self.velocity_unit is None else _RATES[self.velocity_unit]
-        return self.scale * size
+        return size * (self.scale if self.velocity_scale is None else self.velocity_scale)
 
     def check(self, name: str, is_slide: bool) -> None:
         """Raises InvalidInput for units of angles at a slide, or of lengths at a hinge."""
@@ -121,6 +124,9 @@ class ActuatorMap(Wire):
     def _one_source(self) -> Self:
         if (self.command is None) == (self.constant is None):
             raise ValueError("give either command, a column, or constant, a number")
+        if self.constant is not None and len(self.model_fields_set) > 1:
+            others = ", ".join(sorted(self.model_fields_set - {"constant"}))
+            raise ValueError(f"constant is in the model's own unit, and goes without {others}")
         return self
 
     @property
@@ -181,7 +187,7 @@ def draft(logs: Sequence[Log], model: mujoco.MjModel) -> str:
     lines = ["# columns: name, readings, smallest and largest", *_listing(logs[0])]
     if any(stream.stamps is None for stream in logs[0].streams):
         time = next((name for name in names if set(_words(name)) & set(_TIMES)), "?")
-        lines += ["", "[time]", f'column = "{time}"']
+        lines += ["", "[time]", f"column = {_text(time)}"]
         lines.append(f'unit = "{_unit(time, ("s", "ms", "us", "ns"))}"  # s, ms, us, ns')
     lines += ["", "[rows]", "seconds = 1.0  # length of an episode"]
     places = joints_of(model)
@@ -189,14 +195,16 @@ def draft(logs: Sequence[Log], model: mujoco.MjModel) -> str:
         units = tuple(_LENGTHS if is_slide(model, joint) else _ANGLES)
         position = _guess(names, joint, number, len(places), _POSITIONS)
         velocity = _guess(names, joint, number, len(places), _VELOCITIES)
-        lines += ["", f"[joints.{_key(joint)}]", f'position = "{position}"']
+        lines += ["", f"[joints.{_key(joint)}]", f"position = {_text(position)}"]
         lines.append(f'unit = "{_unit(position, units)}"  # {", ".join(units)}')
-        known = f'velocity = "{velocity}"' if velocity != "?" else "# no velocity: not measured"
+        known = (
+            f"velocity = {_text(velocity)}" if velocity != "?" else "# no velocity: not measured"
+        )
         lines.append(known)
     drives = actuators_of(model)
     for number, actuator in enumerate(drives):
         command = _guess(names, actuator, number, len(drives), _COMMANDS)
-        lines += ["", f"[actuators.{_key(actuator)}]", f'command = "{command}"']
+        lines += ["", f"[actuators.{_key(actuator)}]", f"command = {_text(command)}"]
         lines.append("scale = 1.0  # of a reading in the model's command")
     return "\n".join(lines) + "\n"
 
@@ -214,7 +222,7 @@ def _listing(log: Log) -> list[str]:
             known = values[np.isfinite(values)]
             reach = f"{known.min():.6g} to {known.max():.6g}" if known.size else "no numbers"
             lines.append(f"#   {name}: {known.size}, {reach}")
-    lines += [f"#   {name}: no numbers" for name in log.texts]
+    lines += [f"#   {name}: cannot be read, {why}" for name, why in log.unread.items()]
     return lines
 
 
@@ -249,7 +257,12 @@ def _words(name: str) -> list[str]:
 
 def _key(name: str) -> str:
     is_bare = name.replace("_", "").replace("-", "").isalnum() and name.isascii()
-    return name if is_bare else f'"{name}"'
+    return name if is_bare else _text(name)
+
+
+def _text(name: str) -> str:
+    """A name as a string of TOML, which has JSON's escapes."""
+    return json.dumps(name)
 
 
 def _check_names(what: str, given: Mapping[str, object], expected: Sequence[str]) -> None:

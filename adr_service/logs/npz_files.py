@@ -1,7 +1,5 @@
 """NumPy archives: every array with one row per reading is a column, or several."""
 
-from collections import Counter
-
 import numpy as np
 
 from adr_service.arrays import Vector
@@ -13,22 +11,32 @@ from adr_service.npz import names_in, read_arrays
 def read_npz(source: str, content: bytes) -> Log:
     """The log of an `.npz` of arrays (n,) or (n, k), whose columns become NAME_0 to NAME_(k - 1).
 
-    Arrays of another length, such as constants, are left out like texts. Raises InvalidInput for
-    what is no `.npz` of plain arrays.
+    The longest arrays have the log's rows; others, such as constants, are listed as unread. Raises
+    InvalidInput unless it is an `.npz` of plain arrays.
     """
     arrays = read_arrays(content, names_in(content))
-    lengths = Counter(len(each) for each in arrays.values() if each.ndim in (1, 2))
-    if not lengths:
+    rows = max((len(each) for each in arrays.values() if _is_table(each)), default=0)
+    if not rows:
         raise InvalidInput(f"{source} has no array with rows; it has {', '.join(arrays) or 'none'}")
-    rows, _ = lengths.most_common(1)[0]
     columns: dict[str, Vector] = {}
-    texts: list[str] = []
+    unread: dict[str, str] = {}
     for name, values in arrays.items():
-        if values.dtype.kind not in "biuf" or values.ndim not in (1, 2) or len(values) != rows:
-            texts.append(name)
-        elif values.ndim == 1:
-            columns[name] = values.astype(np.float64)
-        else:
-            columns.update({f"{name}_{i}": c.astype(np.float64) for i, c in enumerate(values.T)})
-    check_size(source, len(columns), rows * len(columns))
-    return Log(source, (Stream(columns),), tuple(texts))
+        if not _is_table(values) or len(values) != rows:
+            unread[name] = (
+                f"it is {values.dtype} of shape {values.shape}, and the log has {rows} rows"
+            )
+            continue
+        parts = {name: values} if values.ndim == 1 else _places(name, values)
+        if twice := sorted(columns.keys() & parts.keys()):
+            raise InvalidInput(f"{source} has columns twice: {', '.join(twice[:5])}")
+        columns.update({place: part.astype(np.float64) for place, part in parts.items()})
+        check_size(source, len(columns), rows * len(columns))
+    return Log(source, (Stream(columns),), unread)
+
+
+def _is_table(values: np.ndarray) -> bool:
+    return values.dtype.kind in "biuf" and values.ndim in (1, 2)
+
+
+def _places(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    return {f"{name}_{i}": column for i, column in enumerate(values.T)}

@@ -18,28 +18,33 @@ from adr_service.logs.base import MOST_BYTES, MOST_COLUMNS, Log, Stream, check_s
 
 
 def read_parquet(source: str, content: bytes) -> Log:
-    """The log of a Parquet table. Raises InvalidInput for what is none, or is too large."""
-    columns, texts = _columns(source, content)
-    return Log(source, (Stream(columns),), texts)
+    """The log of a Parquet table. Raises InvalidInput for damaged and for too large ones."""
+    columns, unread = _columns(source, content)
+    return Log(source, (Stream(columns),), unread)
 
 
 def read_lerobot(folder: Path) -> list[Log]:
     """The logs of a LeRobot data set, one for each file of rows, in order."""
     files = sorted(folder.glob("data/**/*.parquet"))
+    if (size := sum(file.stat().st_size for file in files)) > MOST_BYTES:
+        raise InvalidInput(f"{folder} has {size:,} bytes; accepted are {MOST_BYTES:,}")
     if not files:
         raise InvalidInput(
             f"{folder} has no data/**/*.parquet; accepted folders are LeRobot data sets"
         )
     names = _names_of_places(folder / "meta" / "info.json")
     logs: list[Log] = []
+    numbers = 0
     for file in files:
-        columns, texts = _columns(f"{folder.name}/{file.name}", file.read_bytes())
+        columns, unread = _columns(f"{folder.name}/{file.name}", file.read_bytes())
         renamed = {names.get(name, name): values for name, values in columns.items()}
-        logs.append(Log(f"{folder.name}/{file.name}", (Stream(renamed),), texts))
+        numbers += sum(map(len, renamed.values()))
+        check_size(folder.name, len(renamed), numbers)
+        logs.append(Log(f"{folder.name}/{file.name}", (Stream(renamed),), unread))
     return logs
 
 
-def _columns(source: str, content: bytes) -> tuple[dict[str, Vector], tuple[str, ...]]:
+def _columns(source: str, content: bytes) -> tuple[dict[str, Vector], dict[str, str]]:
     from pyarrow import ArrowException, parquet  # takes a fifth of a second
 
     try:

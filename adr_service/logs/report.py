@@ -22,6 +22,7 @@ _RESAMPLING = {
     "parabola": "parabola through the readings of each row",
     "spline": "cubic spline through all readings",
     "hold": "held until the next",
+    "line": "straight lines between readings",
 }
 _SCATTER = (
     "<p>Scatter: how far readings lie from the curve through their neighbours, as a deviation. It "
@@ -133,8 +134,11 @@ def _read(record: Record) -> str:
     lines.append(_SCATTER)
     if gaps:
         lines.append(f"<p>Gaps, in which nothing was measured: {gaps}{more}.</p>")
-    if repeated := sum(column.repeated for column in record.columns):
-        lines.append(f"<p>{repeated} readings with the time of the one before were left out.</p>")
+    if crowded := max(column.crowded for column in record.columns):
+        lines.append(
+            f"<p>{crowded} readings of a column were left out, because they came too soon after "
+            "the one before (half the usual time, or none).</p>"
+        )
     return "".join(lines)
 
 

@@ -88,6 +88,7 @@ def _criticise_here(
     from api.cli import criticism_files  # imports the simulator
 
     nominal, name = criticism_files.nominal_of(*given)
+    allowed = [criticism_files.limit_of(text, nominal) for text in limit]
     with console.status("fitting"):
         criticism = criticism_files.criticise_files(nominal, name, data, out, seed, silent)
     console.print(verdict_table(criticism.verdict.to_json()))
@@ -95,7 +96,7 @@ def _criticise_here(
     console.print(f"{out}: {', '.join(files)}")
     if planned is not None:
         with console.status("planning"):
-            lines = criticism_files.plan_file(criticism, planned, limit, seed)
+            lines = criticism_files.plan_file(criticism, planned, allowed, seed)
         console.print("\n".join(lines), highlight=False)
 
 

@@ -73,16 +73,14 @@ def criticise_files(
     return criticism
 
 
-def plan_file(criticism: Criticism, out: Path, limits: Sequence[str], seed: int) -> list[str]:
+def plan_file(
+    criticism: Criticism, out: Path, limits: Sequence[tuple[int, float, float]], seed: int
+) -> list[str]:
     """Write the commands of the next recording, and return what to expect of it."""
     simulator = criticism.final.simulator
     allowed = recorded_limits(simulator.data)
-    names = [simulator.base.actuator(i).name for i in range(len(allowed))]
-    for text in limits:
-        name, low, high = _limit(text)
-        if name not in names:
-            raise UnknownName("actuator", name, names)
-        allowed[names.index(name)] = low, high
+    for number, low, high in limits:
+        allowed[number] = low, high
     plan = next_recording(criticism, allowed, np.random.default_rng(seed))
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_bytes(plan.to_npz())
@@ -107,12 +105,16 @@ def _expected(each: Separation) -> str:
     )
 
 
-def _limit(text: str) -> tuple[str, float, float]:
-    """The actuator and the limits of a text NAME=LOW:HIGH."""
+def limit_of(text: str, nominal: Nominal) -> tuple[int, float, float]:
+    """The actuator's number and the limits of a text NAME=LOW:HIGH."""
     name, _, bounds = text.partition("=")
     low, _, high = bounds.partition(":")
+    model = nominal.model(nominal.start)
+    names = [model.actuator(i).name for i in range(model.nu)]
+    if name not in names:
+        raise UnknownName("actuator", name, names)
     try:
-        return name, float(low), float(high)
+        return names.index(name), float(low), float(high)
     except ValueError as error:
         raise InvalidInput(
             f"--limit {text!r} is not NAME=LOW:HIGH, as in motor=-0.5:0.5"

@@ -1,5 +1,6 @@
 """`adr robot`: the client of a robot."""
 
+from collections import Counter
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -55,6 +56,8 @@ def robot(
     limits = Limits(max_seconds, max_reset_seconds, tuple(max_action or ()))
     if (play is None) != (out is None):
         raise InvalidInput("--play goes with --out")
+    if play is not None and episodes is not None:
+        raise InvalidInput("--episodes goes without --play, which sends all episodes of the plan")
     if play is not None and out is not None:
         _play(env, task, limits, play, out)
         return
@@ -63,20 +66,22 @@ def robot(
 
 
 def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
+    from adr_service.criticism.next_recording import read_commands
+    from adr_service.simulation.batch import control_period
     from adr_service.tasks.catalogue import get_task
     from api.robot.environment import check_environment, load_environment
-    from api.robot.playback import about, play, read_plan
+    from api.robot.playback import about, check_commands, play
 
     robot, known = load_environment(env), get_task(task)
     check_environment(robot, about(known), limits)
-    try:
-        commands = read_plan(plan.read_bytes(), known)
-    except OSError as error:
-        raise InvalidInput(f"{plan} cannot be read: {error}") from error
+    commands = read_commands(plan.read_bytes(), len(known.action_low), control_period(known))
+    check_commands(known, commands)
+    out.parent.mkdir(parents=True, exist_ok=True)  # before anything moves
+    out.write_bytes(b"")
     played = play(robot, known, limits, commands)
     out.write_bytes(played.measurement.to_npz())
     console.print(f"{out}: {len(commands)} episodes, {len(played.measurement.time)} rows")
     if played.limited:
         console.print(f"{played.limited} commands were beyond your limit, and were sent at it")
-    if played.shortened:
-        console.print(f"{played.shortened} episodes ended before their last command")
+    for why, count in Counter(played.shortened).items():
+        console.print(f"{count} episodes ended early: {why}")

@@ -1,109 +1,119 @@
 """Planned commands on a robot, open loop, as a measurement; no service is needed."""
 
 import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from adr_service.arrays import Array3, Vector
+from adr_service.arrays import Matrix
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.smoothing import is_measured, measurement_of
 from adr_service.errors import InvalidInput
-from adr_service.npz import read_arrays
 from adr_service.simulation.batch import control_period
 from adr_service.tasks.base import Task
 from adr_service.transitions import TransitionDataset
 from api.robot.environment import Env
 from api.robot.limits import Limits
 
-_PLANNED = ("time", "ctrl", "episode")
-
 
 @dataclass(frozen=True)
 class Playback:
-    """What came of planned commands."""
+    """Recorded episodes of a plan."""
 
     measurement: Measurement
     limited: int  # commands that the owner's limit changed; the measurement has what was sent
-    shortened: int  # episodes that ended before all their commands
+    shortened: tuple[str, ...]  # why episodes ended before all their commands
 
 
-def read_plan(content: bytes, task: Task) -> list[Vector]:
-    """The commands (rows, nu) of each episode. Raises InvalidInput for another robot's."""
-    arrays = read_arrays(content, _PLANNED)
-    if missing := [name for name in _PLANNED if name not in arrays]:
-        raise InvalidInput(f"the plan lacks {missing}; `adr criticise --next` writes one")
-    time_of, ctrl, episode = (arrays[name] for name in _PLANNED)
-    width, period = len(task.action_low), control_period(task)
-    if ctrl.ndim != 2 or ctrl.shape[1] != width or not np.all(np.isfinite(ctrl)):
-        raise InvalidInput(
-            f"the plan's commands have shape {ctrl.shape}; {task.name} takes (rows, {width}) "
-            "finite numbers"
-        )
-    steps = np.diff(time_of)[np.diff(episode) == 0]
-    if not np.allclose(steps, period, rtol=1e-3):
-        raise InvalidInput(
-            f"the plan's commands hold for {np.median(steps):g} s; those of {task.name} for "
-            f"{period:g} s"
-        )
-    return np.split(ctrl, np.flatnonzero(np.diff(episode)) + 1)
+@dataclass(frozen=True)
+class _Episode:
+    data: TransitionDataset
+    limited: int
+    why_short: str  # empty: it is complete
 
 
 def about(task: Task) -> dict[str, Any]:
-    """What `check_environment` compares an environment with."""
+    """The facts that `check_environment` compares an environment with."""
     names = {"name": task.name, "observation_columns": task.columns}
     return {**names, "actions": len(task.action_low)}
 
 
-def play(env: Env, task: Task, limits: Limits, plan: list[Vector]) -> Playback:
-    """Reset the robot and send the commands, for each episode.
+def check_commands(task: Task, plan: Sequence[Matrix]) -> None:
+    """Raises InvalidInput for commands beyond the task's bounds."""
+    whole = np.concatenate(plan)
+    beyond = (whole < task.action_low) | (whole > task.action_high)
+    if beyond.any():
+        row, column = np.argwhere(beyond)[0]
+        raise InvalidInput(
+            f"the plan's command {column} is {whole[row, column]:g} in row {row}; {task.name} "
+            f"takes {task.action_low[column]:g} to {task.action_high[column]:g}"
+        )
 
-    An episode ends early where the environment ends it, or after the owner's `limits.seconds`.
+
+def play(env: Env, task: Task, limits: Limits, plan: Sequence[Matrix]) -> Playback:
+    """Reset the robot and send the commands (rows, nu), for each episode.
+
+    An episode ends early where the environment ends it, after the owner's `limits.seconds`, or at
+    an observation that is not finite. Raises InvalidInput if no episode has a transition.
     """
-    parts: list[TransitionDataset] = []
-    limited = shortened = 0
-    for number, commands in enumerate(plan):
-        part, changed = _episode(env, task, limits, commands, number)
-        limited += changed
-        shortened += len(part) < len(commands) - 1
-        parts.append(part)
-    whole = measurement_of(task, TransitionDataset.concatenate(parts))
+    episodes = list(_episodes(env, task, limits, plan))
+    if not episodes:
+        raise InvalidInput("no episode of the plan has a single transition")
+    whole = measurement_of(task, TransitionDataset.concatenate([each.data for each in episodes]))
     position, velocity = np.split(np.where(is_measured(task), np.nan, np.inf), 2)
     whole = replace(
         whole,
         qpos_std=None if np.isnan(position).all() else position,
         qvel_std=None if np.isnan(velocity).all() else velocity,
     )
-    return Playback(whole, limited, shortened)
+    shortened = tuple(each.why_short for each in episodes if each.why_short)
+    missing = len(plan) - len(episodes)
+    return Playback(
+        whole,
+        sum(each.limited for each in episodes),
+        (*shortened, *["it ended before its first command"] * missing),
+    )
+
+
+def _episodes(env: Env, task: Task, limits: Limits, plan: Sequence[Matrix]) -> Iterator[_Episode]:
+    """The episodes with a transition, until the owner interrupts."""
+    try:
+        for number, commands in enumerate(plan):
+            episode = _episode(env, task, limits, commands, number)
+            if episode is not None:
+                yield episode
+    except KeyboardInterrupt:
+        return  # what there is, is kept
 
 
 def _episode(
-    env: Env, task: Task, limits: Limits, commands: Array3, number: int
-) -> tuple[TransitionDataset, int]:
-    """One episode, and how many of its commands were limited. The last command is not sent: the
-    last row of a measurement has none."""
+    env: Env, task: Task, limits: Limits, commands: Matrix, number: int
+) -> _Episode | None:
+    """One episode. Its last command is not sent: a measurement's last row has a state alone."""
     observation, _ = env.reset(seed=number)
-    seen, sent, limited, began = (
-        [np.asarray(observation, dtype=np.float64)],
-        [],
-        0,
-        time.monotonic(),
-    )
+    seen, sent = [np.asarray(observation, dtype=np.float64)], []
+    limited, why, began = 0, "", time.monotonic()
     for command in commands[:-1]:
-        if not limits.allows(time.monotonic() - began):
+        moved = (len(sent) + 1) * control_period(task)
+        if not limits.allows(max(moved, time.monotonic() - began)):
+            why = f"the robot may move for {limits.seconds:g} s"
             break
         action = limits.apply(command)
-        limited += not np.array_equal(action, command)
         observation, _, terminated, truncated, _ = env.step(action)
-        seen.append(np.asarray(observation, dtype=np.float64))
+        shown = np.asarray(observation, dtype=np.float64)
+        if not np.all(np.isfinite(shown)):
+            why = f"the robot showed {shown.tolist()}"
+            break
+        seen.append(shown)
         sent.append(action)
-        if not np.all(np.isfinite(seen[-1])):
-            raise InvalidInput(f"the robot showed {seen[-1].tolist()} in episode {number}")
+        limited += not np.array_equal(action, command)
         if terminated or truncated:
+            why = "the environment ended it" if len(sent) < len(commands) - 1 else ""
             break
     if not sent:
-        raise InvalidInput(f"episode {number} ended before its first command")
+        return None
     rows = np.array(seen)[:, : task.measured]
     data = TransitionDataset(
         observations=rows[:-1],
@@ -114,4 +124,4 @@ def _episode(
         columns=tuple(task.columns[: task.measured]),
         origin="played commands",
     )
-    return data, limited
+    return _Episode(data, limited, why)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.next_recording import next_recording, recorded_limits
+from adr_service.criticism.next_recording import _summed, next_recording, recorded_limits
 from adr_service.criticism.pipeline import criticise
 from adr_service.effects.base import Effect
 from adr_service.errors import InvalidInput
@@ -79,7 +79,35 @@ def test_without_a_tie_motions_are_chosen_that_show_many_effects(clean):
     assert np.all(plan.reach[:, 0] < plan.reach[:, 1])
 
 
-@pytest.mark.parametrize("limits", [np.zeros((1, 2)), np.array([[1.0, -1.0], [-1.0, 1.0]])])
+@pytest.mark.parametrize(
+    "limits", [np.zeros((1, 2)), np.array([[1.0, -1.0], [-1.0, 1.0]]), np.full((2, 2), np.inf)]
+)
 def test_wrong_limits_are_refused(tied, limits):
-    with pytest.raises(InvalidInput, match="must be 2 pairs, the lower first"):
+    with pytest.raises(InvalidInput, match="must be 2 pairs of numbers, the lower first"):
+        next_recording(tied[2], limits, np.random.default_rng(0))
+
+
+def test_a_difference_that_refitting_can_absorb_is_no_evidence():
+    """Least squares: of r = J x nothing is left, and of what is across J all of it."""
+    rng = np.random.default_rng(0)
+    design = rng.normal(size=(50, 1, 3))
+    within = design[:, 0] @ np.array([1.0, -2.0, 0.5])
+    across = rng.normal(size=50)
+    across -= design[:, 0] @ np.linalg.lstsq(design[:, 0], across, rcond=None)[0]
+    one, other = (_summed(design, rest[:, None]) for rest in (within, within + across))
+    assert one.nats() == pytest.approx(0, abs=1e-5)
+    assert other.nats() == pytest.approx(across @ across / 2, rel=1e-5)
+
+
+def test_an_actuator_that_rests_may_rest_again(tied):
+    limits = np.array([[-1.0, 1.0], [0.0, 0.0]])
+    plan = next_recording(tied[2], limits, np.random.default_rng(0), threads=1)
+    np.testing.assert_array_equal(plan.commands[..., 1], 0.0)
+
+
+def test_limits_beyond_what_the_actuator_obeys_are_refused(tied):
+    limits = np.array([[-5.0, 5.0], [-1.0, 1.0]])
+    with pytest.raises(
+        InvalidInput, match="shoulder obeys commands from -1 to 1; given are limits"
+    ):
         next_recording(tied[2], limits, np.random.default_rng(0))

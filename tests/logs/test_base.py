@@ -23,11 +23,17 @@ def test_nanoseconds_since_1970_keep_microseconds():
     np.testing.assert_allclose(np.diff(signal.time), 0.002, atol=1e-6)
 
 
-def test_a_repeated_time_is_left_out_and_counted():
-    columns = {"time": np.array([0.0, 1, 1, 2]), "q": np.array([5.0, 6, 7, 8])}
+def test_readings_too_soon_after_another_are_left_out_and_counted():
+    columns = {"time": np.array([0.0, 1, 1, 2, 2.4, 3]), "q": np.array([5.0, 6, 7, 8, 9, 10])}
     signal = log(columns).signal("q", SECONDS)
-    np.testing.assert_array_equal(signal.value, [5, 6, 8])
-    assert signal.repeated == 1
+    np.testing.assert_array_equal(signal.value, [5, 6, 8, 10])
+    assert signal.crowded == 2
+
+
+def test_a_clock_that_stands_still_is_refused():
+    columns = {"time": np.ones(9), "q": np.arange(9.0)}
+    with pytest.raises(InvalidInput, match="has 1 readings with a time of their own"):
+        log(columns).signal("q", SECONDS)
 
 
 def test_time_that_runs_backwards_is_refused_with_its_row():
@@ -47,8 +53,10 @@ def test_an_unknown_column_and_an_unknown_clock_list_those_there_are():
 
 
 def test_a_column_of_text_is_refused():
-    with pytest.raises(InvalidInput, match="'mode' holds text"):
-        Log("a.csv", (Stream({"time": np.arange(3.0)}),), ("mode",)).signal("mode", SECONDS)
+    unread = {"mode": "it holds string"}
+    table = Log("a.csv", (Stream({"time": np.arange(3.0)}),), unread)
+    with pytest.raises(InvalidInput, match="'mode' has no numbers to read: it holds string"):
+        table.signal("mode", SECONDS)
 
 
 def test_a_log_parts_where_a_column_changes():
@@ -56,6 +64,12 @@ def test_a_log_parts_where_a_column_changes():
     first, second = log(columns).parts("trial")
     assert (first.source, second.source) == ("log.csv, trial 1", "log.csv, trial 2")
     np.testing.assert_array_equal(second.streams[0].columns["time"], [3, 4, 5])
+
+
+def test_a_part_without_a_number_is_refused():
+    columns = {**motion(np.arange(3.0)), "trial": np.array([1.0, np.nan, 2])}
+    with pytest.raises(InvalidInput, match=r"'trial' of rows.episode has no number at row 1"):
+        log(columns).parts("trial")
 
 
 def test_a_bag_has_no_parts():

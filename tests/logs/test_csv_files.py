@@ -8,8 +8,8 @@ from adr_service.logs.csv_files import read_csv
 
 
 def columns(text):
-    log = read_csv("log.csv", text.encode())
-    return log.streams[0].columns, log.texts
+    log = read_csv("log.csv", text.encode(errors="surrogateescape"))
+    return log.streams[0].columns, log.unread
 
 
 @pytest.mark.parametrize(
@@ -28,6 +28,16 @@ def test_commas_semicolons_tabs_and_marks_before_the_header_are_read(text):
     np.testing.assert_array_equal(found["q 1"], [1.5, 2.5])
 
 
+def test_whole_nanoseconds_since_1970_are_read():
+    found, _ = columns("stamp,q\n1700000000123456789,1\n1700000000125456789,2\n")
+    np.testing.assert_allclose(np.diff(found["stamp"]), 2e6, atol=300)
+
+
+def test_semicolons_go_with_decimal_points_too():
+    found, _ = columns("time;q\n0.5;1.5\n")
+    np.testing.assert_array_equal(found["q"], [1.5])
+
+
 def test_an_empty_cell_is_no_reading():
     found, _ = columns("time,q\n0,1\n1,\n2,3\n")
     np.testing.assert_array_equal(found["q"], [1, np.nan, 3])
@@ -35,7 +45,7 @@ def test_an_empty_cell_is_no_reading():
 
 def test_texts_are_listed_and_dates_are_seconds():
     found, texts = columns("stamp,mode,q\n2026-01-01 00:00:00.5,on,1\n2026-01-01 00:00:01,on,2\n")
-    assert texts == ("mode",)
+    assert texts == {"mode": "it holds string"}
     np.testing.assert_allclose(np.diff(found["stamp"]), 0.5)
 
 
@@ -46,6 +56,7 @@ def test_texts_are_listed_and_dates_are_seconds():
         ("", "Empty CSV file"),
         ("0.1,0.2,0.3\n1,2,3\n", "begins with numbers .0.1, 0.2, 0.3, ….; expected are names"),
         ("q,q\n1,2\n", "has columns twice: q"),
+        ("q \udcb0,p\n1,2\n", "is no table that can be read"),
     ],
 )
 def test_what_is_no_table_is_refused(text, message):

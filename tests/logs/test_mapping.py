@@ -30,6 +30,7 @@ from tests.logs.conftest import MAP, log, motion
         ('"q1"', '"q1"\noffset = 3', "there is no field 'offset'.* accepted: position, unit"),
         ('"dq1"', '"dq1"\nderive_velocity = true', "give either velocity or derive_velocity"),
         ('command = "u"', "scale = 2", "give either command, a column, or constant, a number"),
+        ('command = "u"', "constant = 9\nscale = 2", "constant is in .* and goes without scale"),
         ("[joints.shoulder]", "[joints.shoulder", "the map is no TOML"),
     ],
 )

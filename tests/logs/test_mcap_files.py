@@ -9,6 +9,7 @@ from mcap.writer import Writer as JsonWriter
 from mcap_ros2.writer import Writer
 
 from adr_service.errors import InvalidInput
+from adr_service.logs import mcap_files
 from adr_service.logs.base import Clock
 from adr_service.logs.catalogue import read_logs
 from adr_service.logs.mcap_files import read_mcap
@@ -31,15 +32,15 @@ COMMANDS = "float64[] data\n"
 CLOCK = Clock("unused", "s")  # topics have their own
 
 
-def bag():
+def bag(stamps=lambda i: 1_700_000_000 + 0.002 * i):
     """Half a second of joint states, in another order every second time, and of commands."""
     buffer = io.BytesIO()
     writer = Writer(buffer)
     states = writer.register_msgdef("sensor_msgs/msg/JointState", JOINT_STATE)
     commands = writer.register_msgdef("std_msgs/msg/Float64MultiArray", COMMANDS)
     for i in range(250):
-        nanoseconds = 2_000_000 * i
-        stamp = {"sec": 1_700_000_000, "nanosec": nanoseconds}
+        seconds, nanoseconds = int(stamps(i)), round(1e9 * (stamps(i) % 1))
+        stamp = {"sec": seconds, "nanosec": nanoseconds}
         names = ["shoulder", "elbow"] if i % 2 == 0 else ["elbow", "shoulder"]
         values = [0.01 * i, -0.01 * i] if i % 2 == 0 else [-0.01 * i, 0.01 * i]
         header = {"stamp": stamp, "frame_id": ""}
@@ -50,7 +51,7 @@ def bag():
             "velocity": [],
             "effort": [],
         }
-        arrived = 1_700_000_000 * 10**9 + nanoseconds + 5_000_000  # five milliseconds later
+        arrived = 1_700_000_000 * 10**9 + 2_000_000 * i + 5_000_000  # five milliseconds later
         writer.write_message("/joint_states", states, message, arrived)
         if i % 10 == 0:
             writer.write_message("/command", commands, {"data": [0.1 * i]}, arrived)
@@ -89,7 +90,20 @@ def test_messages_in_json_are_read_and_those_in_unknown_encodings_listed():
     writer.finish()
     log = read_mcap("run.mcap", buffer.getvalue())
     assert sorted(log.names) == ["/state.arm.on", "/state.arm.q"]
-    assert log.texts == ("/secret",)
+    assert log.unread == {"/secret": "its messages are in 'mystery'"}
+
+
+def test_a_bag_whose_stamps_begin_again_is_refused():
+    """Sorting would mix the two passes."""
+    log = read_mcap("run.mcap", bag(stamps=lambda i: 1_700_000_000 + 2 * (i < 125) + 0.002 * i))
+    with pytest.raises(InvalidInput, match="time goes back"):
+        log.signal("/joint_states.position.shoulder", CLOCK)
+
+
+def test_a_bag_that_unpacks_to_too_much_is_refused(monkeypatch):
+    monkeypatch.setattr(mcap_files, "MOST_BYTES", 10_000)
+    with pytest.raises(InvalidInput, match="unpacks to more than 10,000 bytes"):
+        read_mcap("run.mcap", bag())
 
 
 @pytest.mark.parametrize("end", [0, 8, 100, 2000])

@@ -9,11 +9,18 @@ from adr_service.npz import write_arrays
 
 
 def test_arrays_with_rows_are_columns_and_others_are_not():
-    arrays = {"t": np.arange(5), "q": np.arange(10.0).reshape(5, 2), "gain": np.ones(3)}
+    arrays = {"t": np.arange(5), "q": np.arange(10.0).reshape(5, 2)}
+    arrays |= {name: np.ones(3) for name in ("kp", "kd", "ki")}
     log = read_npz("log.npz", write_arrays(arrays))
     assert log.names == ["t", "q_0", "q_1"]
-    assert log.texts == ("gain",)
+    assert log.unread["kp"] == "it is float64 of shape (3,), and the log has 5 rows"
     np.testing.assert_array_equal(log.streams[0].columns["q_1"], [1, 3, 5, 7, 9])
+
+
+def test_columns_with_one_name_are_refused():
+    arrays = {"q": np.zeros((5, 2)), "q_0": np.ones(5)}
+    with pytest.raises(InvalidInput, match="has columns twice: q_0"):
+        read_npz("log.npz", write_arrays(arrays))
 
 
 def test_an_archive_with_a_pickle_is_refused(tmp_path):

@@ -26,13 +26,15 @@ def test_lists_of_numbers_become_columns():
     table = pa.table({"state": states, "fixed": fixed, "task": ["a", "b"], "ok": [True, False]})
     log = read_parquet("log.parquet", content(table))
     assert log.names == ["state_0", "state_1", "fixed_0", "fixed_1", "ok"]
-    assert log.texts == ("task",)
+    assert log.unread == {"task": "it holds string"}
     np.testing.assert_array_equal(log.streams[0].columns["state_1"], [2, 4])
 
 
-def test_lists_of_different_lengths_are_no_columns():
+def test_lists_of_different_lengths_are_listed_as_unread():
     table = pa.table({"t": [0.0, 1.0], "state": [[1.0], [3.0, 4.0]]})
-    assert read_parquet("log.parquet", content(table)).names == ["t"]
+    log = read_parquet("log.parquet", content(table))
+    assert log.names == ["t"]
+    assert log.unread == {"state": "its lists are not all of one length"}
 
 
 @pytest.mark.parametrize("damage", [b"", b"PAR1", b"PAR1" + b"\0" * 40 + b"PAR1"])

@@ -6,19 +6,22 @@ import pytest
 
 import adr_service  # noqa: F401, as it registers the environments
 from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.next_recording import read_commands
+from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.simulator import Simulator
 from adr_service.errors import InvalidInput
 from adr_service.npz import write_arrays
 from adr_service.simulation.batch import control_period
-from adr_service.tasks.catalogue import get_task
+from adr_service.tasks.catalogue import get_task, source_of
 from api.robot.limits import Limits
-from api.robot.playback import play, read_plan
+from api.robot.playback import check_commands, play
 
 TASK = get_task("arm")
+PERIOD = control_period(TASK)
 
 
-def plan(episodes=10, rows=30, scale=1.0, period=None):
+def plan(episodes=10, rows=30, scale=1.0, period=PERIOD):
     rng = np.random.default_rng(0)
-    period = control_period(TASK) if period is None else period
     return write_arrays(
         {
             "time": np.tile(period * np.arange(rows), episodes),
@@ -35,18 +38,18 @@ def robot():
 
 
 def test_commands_become_a_measurement_with_a_row_for_each(robot):
-    commands = read_plan(plan(), TASK)
+    commands = read_commands(plan(), 2, PERIOD)
     played = play(robot, TASK, Limits(), commands)
     data = played.measurement
     assert [last - first for first, last in data.spans()] == [30] * 10
     np.testing.assert_array_equal(data.ctrl[:29], commands[0][:29])
-    assert (played.limited, played.shortened) == (0, 0)
+    assert (played.limited, played.shortened) == (0, ())
     again = Measurement.from_npz(data.to_npz())
     again.check_usable()
 
 
 def test_the_owners_limit_holds_and_is_counted(robot):
-    commands = read_plan(plan(), TASK)
+    commands = read_commands(plan(), 2, PERIOD)
     played = play(robot, TASK, Limits(actions=(0.5,)), commands)
     assert np.abs(played.measurement.ctrl).max() == 0.5
     sent = np.concatenate([each[:-1] for each in commands])
@@ -55,19 +58,47 @@ def test_the_owners_limit_holds_and_is_counted(robot):
 
 def test_an_episode_that_the_environment_ends_is_shorter():
     with gymnasium.make("adr/RandomArm-v0", max_episode_steps=20) as env:
-        played = play(env, TASK, Limits(), read_plan(plan(), TASK))
-    assert played.shortened == 10
+        played = play(env, TASK, Limits(), read_commands(plan(), 2, PERIOD))
+    assert played.shortened == ("the environment ended it",) * 10
     assert [last - first for first, last in played.measurement.spans()] == [21] * 10
+
+
+def test_each_row_leads_to_the_next_under_its_command(robot):
+    """The simulator that the robot is predicts every row from the one before."""
+    data = play(robot, TASK, Limits(), read_commands(plan(), 2, PERIOD)).measurement
+    nominal = Nominal.of_task(TASK, source_of("arm", "vanilla"))
+    with Simulator(nominal, data, threads=1) as simulator:
+        ends = simulator.measured[simulator.starts + 1]
+        errors = np.abs(simulator.predict(nominal.start, (), simulator.measured) - ends)
+        shifted = np.abs(simulator.predict(nominal.start, (), simulator.measured)[1:] - ends[:-1])
+    assert np.median(errors) < 0.1 * np.median(shifted)
+
+
+def test_the_owners_seconds_hold(robot):
+    commands = read_commands(plan(), 2, PERIOD)
+    played = play(robot, TASK, Limits(seconds=5.5 * PERIOD), commands)
+    assert [last - first for first, last in played.measurement.spans()] == [6] * 10
+    assert set(played.shortened) == {f"the robot may move for {5.5 * PERIOD:g} s"}
+
+
+def test_commands_beyond_the_tasks_bounds_are_refused():
+    with pytest.raises(InvalidInput, match=r"command . is .* in row .*; arm takes -1 to 1"):
+        check_commands(TASK, read_commands(plan(scale=50.0), 2, PERIOD))
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
         (write_arrays({"ctrl": np.zeros((3, 2))}), "the plan lacks .*adr criticise --next"),
-        (plan(period=0.5), "hold for 0.5 s; those of arm for"),
-        (plan(scale=np.nan), "finite numbers"),
+        (plan(period=0.5), "hold for 0.5 s; the robot's hold for"),
+        (plan(scale=np.nan), "ctrl is not finite"),
+        (plan(rows=1), "has a single row"),
+        (
+            write_arrays({"time": np.arange(3.0), "ctrl": np.zeros((3, 3)), "episode": [0, 0, 0]}),
+            "2",
+        ),
     ],
 )
 def test_a_plan_of_another_robot_is_refused(content, message):
     with pytest.raises(InvalidInput, match=message):
-        read_plan(content, TASK)
+        read_commands(content, 2, PERIOD)
