@@ -35,7 +35,8 @@ from adr_service.npz import read_arrays, write_arrays
 _CANDIDATES = 96  # motions to choose from
 _PACES = (0.5, 0.8, 0.9, 0.95, 0.98)  # share of a command that is left after a control step
 _ALONE = 0.3  # of the motions move one actuator
-_LEAST = 1e-6  # ridge, in squares of an error
+_LEAST = 1e-6  # ridge, in squares of an error; range of a position
+_BEYOND = 0.5  # of a recorded range, that a plan may go further to both sides
 _PLANNED = ("time", "ctrl", "episode")
 _Settings = tuple[Nominal, int | None, int]  # model, threads, steps for one of the model's
 
@@ -64,6 +65,7 @@ class Plan:
     period: float  # [s] that each command holds
     separations: tuple[Separation, ...]
     reach: Matrix  # (nq, 2) smallest and largest positions in simulation, with what is named
+    recorded: Matrix  # (nq, 2) the same of the recording that there is
 
     def to_npz(self) -> bytes:
         """An `.npz` of `time` (N,), `ctrl` (N, nu) and `episode` (N,), as in a measurement."""
@@ -139,7 +141,7 @@ def next_recording(
             if_one = _compare(one.fit, other.fit, before, free, settings)
             if_other = _compare(other.fit, one.fit, before, free, settings)
             compared.append((if_one, if_other))
-    possible = _that_stay_finite(planned)
+    possible = _near(planned, recorded, _that_stay_finite(planned), episodes)
     if len(possible) < episodes:
         raise InvalidInput(
             f"of {_CANDIDATES} motions within these limits, {len(possible)} stay finite in "
@@ -158,6 +160,7 @@ def next_recording(
             for (one, other), (if_one, if_other) in zip(pairs, compared, strict=True)
         ),
         _reach(planned.episodes(sorted(chosen))),
+        _reach(recorded),
     )
 
 
@@ -264,6 +267,23 @@ def _that_stay_finite(motions: Measurement) -> list[int]:
     state = np.hstack([motions.qpos, motions.qvel])
     ends = enumerate(last for _, last in motions.spans())
     return [n for n, end in ends if not np.array_equal(state[end - 1], state[end - 2])]
+
+
+def _near(
+    motions: Measurement, recorded: Measurement, possible: Sequence[int], episodes: int
+) -> list[int]:
+    """Motions whose positions stay near those recorded, or those that leave them least."""
+    low, high = recorded.qpos.min(axis=0), recorded.qpos.max(axis=0)
+    span = np.maximum(high - low, _LEAST)
+    beyond = (np.maximum(low - motions.qpos, motions.qpos - high) / span).max(axis=1)
+    spans = motions.spans()
+    excess = {number: float(beyond[slice(*spans[number])].max()) for number in possible}
+    near = [number for number in possible if excess[number] <= _BEYOND]
+    return (
+        near
+        if len(near) >= episodes
+        else sorted(sorted(possible, key=lambda n: excess[n])[:episodes])
+    )
 
 
 def _compare(

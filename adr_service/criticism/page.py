@@ -14,7 +14,8 @@ _PAGE = """<!doctype html>
 body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 52rem; margin: 2rem auto }}
 table {{ border-collapse: collapse }} td, th {{ padding: .2rem .8rem; text-align: left }}
 th {{ border-bottom: 1px solid #999 }} svg {{ max-width: 100%; height: auto }}
-.finding {{ font-size: 1.3rem }}
+.finding {{ font-size: 1.3rem }} .wide {{ overflow-x: auto }}
+@media (max-width: 54rem) {{ body {{ margin: 1rem }} }}
 </style></head><body>
 <h1>{title}</h1>
 {body}
@@ -31,7 +32,7 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     """A table with heads (texts) and cells (HTML)."""
     head = "".join(f"<th>{escape(h)}</th>" for h in heads)
     body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"
+    return f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
 
 
 def svg(figure: Figure) -> str:

@@ -6,11 +6,11 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.errors import InvalidInput
-from adr_service.logs.base import check_size
+from adr_service.logs.base import Stream, check_size
 
 
-def columns_of(source: str, table: Any) -> tuple[dict[str, Vector], dict[str, str]]:
-    """Columns (n,) of a `pyarrow.Table` by name, and why others cannot be read.
+def stream_of(source: str, table: Any) -> tuple[Stream, dict[str, str]]:
+    """The columns of a `pyarrow.Table`, and why others cannot be read.
 
     An empty cell is NaN. A list of k numbers in each row becomes the columns NAME_0 to
     NAME_(k - 1). Raises InvalidInput if two columns have one name.
@@ -27,7 +27,14 @@ def columns_of(source: str, table: Any) -> tuple[dict[str, Vector], dict[str, st
             raise InvalidInput(f"{source} has columns twice: {', '.join(twice[:5])}")
         columns.update(found)
         check_size(source, len(columns), len(columns) * table.num_rows)
-    return columns, unread
+    kinds = zip(table.column_names, table.schema.types, strict=True)
+    return Stream(columns, dated=frozenset(n for n, kind in kinds if _is_date(kind))), unread
+
+
+def _is_date(kind: Any) -> bool:
+    import pyarrow as pa
+
+    return bool(pa.types.is_timestamp(kind))
 
 
 def _places(name: str, column: Any) -> dict[str, Vector] | str:
@@ -59,7 +66,7 @@ def _numbers(array: Any) -> Vector | None:
     import pyarrow as pa
 
     kind = array.type
-    if pa.types.is_timestamp(kind):
+    if _is_date(kind):
         nanoseconds = array.cast(pa.timestamp("ns", kind.tz)).cast(pa.int64())
         return np.asarray(nanoseconds.to_numpy(zero_copy_only=False), dtype=np.float64) * 1e-9
     if pa.types.is_boolean(kind) or pa.types.is_integer(kind) or pa.types.is_floating(kind):

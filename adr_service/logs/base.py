@@ -8,7 +8,7 @@ Columns that share their rows make a stream: a table is one stream, every topic 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -50,6 +50,7 @@ class Stream:
 
     columns: Mapping[str, Vector]  # (n,) by name; NaN where the log has no number
     stamps: Vector | None = None  # (n,) [s] times of the rows, where the format states them
+    dated: frozenset[str] = frozenset()  # columns of dates, which are in seconds since 1970
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ class Log:
         return [
             Log(
                 f"{self.source}, {column} {value[first]:g}",
-                (Stream({name: v[first:last] for name, v in stream.columns.items()}),),
+                (replace(stream, columns={n: v[first:last] for n, v in stream.columns.items()}),),
                 self.unread,
             )
             for first, last in pairwise(edges)
@@ -131,7 +132,8 @@ class Log:
     def _times(self, stream: Stream, clock: Clock) -> Vector:
         if clock.column not in stream.columns:
             raise UnknownName(f"column in {self.source}", clock.column, list(stream.columns))
-        return stream.columns[clock.column] * _SECONDS[clock.unit]
+        size = 1.0 if clock.column in stream.dated else _SECONDS[clock.unit]
+        return stream.columns[clock.column] * size
 
 
 def _far_enough(time: Vector) -> Indices:

@@ -12,7 +12,7 @@ A command holds until the next one comes, or moves in a straight line to it. A r
 each of the model's steps until the next row.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -30,6 +30,10 @@ from adr_service.logs.mapping import JointMap, LogMap, actuators_of, is_slide, j
 
 _LEAST_READINGS = 4  # in a window, for a parabola with an error of its own
 _PREFERRED = 8  # if the log's spacing decides the period, and a velocity is to be derived
+_SINCE_1970_S = 1e8  # stamps from which on they count from 1970
+_MANY_TURNS, _BEYOND = 3, 0.1  # turns of a joint; of its range
+_LONG_S, _SHORT_S = 1.0, 2.0  # period and recordings, from which on the time's unit looks wrong
+_ROUNDED = 0.05  # of the readings' spacing
 _DENSER = 0.7  # of a column's spacing: closer rows would count a reading more than once
 _GAP = 3.0  # times the median spacing, from which on readings are missing
 _LEAST_ROWS = 10  # of an episode
@@ -73,6 +77,7 @@ class Converted:
     period: float  # [s]
     records: tuple[Record, ...]
     at_limit: Mapping[str, float]  # share of rows at a limit or beyond, by actuator with limits
+    warnings: tuple[str, ...]  # what looks wrong, and is not refused
     noise: Vector  # (2 nv,) deviations of positions and velocities by the scatter of readings; NaN:
     # not measured
 
@@ -164,7 +169,50 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
         )
     joined = _joined(episodes, given, model)
     limits = _at_limit(model, np.concatenate([each.ctrl for each in episodes]))
-    return Converted(joined, period, tuple(records), limits, np.median(noise, axis=0))
+    warnings = tuple(_warnings(joined, period, recordings, given, model))
+    return Converted(joined, period, tuple(records), limits, warnings, np.median(noise, axis=0))
+
+
+def _warnings(
+    data: Measurement,
+    period: float,
+    recordings: Sequence[_Recording],
+    given: LogMap,
+    model: mujoco.MjModel,
+) -> Iterator[str]:
+    """Sentences on what is possible but looks wrong."""
+    for number, name in enumerate(joints_of(model)):
+        joint = model.joint(name)
+        low, high = data.qpos[:, number].min(), data.qpos[:, number].max()
+        if not is_slide(model, name) and high - low > _MANY_TURNS * _TURN:
+            yield (
+                f"{name} turns {(high - low) / _TURN:.0f} times; is joints.{name}.unit right "
+                f"({given.joints[name].unit or 'rad'})?"
+            )
+        least, most = joint.range
+        slack = _BEYOND * (most - least)
+        if joint.limited[0] and (low < least - slack or high > most + slack):
+            yield (
+                f"{name} goes from {low:.3g} to {high:.3g}, and the model's range is {least:.3g} "
+                f"to {most:.3g}; are unit, scale and zero of joints.{name} right?"
+            )
+    spacing = max(track.spacing for each in recordings for track in each.positions)
+    if (
+        given.rows.period is None
+        and abs(period / spacing - 1) > _ROUNDED
+        and not any(joint.derive_velocity for joint in given.joints.values())
+    ):
+        yield (
+            f"rows are {1000 * period:g} ms apart and readings {1000 * spacing:.3g} ms, because "
+            f"rows are whole steps of the model, of {1000 * model.opt.timestep:g} ms"
+        )
+    for name in actuators_of(model):
+        actuator = model.actuator(name)
+        if not actuator.ctrllimited[0]:
+            yield (
+                f"{name} has no ctrlrange in the model: a command of 1 counts as its largest, by "
+                "which sensible sizes of friction and the like are judged"
+            )
 
 
 def _recording(log: Log, given: LogMap, model: mujoco.MjModel) -> _Recording:
@@ -190,11 +238,26 @@ def _recording(log: Log, given: LogMap, model: mujoco.MjModel) -> _Recording:
             command = _track(log, given, drive.command, f"{name}.command", drive.zero)
             command = replace(_scaled(command, drive.factor, drive.delay), way=drive.between)
         commands.append(command)
-    return _Recording(log.source, positions, velocities, commands)
+    known = [track for track in (*positions, *velocities, *commands) if track is not None]
+    start = min(track.signal.time[0] for track in known)
+    start = start if start > _SINCE_1970_S else 0.0  # seconds of the recording are easier to read
+
+    def since(track: _Track | None) -> _Track | None:
+        return None if track is None else _scaled(track, 1.0, -start)
+
+    return _Recording(
+        log.source,
+        [_scaled(track, 1.0, -start) for track in positions],
+        [since(track) for track in velocities],
+        [since(track) for track in commands],
+    )
 
 
 def _track(log: Log, given: LogMap, column: str, quantity: str, zero: float) -> _Track:
-    signal = log.signal(column, given.time.clock)
+    try:
+        signal = log.signal(column, given.time.clock)
+    except InvalidInput as error:
+        raise InvalidInput(f"{quantity}: {error}") from error
     return _Track(column, quantity, replace(signal, value=signal.value - zero))
 
 
@@ -237,6 +300,8 @@ def _check_velocities(recordings: Sequence[_Recording]) -> None:
 
 def _check_lengths(recordings: Sequence[_Recording], period: float, given: LogMap) -> None:
     """Raises InvalidInput for episodes or rows that are too short, and for clocks that differ."""
+    if period > _LONG_S:
+        raise InvalidInput(f"rows would be {period:.3g} s apart; is time.unit right?")
     if given.rows.seconds < _LEAST_ROWS * period:
         raise InvalidInput(
             f"rows.seconds is {given.rows.seconds:g}; an episode needs {_LEAST_ROWS} rows, which "
@@ -477,6 +542,12 @@ def _joined(episodes: Sequence[_Episode], given: LogMap, model: mujoco.MjModel) 
         episode=np.repeat(np.arange(len(episodes)), lengths),
         qvel_std=None if all(measured) else np.where(measured, np.nan, np.inf),
     )
+    seconds = sum(float(each.time[-1] - each.time[0]) for each in episodes)
+    if seconds < _SHORT_S:
+        raise InvalidInput(
+            f"the recordings have {seconds:.3g} s in all, and ten or more are needed; is time.unit "
+            "right?"
+        )
     measurement.check_usable()
     measurement.check_velocities()
     return measurement

@@ -5,8 +5,8 @@ import io
 import numpy as np
 
 from adr_service.errors import InvalidInput
-from adr_service.logs.arrow_tables import columns_of
-from adr_service.logs.base import Log, Stream
+from adr_service.logs.arrow_tables import stream_of
+from adr_service.logs.base import Log
 
 _DELIMITERS = ("\t", ";", ",")
 _COMMENT = "#"  # before a header, as NumPy writes it
@@ -30,10 +30,10 @@ def read_csv(source: str, content: bytes) -> Log:
         )
         names = [name.strip() for name in table.column_names]
         _check_header(source, names)
-        columns, unread = columns_of(source, table.rename_columns(names))
+        stream, unread = stream_of(source, table.rename_columns(names))
     except (ArrowException, UnicodeDecodeError) as error:
         raise InvalidInput(f"{source} is no table that can be read: {error}") from error
-    return Log(source, (Stream(columns),), unread)
+    return Log(source, (stream,), unread)
 
 
 def _check_header(source: str, names: list[str]) -> None:

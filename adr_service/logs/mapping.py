@@ -186,10 +186,11 @@ def draft(logs: Sequence[Log], model: mujoco.MjModel) -> str:
     names = list(dict.fromkeys(name for log in logs for name in log.names))
     lines = ["# columns: name, readings, smallest and largest", *_listing(logs[0])]
     if any(stream.stamps is None for stream in logs[0].streams):
-        time = next((name for name in names if set(_words(name)) & set(_TIMES)), "?")
+        time = next((name for name in names if _kind(name) is _TIMES), "?")
         lines += ["", "[time]", f"column = {_text(time)}"]
         lines.append(f'unit = "{_unit(time, ("s", "ms", "us", "ns"))}"  # s, ms, us, ns')
     lines += ["", "[rows]", "seconds = 1.0  # length of an episode"]
+    lines.append("# period = 0.01  # seconds between rows; about the readings' own, if left out")
     places = joints_of(model)
     for number, joint in enumerate(places):
         units = tuple(_LENGTHS if is_slide(model, joint) else _ANGLES)
@@ -206,6 +207,7 @@ def draft(logs: Sequence[Log], model: mujoco.MjModel) -> str:
         command = _guess(names, actuator, number, len(drives), _COMMANDS)
         lines += ["", f"[actuators.{_key(actuator)}]", f"command = {_text(command)}"]
         lines.append("scale = 1.0  # of a reading in the model's command")
+        lines.append('# between = "line"  # if the command changes faster than the log shows')
     return "\n".join(lines) + "\n"
 
 
@@ -231,11 +233,20 @@ def _guess(
 ) -> str:
     """The column named by one of the words and the element, or else the one in its place if there
     are as many columns with such a word as elements; `?` if there is no such column."""
-    having = [name for name in names if set(_words(name)) & set(words)]
-    own = [name for name in having if element.lower() in name.lower()]
-    if len(own) == 1:
-        return own[0]
+    having = [name for name in names if _kind(name) is words]
+    own = [name for name in having if set(_words(name)) & set(_words(element))]
+    for found in ([n for n in own if element.lower() in n.lower()], own):
+        if len(found) == 1:
+            return found[0]
     return having[number] if len(having) == count else "?"
+
+
+def _kind(name: str) -> Sequence[str] | None:
+    """The group of words of which a column's name has one; an angle's unit alone is a position."""
+    groups = (_TIMES, _VELOCITIES, _COMMANDS, _POSITIONS, tuple(_ANGLES))
+    own = set(_words(name))
+    group = next((group for group in groups if own & set(group)), None)
+    return _POSITIONS if group == tuple(_ANGLES) else group
 
 
 def _unit(column: str, units: Sequence[str]) -> str:

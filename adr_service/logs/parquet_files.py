@@ -8,19 +8,19 @@ lists in `meta/info.json`: `observation.state` with the names `["shoulder", …]
 import io
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from adr_service.arrays import Vector
 from adr_service.errors import InvalidInput
-from adr_service.logs.arrow_tables import columns_of
+from adr_service.logs.arrow_tables import stream_of
 from adr_service.logs.base import MOST_BYTES, MOST_COLUMNS, Log, Stream, check_size
 
 
 def read_parquet(source: str, content: bytes) -> Log:
     """The log of a Parquet table. Raises InvalidInput for damaged and for too large ones."""
-    columns, unread = _columns(source, content)
-    return Log(source, (Stream(columns),), unread)
+    stream, unread = _stream(source, content)
+    return Log(source, (stream,), unread)
 
 
 def read_lerobot(folder: Path) -> list[Log]:
@@ -30,21 +30,22 @@ def read_lerobot(folder: Path) -> list[Log]:
         raise InvalidInput(f"{folder} has {size:,} bytes; accepted are {MOST_BYTES:,}")
     if not files:
         raise InvalidInput(
-            f"{folder} has no data/**/*.parquet; accepted folders are LeRobot data sets"
+            f"{folder} is neither a LeRobot data set (data/**/*.parquet) nor a ROS 2 bag (*.mcap); "
+            "name the files in it instead"
         )
     names = _names_of_places(folder / "meta" / "info.json")
     logs: list[Log] = []
     numbers = 0
     for file in files:
-        columns, unread = _columns(f"{folder.name}/{file.name}", file.read_bytes())
-        renamed = {names.get(name, name): values for name, values in columns.items()}
+        stream, unread = _stream(f"{folder.name}/{file.name}", file.read_bytes())
+        renamed = {names.get(name, name): values for name, values in stream.columns.items()}
         numbers += sum(map(len, renamed.values()))
         check_size(folder.name, len(renamed), numbers)
-        logs.append(Log(f"{folder.name}/{file.name}", (Stream(renamed),), unread))
+        logs.append(Log(f"{folder.name}/{file.name}", (replace(stream, columns=renamed),), unread))
     return logs
 
 
-def _columns(source: str, content: bytes) -> tuple[dict[str, Vector], dict[str, str]]:
+def _stream(source: str, content: bytes) -> tuple[Stream, dict[str, str]]:
     from pyarrow import ArrowException, parquet  # takes a fifth of a second
 
     try:
@@ -56,7 +57,7 @@ def _columns(source: str, content: bytes) -> tuple[dict[str, Vector], dict[str, 
             raise InvalidInput(
                 f"{source} unpacks to {unpacked:,} bytes; accepted are {MOST_BYTES:,}"
             )
-        return columns_of(source, file.read())
+        return stream_of(source, file.read())
     except (ArrowException, OSError, ValueError) as error:
         raise InvalidInput(f"{source} is no Parquet table that can be read: {error}") from error
 

@@ -17,7 +17,9 @@ from adr_service.logs.conversion import Column, Converted, Record
 from adr_service.logs.mapping import actuators_of, is_slide, joints_of
 
 _AT_REST = 0.02  # of a joint's largest speed
-_MOST_GAPS = 10
+_MOST_GAPS, _MOST_POINTS = 10, 4000  # listed; drawn in a panel
+_NOTICED = 0.001  # share of rows at a limit
+_NEVER = 1e3  # times the sensible size
 _RESAMPLING = {
     "parabola": "parabola through the readings of each row",
     "spline": "cubic spline through all readings",
@@ -36,7 +38,9 @@ def report_page(
     converted: Converted, shown: Sequence[Excitation], model: mujoco.MjModel, name: str
 ) -> str:
     """HTML with its figures inside; `name` is what was converted."""
-    parts = [f'<p class="finding">{_summary(converted)}</p>', _motion(converted, model)]
+    parts = [f'<p class="finding">{_summary(converted)}</p>']
+    parts += [f"<p><b>Look at this:</b> {escape(each)}.</p>" for each in converted.warnings]
+    parts.append(_motion(converted, model))
     parts += [svg(_traces(converted, model)), _limits(converted)]
     parts.append("<h2>What the data could show</h2>" + _shown(shown))
     parts += ["<h2>What was read</h2>", *(_read(record) for record in converted.records)]
@@ -91,7 +95,7 @@ def _shown(shown: Sequence[Excitation]) -> str:
     )
     strong = [each for each in shown if each.is_shown]
     weak = [each for each in shown if not each.is_shown]
-    heads = ["effect", "nats at a sensible size", "smallest that could be seen", ""]
+    heads = ["effect", "nats at a sensible size", "smallest that could be seen"]
     lists = _listed(heads, strong) if strong else "<p><b>Nothing.</b></p>"
     if not weak:
         return explained + lists
@@ -106,20 +110,26 @@ def _listed(heads: Sequence[str], shown: Sequence[Excitation]) -> str:
     rows = [
         [
             escape(f"{each.kind} {each.location}"),
-            f"{each.nats:.3g}",
-            f"{each.strength} {each.visible:.2g}",
-            escape(each.unit),
+            f"{each.nats:.0f}" if each.nats >= 1 else "less than 1",
+            _visible(each),
         ]
         for each in shown
     ]
     return table(heads, rows)
 
 
+def _visible(each: Excitation) -> str:
+    if not each.nats * _NEVER**2 >= THRESHOLD:
+        return "none"
+    unit = "" if each.unit == "1" else f" {escape(each.unit)}"
+    return f"{each.strength} {each.visible:.2g}{unit}"
+
+
 def _limits(converted: Converted) -> str:
     lines = [
         f"<li>{escape(name)}: {share:.1%} of all rows are at the model's limit or beyond.</li>"
         for name, share in converted.at_limit.items()
-        if share
+        if share >= _NOTICED
     ]
 
     return f"<ul>{''.join(lines)}</ul>" if lines else ""
@@ -180,6 +190,7 @@ def _trace(
 ) -> None:
     for start in starts:
         ax.axvline(start, color="#cccccc", linewidth=0.5)
-    ax.plot(time, values, ".", color=colour, markersize=1.5)
+    every = max(len(time) // _MOST_POINTS, 1)
+    ax.plot(time[::every], values[::every], ".", color=colour, markersize=1.5)
     ax.set_ylabel(label, rotation=0, ha="right", va="center", fontsize=8)
     ax.tick_params(labelsize=8)

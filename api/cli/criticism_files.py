@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from adr_service.arrays import Vector
 from adr_service.criticism.extension import written_out
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.next_recording import Separation, next_recording, recorded_limits
@@ -89,11 +90,13 @@ def plan_file(
     for each in plan.separations:
         lines.append(f"  {each.named} or {each.other}: {_expected(each)}")
     joints = [simulator.base.joint(i).name for i in range(simulator.base.njnt)]
-    reach = ", ".join(
-        f"{name} {low:.3g} to {high:.3g}"
-        for name, (low, high) in zip(joints, plan.reach, strict=True)
-    )
-    return [*lines, f"  positions in simulation: {reach}"]
+    for name, now, before in zip(joints, plan.reach, plan.recorded, strict=True):
+        lines.append(f"  {name}: {_range(now)} in simulation, {_range(before)} as recorded")
+    return lines
+
+
+def _range(bounds: Vector) -> str:
+    return f"{bounds[0]:.3g} to {bounds[1]:.3g}"
 
 
 def _expected(each: Separation) -> str:

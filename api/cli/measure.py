@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.markup import escape
 
 from adr_service.errors import InvalidInput
 from api.cli.terminal import console
@@ -48,3 +49,5 @@ def measure(
         highlight=False,
     )
     console.print(f"{out.with_suffix('.html')}: what was read, and what the data could show")
+    for warning in converted.warnings:
+        console.print(f"[yellow]look at this:[/yellow] {escape(warning)}", highlight=False)

@@ -9,7 +9,7 @@ from adr_service.errors import InvalidInput
 from adr_service.logs.base import Log, Stream
 from adr_service.logs.conversion import convert
 from adr_service.logs.mapping import LogMap
-from tests.logs.conftest import MAP, log, motion
+from tests.logs.conftest import MAP, XML, log, motion
 
 
 def changed(*pairs):
@@ -288,3 +288,39 @@ def test_a_measurement_survives_its_file(robot, even):
     again = Measurement.from_npz(data.to_npz())
     for name in ("time", "qpos", "qvel", "ctrl", "episode", "qvel_std", "ctrl_within"):
         np.testing.assert_array_equal(getattr(again, name), getattr(data, name))
+
+
+def test_what_looks_wrong_is_pointed_out(robot, even, given):
+    """A joint that turns often, rows that are not the readings' own, a drive without a range."""
+    turning = {**even, "q1": 12 * even["q1"], "dq1": 12 * even["dq1"]}
+    ranged = XML.replace('name="slider"', 'name="slider" range="0 0.02" limited="true"')
+    unlimited = ranged.replace('ctrlrange="-1 1" ctrllimited="true"', "")
+    coarse = unlimited.replace('timestep="0.002"', 'timestep="0.003"')
+    model = mujoco.MjModel.from_xml_string(coarse)
+    warnings = convert([log(turning)], given, model).warnings
+    assert [w.split(" ")[0] for w in warnings] == ["shoulder", "slider", "rows", "motor"]
+    assert warnings[0] == "shoulder turns 4 times; is joints.shoulder.unit right (rad)?"
+    assert convert([log(even)], given, robot).warnings == ()
+
+
+def test_stamps_since_1970_become_seconds_of_the_recording(robot, even, given):
+    late = {**even, "time": even["time"] + 1.7e9}
+    data = convert([log(late)], given, robot).measurement
+    assert data.time[0] == pytest.approx(0, abs=1e-6)
+    assert_is_the_motion(data, 1e-5)
+
+
+@pytest.mark.parametrize(
+    ("unit", "message"), [("ns", "in all, and ten or more"), ("s", "apart; is")]
+)
+def test_a_wrong_unit_of_time_is_suspected(robot, even, unit, message):
+    given = changed(('command = "u"', f'command = "u"\n[time]\nunit = "{unit}"'))
+    size = {"ns": 1e6, "s": 1000.0}[unit]
+    with pytest.raises(InvalidInput, match=rf"{message}.*time.unit right"):
+        convert([log({**even, "time": size * even["time"]})], given, robot)
+
+
+def test_a_missing_column_is_named_with_its_place_in_the_map(robot, even, given):
+    del even["q2"]
+    with pytest.raises(InvalidInput, match=r"^slider.position: there is no column in log.csv 'q2'"):
+        convert([log(even)], given, robot)

@@ -89,5 +89,7 @@ def test_a_lerobot_data_set_without_its_description_is_refused(lerobot):
 
 
 def test_another_folder_is_refused(tmp_path):
-    with pytest.raises(InvalidInput, match="accepted folders are LeRobot data sets"):
+    with pytest.raises(
+        InvalidInput, match=r"is neither a LeRobot data set .* name the files in it"
+    ):
         read_logs(tmp_path)
