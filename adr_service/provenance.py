@@ -13,15 +13,27 @@ _PACKAGES = (
 )
 
 
+_OF_CPU = ("model name", "cpu family", "model")  # a name alone may stand for several generations
+
+
 def provenance() -> dict[str, str]:
-    """Return versions by package, and Python's, and the model of the CPU."""
+    """Return versions by package, and Python's, and the type of the CPU."""
     installed = {d.name: d.version for d in importlib.metadata.distributions()}
     versions = {name: installed[name] for name in _PACKAGES if name in installed}
-    return {"python": platform.python_version(), "cpu": _cpu_model(), **versions}
+    return {"python": platform.python_version(), "cpu": _cpu_type(), **versions}
 
 
-def _cpu_model() -> str:
-    cpuinfo = Path("/proc/cpuinfo")
-    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return models[0] if models else platform.processor()
+def _cpu_type() -> str:
+    file = Path("/proc/cpuinfo")
+    return cpu_type(file.read_text()) if file.exists() else platform.processor()
+
+
+def cpu_type(cpuinfo: str) -> str:
+    """Name, family and model of the first CPU in `/proc/cpuinfo`, or the name alone."""
+    lines = cpuinfo.split("\n\n", maxsplit=1)[0].splitlines()
+    pairs = (line.partition(":")[::2] for line in lines)
+    facts = {name.strip(): value.strip() for name, value in pairs}
+    if not all(name in facts for name in _OF_CPU):
+        return facts.get("model name", platform.processor())
+    name, family, model = (facts[name] for name in _OF_CPU)
+    return f"{name}, family {family}, model {model}"
