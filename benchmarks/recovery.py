@@ -1,7 +1,7 @@
 """Recovery of the hidden truth by every method that infers a distribution.
 
     python benchmarks/recovery.py [--tasks T …] [--variants V …] [--methods M …]
-                                  [--data random prior] [--seeds N]
+                                  [--data random prior] [--seeds N] [--kept]
 
 Each cell records 200 transitions on the simulated target, by random actions or by the policy that
 the preset `fast` trains on the prior (in as many episodes as it takes), and infers once, with the
@@ -114,6 +114,7 @@ def options() -> argparse.Namespace:
     ):
         parser.add_argument(f"--{name}", nargs="+", choices=known, default=known)
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--kept", action="store_true", help="print what there is, compute nothing")
     return parser.parse_args()
 
 
@@ -122,7 +123,7 @@ def main(given: argparse.Namespace) -> None:
     os.environ.update(worker_environment(Path("build/bench/jax").absolute()))
     wanted = {cell.key: cell for cell in cells(given)}
     known = {row["key"]: row for row in map(json.loads, lines_of(KEPT))}
-    missing = [cell for key, cell in wanted.items() if key not in known]
+    missing = [] if given.kept else [c for key, c in wanted.items() if key not in known]
     acted = {prior_training(c.spec).digest: c.spec for c in missing if c.data == "prior"}
     with ProcessPoolExecutor(
         len(os.sched_getaffinity(0)), mp_context=get_context("spawn"), max_tasks_per_child=1
@@ -133,7 +134,7 @@ def main(given: argparse.Namespace) -> None:
             with KEPT.open("a") as file:
                 file.write(json.dumps(row) + "\n")
             known[row["key"]] = row
-    rows = sorted((known[key] for key in wanted), key=where)
+    rows = sorted((known[key] for key in wanted if key in known), key=where)
     print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
     for _, group in groupby(rows, key=where):
         print(line(list(group)))

@@ -1,0 +1,70 @@
+"""From a first recording to a second that a plan asks for, by the command line alone."""
+
+import numpy as np
+import pytest
+
+from benchmarks.planted import hide
+from benchmarks.separation import held
+from tests.hidden import arm
+
+ROBOT = """
+import adr_service, gymnasium
+
+def make():
+    return gymnasium.make("adr/RandomArm-v0")
+"""
+
+
+@pytest.fixture
+def first(tmp_path, monkeypatch):
+    """A poor recording of an arm without any effect, and the robot, in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "an_arm_of_a_test.py").write_text(ROBOT)
+    rng = np.random.default_rng(5)
+    (tmp_path / "first.npz").write_bytes(hide(*arm(), rng, [], commands=held(rng)).to_npz())
+    return "first.npz"
+
+
+def test_a_plan_is_played_and_judged_together_with_the_first_recording(adr_here, first, tmp_path):
+    judge = ["criticise", "--task", "arm", "--data", first, "--out", "found"]
+    limits = ["--limit", "shoulder=-0.8:0.8"]
+    status, shown, errors = adr_here(*judge, "--next", "next.npz", *limits)
+    assert status == 0, errors
+    assert "next.npz: commands of 12 episodes, 1.5 s each" in shown
+    assert "shoulder: " in shown
+    assert " as recorded" in shown
+    play = ["--task", "arm", "--env", "an_arm_of_a_test:make", "--out", "second.npz"]
+    status, shown, errors = adr_here("robot", "--play", "next.npz", *play, "--max-action", "0.5")
+    assert status == 0, errors
+    assert "second.npz: 12 episodes" in shown
+    assert "commands were beyond your limit, and were sent at it" in shown
+    status, _, errors = adr_here(*judge, "--data", "second.npz")
+    assert status == 0, errors
+    assert (tmp_path / "found/verdict.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--limit", "shoulder=-1:1"], "--limit goes with --next"),
+        (["--next", "next.npz", "--limit", "sholder=-1:1"], "did you mean 'shoulder'"),
+        (["--next", "next.npz", "--limit", "shoulder=1"], "is not NAME=LOW:HIGH"),
+    ],
+)
+def test_wrong_limits_are_refused_before_the_work(adr_here, first, arguments, message):
+    status, _, errors = adr_here(
+        "criticise", "--task", "arm", "--data", first, "--out", "found", *arguments
+    )
+    assert status == 2
+    assert message in errors
+
+
+def test_options_that_play_does_not_obey_are_refused(adr_here, first):
+    known = ["robot", "--task", "arm", "--env", "an_arm_of_a_test:make", "--play", first]
+    for more, message in (
+        ([], "--play goes with --out"),
+        (["--out", "a", "--episodes", "1"], "--ep"),
+    ):
+        status, _, errors = adr_here(*known, *more)
+        assert (status, message in errors) == (2, True)
