@@ -2,7 +2,7 @@
 
     plan = next_recording(criticism, limits, rng)
     plan.commands                       # (episodes, rows, nu), each episode after the robot's reset
-    plan.separations[0].expected        # nats between the named cause and the one tied with it
+    plan.separations[0].if_named        # evidence to expect, in nats, if the named cause is true
 
 Each of many random motions is simulated with one explanation, from the states in which recorded
 episodes begin. By another explanation the same steps end elsewhere, also after its strengths and
@@ -78,9 +78,10 @@ class Plan:
 
 @dataclass(frozen=True)
 class _Squares:
-    """Sums of squares of one recording or motion, as `_Pair` compares it.
+    """Least squares of one recording or motion: how far J x comes to r.
 
-    r = what two explanations differ by, J = its change by what could make up for it (k columns).
+    r is the difference of two explanations in units of one-step errors, and J (k columns) its
+    change by the strengths and parameters that could make up for it.
     """
 
     design: Matrix  # (k, k) J'J
@@ -125,7 +126,8 @@ def next_recording(
 ) -> Plan:
     """The best of many motions within limits (nu, 2) of each command.
 
-    Raises InvalidInput for limits of another shape.
+    Raises InvalidInput for limits that `check_limits` refuses, and if too few motions within them
+    stay finite in simulation.
     """
     final, recorded = criticism.final, criticism.final.simulator.data
     check_limits(limits, final.simulator)
@@ -183,9 +185,10 @@ def check_limits(limits: Matrix, simulator: Simulator) -> None:
             )
 
 
-def recorded_limits(data: Measurement) -> Matrix:
-    """(nu, 2) smallest and largest command of a recording."""
-    return np.column_stack([data.ctrl.min(axis=0), data.ctrl.max(axis=0)])
+def recorded_limits(simulator: Simulator) -> Matrix:
+    """(nu, 2) smallest and largest command of a recording that the actuators obeyed."""
+    obeyed = simulator.commands((), simulator.steps)
+    return np.column_stack([obeyed.min(axis=(0, 1)), obeyed.max(axis=(0, 1))])
 
 
 def read_commands(content: bytes, width: int, period: float) -> list[Matrix]:

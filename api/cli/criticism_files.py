@@ -79,7 +79,7 @@ def plan_file(
 ) -> list[str]:
     """Write the commands of the next recording, and return what to expect of it."""
     simulator = criticism.final.simulator
-    allowed = recorded_limits(simulator.data)
+    allowed = recorded_limits(simulator)
     for number, low, high in limits:
         allowed[number] = low, high
     plan = next_recording(criticism, allowed, np.random.default_rng(seed))

@@ -74,7 +74,9 @@ def test_without_a_tie_motions_are_chosen_that_show_many_effects(clean):
     data = Measurement(**clean)
     criticism = criticise(arm()[1], data, np.random.default_rng(0), threads=1)
     assert not any(criticism.verdict.tied)
-    plan = next_recording(criticism, recorded_limits(data), np.random.default_rng(0), threads=1)
+    limits = recorded_limits(criticism.final.simulator)
+    np.testing.assert_array_equal(limits[:, 1], data.ctrl.max(axis=0))
+    plan = next_recording(criticism, limits, np.random.default_rng(0), threads=1)
     assert plan.separations == ()
     assert np.all(plan.reach[:, 0] < plan.reach[:, 1])
 
