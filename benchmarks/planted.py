@@ -90,7 +90,7 @@ def hide(
 ) -> Measurement:
     """A measurement of a robot that has `nominal.start` for parameters, and these effects.
 
-    `commands` (episodes, rows, nu): what it is told to do; None: coloured noise.
+    `commands` (episodes, rows, nu): what its actuators get; None: coloured noise.
     """
     return _Robot(task, nominal).record(rng, effects, force, commands)
 

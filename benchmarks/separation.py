@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def tried(seed: int) -> dict[str, Any] | None:
-    """What came of one seed; None without a tie that has the hidden effect."""
+    """The row of one seed; None without a tie that has the hidden effect."""
     task, rng = get_task("arm"), np.random.default_rng([_SEED, seed])
     nominal = Nominal.of_task(task, source_of("arm", "vanilla"))
     hidden = sized_effect(task, nominal, rng, RATIO)

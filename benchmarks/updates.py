@@ -118,7 +118,7 @@ def updated(spec: RunSpec, data: bytes, policy: bytes) -> dict[str, Any]:
 
 
 def searched(spec: RunSpec, data: bytes, policy: bytes) -> dict[str, Any]:
-    """What CMA-ES makes of SimOpt's cost."""
+    """The row of CMA-ES on SimOpt's cost."""
     problem, rng = problem_of(spec), np.random.default_rng(spec.seed)
     space, started = problem.source.space, time.process_time()
     es = strategy(np.full(len(space), space.WIDTH / 2), std=1.0, width=space.WIDTH, rng=rng)

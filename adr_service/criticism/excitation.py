@@ -1,4 +1,4 @@
-"""What a measurement could show at all, before anything is fitted.
+"""Effects that a measurement could show, before anything is fitted.
 
 Each effect of the catalogue, at a size that a sensible simulator might lack, changes the prediction
 of every control step. The change is compared with the error that the sensors' noise makes in a
@@ -25,7 +25,7 @@ _LEAST = 1e-12  # of an error, where readings are exact
 
 @dataclass(frozen=True)
 class Excitation:
-    """How well a measurement could show one effect."""
+    """Evidence that one effect could gain at best from a measurement."""
 
     kind: str
     location: str

@@ -43,7 +43,7 @@ _Settings = tuple[Nominal, int | None, int]  # model, threads, steps for one of 
 
 @dataclass(frozen=True)
 class Separation:
-    """How well both recordings together separate two explanations, to first order."""
+    """Evidence to expect from both recordings together, to first order."""
 
     named: str
     other: str
@@ -292,7 +292,7 @@ def _near(
 def _compare(
     true: Fit, other: Fit, before: Simulator, free: Simulator, settings: _Settings
 ) -> _Comparison:
-    """What refitting `other` leaves of `true`, in the recorded data and in each motion."""
+    """Compare two explanations in the recorded data and in each motion, if `true` is true."""
     (recorded,) = _squares(true, other, before, true.states, [(0, len(before.starts))])
     with _simulator(_followed(free, true), *settings) as after:
         motions = _squares(true, other, after, after.measured, after.transitions())

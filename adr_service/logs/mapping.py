@@ -1,4 +1,4 @@
-"""Which column of a log is which joint and which command: a map in TOML.
+"""A map in TOML from the columns of a log to the joints and commands of a model.
 
 [time]
 column = "stamp"          # times of the rows; "time" if left out. Bags have their own
@@ -135,7 +135,7 @@ class ActuatorMap(Wire):
 
 
 class LogMap(Wire):
-    """Which columns of a log are which quantities of a model."""
+    """Map from the columns of a log to the quantities of a model."""
 
     time: TimeMap = TimeMap()
     rows: RowsMap = Field(default_factory=lambda: RowsMap.model_validate({}))
@@ -242,7 +242,7 @@ def _guess(
 
 
 def _kind(name: str) -> Sequence[str] | None:
-    """The group of words of which a column's name has one; an angle's unit alone is a position."""
+    """Group of words that a column's name belongs to; an angle's unit alone is a position."""
     groups = (_TIMES, _VELOCITIES, _COMMANDS, _POSITIONS, tuple(_ANGLES))
     own = set(_words(name))
     group = next((group for group in groups if own & set(group)), None)

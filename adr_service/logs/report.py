@@ -61,7 +61,7 @@ def _summary(converted: Converted) -> str:
 
 
 def _motion(converted: Converted, model: mujoco.MjModel) -> str:
-    """How much each joint moves."""
+    """A table of the motion of each joint."""
     data = converted.measurement
     inside = np.diff(data.episode) == 0
     rows: list[list[Any]] = []

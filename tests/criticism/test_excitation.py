@@ -1,4 +1,4 @@
-"""What data could show before anything is fitted."""
+"""Effects that data could show before anything is fitted."""
 
 from dataclasses import replace
 

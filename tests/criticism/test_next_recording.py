@@ -36,7 +36,7 @@ def planned(tied, seed=0, **settings):
 
 
 def test_the_next_recording_separates_what_it_promised_to():
-    """A gain of the shoulder is tied with seven effects, of which the plan promises evidence."""
+    """A gain of the shoulder is tied with seven effects; the plan promises to tell it from them."""
     found = tried(1)
     assert found is not None
     assert found["hidden"] == "actuator_gain actuator:shoulder"

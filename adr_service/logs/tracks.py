@@ -1,0 +1,198 @@
+"""Columns of a recording in the units and the order of a model, and checks of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from adr_service.errors import InvalidInput
+from adr_service.logs.base import Log, Signal
+from adr_service.logs.mapping import JointMap, LogMap, actuators_of, is_slide, joints_of
+
+LEAST_READINGS = 4  # in a window, for a parabola with an error of its own
+PREFERRED = 8  # if the log's spacing decides the period, and a velocity is to be derived
+LEAST_ROWS = 10  # of an episode
+GAP = 3.0  # times the median spacing, from which on readings are missing
+SAME = 1e-6  # of a period: times as near as that are the same
+_DENSER = 0.7  # of a column's spacing: closer rows would count a reading more than once
+TURN, _NEARLY = 2 * np.pi, 0.1  # a jump by a turn, to within a tenth
+_SINCE_1970_S = 1e8  # stamps from which on they count from 1970
+_LONG_S = 1.0  # period from which on the time's unit looks wrong
+
+
+@dataclass(frozen=True)
+class Track:
+    """Readings of one column in the model's units."""
+
+    column: str
+    quantity: str
+    signal: Signal
+    is_fitted: bool = False  # by parabolas, for a velocity
+    way: str = ""  # of a command between readings
+
+    @property
+    def spacing(self) -> float:
+        """Median time between readings [s]."""
+        return float(np.median(np.diff(self.signal.time)))
+
+    def gaps(self) -> list[tuple[float, float]]:
+        time = self.signal.time
+        wide = np.flatnonzero(np.diff(time) > GAP * self.spacing)
+        return [(float(time[i]), float(time[i + 1])) for i in wide]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One recording, in the model's order."""
+
+    source: str
+    positions: list[Track]
+    velocities: list[Track | None]  # None: derived, or not measured
+    commands: list[Track | None]  # None: constant
+
+    @property
+    def states(self) -> list[Track]:
+        return [*self.positions, *(track for track in self.velocities if track is not None)]
+
+    def gaps(self) -> list[tuple[float, float]]:
+        return sorted({gap for track in self.states for gap in track.gaps()})
+
+    def stretches(self) -> list[tuple[float, float]]:
+        """Times without a gap in any state, from the first command on."""
+        commands = [track for track in self.commands if track is not None]
+        begin = max(track.signal.time[0] for track in [*self.states, *commands])
+        end = min(track.signal.time[-1] for track in self.states)
+        found: list[tuple[float, float]] = []
+        for first, last in [*self.gaps(), (end, end)]:
+            if min(first, end) > begin:
+                found.append((float(begin), float(min(first, end))))
+            begin = max(begin, last)
+        return found
+
+
+def recording_of(log: Log, given: LogMap, model: mujoco.MjModel) -> Recording:
+    """The columns that a map names. Raises InvalidInput for those that cannot be used."""
+    positions: list[Track] = []
+    velocities: list[Track | None] = []
+    for name in joints_of(model):
+        joint, slide = given.joints[name], is_slide(model, name)
+        position = _track(log, given, joint.position, f"{name}.position", joint.zero)
+        position = scaled(_unwrapped(position, joint), joint.position_factor(slide))
+        position = replace(position, is_fitted=joint.derive_velocity)
+        if not slide:
+            _check_wraps(log, name, position)
+        positions.append(position)
+        velocity = None
+        if joint.velocity is not None:
+            velocity = _track(log, given, joint.velocity, f"{name}.velocity", 0.0)
+            velocity = scaled(velocity, joint.velocity_factor(slide))
+        velocities.append(velocity)
+    commands: list[Track | None] = []
+    for name in actuators_of(model):
+        drive, command = given.actuators[name], None
+        if drive.command is not None:
+            command = _track(log, given, drive.command, f"{name}.command", drive.zero)
+            command = replace(scaled(command, drive.factor, drive.delay), way=drive.between)
+        commands.append(command)
+    known = [track for track in (*positions, *velocities, *commands) if track is not None]
+    start = min(track.signal.time[0] for track in known)
+    start = start if start > _SINCE_1970_S else 0.0  # seconds of the recording are easier to read
+
+    def since(track: Track | None) -> Track | None:
+        return None if track is None else scaled(track, 1.0, -start)
+
+    return Recording(
+        log.source,
+        [scaled(track, 1.0, -start) for track in positions],
+        [since(track) for track in velocities],
+        [since(track) for track in commands],
+    )
+
+
+def _track(log: Log, given: LogMap, column: str, quantity: str, zero: float) -> Track:
+    try:
+        signal = log.signal(column, given.time.clock)
+    except InvalidInput as error:
+        raise InvalidInput(f"{quantity}: {error}") from error
+    return Track(column, quantity, replace(signal, value=signal.value - zero))
+
+
+def scaled(track: Track, factor: float, delay: float = 0.0) -> Track:
+    signal = track.signal
+    later = replace(signal, time=signal.time + delay, value=factor * signal.value)
+    return replace(track, signal=later)
+
+
+def _unwrapped(track: Track, joint: JointMap) -> Track:
+    if joint.wrap is None:
+        return track
+    value = np.unwrap(track.signal.value, period=joint.wrap)
+    return replace(track, signal=replace(track.signal, value=value))
+
+
+def _check_wraps(log: Log, joint: str, position: Track) -> None:
+    time, jumps = position.signal.time, np.abs(np.diff(position.signal.value))
+    is_near = np.diff(time) <= GAP * position.spacing
+    if (turns := np.flatnonzero(is_near & (np.abs(jumps - TURN) < _NEARLY * TURN))).size:
+        raise InvalidInput(
+            f"{log.source}: column {position.column!r} jumps by a turn at "
+            f"{time[turns[0] + 1]:.6g} s; if its readings wrap around, give joints.{joint}.wrap, "
+            "the size of a turn in them (360 for degrees)"
+        )
+
+
+def check_velocities(recordings: Sequence[Recording]) -> None:
+    """Raises InvalidInput for a velocity that is the same in all recordings."""
+    for tracks in zip(*(each.velocities for each in recordings), strict=True):
+        known = [track for track in tracks if track is not None]
+        values = [value for track in known for value in track.signal.value[[0, -1]]]
+        if known and np.ptp(values) == 0 and all(np.ptp(t.signal.value) == 0 for t in known):
+            joint = known[0].quantity.removesuffix(".velocity")
+            raise InvalidInput(
+                f"column {known[0].column!r} is {values[0]:g} throughout, so it is no velocity; "
+                f"leave joints.{joint}.velocity out (not measured)"
+            )
+
+
+def check_lengths(recordings: Sequence[Recording], period: float, given: LogMap) -> None:
+    """Raises InvalidInput for episodes or rows that are too short, and for clocks that differ."""
+    if period > _LONG_S:
+        raise InvalidInput(f"rows would be {period:.3g} s apart; is time.unit right?")
+    if given.rows.seconds < LEAST_ROWS * period:
+        raise InvalidInput(
+            f"rows.seconds is {given.rows.seconds:g}; an episode needs {LEAST_ROWS} rows, which "
+            f"are {period:g} s apart"
+        )
+    for recording in recordings:
+        for track in recording.states:
+            if period < _DENSER * track.spacing:
+                raise InvalidInput(
+                    f"{recording.source}: rows {period:g} s apart are more than the readings of "
+                    f"{track.column!r}, {track.spacing:.3g} s apart; give rows.period = "
+                    f"{track.spacing:.3g} or more"
+                )
+        tracks = [*recording.states, *(track for track in recording.commands if track is not None)]
+        last, first = (
+            max(tracks, key=lambda track: track.signal.time[0]),
+            min(recording.states, key=lambda track: track.signal.time[-1]),
+        )
+        if last.signal.time[0] >= first.signal.time[-1]:
+            raise InvalidInput(
+                f"{recording.source}: {last.column!r} begins at {last.signal.time[0]:.6g} s, after "
+                f"{first.column!r} has ended at {first.signal.time[-1]:.6g} s; do both have the "
+                "same clock?"
+            )
+
+
+def check_derived(recording: Recording, period: float) -> None:
+    """Raises InvalidInput if a velocity is to be derived from readings that are too few for it."""
+    for track in recording.positions:
+        if track.is_fitted and period < LEAST_READINGS * track.spacing * (1 - SAME):
+            name = track.quantity.removesuffix(".position")
+            raise InvalidInput(
+                f"joints.{name}: no velocity can be derived from readings {track.spacing:.3g} s "
+                f"apart for rows {period:g} s apart, because a row needs {LEAST_READINGS} of its "
+                f"own; give rows.period = {PREFERRED * track.spacing:.2g} or so, or leave "
+                "derive_velocity out (not measured)"
+            )
