@@ -6,7 +6,7 @@
     converted.records                   # what was read, how it was resampled, what was left out
 
 `base` has the columns of a log, and one file for each format reads them. `mapping` says which of
-them is which joint or command. `tracks` has these in the model's units, `resampling` at other times,
-and `conversion` cuts them into episodes. `report` is a page of all that, and of what the data could
-show.
+them is which joint or command. `tracks` has these in the units of a model, `resampling` at other
+times, and `conversion` cuts them into episodes. `report` is a page of all that, and of what the data
+could show.
 """
