@@ -7,6 +7,6 @@
 
 `base` has the columns of a log, and one file for each format reads them. `mapping` says which of
 them is which joint or command. `tracks` has these in the units of a model, `resampling` at other
-times, and `conversion` cuts them into episodes. `report` is a page of all that, and of what the data
-could show.
+times, and `conversion` cuts them into episodes. `report` is a page of all that, and of what
+the data could show.
 """
