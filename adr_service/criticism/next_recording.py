@@ -23,7 +23,6 @@ from adr_service.criticism.evidence import Fit, expected_errors
 from adr_service.criticism.excitation import gained_by_effects
 from adr_service.criticism.linearisation import by_parameters, by_strengths
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import Criticism
 from adr_service.criticism.scan import location_of
 from adr_service.criticism.simulator import Simulator
@@ -38,7 +37,7 @@ _ALONE = 0.3  # of the motions move one actuator
 _LEAST = 1e-6  # ridge, in squares of an error; range of a position
 _BEYOND = 0.5  # of a recorded range, that a plan may go further to both sides
 _PLANNED = ("time", "ctrl", "episode")
-_Settings = tuple[Nominal, int | None, int]  # model, threads, steps for one of the model's
+_Settings = tuple[int | None, int]  # threads, steps for one of the model's
 
 
 @dataclass(frozen=True)
@@ -135,8 +134,11 @@ def next_recording(
     commands = _motions(limits, rows, rng)
     motions = _from_recorded_starts(final, commands)
     pairs = [(alike[0], other) for alike in criticism.named for other in alike[1:]]
-    settings = (final.simulator.nominal, threads, final.simulator.finer)
-    with _simulator(recorded, *settings) as before, _simulator(motions, *settings) as free:
+    nominal, settings = final.simulator.nominal, (threads, final.simulator.finer)
+    with (
+        Simulator(nominal, recorded, *settings) as before,
+        Simulator(nominal, motions, *settings) as free,
+    ):
         planned = _followed(free, final)
         compared: list[tuple[_Comparison, _Comparison]] = []
         for one, other in pairs:
@@ -152,7 +154,7 @@ def next_recording(
     if compared:
         chosen = _best(compared, possible, episodes)
     else:
-        with _simulator(planned, *settings) as simulator:
+        with Simulator(nominal, planned, *settings) as simulator:
             chosen = _most_shown(final, simulator, possible, episodes)
     return Plan(
         commands[chosen],
@@ -213,10 +215,6 @@ def read_commands(content: bytes, width: int, period: float) -> list[Matrix]:
             f"the plan's commands hold for {plan.period():g} s; the robot's hold for {period:g} s"
         )
     return [plan.ctrl[first:last] for first, last in plan.spans()]
-
-
-def _simulator(data: Measurement, nominal: Nominal, threads: int | None, finer: int) -> Simulator:
-    return Simulator(nominal, data, threads, finer)
 
 
 def _motions(limits: Matrix, rows: int, rng: np.random.Generator) -> Array3:
@@ -294,7 +292,7 @@ def _compare(
 ) -> _Comparison:
     """Compare two explanations in the recorded data and in each motion, if `true` is true."""
     (recorded,) = _squares(true, other, before, true.states, [(0, len(before.starts))])
-    with _simulator(_followed(free, true), *settings) as after:
+    with Simulator(free.nominal, _followed(free, true), *settings) as after:
         motions = _squares(true, other, after, after.measured, after.transitions())
     return _Comparison(recorded, motions)
 

@@ -89,7 +89,7 @@ def test_a_velocity_has_a_scale_of_its_own(robot, even):
 
 
 def test_a_command_between_readings_may_move_in_a_line(robot, even):
-    """Of a ramp, each step of the model has the value of its middle."""
+    """The mean of a ramp over a step of the model is its value in the middle of the step."""
     given = changed(('command = "u"', 'command = "u"\nbetween = "line"'))
     ramp = {**even, "u": 0.05 * even["time"]}
     data = convert([log(ramp)], given, robot).measurement
