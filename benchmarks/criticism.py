@@ -2,88 +2,60 @@
 
     python -m benchmarks.criticism [cases, 320] [tasks, arm,hopper,half_cheetah,walker2d] [seed, 12]
 
-Of the cases 20 % hide nothing, 15 % an effect outside the catalogue, 5 % two effects, the rest one,
-at effect-to-noise ratios .03, .1, .3 and 1. Every measurement has 30 episodes of 75 control steps.
-As many processes at once as there are cores, each with one thread (set OMP_NUM_THREADS=1). Writes
-build/bench/criticism.json after every case, and goes on from there where it was interrupted, while
-the method is the same.
+The cases are those of `adr criticise-bench make` with the same seed. Every measurement has 30
+episodes of 75 control steps. As many processes at once as there are cores, each with one thread
+(set OMP_NUM_THREADS=1). Writes build/bench/criticism.json after every case, and goes on from there
+where it was interrupted, while the method is the same.
 """
 
 import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 import adr_service
+from adr_service.blind_test.cases import Hidden, draw_blind
+from adr_service.blind_test.files import Answer
+from adr_service.blind_test.planting import Case
+from adr_service.blind_test.scoring import Marked, is_named, score
 from adr_service.criticism.gain import measure_gain
-from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import Criticism, criticise, split
 from adr_service.criticism.verdict import Gain
 from adr_service.errors import AdrError
 from adr_service.json_values import sha256
-from adr_service.tasks.catalogue import get_task, source_of
-from benchmarks.planted import Case, draw_case
 
 FOLDER = Path("build/bench")
-RATIOS = (0.03, 0.1, 0.3, 1.0)
-_MOST_TIED = 3
 
 
 def one(job: tuple[int, str, int]) -> dict[str, Any]:
     """One case with what was hidden and what criticism named, or with the error that ended it."""
-    try:
-        return _diagnosed(*job)
-    except (AdrError, np.linalg.LinAlgError) as error:  # the others go on; the table counts it
-        return {"number": job[0], "task": job[1], "failed": f"{type(error).__name__}: {error}"}
-
-
-def _diagnosed(number: int, name: str, seed: int) -> dict[str, Any]:
+    number, task, seed = job
     rng = np.random.default_rng([seed, number])
-    kind = str(rng.choice(["none", "outside", "two", "one"], p=[0.20, 0.15, 0.05, 0.60]))
-    ratio = float(rng.choice(RATIOS)) if kind != "none" else 0.0
-    case = _drawn(name, kind, ratio, rng)
+    hidden, case = draw_blind(task, rng)
+    ended = {"number": number, "hidden": hidden.model_dump(mode="json")}
     started = time.process_time()
-    criticism = criticise(case.nominal, case.measurement, rng, threads=1)
+    try:
+        criticism = criticise(case.nominal, case.measurement, rng, threads=1)
+    except (AdrError, np.linalg.LinAlgError) as error:  # the others go on; the table counts it
+        return {**ended, "failed": f"{type(error).__name__}: {error}"}
     seconds = time.process_time() - started
-    return {
-        "number": number,
-        "task": name,
-        "hidden": kind,
-        "ratio": ratio,
-        **_compared(case, criticism),
-        "seconds": seconds,
-    }
+    return {**ended, **_compared(case, criticism, seconds)}
 
 
-def _drawn(name: str, kind: str, ratio: float, rng: np.random.Generator) -> Case:
-    """The first case that can be simulated."""
-    task = get_task(name)
-    nominal = Nominal.of_task(task, source_of(name, "vanilla"))
-    count = {"one": 1, "two": 2}.get(kind, 0)
-    while True:
-        try:
-            return draw_case(task, nominal, rng, ratio, count, kind == "outside")
-        except AdrError:
-            continue
-
-
-def _compared(case: Case, criticism: Criticism) -> dict[str, Any]:
-    """The hidden effects beside the verdict."""
+def _compared(case: Case, criticism: Criticism, seconds: float) -> dict[str, Any]:
+    """The verdict, and what the hidden effects themselves would have gained."""
     verdict = criticism.verdict.to_json()
     oracle = None if criticism.verdict.gain is None else _oracle(case, criticism)
     detectable = verdict["residual"].pop("detectable")
     return {
-        "causes": [[c.kind, c.location, c.values] for c in case.effects],
-        "outside": case.outside,
-        "verdict": verdict,
+        "answer": {**verdict, "cpu_seconds": seconds},
         "detectable": [detectable.get(f"{c.kind} {c.location}") for c in case.effects],
         "ranking": [[c.kind, c.location, c.gain] for c in criticism.candidates[:6]],
         "oracle": None if oracle is None else oracle.to_json(),
@@ -97,97 +69,21 @@ def _oracle(case: Case, criticism: Criticism) -> Gain:
     return measure_gain(criticism.baseline, truth, split(case.measurement)[1], rng, threads=1)
 
 
-def is_named(case: dict[str, Any], most_tied: int = _MOST_TIED) -> bool:
-    """True if criticism named something, and each name or one tied with it is hidden there."""
-    verdict = case["verdict"]
-    if not verdict["causes"]:
-        return False
-    hidden = [tuple(c[:2]) for c in case["causes"]]
-    for cause, tied in zip(verdict["causes"], verdict["tied"], strict=True):
-        group = [(c["kind"], c["location"]) for c in [cause, *tied]]
-        if not set(hidden) & set(group) or len(group) > most_tied:
-            return False
-    return True
-
-
-def is_alarm(case: dict[str, Any]) -> bool:
-    return bool(case["verdict"]["verdict"] != "none")
-
-
-def is_unknown(case: dict[str, Any]) -> bool:
-    return bool(case["verdict"]["verdict"] == "unknown")
-
-
-def share(cases: Sequence[dict[str, Any]], right: Callable[[dict[str, Any]], bool]) -> str:
-    count = sum(map(right, cases))
-    if not cases:
-        return "no cases"
-    interval = stats.binomtest(count, len(cases)).proportion_ci(0.95)
-    reach = f"[{interval.low:.0%}, {interval.high:.0%}]"
-    return f"{count} of {len(cases)} = {count / len(cases):.0%} {reach}"
-
-
-def errors_of(cases: Sequence[dict[str, Any]]) -> tuple[list[float], list[bool]]:
-    """Relative errors of the first strength, and whether its interval covers the truth."""
-    errors, covered = [], []
-    for case in cases:
-        first = case["verdict"]["causes"][0]
-        for kind, location, values in case["causes"]:
-            if (first["kind"], first["location"]) == (kind, location):
-                strength = next(iter(first["parameters"].values()))
-                errors.append(abs(strength["value"] / values[0] - 1))
-                low, high = strength["low"], strength["high"]  # None: unbounded
-                is_low = low is None or low <= values[0]
-                covered.append(is_low and (high is None or values[0] <= high))
-    return errors, covered
+def _marked(case: dict[str, Any]) -> Marked:
+    answer = Answer.model_validate_json(json.dumps(case["answer"])) if "answer" in case else None
+    return Marked(Hidden.model_validate_json(json.dumps(case["hidden"])), answer)
 
 
 def table(cases: Sequence[dict[str, Any]]) -> str:
-    """Shares, errors and gains over all cases that ended."""
-    singles = [c for c in cases if c["hidden"] == "one"]
-    pairs = [c for c in cases if c["hidden"] == "two"]
-    right = [c for c in singles if is_named(c)]
-    lines = [
-        *_detections(singles),
-        *_alarms(cases),
-        f"two causes: all that was named is true {share(pairs, is_named)}",
-        *_strengths(right),
-        *_gains(right),
-        f"CPU seconds per case: median {np.median([c['seconds'] for c in cases]):.1f}",
-    ]
-    return "\n".join(lines)
+    """The score of all cases, and the gain of the right ones."""
+    lines = [f"{name}: {value}" for name, value in score([_marked(c) for c in cases]).items()]
+    return "\n".join([*lines, *_gains(cases)])
 
 
-def _detections(singles: Sequence[dict[str, Any]]) -> Iterator[str]:
-    for ratio in RATIOS:
-        chosen = [c for c in singles if c["ratio"] == ratio]
-        yield f"one cause, ratio {ratio:g}: named {share(chosen, is_named)}"
-        among = [c for c in chosen if is_named(c, most_tied=99)]
-        yield f"    in a tie of any size: {len(among)}"
-
-
-def _alarms(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
-    nulls = [c for c in cases if c["hidden"] == "none"]
-    yield f"nothing hidden: false alarms {share(nulls, is_alarm)}"
-    for ratio in RATIOS:
-        chosen = [c for c in cases if c["hidden"] == "outside" and c["ratio"] == ratio]
-        yield f"outside, ratio {ratio:g}: called unknown {share(chosen, is_unknown)}"
-    known = [c for c in cases if c["hidden"] in ("one", "two", "none")]
-    yield f"false unknown: {share(known, is_unknown)}"
-
-
-def _strengths(right: Sequence[dict[str, Any]]) -> Iterator[str]:
-    errors, covered = errors_of(right)
-    if errors:
-        yield (
-            f"strength: median relative error {np.median(errors):.1%}; 95 % intervals cover "
-            f"{np.mean(covered):.0%} of {len(covered)}"
-        )
-
-
-def _gains(right: Sequence[dict[str, Any]]) -> Iterator[str]:
+def _gains(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
+    right = [c for c in cases if c["hidden"]["kind"] == "one" and is_named(_marked(c))]
     seen = [c for c in right if c["oracle"] is not None and c["oracle"]["low"] > 0]
-    if shares := [c["verdict"]["gain"]["sse_removed"] / c["oracle"]["sse_removed"] for c in seen]:
+    if shares := [c["answer"]["gain"]["sse_removed"] / c["oracle"]["sse_removed"] for c in seen]:
         most = sum(s >= 0.95 for s in shares)
         yield (
             f"held-out gain: median {np.median(shares):.1%} of the oracle's, where that is above "
@@ -214,7 +110,7 @@ def main(
             whole.write_text(json.dumps({**origin, "cases": ended}, indent=1))
             whole.replace(path)
             print(_line(case), flush=True)
-    print(table([case for case in ended if "failed" not in case]))
+    print(table(ended))
     print(f"failed: {sum('failed' in case for case in ended)} of {len(ended)}")
 
 
@@ -229,24 +125,26 @@ def _resumed(path: Path, origin: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _line(case: dict[str, Any]) -> str:
     """Text for one case as it ends."""
-    opening = f"{case['number']:4d} {case['task']:12s}"
+    hidden = case["hidden"]
+    opening = f"{case['number']:4d} {hidden['task']:12s}"
     if "failed" in case:
         return f"{opening} failed: {case['failed']}"
-    first = case["verdict"]["causes"][:1]
-    named = [f"{c['kind']} {c['location']}" for c in first] or [case["verdict"]["verdict"]]
-    tied = len(case["verdict"]["tied"][0]) if first else 0
-    hidden = [f"{k} {p}" for k, p, _ in case["causes"]] or [case["outside"] or "nothing"]
-    good = is_named(case) if case["causes"] else ""
+    answer = case["answer"]
+    first = answer["causes"][:1]
+    named = [f"{c['kind']} {c['location']}" for c in first] or [answer["verdict"]]
+    tied = len(answer["tied"][0]) if first else 0
+    planted = [f"{e['kind']} {e['location']}" for e in hidden["effects"]]
+    good = is_named(_marked(case)) if planted else ""
     return (
-        f"{opening} {case['ratio']:4g} {'+'.join(hidden):50s} "
-        f"-> {named[0]} (+{tied}) {good} {case['seconds']:.0f} s"
+        f"{opening} {hidden['ratio']:4g} {'+'.join(planted) or hidden['outside'] or 'nothing':50s} "
+        f"-> {named[0]} (+{tied}) {good} {answer['cpu_seconds']:.0f} s"
     )
 
 
 def _code() -> str:
     """Digest of the sources of the present method."""
     root = Path(adr_service.__file__).parent
-    folders = ("criticism", "effects", "simulation")
+    folders = ("criticism", "effects", "simulation", "blind_test")
     files = [file for folder in folders for file in (root / folder).rglob("*.py")]
     return sha256(b"".join(file.read_bytes() for file in sorted(files)))[:12]
 

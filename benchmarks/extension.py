@@ -19,6 +19,7 @@ import numpy as np
 
 from adr_service.arrays import Matrix
 from adr_service.benchmark.statistics import mean_interval, seed_interval
+from adr_service.blind_test.planting import hide
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
 from adr_service.effects.base import Effect
@@ -27,7 +28,6 @@ from adr_service.programs import run
 from adr_service.specs import RunSpec
 from adr_service.stages.local import LocalStages
 from adr_service.tasks.catalogue import get_task, source_of
-from benchmarks.planted import hide
 
 FOLDER = Path("build/bench")
 

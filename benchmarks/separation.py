@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from adr_service.arrays import Array3
+from adr_service.blind_test.planting import hide, sized_effect
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.next_recording import Plan, next_recording
@@ -27,7 +28,6 @@ from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import Criticism, criticise
 from adr_service.criticism.verdict import Conclusion
 from adr_service.tasks.catalogue import get_task, source_of
-from benchmarks.planted import hide, sized_effect
 
 EPISODES, ROWS, RATIO = 10, 30, 0.3
 _HELD = 0.3  # of the task's bounds, at most

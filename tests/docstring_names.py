@@ -14,6 +14,7 @@ from fastapi import FastAPI
 from sqlalchemy import create_engine
 
 from adr_service.benchmark.comparison import Outcome
+from adr_service.blind_test.planting import hide
 from adr_service.distributions import Gaussian
 from adr_service.effects.base import Effect
 from adr_service.events import IterationFinished
@@ -26,7 +27,6 @@ from adr_service.specs import BenchmarkSpec, RunSpec
 from adr_service.tasks.catalogue import catalogue, get_task, source_of
 from api.client import AdrClient
 from api.settings import Settings
-from benchmarks.planted import hide
 from tests.hidden import arm as arm_and_nominal
 from tests.hidden import recorded
 from tests.logs.conftest import MAP, XML, motion
@@ -321,3 +321,19 @@ def robot_log(folder: Path) -> Names:
     model = mujoco.MjModel.from_xml_string(XML)
     known = {"read_logs": read_logs, "convert": convert, "LogMap": LogMap, "Path": Path}
     return {**known, "text": MAP, "model": model}
+
+
+def blind_test(folder: Path) -> Names:
+    """A question in `cases/0000`, an answer in `answers/0000`, and everything to mark it with."""
+    from adr_service.blind_test import answering, cases, files, planting, scoring
+
+    task, nominal = arm_and_nominal()
+    hidden, case = cases.draw_blind("arm", np.random.default_rng([5, 0]))
+    key, answer = files.Key(seed=5, cases={"0000": hidden}), files.Answer(verdict="none")
+    files.write_question(folder / "cases/0000", case)
+    files.write_answer(folder / "answers/0000", answer)
+    known = {"task": task, "nominal": nominal, "rng": np.random.default_rng([5, 0]), "Path": Path}
+    known |= {"hidden": hidden, "case": case, "key": key, "answer": answer, "folder": folder}
+    for module in (answering, cases, files, planting, scoring):
+        known |= {name: value for name, value in vars(module).items() if callable(value)}
+    return known

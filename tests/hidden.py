@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from adr_service.blind_test.planting import hide
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
 from adr_service.effects.base import Effect
 from adr_service.tasks.catalogue import get_task, source_of
-from benchmarks.planted import hide
 
 
 def arm():

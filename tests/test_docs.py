@@ -105,6 +105,20 @@ def test_the_log_of_the_docs_becomes_the_verdict_that_they_tell(tmp_path, monkey
     assert "joint_spring joint:shoulder" in (tmp_path / "measured.html").read_text()
 
 
+def test_the_blind_test_of_the_docs_is_made_answered_and_scored(tmp_path, monkeypatch, adr_here):
+    page = (ROOT / "docs/blind-test.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    make, answer, score = re.findall(r"^adr (criticise-bench .*)$", page, re.MULTILINE)
+    monkeypatch.chdir(tmp_path)
+    assert adr_here(*make.replace("--cases 60", "--cases 1").split())[0] == 0
+    exec(code, {})  # noqa: S102 - our own page
+    assert adr_here(*answer.split())[0] == 0
+    status, shown, _ = adr_here(*score.split())
+    assert status == 0
+    for words in ("ours", "mine", "nothing hidden: none", "1 of 1"):
+        assert words in shown
+
+
 def test_the_map_of_the_docs_has_every_setting():
     page = (ROOT / "docs/logs.md").read_text()
     (text,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)

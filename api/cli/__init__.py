@@ -11,6 +11,7 @@ from adr_service.errors import AdrError
 from api.cli import (
     archive,
     criticise,
+    criticise_bench,
     data,
     demo,
     doctor,
@@ -31,6 +32,7 @@ app = typer.Typer(
 for family in (serve, runs, results, data, measure, criticise, tune, render, robot, demo, doctor):
     app.add_typer(family.app)
 app.add_typer(archive.app, name="archive")
+app.add_typer(criticise_bench.app, name="criticise-bench")
 app.add_typer(upkeep.app, name="db")
 
 

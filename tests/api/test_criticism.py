@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from adr_service.blind_test.planting import draw_case
 from adr_service.tasks.catalogue import get_task
 from api.cli import app
-from benchmarks.planted import draw_case
 from tests.hidden import arm, recorded
 
 

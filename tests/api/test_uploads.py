@@ -12,13 +12,13 @@ import httpx2
 import numpy as np
 import pytest
 
+from adr_service.blind_test.planting import hide
 from adr_service.criticism.measurements import Measurement
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.npz import write_arrays
 from adr_service.specs import CriticismSpec, RunSpec
 from adr_service.transitions import TransitionDataset, dataset_id
 from api.uploads import Upload, check_dataset
-from benchmarks.planted import hide
 from tests.hidden import arm, recorded
 from tests.recordings import recording
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from adr_service.blind_test.planting import hide
 from adr_service.criticism.evidence import fit, smoothed
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.responses import Responses
@@ -11,7 +12,6 @@ from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect, Mechanism, Sensing, Strength
 from adr_service.effects.catalogue import MECHANISMS, add
 from adr_service.errors import InvalidInput
-from benchmarks.planted import hide
 from tests.hidden import arm
 
 

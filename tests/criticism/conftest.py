@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adr_service.blind_test.planting import draw_case, hide
 from adr_service.criticism.evidence import fit, refine, smoothed
 from adr_service.criticism.extension import extend
 from adr_service.criticism.nominal import Nominal
@@ -15,7 +16,6 @@ from adr_service.parameters import ParameterSpace
 from benchmarks.arms import hidden as planted_on
 from benchmarks.arms import links_of, model_of
 from benchmarks.arms import recorded as pushed_about
-from benchmarks.planted import draw_case, hide
 from tests.hidden import arm, recorded
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adr_service.blind_test.planting import draw_case
 from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import (
     expected_errors,
@@ -17,7 +18,6 @@ from adr_service.criticism.evidence import (
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.effects.models import plausible_of
-from benchmarks.planted import draw_case
 from tests.hidden import arm
 
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adr_service.blind_test.planting import hide
 from adr_service.criticism.excitation import excitation
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.models import typical_of
 from adr_service.parameters import ParameterSpace
-from benchmarks.planted import hide
 from tests.hidden import arm, recorded
 from tests.logs.conftest import XML
 

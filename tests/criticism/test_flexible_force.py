@@ -4,6 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from adr_service.blind_test.outside import Force
+from adr_service.blind_test.planting import draw_case, hide
 from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import fit, refine, smoothed
 from adr_service.criticism.flexible_force import unexplained
@@ -13,8 +15,6 @@ from adr_service.criticism.pipeline import split
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.parameters import ParameterSpace
-from benchmarks.outside import Force
-from benchmarks.planted import draw_case, hide
 from tests.hidden import arm
 
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from adr_service.blind_test.planting import hide
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.next_recording import _summed, next_recording, recorded_limits
 from adr_service.criticism.pipeline import criticise
 from adr_service.effects.base import Effect
 from adr_service.errors import InvalidInput
 from adr_service.npz import read_arrays
-from benchmarks.planted import hide
 from benchmarks.separation import held, tried
 from tests.hidden import arm
 

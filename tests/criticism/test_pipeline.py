@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from adr_service.blind_test.planting import draw_case, hide
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.pipeline import criticise, split
 from adr_service.effects.base import Effect
 from adr_service.errors import InvalidInput
-from benchmarks.planted import draw_case, hide
 from tests.hidden import arm, recorded
 
 # frozen before any threshold was chosen: the seeds of a battery on the small task

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adr_service.blind_test.planting import hide
 from adr_service.criticism import revision
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import fit, refine, smoothed
@@ -13,7 +14,6 @@ from adr_service.criticism.revision import narrowed, pruned, reconsidered
 from adr_service.criticism.simulator import Simulator
 from adr_service.criticism.weighing import Weighed
 from adr_service.effects.base import Effect
-from benchmarks.planted import hide
 from tests.hidden import arm
 
 SPRING = Effect("joint_spring", "joint:elbow", (0.05,))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adr_service.blind_test.planting import hide
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import fit, smoothed
 from adr_service.criticism.linear import Normal
@@ -13,7 +14,6 @@ from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import location_of, places, scan
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
-from benchmarks.planted import hide
 from tests.hidden import arm
 
 

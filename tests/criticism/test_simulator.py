@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adr_service.blind_test.planting import hide
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import fit, refine, smoothed
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.effects.base import Effect
 from adr_service.effects.joints import BACKLASH
-from benchmarks.planted import hide
 from tests.hidden import arm
 
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adr_service.blind_test.planting import draw_case
 from adr_service.criticism.report import FILES
 from adr_service.errors import InvalidInput
 from adr_service.npz import write_arrays
 from adr_service.stages.base import compute
 from adr_service.stages.criticise import Criticise
-from benchmarks.planted import draw_case
 from tests.hidden import arm, recorded
 
 

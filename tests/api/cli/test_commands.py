@@ -11,7 +11,7 @@ from api.cli import app
 COMMANDS = {
     *("serve", "submit", "extend", "list", "status", "watch", "cancel", "resume", "results"),
     *("claims", "upload", "datasets", "criticise", "tune", "render", "robot", "demo", "doctor"),
-    *("report", "archive", "db", "measure"),
+    *("report", "archive", "db", "measure", "criticise-bench"),
 }
 SLOW_TO_IMPORT = ("ray", "torch", "sqlalchemy", "fastapi", "uvicorn")
 

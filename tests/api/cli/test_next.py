@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.planted import hide
+from adr_service.blind_test.planting import hide
 from benchmarks.separation import held
 from tests.hidden import arm
 

@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
+from adr_service.blind_test.outside import OUTSIDE, Force, Outside
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator, other_integrator
@@ -27,7 +28,6 @@ from adr_service.effects.models import typical_of
 from adr_service.effects.signals import obeyed, recorded
 from adr_service.errors import InvalidInput
 from adr_service.tasks.base import State, Task
-from benchmarks.outside import OUTSIDE, Force, Outside
 
 EPISODES, STEPS = 30, 75
 _FINER = 4

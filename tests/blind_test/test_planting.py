@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from adr_service.blind_test.outside import OUTSIDE
+from adr_service.blind_test.planting import EPISODES, STEPS, draw_case, hide
 from adr_service.effects.base import Effect
-from benchmarks.outside import OUTSIDE
-from benchmarks.planted import EPISODES, STEPS, draw_case, hide
 from tests.hidden import arm
 
 
