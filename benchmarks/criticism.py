@@ -32,6 +32,7 @@ from adr_service.errors import AdrError
 from adr_service.json_values import sha256
 
 FOLDER = Path("build/bench")
+METHOD = ("criticism", "effects", "simulation", "blind_test")  # packages
 
 
 def one(job: tuple[int, str, int]) -> dict[str, Any]:
@@ -94,7 +95,10 @@ def _gains(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
 def main(
     cases: str = "320", tasks: str = "arm,hopper,half_cheetah,walker2d", seed: str = "12"
 ) -> None:
-    path, origin = FOLDER / "criticism.json", {"tasks": tasks, "seed": int(seed), "code": _code()}
+    path = FOLDER / "criticism.json"
+    code = digest_of(*(f"adr_service/{name}" for name in METHOD))
+    origin = {"tasks": tasks, "seed": int(seed), "code": code}
+
     ended = [case for case in _resumed(path, origin) if case["number"] < int(cases)]
     done, names = {case["number"] for case in ended}, tasks.split(",")
     jobs = [
@@ -141,10 +145,9 @@ def _line(case: dict[str, Any]) -> str:
     )
 
 
-def _code() -> str:
-    """Digest of the sources of the present method."""
-    root = Path(adr_service.__file__).parent
-    folders = ("criticism", "effects", "simulation", "blind_test")
+def digest_of(*folders: str) -> str:
+    """Digest of all sources in folders of this project."""
+    root = Path(adr_service.__file__).parent.parent
     files = [file for folder in folders for file in (root / folder).rglob("*.py")]
     return sha256(b"".join(file.read_bytes() for file in sorted(files)))[:12]
 

@@ -9,23 +9,31 @@ from adr_service.blind_test.outside import Outside
 from adr_service.blind_test.planting import Case, draw_case
 from adr_service.criticism.nominal import Nominal
 from adr_service.effects.base import Effect
-from adr_service.errors import AdrError
+from adr_service.errors import AdrError, InvalidInput, UnknownName
 from adr_service.json_values import Wire
 from adr_service.tasks.catalogue import get_task, source_of
 
+TASKS = ("arm", "hopper", "half_cheetah", "walker2d")
 RATIOS = (0.03, 0.1, 0.3, 1.0)
 Kind = Literal["none", "outside", "two", "one"]
+_MOST_DRAWS = 1000
 _SHARES = (0.20, 0.15, 0.05, 0.60)  # of all cases, by kind
 
 
 class Hidden(Wire):
-    """What one case hides."""
+    """Key entry of one case."""
 
     task: str
     kind: Annotated[Kind, Field(description="nothing, an effect outside the catalogue, two, one")]
     ratio: Annotated[float, Field(description="of an effect to the noise; 0: nothing is hidden")]
     effects: Annotated[tuple[Effect, ...], Field(strict=False)]
     outside: Outside | None
+
+
+def check_task(name: str) -> None:
+    """Raises UnknownName for a task that has no blind test."""
+    if name not in TASKS:
+        raise UnknownName("task of a blind test", name, TASKS)
 
 
 def draw_blind(task: str, rng: np.random.Generator) -> tuple[Hidden, Case]:
@@ -42,8 +50,9 @@ def _drawn(name: str, kind: Kind, ratio: float, rng: np.random.Generator) -> Cas
     task = get_task(name)
     nominal = Nominal.of_task(task, source_of(name, "vanilla"))
     count = {"one": 1, "two": 2}.get(kind, 0)
-    while True:
+    for _ in range(_MOST_DRAWS):
         try:
             return draw_case(task, nominal, rng, ratio, count, kind == "outside")
         except AdrError:
-            continue
+            continue  # the hidden robot diverged
+    raise InvalidInput(f"{_MOST_DRAWS} robots in a row that {name} may hide diverged")

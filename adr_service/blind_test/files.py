@@ -10,23 +10,25 @@ the scorer alone. An answer is a `verdict.json` as `adr criticise` writes it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from adr_service.blind_test.cases import Hidden, draw_blind
-from adr_service.blind_test.planting import Case
+from adr_service.blind_test.cases import Hidden, check_task, draw_blind
+from adr_service.blind_test.planting import Case, plantable
 from adr_service.criticism.extension import extend
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.verdict import Conclusion
 from adr_service.effects.base import Effect
-from adr_service.effects.catalogue import MECHANISMS
-from adr_service.errors import InvalidInput
+from adr_service.effects.catalogue import MECHANISMS, get_mechanism
+from adr_service.errors import InvalidInput, UnknownName
 from adr_service.json_values import Wire, explain
 from adr_service.parameters import Parameter, ParameterSpace
+from adr_service.tasks.catalogue import get_task, source_of
 
 QUESTION = ("model.xml", "measured.npz", "case.json")
 _ANSWER = "verdict.json"
@@ -53,7 +55,7 @@ class CaseFile(Wire):
         tuple[Candidate, ...],
         Field(
             strict=False,
-            description="of these a case hides none, one or two, or one that is not among them",
+            description="a case hides none, one or two of these, or one effect that is not listed",
         ),
     ]
 
@@ -63,7 +65,7 @@ class Key(Wire):
 
     version: Annotated[int, Field(ge=1, le=1)] = 1
     seed: int
-    cases: dict[str, Hidden]
+    cases: Annotated[dict[str, Hidden], Field(min_length=1)]
 
 
 class Estimate(BaseModel):
@@ -77,7 +79,9 @@ class Estimate(BaseModel):
 
     @property
     def has_interval(self) -> bool:
-        return {"low", "high"} <= self.model_fields_set
+        """True if it has an interval that is bounded on one side at least."""
+        given = {"low", "high"} <= self.model_fields_set
+        return given and (self.low is not None or self.high is not None)
 
 
 class Named(BaseModel):
@@ -90,8 +94,8 @@ class Named(BaseModel):
     parameters: dict[str, Estimate] = {}
 
 
-class Rest(BaseModel):
-    """What the named effects leave."""
+class Left(BaseModel):
+    """Everything that the named effects leave."""
 
     model_config = ConfigDict(frozen=True, strict=True)
 
@@ -106,8 +110,8 @@ class Answer(BaseModel):
     verdict: Annotated[Conclusion, Field(strict=False)]
     causes: tuple[Named, ...] = ()
     tied: tuple[tuple[Named, ...], ...] = ()  # by cause, what explains as much
-    residual: Rest = Rest()
-    cpu_seconds: float | None = None
+    residual: Left = Left()
+    cpu_seconds: Annotated[float, Field(ge=0)] | None = None
 
     def groups(self) -> list[list[tuple[str, str]]]:
         """Each cause with what is tied with it, as kind and place."""
@@ -120,7 +124,7 @@ class Answer(BaseModel):
 
 @dataclass(frozen=True)
 class Question:
-    """What a method may see of a case."""
+    """The part of a case that a method may see."""
 
     nominal: Nominal  # the simulator, whose free parameters are off
     measurement: Measurement
@@ -128,7 +132,12 @@ class Question:
 
 
 def make_cases(folder: Path, key: Path, tasks: Sequence[str], count: int, seed: int) -> None:
-    """Write the questions of `count` cases, of the tasks in turn, and their key."""
+    """Write the questions of `count` cases, of the tasks in turn, and their key.
+
+    Raises UnknownName for a task that has no blind test.
+    """
+    for task in tasks:
+        check_task(task)
     hidden: dict[str, Hidden] = {}
     for number in range(count):
         rng = np.random.default_rng([seed, number])
@@ -154,8 +163,8 @@ def write_question(folder: Path, case: Case) -> None:
                 location=location,
                 strengths={s.name: s.unit for s in mechanism.strengths},
             )
-            for kind, mechanism in MECHANISMS.items()
-            for location in mechanism.locations(model)
+            for kind, location in plantable(model)
+            for mechanism in [get_mechanism(kind)]
         ),
     )
     (folder / "case.json").write_text(known.model_dump_json(indent=1) + "\n")
@@ -175,11 +184,13 @@ def read_question(folder: Path) -> Question:
     space = ParameterSpace(
         tuple(Parameter(a, a, "SI", low, high, low) for a, (low, high) in known.free.items())
     )
-    return Question(
-        Nominal.of_model(_text(folder / "model.xml"), space),
-        Measurement.from_npz(_content(folder / "measured.npz")),
-        tuple(Effect(c.kind, c.location, (1.0,) * len(c.strengths)) for c in known.candidates),
-    )
+    candidates = [Effect(c.kind, c.location, (1.0,) * len(c.strengths)) for c in known.candidates]
+    model, data = _text(folder / "model.xml"), _content(folder / "measured.npz")
+    try:
+        nominal, measurement = Nominal.of_model(model, space), Measurement.from_npz(data)
+    except InvalidInput as error:
+        raise InvalidInput(f"{folder}: {error}") from error
+    return Question(nominal, measurement, tuple(candidates))
 
 
 def read_key(path: Path) -> Key:
@@ -208,11 +219,15 @@ def read_answers(folder: Path, key: Key) -> dict[str, Answer]:
             f"{folder} answers {', '.join(others)}, which the key does not have; its "
             f"{len(key.cases)} cases are {min(key.cases)} to {max(key.cases)}"
         )
-    return {name: _read_answer(folder / name / _ANSWER) for name in names}
+    return {name: _read_answer(folder / name / _ANSWER, key.cases[name].task) for name in names}
 
 
-def _read_answer(path: Path) -> Answer:
+def _read_answer(path: Path, task: str) -> Answer:
     answer = _read(Answer, path)
+    known = _effects_of(task)
+    for named in (*answer.causes, *(each for group in answer.tied for each in group)):
+        if (effect := f"{named.kind} {named.location}") not in known:
+            raise UnknownName(f"effect that {path} names", effect, known)
     if answer.tied and len(answer.tied) != len(answer.causes):
         raise InvalidInput(
             f"{path}: tied has {len(answer.tied)} lists for {len(answer.causes)} causes; expected "
@@ -221,7 +236,22 @@ def _read_answer(path: Path) -> Answer:
     is_named = answer.verdict in (Conclusion.CAUSE, Conclusion.TIE)
     if is_named and not answer.causes:
         raise InvalidInput(f"{path}: the verdict is {answer.verdict.value}, but causes is empty")
+    is_silent = not answer.causes and answer.residual.rest == "none"
+    if answer.verdict == Conclusion.NONE and not is_silent:
+        raise InvalidInput(f"{path}: the verdict is none, but something is named or left")
     return answer
+
+
+@cache
+def _effects_of(task: str) -> frozenset[str]:
+    """Kind and place of every effect that a task's robot may have, and of groups of them."""
+    nominal = Nominal.of_task(get_task(task), source_of(task, "vanilla"))
+    model = nominal.model(nominal.start)
+    places = {kind: each.locations(model) for kind, each in MECHANISMS.items()}
+    groups = {kind: {f"{p.partition(':')[0]}:*" for p in each} for kind, each in places.items()}
+    return frozenset(
+        f"{kind} {place}" for kind in places for place in (*places[kind], *groups[kind])
+    )
 
 
 def _read(kind: type[_T], path: Path) -> _T:

@@ -103,6 +103,16 @@ def sized_effect(task: Task, nominal: Nominal, rng: np.random.Generator, ratio: 
     return effect
 
 
+def plantable(model: mujoco.MjModel) -> list[tuple[str, str]]:
+    """Kind and place of every effect that may be hidden in a model's robot."""
+    return [
+        (kind, place)
+        for kind, mechanism in MECHANISMS.items()
+        if not mechanism.only_spreads and kind not in _ELSEWHERE
+        for place in mechanism.locations(model)
+    ]
+
+
 @dataclass(frozen=True)
 class _Pilot:
     """A short recording of the hidden robot, and what its free parameters would change of it."""
@@ -119,12 +129,7 @@ class _Robot:
     def __init__(self, task: Task, nominal: Nominal):
         self._task, self._nominal = task, nominal
         self._base = nominal.model(nominal.start)
-        self._places = [
-            (kind, place)
-            for kind, mechanism in MECHANISMS.items()
-            if not mechanism.only_spreads and kind not in _ELSEWHERE
-            for place in mechanism.locations(self._base)
-        ]
+        self._places = plantable(self._base)
 
     def sized_effect(self, rng: np.random.Generator, ratio: float) -> Effect | None:
         """A random effect as strong as `ratio` says; None where it cannot be."""

@@ -3,12 +3,14 @@
     lines = score([Marked(hidden, answer)])
     lines["one effect, ratio 0.3: named"]       # as "9 of 12 = 75 % [43, 95]"
 
-An effect is named if the answer has its kind at its place, alone or in a tie of three at most, and
-nothing that is not hidden there. A case without an answer counts as wrong in every line.
+An effect is named if the verdict is `cause` or `tie` and has its kind at its place, alone or in a
+tie of three at most, and nothing that is not hidden there. A case without an answer counts as wrong
+in every line.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 from scipy import stats
@@ -16,6 +18,7 @@ from scipy import stats
 from adr_service.blind_test.cases import RATIOS, Hidden
 from adr_service.blind_test.files import Answer, Key
 from adr_service.criticism.verdict import Conclusion
+from adr_service.effects.catalogue import get_mechanism
 
 _MOST_TIED = 3
 _ALL = 10**6
@@ -37,18 +40,22 @@ def marked(key: Key, answers: dict[str, Answer]) -> list[Marked]:
 
 def is_named(case: Marked, most_tied: int = _MOST_TIED) -> bool:
     """True if something was named, and each name or one tied with it is hidden there."""
-    if case.answer is None or not case.answer.causes:
+    if case.answer is None or case.answer.verdict not in (Conclusion.CAUSE, Conclusion.TIE):
         return False
     groups, hidden = case.answer.groups(), _hidden(case)
     return all(hidden & set(group) and len(group) <= most_tied for group in groups)
 
 
 def are_all_named(case: Marked) -> bool:
-    """True if each hidden effect is among the names, in ties or not, and nothing else is."""
-    if not is_named(case, _ALL):
+    """True if each hidden effect is named by a cause of its own, and nothing else is."""
+    if not is_named(case):
         return False
     assert case.answer is not None
-    return _hidden(case) <= {name for group in case.answer.groups() for name in group}
+    groups, hidden = case.answer.groups(), sorted(_hidden(case))
+    return len(groups) == len(hidden) and any(
+        all(effect in group for effect, group in zip(hidden, ordered, strict=True))
+        for ordered in permutations(groups)
+    )
 
 
 def is_silent(case: Marked) -> bool:
@@ -61,6 +68,10 @@ def is_unknown(case: Marked) -> bool:
     return case.answer is not None and (
         case.answer.verdict == Conclusion.UNKNOWN or case.answer.residual.rest == "unknown"
     )
+
+
+def names_nothing(case: Marked) -> bool:
+    return case.answer is not None and not case.answer.causes
 
 
 def has_no_unknown(case: Marked) -> bool:
@@ -82,6 +93,7 @@ def score(cases: Sequence[Marked]) -> dict[str, str]:
     lines: dict[str, str] = {}
     for ratio in RATIOS:
         lines[f"one effect, ratio {ratio:g}: named"] = share(of("one", ratio), is_named)
+    lines["one effect, all ratios: named"] = share(of("one"), is_named)
     lines["one effect: named, in a tie of any size"] = share(
         of("one"), lambda case: is_named(case, _ALL)
     )
@@ -91,6 +103,8 @@ def score(cases: Sequence[Marked]) -> dict[str, str]:
     for ratio in RATIOS:
         name = f"outside the catalogue, ratio {ratio:g}: unknown"
         lines[name] = share(of("outside", ratio), is_unknown)
+    lines["outside the catalogue, all ratios: unknown"] = share(of("outside"), is_unknown)
+    lines["outside the catalogue: no effect named"] = share(of("outside"), names_nothing)
     lines["in the catalogue, or nothing: not unknown"] = share(known, has_no_unknown)
     lines |= _strengths([case for case in of("one") if is_named(case)])
     return lines | _cost(cases)
@@ -98,25 +112,31 @@ def score(cases: Sequence[Marked]) -> dict[str, str]:
 
 def share(cases: Sequence[Marked], right: Right) -> str:
     """Text as "9 of 12 = 75 % [43, 95]"."""
-    if not cases:
+    return _share(sum(map(right, cases)), len(cases))
+
+
+def _share(count: int, total: int) -> str:
+    if not total:
         return "no cases"
-    count = sum(map(right, cases))
-    interval = stats.binomtest(count, len(cases)).proportion_ci(0.95)
+    interval = stats.binomtest(count, total).proportion_ci(0.95)
     low, high = (f"{100 * bound:.0f}" for bound in (interval.low, interval.high))
-    return f"{count} of {len(cases)} = {100 * count / len(cases):.0f} % [{low}, {high}]"
+    return f"{count} of {total} = {100 * count / total:.0f} % [{low}, {high}]"
 
 
 def errors_of(case: Marked) -> tuple[float, bool | None] | None:
-    """Relative error of the first strength, and whether its interval covers the truth.
+    """Relative error of the mechanism's first strength, and whether its interval covers the truth.
 
     None where the first cause is not the hidden effect itself, or has no estimate; the second is
-    None without an interval.
+    None without an interval, or with one that is unbounded on both sides.
     """
     assert case.answer is not None
     first, effect = case.answer.causes[0], case.hidden.effects[0]
-    if (first.kind, first.location) != (effect.kind, effect.location) or not first.parameters:
+    strength = get_mechanism(effect.kind).strengths[0].name
+    if (first.kind, first.location) != (effect.kind, effect.location):
         return None
-    estimate, truth = next(iter(first.parameters.values())), effect.values[0]
+    if (estimate := first.parameters.get(strength)) is None:
+        return None
+    truth = effect.values[0]
     error = abs(estimate.value / truth - 1)
     if not estimate.has_interval:
         return error, None
@@ -127,12 +147,12 @@ def errors_of(case: Marked) -> tuple[float, bool | None] | None:
 def _strengths(right: Sequence[Marked]) -> dict[str, str]:
     judged = [errors for case in right if (errors := errors_of(case)) is not None]
     covered = [covers for _, covers in judged if covers is not None]
-    median = f"{100 * np.median([error for error, _ in judged]):.1f} %" if judged else "none given"
+    errors = [100 * error for error, _ in judged]
     return {
-        "error of the strength, median": median,
-        "95 % intervals that cover the strength": (
-            f"{sum(covered)} of {len(covered)}" if covered else "none given"
+        "error of the strength, median": (
+            f"{np.median(errors):.1f} % of {len(errors)}" if errors else "none given"
         ),
+        "95 % intervals that cover the strength": _share(sum(covered), len(covered)),
     }
 
 

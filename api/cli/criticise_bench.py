@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from adr_service.errors import InvalidInput
+from adr_service.errors import AdrError, InvalidInput
 from api.cli.options import AsJson
-from api.cli.terminal import console
+from api.cli.terminal import console, errors
 
 app = typer.Typer(
     help="Make a blind test of criticism, and score answers to it.", no_args_is_help=True
@@ -28,14 +28,15 @@ Answers = Annotated[
 
 @app.command()
 def make(out: Folder, key: MadeKey, seed: Seed, cases: Cases = 80, tasks: Tasks = "arm") -> None:
-    """Draw cases: simulators, and measurements of robots that have what these lack."""
+    """Write cases: simulators, and measurements of robots that differ from them."""
     from adr_service.blind_test.files import make_cases  # imports the simulator
-    from adr_service.tasks.catalogue import get_task
 
-    robots = [get_task(name).name for name in tasks.split(",")]
+    robots = [name.strip() for name in tasks.split(",")]
     for path in (out, key):
         if path.exists():
             raise InvalidInput(f"{path} is there already; give another name")
+    if key.absolute().is_relative_to(out.absolute()):
+        raise InvalidInput(f"{key} would lie among the cases; keep the key elsewhere")
     with console.status("simulating"):
         make_cases(out, key, robots, cases, seed)
     console.print(f"{out}: {cases} cases; {key}: what they hide", highlight=False)
@@ -44,20 +45,28 @@ def make(out: Folder, key: MadeKey, seed: Seed, cases: Cases = 80, tasks: Tasks 
 @app.command()
 def answer(
     cases: Annotated[Path, typer.Argument(help="Folder of cases, as `make` wrote it.")],
-    out: Annotated[Path, typer.Option(help="Folder for the answers; those that it has stay.")],
+    out: Annotated[Path, typer.Option(help="Folder for the answers; existing ones are kept.")],
     seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstraps.")] = 0,
 ) -> None:
     """Answer cases by `adr criticise`, one after the other."""
     from adr_service.blind_test.answering import answer_question, by_criticism
     from adr_service.blind_test.files import has_answer, questions_in
 
+    failed: list[str] = []
     for question in questions_in(cases):
         if has_answer(out / question.name):
             continue
-        with console.status(f"fitting {question.name}"):
-            given = answer_question(by_criticism, question, out / question.name, seed)
+        try:
+            with console.status(f"fitting {question.name}"):
+                given = answer_question(by_criticism, question, out / question.name, seed)
+        except AdrError as error:
+            failed.append(question.name)
+            errors.print(f"{question.name}: {error}", highlight=False)
+            continue
         named = ", ".join(f"{cause.kind} {cause.location}" for cause in given.causes)
         console.print(f"{question.name}: {given.verdict.value} {named}".rstrip(), highlight=False)
+    if failed:
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -73,7 +82,8 @@ def score(answers: Answers, key: Key, as_json: AsJson = False) -> None:
     if as_json:
         typer.echo(json.dumps(columns, indent=1))
         return
-    table = Table("", *(folder.name for folder in answers))
+    console.print(f"{key}: {len(known.cases)} cases of seed {known.seed}", highlight=False)
+    table = Table("", *columns)
     for name in columns[str(answers[0])]:
         table.add_row(name, *(column[name] for column in columns.values()))
     console.print(table, highlight=False)

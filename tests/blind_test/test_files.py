@@ -19,7 +19,7 @@ from adr_service.blind_test.files import (
     write_question,
 )
 from adr_service.effects.models import check_simulated
-from adr_service.errors import InvalidInput
+from adr_service.errors import InvalidInput, UnknownName
 from tests.blind_test.conftest import hidden
 
 KEY = Key(seed=1, cases={"0000": hidden(), "0001": hidden("none", 0.0, ())})
@@ -101,12 +101,20 @@ def test_an_answer_needs_a_verdict_alone(answered):
             "tied has 2 lists for 1 causes; expected is one for each, or none at all",
         ),
         ({"verdict": "none", "cpu_seconds": "3"}, "cpu_seconds: Input should be a valid number"),
+        ({"verdict": "none", "causes": [NAMED]}, "the verdict is none, but something is named"),
+        ({"verdict": "none", "residual": {"rest": "unknown"}}, "but something is named or left"),
     ],
 )
 def test_a_wrong_answer_is_refused_with_its_file_and_reason(answered, value, message):
     with pytest.raises(InvalidInput, match=r"0000/verdict\.json: ") as raised:
         answered(value)
     assert message in str(raised.value)
+
+
+def test_a_misspelt_effect_is_refused_with_the_nearest_one(answered):
+    cause = {**NAMED, "location": "joint:elbw"}
+    with pytest.raises(UnknownName, match="did you mean 'joint_spring joint:elbow'"):
+        answered({"verdict": "cause", "causes": [cause]})
 
 
 def test_an_answer_to_a_case_that_the_key_lacks_is_refused(answered):
@@ -126,4 +134,7 @@ def test_a_question_that_lacks_a_file_is_refused_with_its_name(tmp_path, case, n
     write_question(tmp_path, case)
     (tmp_path / name).unlink()
     with pytest.raises(InvalidInput, match=f"{name} cannot be read"):
+        read_question(tmp_path)
+    (tmp_path / name).write_bytes(b"nonsense")
+    with pytest.raises(InvalidInput, match=str(tmp_path)):
         read_question(tmp_path)

@@ -6,6 +6,7 @@ from adr_service.blind_test.files import Answer, Key
 from adr_service.blind_test.scoring import (
     Marked,
     are_all_named,
+    errors_of,
     is_named,
     is_silent,
     is_unknown,
@@ -14,6 +15,7 @@ from adr_service.blind_test.scoring import (
     share,
 )
 from adr_service.effects.base import Effect
+from adr_service.effects.catalogue import get_mechanism
 from tests.blind_test.conftest import BIAS, hidden
 
 SPRING = Effect("joint_spring", "joint:elbow", (2.0,))
@@ -21,7 +23,8 @@ TWO = hidden("two", effects=(BIAS, SPRING))
 
 
 def named(effect, value=None, **interval):
-    estimates = {} if value is None else {"strength": {"value": value, **interval}}
+    strength = get_mechanism(effect.kind).strengths[0].name
+    estimates = {} if value is None else {strength: {"value": value, **interval}}
     return {"kind": effect.kind, "location": effect.location, "parameters": estimates}
 
 
@@ -56,6 +59,23 @@ def test_of_two_effects_both_have_to_be_named():
     assert not are_all_named(Marked(TWO, answer(named(SPRING))))
     assert is_named(Marked(TWO, answer(named(SPRING))))
     assert are_all_named(Marked(TWO, answer(named(SPRING), named(BIAS))))
+    assert not are_all_named(Marked(TWO, answer(named(SPRING), tied=[[named(BIAS)]])))
+
+
+def test_causes_beside_a_verdict_of_unknown_are_not_named():
+    assert not is_named(Marked(hidden(), answer(named(BIAS), verdict="unknown")))
+
+
+def test_the_strength_is_found_by_its_name():
+    drag = Effect("wind", "global", (1.2, 2.0, 0.0))
+    cause = named(drag)
+    cause["parameters"] = {"speed x": {"value": 9.0}, "density": {"value": 1.2}}
+    assert errors_of(Marked(hidden(effects=(drag,)), answer(cause))) == (0.0, None)
+
+
+def test_an_unbounded_interval_covers_nothing():
+    cause = named(BIAS, -0.12, low=None, high=None)
+    assert errors_of(Marked(hidden(), answer(cause))) == (0.0, None)
 
 
 def test_a_rest_that_is_unknown_counts_as_unknown():
@@ -74,7 +94,7 @@ def test_a_case_without_an_answer_is_wrong_in_every_line():
     lines = score([Marked(case, None) for case in cases])
     assert lines.pop("answered") == "0 of 4"
     shares = [text for text in lines.values() if "%" in text]
-    assert len(shares) == 7
+    assert len(shares) == 10
     assert all(text.startswith("0 of ") for text in shares)
 
 
@@ -94,8 +114,9 @@ def test_answers_are_scored_by_kind_and_ratio():
     assert lines["nothing hidden: none"].startswith("1 of 1")
     assert lines["outside the catalogue, ratio 0.1: unknown"].startswith("1 of 1")
     assert lines["in the catalogue, or nothing: not unknown"].startswith("5 of 5")
-    assert lines["error of the strength, median"] == "7.5 %"  # of 10 and 5
-    assert lines["95 % intervals that cover the strength"] == "2 of 2"
+    assert lines["error of the strength, median"] == "7.5 % of 2"  # 10 and 5
+    assert lines["95 % intervals that cover the strength"].startswith("2 of 2")
+    assert lines["outside the catalogue: no effect named"].startswith("1 of 1")
     assert lines["CPU seconds per case, quartiles"] == "2.5, 3.0, 3.5"
 
 

@@ -61,6 +61,13 @@ def test_an_unknown_robot_is_refused_before_anything_is_written(adr_here, tmp_pa
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_key_among_the_cases_is_refused(adr_here, tmp_path):
+    where = ["--out", str(tmp_path / "cases"), "--key", str(tmp_path / "cases/key.json")]
+    status, _, errors = adr_here("criticise-bench", "make", *where, "--seed", "9")
+    assert status == 2
+    assert "would lie among the cases" in errors
+
+
 def test_criticism_answers_what_has_no_answer_yet(adr_here, made):
     (made / "ours/0000").mkdir(parents=True)
     (made / "ours/0000/verdict.json").write_text(json.dumps({"verdict": "unknown"}))
