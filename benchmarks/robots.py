@@ -19,10 +19,12 @@ from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.report import files_of
 from adr_service.criticism.verdict import NamedCause, Verdict
+from adr_service.errors import InvalidInput, UnknownName
 from benchmarks.sources import feetech, pendulums
 from benchmarks.sources.pendulums import COMMANDED, PLAIN, PLAIN_SHORT, SINGLE, Format, Link
 
 FOLDER = Path("build/bench/robots")
+COLUMNS = ("robot", "verdict", "causes, with what is tied", "of the held-out error gone", "CPU s")
 Robot = Callable[[Path], tuple[Nominal, Measurement]]
 
 
@@ -67,8 +69,12 @@ ROBOTS: dict[str, Robot] = {
 
 
 def main(names: list[str]) -> None:
+    if others := [name for name in names if name not in ROBOTS]:
+        raise UnknownName("robot", others[0], ROBOTS)
+    if "ADR_DATASETS" not in os.environ:
+        raise InvalidInput("ADR_DATASETS names no folder with the recordings (docs/datasets.md)")
     data = Path(os.environ["ADR_DATASETS"])
-    print("| robot | verdict | causes, with what is tied | gain | CPU s |\n|---|---|---|---|---|")
+    print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
     for name in names or ROBOTS:
         started = time.process_time()
         criticism = criticise(*ROBOTS[name](data), np.random.default_rng(0), threads=1)
@@ -86,7 +92,10 @@ def _cells(verdict: Verdict) -> tuple[str, str, str]:
         for cause, tied in zip(verdict.causes, verdict.tied, strict=True)
     ]
     rest = "" if verdict.residual.rest == "none" else f"; left: {verdict.residual.where.words}"
-    gain = "" if verdict.gain is None else f"{100 * verdict.gain.sse_removed:.0f} %"
+    gain = ""
+    if (given := verdict.gain) is not None:
+        low, most, high = (f"{100 * v:.0f}" for v in (given.low, given.sse_removed, given.high))
+        gain = f"{most} % [{low}, {high}]"
     return verdict.conclusion.value + rest, "; ".join(causes), gain
 
 

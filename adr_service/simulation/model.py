@@ -4,6 +4,7 @@
     body:thigh.inertial      mass, the inertia scaled with it ("consistent")
     joint:slide.damping      viscous damping [N s/m or N m s/rad]
     joint:elbow.armature     inertia of its drive [kg or kg m²]
+    joint:elbow.stiffness    spring towards its reference [N/m or N m/rad]
     actuator:push.gear       motor gear, force per unit of control [N or N m]
     actuator:push.bias       constant of an affine bias, in the unit of its force before the gear
     pair:left.friction       sliding friction of an explicit contact pair, both directions
@@ -53,6 +54,7 @@ FIELDS: dict[tuple[str, str], tuple[str, tuple[tuple[int, ...], ...], str | None
     ("body", "inertial"): ("body_mass", ((),), "body_inertia"),
     ("joint", "damping"): ("dof_damping", ((),), None),
     ("joint", "armature"): ("dof_armature", ((),), None),
+    ("joint", "stiffness"): ("jnt_stiffness", ((),), None),
     ("actuator", "gear"): ("actuator_gear", ((0,),), None),
     ("actuator", "bias"): ("actuator_biasprm", ((0,),), None),
     ("pair", "friction"): ("pair_friction", ((0,), (1,)), None),

@@ -1,8 +1,9 @@
 """Feetech STS3250: a geared servo that swings a mass, towards goals that it is given.
 
 Repository Rhoban/bam, `data_raw_feetech` (see `xl330.py` for the paper). Goal and position [rad]
-some 49 times a second; the servo's own speed lags, and is left out. Its controller is a position
-servo whose stiffness and damping nobody states, so both are free.
+some 49 times a second; the servo's own speed lags, and is left out. Its controller turns towards
+the goal with a stiffness and a damping that nobody states. So the torques by the goal and by the
+position are free, and so is the damping.
 """
 
 import json
@@ -27,12 +28,13 @@ _XML = f"""
   <option timestep="0.001" integrator="implicitfast"/>
   <worldbody>
     <body name="arm">
-      <joint name="servo" axis="0 -1 0" armature="0.02" damping="1" solreffriction="0.004 1"/>
+      <joint name="servo" axis="0 -1 0" armature="0.02" damping="1" stiffness="{_STIFFNESS}"
+             solreffriction="0.004 1"/>
       <inertial pos="0 0 {-_LENGTH}" mass="{_MASS}" diaginertia="1e-5 1e-5 1e-5"/>
     </body>
   </worldbody>
   <actuator>
-    <position name="servo" joint="servo" kp="{_STIFFNESS}" ctrlrange="-3.2 3.2"/>
+    <motor name="servo" joint="servo" gear="{_STIFFNESS}" ctrlrange="-3.2 3.2"/>
   </actuator>
 </mujoco>
 """
@@ -50,12 +52,13 @@ command = "goal_position"
 
 
 def nominal() -> Nominal:
-    """A point mass on a position servo; stiffness, damping and rotor inertia are free."""
+    """A point mass on a position servo: stiffness, damping and rotor inertia are free."""
     space = ParameterSpace(
         (
             Parameter("armature", "joint:servo.armature", "kg m²", 1e-3, 0.2, 1e-5),
             Parameter("damping", "joint:servo.damping", "N m s/rad", 0.0, 10.0, 0.0),
-            Parameter("gear", "actuator:servo.gear", "1", 0.3, 3.0, 0.01),
+            Parameter("by goal", "actuator:servo.gear", "N m/rad", 2.0, 200.0, 0.1),
+            Parameter("by position", "joint:servo.stiffness", "N m/rad", 2.0, 200.0, 0.1),
         )
     )
     return Nominal.of_model(_XML, space)

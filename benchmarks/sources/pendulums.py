@@ -3,8 +3,9 @@
 Wiebe et al., "Torque-limited simple pendulum: A toolkit for getting familiar with control
 algorithms in underactuated robotics", JOSS 7(74), 2022, and "Open source dual-purpose acrobot and
 pendubot platform", IEEE RAM, 2023; repositories dfki-ric-underactuated-lab/
-torque_limited_simple_pendulum and .../double_pendulum. Quasi-direct drives (AK80-6) tell position,
-velocity and torque every 2 or 5 ms. docs/real-robots.md says what is known beyond the logs.
+torque_limited_simple_pendulum and .../double_pendulum. Quasi-direct drives (AK80-6) report
+position, velocity and torque every 2 or 5 ms. docs/real-robots.md says what is known beyond the
+logs.
 """
 
 from collections.abc import Sequence

@@ -22,7 +22,7 @@ from tests.tasks.cases import NAMES, TASKS
 XML = """
 <mujoco><worldbody>
 <geom name="floor" type="plane" size="1 1 1"/>
-<body name="slider"><joint name="slide" type="slide" damping="2" armature="3"/>
+<body name="slider"><joint name="slide" type="slide" damping="2" armature="3" stiffness="7"/>
 <geom name="box" size=".1" mass="4"/>
 <body name="ball" pos="0 0 1"><joint name="turn" type="ball"/><geom size=".1" mass="5"/></body>
 </body></worldbody>
@@ -36,6 +36,7 @@ VALUES = {
     "body:slider.inertial": 4.0,
     "joint:slide.damping": 2.0,
     "joint:slide.armature": 3.0,
+    "joint:slide.stiffness": 7.0,
     "actuator:push.gear": 6.0,
     "actuator:push.bias": 8.0,
     "pair:left.friction": 0.7,
