@@ -4,7 +4,8 @@
 
 On the arm, with an effect of the catalogue at a ratio of .3 to the noise, ten episodes of 30 rows
 hold one actuator at a small command. Where the verdict is a tie that has the hidden effect,
-`next_recording` plans as many episodes within the task's limits. They are recorded from the same
+`next_recording` plans as many episodes within the task's limits of commands, and lets both joints
+turn as far as the task allows. They are recorded from the same
 hidden robot and judged together with the first. For comparison, so are as many episodes of the
 first kind. Prints each tie, and in how many of those with promised evidence it was separated: the
 hidden effect is named, and nothing that the plan promised to tell from it is tied with it.
@@ -30,6 +31,7 @@ from adr_service.criticism.verdict import Conclusion
 from adr_service.tasks.catalogue import get_task, source_of
 
 EPISODES, ROWS, RATIO = 10, 30, 0.3
+ALLOWED = {0: (-3.5, 3.5), 1: (-3.5, 3.5)}  # [rad], as the task ends an episode
 _HELD = 0.3  # of the task's bounds, at most
 _SEED = 77
 
@@ -63,7 +65,9 @@ def tried(seed: int) -> dict[str, Any] | None:
         return None
     limits = np.column_stack([task.action_low, task.action_high])
     seconds = ROWS * first.period()
-    plan = next_recording(criticism, limits, rng, episodes=EPISODES, seconds=seconds, threads=1)
+    plan = next_recording(
+        criticism, limits, rng, allowed=ALLOWED, episodes=EPISODES, seconds=seconds, threads=1
+    )
     after = [
         _judged(nominal, first, hide(task, nominal, rng, [hidden], commands=commands), rng)
         for commands in (plan.commands, held(rng))

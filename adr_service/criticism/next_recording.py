@@ -12,7 +12,7 @@ true. Motions are chosen one by one. Where nothing is tied, they are chosen to s
 as possible, at sizes that sensible simulators lack.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -119,13 +119,16 @@ def next_recording(
     limits: Matrix,
     rng: np.random.Generator,
     *,
+    allowed: Mapping[int, tuple[float, float]] | None = None,
     episodes: int = 12,
     seconds: float = 1.5,
     threads: int | None = None,
 ) -> Plan:
     """The best of many motions within limits (nu, 2) of each command.
 
-    Raises InvalidInput for limits that `check_limits` refuses, and if too few motions within them
+    `allowed` has the smallest and largest position [rad or m] of joints by number, which no motion
+    leaves in simulation. Other joints stay near the recorded positions if that is possible. Raises
+    InvalidInput for limits that `check_limits` refuses, and if too few motions within all these
     stay finite in simulation.
     """
     final, recorded = criticism.final, criticism.final.simulator.data
@@ -145,12 +148,15 @@ def next_recording(
             if_one = _compare(one.fit, other.fit, before, free, settings)
             if_other = _compare(other.fit, one.fit, before, free, settings)
             compared.append((if_one, if_other))
-    possible = _near(planned, recorded, _that_stay_finite(planned), episodes)
+    finite = _that_stay_finite(planned)
+    possible = _within(planned, finite, allowed or {})
     if len(possible) < episodes:
         raise InvalidInput(
-            f"of {_CANDIDATES} motions within these limits, {len(possible)} stay finite in "
-            f"simulation; {episodes} are needed (give narrower limits)"
+            f"of {_CANDIDATES} motions within these limits, {len(finite)} stay finite in "
+            f"simulation, and {len(possible)} of them within the allowed positions; {episodes} are "
+            "needed (give narrower limits of commands, or allow more positions)"
         )
+    possible = _near(planned, recorded, possible, allowed or {}, episodes)
     if compared:
         chosen = _best(compared, possible, episodes)
     else:
@@ -270,14 +276,38 @@ def _that_stay_finite(motions: Measurement) -> list[int]:
     return [n for n, end in ends if not np.array_equal(state[end - 1], state[end - 2])]
 
 
-def _near(
-    motions: Measurement, recorded: Measurement, possible: Sequence[int], episodes: int
+def _within(
+    motions: Measurement, possible: Sequence[int], allowed: Mapping[int, tuple[float, float]]
 ) -> list[int]:
-    """Motions whose positions stay near those recorded, or those that leave them least."""
+    """Motions that never leave the positions which their joints are allowed."""
+    spans = motions.spans()
+    return [
+        number
+        for number in possible
+        if all(
+            np.all((low <= positions) & (positions <= high))
+            for joint, (low, high) in allowed.items()
+            for positions in [motions.qpos[slice(*spans[number]), joint]]
+        )
+    ]
+
+
+def _near(
+    motions: Measurement,
+    recorded: Measurement,
+    possible: Sequence[int],
+    allowed: Collection[int],
+    episodes: int,
+) -> list[int]:
+    """Motions that stay near the recorded positions, or those that leave them least.
+
+    Joints with positions that are `allowed` do not count.
+    """
     low, high = recorded.qpos.min(axis=0), recorded.qpos.max(axis=0)
     span = np.maximum(high - low, _LEAST)
-    beyond = (np.maximum(low - motions.qpos, motions.qpos - high) / span).max(axis=1)
-    spans = motions.spans()
+    beyond = np.maximum(low - motions.qpos, motions.qpos - high) / span
+    beyond[:, list(allowed)] = 0.0
+    beyond, spans = beyond.max(axis=1), motions.spans()
     excess = {number: float(beyond[slice(*spans[number])].max()) for number in possible}
     near = [number for number in possible if excess[number] <= _BEYOND]
     return (

@@ -40,6 +40,10 @@ Limit = Annotated[
     list[str] | None,
     typer.Option(help="Limits of its commands: motor=-0.5:0.5, …; else as recorded."),
 ]
+Reach = Annotated[
+    list[str] | None,
+    typer.Option(help="Positions its joints may take: shoulder=-1:2, …; else near those recorded."),
+]
 
 
 @app.command()
@@ -54,6 +58,7 @@ def criticise(
     seed: Seed = 0,
     next_: Next = None,
     limit: Limit = None,
+    reach: Reach = None,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Name what a simulator gets wrong, given measured data; with --data, without a service."""
@@ -61,11 +66,11 @@ def criticise(
         raise InvalidInput("give either --data or --dataset")
     if out.exists() and not out.is_dir():
         raise InvalidInput(f"{out} is a file; --out is a folder")
-    if limit and next_ is None:
-        raise InvalidInput("--limit goes with --next")
+    if (limit or reach) and next_ is None:
+        raise InvalidInput("--limit and --reach go with --next")
     if data:
         given = (task, variant, model, free or [])
-        _criticise_here(data, out, given, seed, next_, limit or [])
+        _criticise_here(data, out, given, seed, next_, limit or [], reach or [])
         return
     if next_ is not None:
         raise InvalidInput("--next goes with --data")
@@ -83,12 +88,14 @@ def _criticise_here(
     seed: int,
     planned: Path | None,
     limit: list[str],
+    reach: list[str],
 ) -> None:
     """Criticise in this process; `given` is task, variant, model and free parameters."""
     from api.cli import criticism_files  # imports the simulator
 
     nominal, name = criticism_files.nominal_of(*given)
-    allowed = [criticism_files.limit_of(text, nominal) for text in limit]
+    limits = criticism_files.limits_of(limit, nominal)
+    allowed = criticism_files.reach_of(reach, nominal)
     with console.status("fitting"):
         criticism = criticism_files.criticise_files(nominal, name, data, out, seed, silent)
     console.print(verdict_table(criticism.verdict.to_json()))
@@ -96,7 +103,7 @@ def _criticise_here(
     console.print(f"{out}: {', '.join(files)}")
     if planned is not None:
         with console.status("planning"):
-            lines = criticism_files.plan_file(criticism, planned, allowed, seed)
+            lines = criticism_files.plan_file(criticism, planned, limits, allowed, seed)
         console.print("\n".join(lines), highlight=False)
 
 

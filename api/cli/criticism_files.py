@@ -19,6 +19,8 @@ from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.progress import Progress
 from adr_service.tasks.catalogue import get_task, variant_of
 
+Bounds = Mapping[int, tuple[float, float]]  # by number of an actuator or a joint
+
 
 def nominal_of(
     task: str | None, variant: str | None, model: Path | None, free: Sequence[str]
@@ -75,14 +77,14 @@ def criticise_files(
 
 
 def plan_file(
-    criticism: Criticism, out: Path, limits: Sequence[tuple[int, float, float]], seed: int
+    criticism: Criticism, out: Path, limits: Bounds, allowed: Bounds, seed: int
 ) -> list[str]:
     """Write the commands of the next recording, and return what to expect of it."""
     simulator = criticism.final.simulator
-    allowed = recorded_limits(simulator)
-    for number, low, high in limits:
-        allowed[number] = low, high
-    plan = next_recording(criticism, allowed, np.random.default_rng(seed))
+    commands = recorded_limits(simulator)
+    for number, bounds in limits.items():
+        commands[number] = bounds
+    plan = next_recording(criticism, commands, np.random.default_rng(seed), allowed=allowed)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_bytes(plan.to_npz())
     episodes, rows, _ = plan.commands.shape
@@ -108,20 +110,36 @@ def _expected(each: Separation) -> str:
     )
 
 
-def limit_of(text: str, nominal: Nominal) -> tuple[int, float, float]:
-    """The actuator's number and the limits of a text NAME=LOW:HIGH."""
-    name, _, bounds = text.partition("=")
-    low, _, high = bounds.partition(":")
+def limits_of(texts: Sequence[str], nominal: Nominal) -> Bounds:
+    """Limits of commands of texts NAME=LOW:HIGH, by the actuator's number."""
     model = nominal.model(nominal.start)
     names = [model.actuator(i).name for i in range(model.nu)]
+    return dict(_bounds("limit", "actuator", text, names) for text in texts)
+
+
+def reach_of(texts: Sequence[str], nominal: Nominal) -> Bounds:
+    """Allowed positions of texts NAME=LOW:HIGH, by the joint's number."""
+    model = nominal.model(nominal.start)
+    names = [model.joint(i).name for i in range(model.njnt)]
+    return dict(_bounds("reach", "joint", text, names) for text in texts)
+
+
+def _bounds(
+    option: str, kind: str, text: str, names: Sequence[str]
+) -> tuple[int, tuple[float, float]]:
+    name, _, bounds = text.partition("=")
+    low, _, high = bounds.partition(":")
     if name not in names:
-        raise UnknownName("actuator", name, names)
+        raise UnknownName(kind, name, names)
     try:
-        return names.index(name), float(low), float(high)
+        given = float(low), float(high)
     except ValueError as error:
         raise InvalidInput(
-            f"--limit {text!r} is not NAME=LOW:HIGH, as in motor=-0.5:0.5"
+            f"--{option} {text!r} is not NAME=LOW:HIGH, as in {names[0]}=-0.5:0.5"
         ) from error
+    if not given[0] <= given[1]:
+        raise InvalidInput(f"--{option} {text!r}: the lower bound comes first")
+    return names.index(name), given
 
 
 def write(out: Path, files: Mapping[str, bytes]) -> None:

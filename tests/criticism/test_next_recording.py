@@ -61,6 +61,26 @@ def test_commands_stay_within_their_limits(tied):
     assert np.ptp(plan.commands[..., 0]) > 1
 
 
+def test_a_joint_stays_within_the_positions_that_it_is_allowed(tied):
+    plan = planned(tied, allowed={0: (-0.8, 0.8), 1: (-1.0, 2.0)})
+    assert plan.reach[0, 0] >= -0.8
+    assert plan.reach[0, 1] <= 0.8
+    assert plan.reach[1, 0] >= -1.0
+    assert plan.reach[1, 1] <= 2.0
+
+
+def test_more_allowed_positions_promise_more_evidence(tied):
+    near, far = planned(tied), planned(tied, allowed={0: (-3.0, 3.0), 1: (-3.0, 3.0)})
+    assert np.ptp(far.reach, axis=1).max() > np.ptp(near.reach, axis=1).max()
+    promised = [max(s.if_named, s.if_other) for s in (*near.separations, *far.separations)]
+    assert max(promised[len(near.separations) :]) > max(promised[: len(near.separations)])
+
+
+def test_positions_that_no_motion_keeps_to_are_refused(tied):
+    with pytest.raises(InvalidInput, match="0 of them within the allowed positions; 12 are needed"):
+        planned(tied, allowed={0: (5.0, 6.0)})
+
+
 def test_a_plan_is_the_same_for_the_same_seed_and_a_file(tied):
     one, two, other = planned(tied), planned(tied), planned(tied, seed=1)
     np.testing.assert_array_equal(one.commands, two.commands)

@@ -28,7 +28,7 @@ def first(tmp_path, monkeypatch):
 
 def test_a_plan_is_played_and_judged_together_with_the_first_recording(adr_here, first, tmp_path):
     judge = ["criticise", "--task", "arm", "--data", first, "--out", "found"]
-    limits = ["--limit", "shoulder=-0.8:0.8"]
+    limits = ["--limit", "shoulder=-0.8:0.8", "--reach", "elbow=-2:2"]
     status, shown, errors = adr_here(*judge, "--next", "next.npz", *limits)
     assert status == 0, errors
     assert "next.npz: commands of 12 episodes, 1.5 s each" in shown
@@ -47,7 +47,9 @@ def test_a_plan_is_played_and_judged_together_with_the_first_recording(adr_here,
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--limit", "shoulder=-1:1"], "--limit goes with --next"),
+        (["--limit", "shoulder=-1:1"], "--limit and --reach go with --next"),
+        (["--next", "next.npz", "--reach", "elbo=-1:1"], "did you mean 'elbow'"),
+        (["--next", "next.npz", "--reach", "elbow=1:-1"], "the lower bound comes first"),
         (["--next", "next.npz", "--limit", "sholder=-1:1"], "did you mean 'shoulder'"),
         (["--next", "next.npz", "--limit", "shoulder=1"], "is not NAME=LOW:HIGH"),
     ],
