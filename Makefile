@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-budgets bench-coverage study bench-criticism bench-arms bench-extension bench-separation bench-api clean
+.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-budgets bench-coverage study bench-criticism bench-arms bench-extension bench-separation bench-baselines bench-api clean
 
 setup: $(STAMP)
 
@@ -12,7 +12,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --upgrade "pip>=25.1"
 	$(BIN)/pip install --quiet --constraint constraints.txt torch==2.13.0
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[fast,mcap,postgresql]" --group dev
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[fast,mcap,postgresql]" --group dev --group baselines
 	touch $(STAMP)
 
 demo: setup
@@ -85,6 +85,10 @@ bench-extension: setup
 # ten minutes on two cores
 bench-separation: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.separation --seeds 100
+
+# an hour on two cores
+bench-baselines: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.baselines.comparison
 
 # three minutes
 bench-api: setup
