@@ -62,18 +62,10 @@ def test_commands_stay_within_their_limits(tied):
 
 
 def test_a_joint_stays_within_the_positions_that_it_is_allowed(tied):
-    plan = planned(tied, allowed={0: (-0.8, 0.8), 1: (-1.0, 2.0)})
-    assert plan.reach[0, 0] >= -0.8
-    assert plan.reach[0, 1] <= 0.8
-    assert plan.reach[1, 0] >= -1.0
-    assert plan.reach[1, 1] <= 2.0
-
-
-def test_more_allowed_positions_promise_more_evidence(tied):
-    near, far = planned(tied), planned(tied, allowed={0: (-3.0, 3.0), 1: (-3.0, 3.0)})
-    assert np.ptp(far.reach, axis=1).max() > np.ptp(near.reach, axis=1).max()
-    promised = [max(s.if_named, s.if_other) for s in (*near.separations, *far.separations)]
-    assert max(promised[len(near.separations) :]) > max(promised[: len(near.separations)])
+    near, far = planned(tied), planned(tied, allowed={0: (-1.0, 3.0), 1: (-9.0, 9.0)}, episodes=4)
+    assert far.reach[0, 0] >= -1.0
+    assert far.reach[0, 1] <= 3.0
+    assert np.ptp(far.reach[1]) > np.ptp(near.reach[1])
 
 
 def test_positions_that_no_motion_keeps_to_are_refused(tied):

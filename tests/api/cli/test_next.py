@@ -26,6 +26,7 @@ def first(tmp_path, monkeypatch):
     return "first.npz"
 
 
+@pytest.mark.slow
 def test_a_plan_is_played_and_judged_together_with_the_first_recording(adr_here, first, tmp_path):
     judge = ["criticise", "--task", "arm", "--data", first, "--out", "found"]
     limits = ["--limit", "shoulder=-0.8:0.8", "--reach", "elbow=-2:2"]
