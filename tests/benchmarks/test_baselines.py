@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from adr_service.blind_test.files import Question
+from adr_service.blind_test.files import Answer, Question, write_answer
 from adr_service.blind_test.planting import hide
 from adr_service.effects.base import Effect
-from benchmarks.baselines import sparse_regression
+from benchmarks.baselines import nested_models, sparse_regression
 from benchmarks.baselines.classifier import Classifier, Example, example, features_of
+from benchmarks.baselines.comparison import answered, missing
 from benchmarks.baselines.fitting import Fits, simulator_of, whole_episodes
 from tests.hidden import arm
 
@@ -38,6 +39,27 @@ def test_system_identification_recovers_a_spring_and_its_criterion_admits_it(spr
     assert value == pytest.approx(0.15, abs=2 * extended.reach[0])
     assert extended.reach[0] < 0.02
     assert extended.bic() < fits.plain.bic() - 100
+
+
+def test_nested_models_name_a_spring_and_nothing_where_nothing_is_hidden(sprung):
+    rng = np.random.default_rng(0)
+    answer = nested_models.answer(sprung, rng)
+    assert answer.groups() == [[("joint_spring", "joint:elbow")]]
+    assert nested_models.answer(question(), rng).verdict == "none"
+
+
+def test_a_case_that_cannot_be_read_is_left_unanswered(tmp_path):
+    job = ("nested models", tmp_path / "0000", tmp_path / "answer")
+    assert answered(job).startswith("0000 nested models: InvalidInput: ")
+    assert not (tmp_path / "answer").exists()
+
+
+def test_only_questions_without_an_answer_are_missing(tmp_path):
+    for name in ("0000", "0001"):
+        (tmp_path / "cases" / name).mkdir(parents=True)
+        (tmp_path / "cases" / name / "case.json").write_text("{}")
+    write_answer(tmp_path / "ours/0000", Answer(verdict="none"))
+    assert [question.name for _, question, _ in missing(tmp_path, ["ours"])] == ["0001"]
 
 
 def test_sparse_regression_names_a_spring_with_its_strength(sprung):
