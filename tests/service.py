@@ -8,10 +8,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
+
+import numpy as np
 
 from api.client import AdrClient, Unreachable
 
@@ -100,9 +102,16 @@ def start_service(
 
 
 def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A port that nothing uses, between those of Ray's workers and those of connections.
+
+    A service takes seconds before it listens, and Ray connects meanwhile.
+    """
+    rng = np.random.default_rng()
+    while True:
+        port = int(rng.integers(20_000, 32_000))
+        with socket.socket() as probe, suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
 
 
 def wait_until_finished(client: AdrClient, id: str, timeout_s: float) -> dict[str, object]:
