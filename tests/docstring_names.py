@@ -325,7 +325,7 @@ def robot_log(folder: Path) -> Names:
 
 def blind_test(folder: Path) -> Names:
     """A question in `cases/0000`, an answer in `answers/0000`, and everything to mark it with."""
-    from adr_service.blind_test import answering, cases, files, planting, scoring
+    from adr_service.blind_test import cases, files, planting, scoring
 
     task, nominal = arm_and_nominal()
     hidden, case = cases.draw_blind("arm", np.random.default_rng([5, 0]))
@@ -334,6 +334,6 @@ def blind_test(folder: Path) -> Names:
     files.write_answer(folder / "answers/0000", answer)
     known = {"task": task, "nominal": nominal, "rng": np.random.default_rng([5, 0]), "Path": Path}
     known |= {"hidden": hidden, "case": case, "key": key, "answer": answer, "folder": folder}
-    for module in (answering, cases, files, planting, scoring):
+    for module in (cases, files, planting, scoring):
         known |= {name: value for name, value in vars(module).items() if callable(value)}
     return known

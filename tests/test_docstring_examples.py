@@ -49,7 +49,6 @@ NAMES: dict[str, Callable[..., dict[str, Any]]] = {
     "adr_service.benchmark.plan": names.benchmark_spec,
     "adr_service.benchmark.verification": names.stored_stage,
     "adr_service.blind_test": names.blind_test,
-    "adr_service.blind_test.answering": names.blind_test,
     "adr_service.blind_test.files": names.blind_test,
     "adr_service.blind_test.planting": names.blind_test,
     "adr_service.blind_test.scoring": names.blind_test,

@@ -1,7 +1,4 @@
-"""Answers to the questions of a blind test, by any method.
-
-answer_question(by_criticism, Path("cases/0000"), Path("ours/0000"), seed=0)
-"""
+"""Answers to the questions of a blind test, by criticism or any other method."""
 
 import json
 import time

@@ -161,10 +161,9 @@ def write_question(folder: Path, case: Case) -> None:
             Candidate(
                 kind=kind,
                 location=location,
-                strengths={s.name: s.unit for s in mechanism.strengths},
+                strengths={s.name: s.unit for s in get_mechanism(kind).strengths},
             )
             for kind, location in plantable(model)
-            for mechanism in [get_mechanism(kind)]
         ),
     )
     (folder / "case.json").write_text(known.model_dump_json(indent=1) + "\n")

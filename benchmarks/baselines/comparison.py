@@ -1,6 +1,6 @@
 """Makes a blind test, lets all methods answer it, and prints their scores side by side.
 
-    python -m benchmarks.baselines.comparison [--cases 80] [--seed 31] [--task arm] [--examples N]
+    python -m benchmarks.baselines.comparison [--cases 60] [--seed 31] [--task arm] [--examples N]
 
 Everything is kept in build/bench/baselines, and goes on from there where it was interrupted, while
 the methods are the same. As many processes at once as there are cores, each with one thread (set
@@ -42,7 +42,7 @@ Job = tuple[str, Path, Path]
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", type=int, default=80)
+    parser.add_argument("--cases", type=int, default=60)
     parser.add_argument("--task", default="arm")
     parser.add_argument("--seed", type=int, default=31)
     parser.add_argument(

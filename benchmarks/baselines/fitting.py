@@ -1,9 +1,11 @@
 """Least-squares fits of a simulator with given effects, by MuJoCo's system identification toolbox.
 
-with simulator_of(nominal, data) as simulator:
-    fits = Fits(simulator, whole_episodes)
-    fitted = fits.fit([effect])
-    fitted.bic()
+    with simulator_of(nominal, data) as simulator:
+        fits = Fits(simulator, whole_episodes)
+        fitted = fits.fit([effect], fits.plain.parameters)
+        fitted.bic() - fits.plain.bic()
+
+Errors are of one step, or of whole episodes.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -117,9 +119,7 @@ class Fitted:
     parameters: Vector
     effects: tuple[Effect, ...]
     errors: Matrix  # (n, m) [SI]
-    jacobian: (
-        Matrix  # (n m, k) of errors in deviations, by parameters and strengths in their scales
-    )
+    jacobian: Matrix  # (n m, k) of errors in deviations, by parameters and strengths, scaled
     reach: Vector  # half widths of the 95 % intervals of all strengths
 
     def bic(self) -> float:

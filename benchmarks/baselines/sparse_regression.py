@@ -2,12 +2,11 @@
 
 The free parameters are fitted first. What the simulator then misses in all sensors is regressed on
 what each term would add as a force on each joint, or to each sensor (`terms.py`). Sequentially
-thresholded least squares (Brunton, Proctor and Kutz, PNAS 113, 2016) keeps a few terms. The
-fewest terms that explain 95 % of what the ones with the lowest BIC explain are taken, and of these
-any whose loss costs less than 6 of BIC is dropped.
-A kept term is an effect if it is the one that an effect at its place adds. Any other kept term is a
-force that nothing in the catalogue explains. So the method does not see effects in bodies or the
-world as such.
+thresholded least squares (Brunton, Proctor and Kutz, PNAS 113, 2016) keeps a few terms for each of
+many thresholds. The fewest terms that explain 95 % of what the ones with the lowest BIC explain are
+taken, and of these any whose loss costs less than 6 of BIC is dropped. A kept term is an effect if
+it is the one that an effect at its place adds. Any other kept term is a force that nothing in the
+catalogue explains. So the method does not see effects in bodies or the world as such.
 """
 
 import warnings
