@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -112,6 +112,18 @@ class Answer(BaseModel):
     tied: tuple[tuple[Named, ...], ...] = ()  # by cause, what explains as much
     residual: Left = Left()
     cpu_seconds: Annotated[float, Field(ge=0)] | None = None
+
+    @classmethod
+    def naming(cls, groups: Sequence[Sequence[Named]], rest: Literal["none", "unknown"]) -> Self:
+        """An answer that names the first effect of each group, with which the others are tied."""
+        is_tied = any(len(group) > 1 for group in groups)
+        named = Conclusion.TIE if is_tied else Conclusion.CAUSE
+        return cls(
+            verdict=named if groups else Conclusion.NONE,
+            causes=tuple(group[0] for group in groups),
+            tied=tuple(tuple(group[1:]) for group in groups),
+            residual=Left(rest=rest),
+        )
 
     def groups(self) -> list[list[tuple[str, str]]]:
         """Each cause with what is tied with it, as kind and place."""

@@ -64,10 +64,8 @@ class Classifier:
         if largest == outside:
             return Answer(verdict=Conclusion.UNKNOWN)
         ranked = sorted(known, key=lambda label: -known[label])
-        likely = [n for n in ranked[1:_MOST] if known[n] >= _AS_LIKELY * known[ranked[0]]]
-        tied = tuple(_named(label) for label in likely)
-        verdict = Conclusion.TIE if tied else Conclusion.CAUSE
-        return Answer(verdict=verdict, causes=(_named(ranked[0]),), tied=(tied,))
+        likely = [n for n in ranked[:_MOST] if known[n] >= _AS_LIKELY * known[ranked[0]]]
+        return Answer.naming([[_named(label) for label in likely]], "none")
 
 
 def trained(task: str, cases: int, seed: int, pool: Executor) -> Classifier:

@@ -10,7 +10,6 @@ cannot answer `unknown`.
 import numpy as np
 
 from adr_service.blind_test.files import Answer, Estimate, Named, Question
-from adr_service.criticism.verdict import Conclusion
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
 from benchmarks.baselines.fitting import Fits, Fitted, simulator_of, whole_episodes
@@ -25,18 +24,14 @@ def answer(question: Question, rng: np.random.Generator) -> Answer:
     candidates = [e for e in question.candidates if not get_mechanism(e.kind).only_spreads]
     with simulator_of(question.nominal, question.measurement) as simulator:
         fits = Fits(simulator, whole_episodes)
-        known, tied = fits.plain, list[tuple[Named, ...]]()
+        known, tied = fits.plain, list[list[Named]]()
         while len(known.effects) < _MOST:
             admitted = _next(fits, known, candidates)
             if not admitted:
                 break
             known = admitted[0]
-            tied.append(tuple(_named(each, -1) for each in admitted[1:]))
-    return Answer(
-        verdict=_conclusion(known, tied),
-        causes=tuple(_named(known, number) for number in range(len(known.effects))),
-        tied=tuple(tied),
-    )
+            tied.append([_named(each, -1) for each in admitted[1:]])
+    return Answer.naming([[_named(known, n), *others] for n, others in enumerate(tied)], "none")
 
 
 def _next(fits: Fits, known: Fitted, candidates: list[Effect]) -> list[Fitted]:
@@ -70,9 +65,3 @@ def _named(model: Fitted, number: int) -> Named:
             high=value + reach if is_known else None,
         )
     return Named(kind=effect.kind, location=effect.location, parameters=estimates)
-
-
-def _conclusion(known: Fitted, tied: list[tuple[Named, ...]]) -> Conclusion:
-    if not known.effects:
-        return Conclusion.NONE
-    return Conclusion.TIE if any(tied) else Conclusion.CAUSE

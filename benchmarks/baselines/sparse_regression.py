@@ -19,7 +19,7 @@ import numpy as np
 import pysindy
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.blind_test.files import Answer, Estimate, Left, Named, Question
+from adr_service.blind_test.files import Answer, Estimate, Named, Question
 from adr_service.criticism.verdict import Conclusion
 from benchmarks.baselines.fitting import Fits, one_step, simulator_of
 from benchmarks.baselines.terms import Regression, Term, regression_of
@@ -130,17 +130,10 @@ def _squares(columns: Matrix, target: Vector, support: Sequence[int]) -> float:
 
 def _answered(kept: Sequence[_Kept], model: mujoco.MjModel, period: float) -> Answer:
     named = [_effects(each, model, period) for each in kept]
-    causes = [group for group in named if group]
-    if not kept:
-        return Answer(verdict=Conclusion.NONE)
-    if not named[0]:
+    if named and not named[0]:
         return Answer(verdict=Conclusion.UNKNOWN)
-    return Answer(
-        verdict=Conclusion.TIE if any(len(group) > 1 for group in causes) else Conclusion.CAUSE,
-        causes=tuple(group[0] for group in causes),
-        tied=tuple(tuple(group[1:]) for group in causes),
-        residual=Left(rest="none" if all(named) else "unknown"),
-    )
+    groups = [group for group in named if group]
+    return Answer.naming(groups, "none" if all(named) else "unknown")
 
 
 def _effects(kept: _Kept, model: mujoco.MjModel, period: float) -> list[Named]:

@@ -138,3 +138,12 @@ def test_a_question_that_lacks_a_file_is_refused_with_its_name(tmp_path, case, n
     (tmp_path / name).write_bytes(b"nonsense")
     with pytest.raises(InvalidInput, match=str(tmp_path)):
         read_question(tmp_path)
+
+
+def test_an_answer_that_names_groups_is_a_tie_where_one_of_them_has_two():
+    spring, hardening = (Named(kind=kind, location="joint:elbow") for kind in ("spring", "cubic"))
+    assert Answer.naming([], "none").verdict == "none"
+    assert Answer.naming([[spring]], "unknown").verdict == "cause"
+    tied = Answer.naming([[spring, hardening]], "none")
+    assert tied.verdict == "tie"
+    assert (tied.causes, tied.tied) == ((spring,), ((hardening,),))
