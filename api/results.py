@@ -31,6 +31,7 @@ from db.errors import DatabaseUnavailable
 from db.runs import RunRecord
 
 log = logging.getLogger(__name__)
+_TABLES = 2  # counts the times that tables of the same outcomes changed
 _COST_NOTE = (
     "core seconds of everything the service computed while there was work for all cores; useful = "
     "computing / (computing + waiting + orchestration), overhead = orchestration / all; known when "
@@ -94,7 +95,7 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
     count = event_store.count_iterations(service.database, [record.id for record in records])
     tables = (Row, Aggregate, Comparison, ParameterEstimate, InferenceCost)
     columns = [field.name for each in tables for field in fields(each)]
-    version = sha256(canonical_json([adr_service.__version__, columns, count]).encode())
+    version = sha256(canonical_json([adr_service.__version__, _TABLES, columns, count]).encode())
     stored = result_store.kept_results(service.database, id, version)
     if stored is not None:
         return stored

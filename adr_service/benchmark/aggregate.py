@@ -36,7 +36,7 @@ class Aggregate:
     method: str
     cells: int  # pairs of task and variant
     interquartile_mean: float  # of the policies' mean normalised returns
-    low: float | None  # of the stratified bootstrap; None: a cell has one seed
+    low: float | None  # of the stratified bootstrap; None: a cell has too few seeds
     high: float | None
     seeds: int  # fewest of a cell
     policies: int

@@ -21,7 +21,7 @@ from scipy.stats import t as student
 from adr_service.arrays import Vector
 from adr_service.benchmark.cells import Cell, Measured
 from adr_service.benchmark.comparison import Outcome, returns_of, table
-from adr_service.benchmark.statistics import seed_interval
+from adr_service.benchmark.statistics import FEWEST_SEEDS, seed_interval
 
 _SOLVED = 0.95  # of the oracle's target return
 _SAME = 0.1  # of a normalised return
@@ -170,9 +170,9 @@ def costs_more(task: str, dear: str, cheap: str) -> Check:
 
 
 def above(values: Vector, bound: float, line: str) -> Evidence:
-    """The mean of seeds' values (n,) lies above a bound; one seed settles nothing."""
+    """The mean of seeds' values (n,) lies above a bound; one or two settle nothing."""
     count, centre = len(values), float(values.mean()) - bound
-    if count < 2:
+    if count < FEWEST_SEEDS:
         leaning = (0.5, 1.0) if centre > 0 else (1.0, 0.5)
         return Evidence(*leaning, [line])
     std = max(float(values.std(ddof=1)), _LEAST_STD)
@@ -191,7 +191,7 @@ def _seeds_needed(distance: float, std: float) -> Callable[[float], float]:
     """Seeds at which Student's t settles a mean at a distance from its bound, by level."""
 
     def needed(level: float) -> float:
-        for count in range(2, _MOST_SEEDS + 1):
+        for count in range(FEWEST_SEEDS, _MOST_SEEDS + 1):
             if distance * np.sqrt(count) > std * student.isf(level / 2, count - 1):
                 return float(count)
         return float("inf")

@@ -53,7 +53,7 @@ class Row:
     collector: str  # the policy that acted while an offline method's data were recorded
     iteration: int
     normalised_return: float
-    low: float | None  # of Student's 95 % interval over seeds; None: one seed has none
+    low: float | None  # of Student's 95 % interval over seeds; None: fewer than three have none
     high: float | None
     interquartile_mean: float  # of the policies' mean returns
     interquartile_low: float | None  # of the bootstrap over seeds, policies and episodes

@@ -53,7 +53,7 @@ def plot_profile(points: Sequence[ProfilePoint]) -> Figure:
     for method in dict.fromkeys(point.method for point in points):
         chosen = [point for point in points if point.method == method]
         x, colour = [point.level for point in chosen], _colour(method)
-        # one seed has no interval, and no band
+        # fewer than three seeds have no interval, and no band
         low, high = (np.array([getattr(p, side) for p in chosen], float) for side in _SIDES)
         axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
         shares = [point.share for point in chosen]
@@ -207,7 +207,7 @@ def _cost_panel(axis: Axes, rows: Sequence[InferenceCost], measure: str) -> None
 def _band(
     axis: Axes, x: Sequence[float], rows: Sequence[Row], style: str, colour: str, label: str
 ) -> None:
-    # one seed has no interval, and no band
+    # fewer than three seeds have no interval, and no band
     low, high = (np.array([getattr(row, side) for row in rows], float) for side in _SIDES)
     axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
     means = [row.normalised_return for row in rows]

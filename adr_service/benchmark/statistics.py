@@ -2,8 +2,8 @@
 
 A mean has Student's interval over the means of seeds, because a bootstrap of few seeds is too
 short: `benchmarks/coverage.py` measures how often either covers the truth (docs/statistics.md).
-Aggregates that are no means have a bootstrap over seeds, policies and episodes. One seed has no
-interval.
+Aggregates that are no means have a bootstrap over seeds, policies and episodes. Fewer than three
+seeds have no interval: with two, none covers what it states if a training may fail.
 
 The interquartile mean and the probability of improvement are those of Agarwal et al., "Deep
 Reinforcement Learning at the Edge of the Statistical Precipice", arXiv 2108.13264, Sec. 4. We
@@ -22,6 +22,7 @@ from adr_service.errors import InvalidInput
 
 _RESAMPLES = 2000
 _LEVEL = 0.95
+FEWEST_SEEDS = 3  # that have an interval
 _CHUNK = 1_000_000  # returns drawn at once
 
 
@@ -30,7 +31,7 @@ class Interval:
     """An aggregate with its 95 % interval."""
 
     value: float
-    low: float | None  # None: one seed has no interval
+    low: float | None  # None: fewer than three seeds have no interval
     high: float | None
 
     def __str__(self) -> str:
@@ -42,7 +43,7 @@ class Interval:
 def seed_interval(values: Vector) -> Interval:
     """The mean of seeds' values (n,) with Student's interval."""
     centre, count = float(values.mean()), len(values)
-    if count < 2:
+    if count < FEWEST_SEEDS:
         return Interval(centre, None, None)
     reach = float(student.isf((1 - _LEVEL) / 2, count - 1) * values.std(ddof=1) / np.sqrt(count))
     return Interval(centre, centre - reach, centre + reach)
@@ -144,7 +145,7 @@ def _resampled_policies(returns: Matrix, count: int, rng: np.random.Generator) -
 
 def _percentile_interval(value: float, resampled: Vector, seeds: int) -> Interval:
     """The percentile bootstrap interval (Efron and Tibshirani 1993, ch. 13)."""
-    if seeds < 2:
+    if seeds < FEWEST_SEEDS:
         return Interval(value, None, None)
     tail = 100 * (1 - _LEVEL) / 2
     low, high = np.percentile(resampled, [tail, 100 - tail])

@@ -17,17 +17,17 @@ def world(levels):
 
 
 TWO = {
-    ("simopt", "vanilla"): (1.0, 1.0),
-    ("simopt", "noisy"): (0.5, 0.5),
-    ("dropo", "vanilla"): (0.8, 0.8),
-    ("dropo", "noisy"): (0.8, 0.8),
+    ("simopt", "vanilla"): (1.0,) * 3,
+    ("simopt", "noisy"): (0.5,) * 3,
+    ("dropo", "vanilla"): (0.8,) * 3,
+    ("dropo", "noisy"): (0.8,) * 3,
 }
 
 
 def test_the_aggregate_is_over_all_cells_policies():
     simopt, dropo = aggregates(world(TWO))
-    assert (simopt.method, simopt.cells, simopt.seeds, simopt.policies) == ("simopt", 2, 2, 4)
-    # of 0.5, 0.5, 1.0, 1.0, the middle half
+    assert (simopt.method, simopt.cells, simopt.seeds, simopt.policies) == ("simopt", 2, 3, 6)
+    # of three times 0.5 and three times 1.0, the middle
     assert simopt.interquartile_mean == pytest.approx(0.75)
     assert dropo.interquartile_mean == pytest.approx(0.8)
     # each cell is resampled by itself, and its seeds are equal
@@ -35,15 +35,15 @@ def test_the_aggregate_is_over_all_cells_policies():
 
 
 def test_only_cells_that_all_methods_have_count():
-    more = {**TWO, ("simopt", "unmodeled"): (9.0, 9.0)}
+    more = {**TWO, ("simopt", "unmodeled"): (9.0,) * 3}
     assert aggregates(world(more)) == aggregates(world(TWO))
     apart = {("simopt", "vanilla"): (1.0,), ("dropo", "noisy"): (1.0,)}
     assert aggregates(world(apart)) == profiles(world(apart)) == []
 
 
-def test_a_cell_of_one_seed_has_no_interval():
-    one = {key: values[:1] for key, values in TWO.items()}
-    assert {(each.low, each.high) for each in aggregates(world(one))} == {(None, None)}
+def test_a_cell_of_two_seeds_has_no_interval():
+    few = {key: values[:2] for key, values in TWO.items()}
+    assert {(each.low, each.high) for each in aggregates(world(few))} == {(None, None)}
 
 
 def test_a_profile_falls_from_all_policies_to_none():

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from adr_service.benchmark.comparison import comparisons, costs, estimates, table, to_csv
 from adr_service.methods.catalogue import methods
-from tests.benchmark.conftest import ITERATIONS, METHODS
+from tests.benchmark.conftest import ITERATIONS, METHODS, with_a_third_seed
 
 
 def test_the_table_has_every_method_with_its_interval_and_counts(benchmark):
@@ -21,8 +21,10 @@ def test_the_table_has_every_method_with_its_interval_and_counts(benchmark):
         "oracle",
     ]
     for row in rows:
-        assert row.low <= row.normalised_return <= row.high
+        assert (row.low, row.interquartile_low) == (None, None)  # of two seeds
         assert (row.seeds, row.episodes) == (2, 4 * row.policies)
+    for row in table(with_a_third_seed(benchmark[2])):
+        assert row.low <= row.normalised_return <= row.high
     simopt = [row for row in rows if (row.method, row.variant) == ("simopt", "vanilla")]
     assert [row.target_transitions for row in simopt] == [0, 20, 40]
     assert simopt[0].posterior_std == 1
@@ -42,9 +44,10 @@ def test_a_row_tells_what_was_read_and_simulated(benchmark):
 
 def test_every_pair_of_methods_is_compared_after_its_last_iteration(benchmark):
     found = comparisons(benchmark[2])
-    for pair in found:
+    assert all((pair.low, pair.difference_low, pair.seeds) == (None, None, 2) for pair in found)
+    for pair in comparisons(with_a_third_seed(benchmark[2])):
         assert 0 <= pair.low <= pair.probability <= pair.high <= 1
-        assert pair.seeds == 2
+        assert pair.seeds == 3
     names = {run.column for run in benchmark[0].runs()}
     assert len(names) == 6 + 3 * 3
     assert len(found) == 2 * len(names) * (len(names) - 1) // 2
