@@ -1,4 +1,4 @@
-"""Specs from files and from `--set` options."""
+"""Specs from files, and from settings as text."""
 
 import json
 from collections.abc import Iterable
@@ -37,7 +37,7 @@ def assign(spec: dict[str, Any], assignments: Iterable[str] | None) -> None:
     for assignment in assignments or ():
         path, equals, text = assignment.partition("=")
         if not equals:
-            raise InvalidInput(f"--set needs name=value; given {assignment!r}")
+            raise InvalidInput(f"a setting is name=value, as iterations=2; given {assignment!r}")
         _set(spec, path.split("."), read_value(text))
 
 

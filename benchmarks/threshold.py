@@ -37,7 +37,7 @@ from adr_service.specs import RunSpec
 from adr_service.stages.base import compute
 from adr_service.stages.train_policy import TrainPolicy
 from adr_service.tasks.catalogue import get_task
-from api.cli.specs import assign
+from api.specs import assign
 from workers.cluster import worker_environment
 
 FOLDER = Path("build/bench/threshold")

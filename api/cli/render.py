@@ -6,8 +6,8 @@ from typing import Annotated, Any
 import typer
 
 from adr_service.errors import InvalidInput
-from api.cli.specs import assign
 from api.cli.terminal import console
+from api.specs import assign
 
 app = typer.Typer()
 

@@ -10,11 +10,11 @@ from adr_service.errors import InvalidInput
 from api.cli.follow import follow
 from api.cli.options import AsJson, Id, Url, Watch
 from api.cli.progress import label
-from api.cli.specs import assign, read_effects, read_spec
 from api.cli.tables import plan_table
 from api.cli.terminal import console
 from api.client import AdrClient, Json, connect, is_finished
 from api.settings import DEFAULT_URL
+from api.specs import assign, read_effects, read_spec
 
 app = typer.Typer()
 

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from api.client import Json
+from api.durations import in_words
 
 if TYPE_CHECKING:  # imports Ray
     from workers.tuning import Candidate
@@ -59,7 +60,7 @@ def _cells(row: Json) -> list[str]:
 
 
 def _interval(row: Json, of: str = "") -> str:
-    """The interval of a row; one seed has none."""
+    """The interval of a row; fewer than three seeds have none."""
     low, high = row[f"{of}low"], row[f"{of}high"]
     return "–" if low is None else rf"\[{low:.2f}, {high:.2f}]"
 
@@ -113,29 +114,17 @@ def _verdict(finding: Json) -> str:
 def plan_table(plan: Json) -> RenderableType:
     """The expected cost of runs."""
     table = Table("", "", box=None, padding=(0, 2, 0, 0), show_header=False)
-    hours = "unknown, there are no cores" if plan["hours"] is None else _duration(plan["hours"])
+    hours = "unknown, there are no cores" if plan["hours"] is None else in_words(plan["hours"])
     table.add_row("runs", str(plan["runs"]))
     if plan["stored"]:
         table.add_row("stages that have their results already", str(plan["stored"]))
     table.add_row("trainings, shared ones once", str(plan["trainings"]))
     table.add_row("their environment steps, at most", f"{plan['environment_steps']:,}")
     table.add_row("target transitions, at most", f"{plan['target_transitions']:,}")
-    table.add_row("computing", f"{_duration(plan['core_hours'])} on a core")
+    table.add_row("computing", f"{in_words(plan['core_hours'])} on a core")
     table.add_row(f"time, with {plan['cores']} cores", hours)
     table.add_row("policies on disk", f"{plan['policies_mb']:.2g} MB")
     return Group(table, Text(plan["basis"], style="dim"))
-
-
-def _duration(hours: float) -> str:
-    """A duration in words.
-
-    Below a minute, the start of processes takes most of the time, and no plan counts that.
-    """
-    if hours < 1 / 60:
-        return "less than a minute"
-    if hours < 1:
-        return f"{60 * hours:.0f} minutes"
-    return f"{hours:.2g} hours" if hours < 10 else f"{hours:,.0f} hours"
 
 
 def cost_table(cost: Json) -> RenderableType:

@@ -9,9 +9,9 @@ import typer
 
 from adr_service.errors import InvalidInput
 from api.cli.options import AsJson
-from api.cli.specs import assign, read_value
 from api.cli.tables import candidates_table
 from api.cli.terminal import console
+from api.specs import assign, read_value
 
 app = typer.Typer()
 

@@ -1,11 +1,11 @@
-"""Specs from files and from `--set` options."""
+"""Specs from files, and from settings as text."""
 
 import json
 
 import pytest
 
 from adr_service.errors import InvalidInput
-from api.cli.specs import assign, read_effects, read_spec
+from api.specs import assign, read_effects, read_spec
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,9 @@ def test_later_assignments_win_and_others_stay():
 
 
 def test_an_assignment_without_a_value_is_refused():
-    with pytest.raises(InvalidInput, match="--set needs name=value; given 'seed'"):
+    with pytest.raises(
+        InvalidInput, match="a setting is name=value, as iterations=2; given 'seed'"
+    ):
         assign({}, ["seed"])
 
 
