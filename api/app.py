@@ -11,6 +11,7 @@ import anyio
 import anyio.to_thread
 from fastapi import Depends, FastAPI
 from starlette.datastructures import State
+from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 import adr_service
@@ -19,6 +20,8 @@ from api import errors, page
 from api.errors import Problem
 from api.etags import Etags
 from api.guard import Guard
+from api.page.problems import Problems
+from api.page.rendering import STATIC
 from api.parameters import check_parameters
 from api.routes import (
     archives,
@@ -62,15 +65,17 @@ def create_app(settings: Settings) -> FastAPI:
     errors.install(app)
     families = (
         *(runs, events, run_results, trainings, benchmarks, benchmark_results, archives),
-        *(criticisms, datasets, target_tasks, claims, catalogue, page),
+        *(criticisms, datasets, target_tasks, claims, catalogue),
     )
-    app.state.routers = [family.router for family in families]
+    app.state.routers = [*(family.router for family in families), *page.routers]
     for router in app.state.routers:
-        is_page = router is page.router  # an address that somebody shared may have more in it
+        is_page = router in page.routers  # an address that somebody shared may have more in it
         checks = [] if is_page else [Depends(check_parameters)]
         app.include_router(router, dependencies=checks)
+    app.mount("/static", StaticFiles(directory=STATIC))
     app.add_middleware(Etags)
     app.add_middleware(Guard, settings=settings)
+    app.add_middleware(Problems)
     app.add_middleware(_Starting, state=app.state)  # outermost
     return app
 

@@ -14,13 +14,16 @@ from limits.storage import MemoryStorage
 from limits.strategies import FixedWindowRateLimiter
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware.body_limit import MAX_BODY_SIZE_SCOPE_KEY, RequestBodyLimitMiddleware
+from starlette.requests import cookie_parser
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import problem
 from api.settings import Settings
 
-_OPEN_PATHS = {"/healthz"}  # for health checks, which hold no secret
+COOKIE = "adr_token"  # of a browser that has logged in
+# for health checks, and for the page that asks for the token: they hold no secret
+_OPEN_PATHS = re.compile(r"/healthz|/login|/static/.*")
 _ROBOT_PATHS = re.compile(r"/v1/target_tasks(/.*)?|/v1/tasks|/readyz|/version")
 _LARGEST_BODY = 1_000_000  # bytes; routes that take files have their own
 _LONGEST = 200  # characters of an origin that a problem repeats
@@ -28,11 +31,12 @@ _READING = {"GET", "HEAD", "OPTIONS"}
 _LOOPBACK = {"127.0.0.1", "localhost", "::1"}
 _EVERY_ADDRESS = {"0.0.0.0", "::"}  # noqa: S104 - known, not used
 _HEADERS = {
-    # pages have no scripts, and nothing from elsewhere
-    "Content-Security-Policy": "default-src 'none'; img-src 'self' data:; style-src "
-    "'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    # pages have our own files and nothing from elsewhere; reports have styles inside
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; connect-src 'self'; "
+    "img-src 'self' data:; style-src 'self' 'unsafe-inline'; base-uri 'none'; "
+    "form-action 'self'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
+    "Referrer-Policy": "same-origin",  # without it, our own forms would have no origin
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 
@@ -88,7 +92,7 @@ class Guard:
         return refusal
 
     def _not_allowed(self, headers: Headers, method: str, path: str) -> Response | None:
-        if not self._user or path in _OPEN_PATHS:
+        if not self._user or _OPEN_PATHS.fullmatch(path):
             return None
         given = _token(headers, method)
         if hmac.compare_digest(given, self._user.encode()):
@@ -162,7 +166,11 @@ def _without_port(host: str) -> str:
 
 
 def _token(headers: Headers, method: str) -> bytes:
-    """Return the token of a request. Browsers resend passwords, so those only allow reading."""
+    """Return the token of a request.
+
+    Browsers resend passwords, so those only allow reading. They send the cookie of a login from our
+    own pages alone.
+    """
     kind, _, value = headers.get("authorization", "").partition(" ")
     if kind.lower() == "bearer":
         return value.encode("latin-1")  # as it was sent
@@ -171,4 +179,4 @@ def _token(headers: Headers, method: str) -> bytes:
             return base64.b64decode(value, validate=True).partition(b":")[2]
         except ValueError:
             return b""
-    return b""
+    return cookie_parser(headers.get("cookie", "")).get(COOKIE, "").encode()

@@ -8,16 +8,18 @@ All links are relative and nothing is a script, so any web host can show it, and
 """
 
 import json
+import shutil
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from adr_service.benchmark.archive import ArchiveReader, Manifest
 from adr_service.benchmark.figures import FIGURES
+from adr_service.benchmark.improvements import improvement_matrices
 from adr_service.errors import InvalidInput
 from api.client import AdrClient, check_benchmark
 
-_TEMPLATES = Path(__file__).parent / "page" / "templates"  # without the service, which imports Ray
+_PAGE = Path(__file__).parent / "page"  # without the service, which imports Ray
 
 
 def write_report(client: AdrClient, benchmark_id: str, folder: Path) -> Path:
@@ -44,11 +46,13 @@ def write_report(client: AdrClient, benchmark_id: str, folder: Path) -> Path:
         claims=claims,
         figures=figures,
         captions={name: kind.caption for name, kind in FIGURES.items()},
+        matrices=improvement_matrices(found["comparisons"]),
         cost=client.cost(benchmark_id),
         manifest=_archive(client, benchmark_id, folder / "study.adr"),
         spec=json.dumps(benchmark["spec"], indent=1),
     )
     (folder / "index.html").write_text(text)
+    shutil.copyfile(_PAGE / "static" / "style.css", folder / "style.css")
     return folder / "index.html"
 
 
@@ -60,5 +64,5 @@ def _archive(client: AdrClient, benchmark_id: str, path: Path) -> Manifest:
 
 
 def _templates() -> Environment:
-    loader = FileSystemLoader(_TEMPLATES)
+    loader = FileSystemLoader(_PAGE / "templates")
     return Environment(loader=loader, autoescape=True, undefined=StrictUndefined)

@@ -94,11 +94,14 @@ def load_dataset(database: Database, id: str) -> tuple[DatasetRecord, bytes]:
         return _record(row), artifact.content
 
 
-def list_datasets(database: Database, *, after: int = 0, limit: int = 100) -> list[DatasetRecord]:
-    """Datasets in order of upload, those numbered above `after`."""
+def list_datasets(
+    database: Database, *, after: int = 0, limit: int = 100, newest_first: bool = False
+) -> list[DatasetRecord]:
+    """Datasets in order of upload, or the newest first; those numbered above `after`."""
+    order = DatasetRow.number.desc() if newest_first else DatasetRow.number
     query = select(DatasetRow).where(DatasetRow.number > after)
     with database.read() as session:
-        rows = session.scalars(query.order_by(DatasetRow.number).limit(limit))
+        rows = session.scalars(query.order_by(order).limit(limit))
         return [_record(row) for row in rows]
 
 

@@ -90,9 +90,11 @@ def list_runs(
     benchmark_id: str | None = None,
     after: int = 0,
     limit: int | None = 100,
+    newest_first: bool = False,
 ) -> list[RunRecord]:
-    """Runs in order of submission, those numbered above `after`."""
-    query = select(RunRow).where(RunRow.number > after).order_by(RunRow.number).limit(limit)
+    """Runs in order of submission, or the newest first; those numbered above `after`."""
+    order = RunRow.number.desc() if newest_first else RunRow.number
+    query = select(RunRow).where(RunRow.number > after).order_by(order).limit(limit)
     filters = {"state": state, "method": method, "task": task, "benchmark_id": benchmark_id}
     for column, value in filters.items():
         if value is not None:

@@ -248,8 +248,10 @@ def list_visits(
     external: bool | None = None,
     after: int = 0,
     limit: int = 100,
+    newest_first: bool = False,
 ) -> list[Visit]:
-    """Visits in order of publication, those numbered above `after`."""
+    """Visits in order of publication, or the newest first; those numbered above `after`."""
+    order = TargetTaskRow.number.desc() if newest_first else TargetTaskRow.number
     query = select(TargetTaskRow).where(TargetTaskRow.number > after)
     filters = (
         (TargetTaskRow.state, state),
@@ -258,7 +260,7 @@ def list_visits(
     )
     query = query.where(*(column == value for column, value in filters if value is not None))
     with database.read() as session:
-        rows = session.scalars(query.order_by(TargetTaskRow.number).limit(limit))
+        rows = session.scalars(query.order_by(order).limit(limit))
         return [_visit(session, row) for row in rows]
 
 

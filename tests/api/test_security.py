@@ -14,7 +14,7 @@ import httpx2
 import psutil
 import pytest
 
-from api.page import router as page_router
+from api.page import routers as page_routers
 from tests.service import free_port, start_service
 
 pytestmark = pytest.mark.ray
@@ -64,9 +64,11 @@ def test_the_table_names_a_test_or_a_reason_for_every_threat():
 def test_nothing_is_open_without_the_token_but_the_health_check(http, guarded):
     assert http.get("/healthz").status_code == 200
     routes = httpx2.get(f"{guarded.client.url}/openapi.json", headers=bearer(TOKEN)).json()["paths"]
-    pages = [route.path for route in page_router.routes]
+    pages = [route.path for router in page_routers for route in router.routes]
+    assert http.get("/static/style.css").status_code == 200
+    assert http.get("/static/../guard.py").status_code in (401, 404)
     for path in [*routes, *pages, "/openapi.json"]:
-        if path != "/healthz":
+        if path not in ("/healthz", "/login"):
             refused = http.get(path)
             assert refused.status_code == 401, path
             assert refused.headers["WWW-Authenticate"].startswith("Bearer")
@@ -123,15 +125,40 @@ def test_a_name_that_is_not_the_services_is_refused(http):
     assert http.get("/healthz", headers={"Host": "localhost:1"}).status_code == 200
 
 
-def test_browsers_load_and_run_nothing(http):
+def test_browsers_load_and_run_nothing_but_our_own_files(http):
     for path in ("/", "/docs", "/v1/runs", "/nothing"):
         headers = http.get(path, headers=bearer(TOKEN)).headers
         assert headers["Content-Security-Policy"].startswith("default-src 'none'")
         assert headers["X-Content-Type-Options"] == "nosniff"
         assert "Access-Control-Allow-Origin" not in headers
-    pages = "".join(http.get(p, headers=bearer(TOKEN)).text for p in ("/", "/docs"))
-    assert "<script" not in pages
+        assert "unsafe-inline" not in headers["Content-Security-Policy"].split("style-src")[0]
+    pages = "".join(http.get(p, headers=bearer(TOKEN)).text for p in ("/", "/docs", "/submit"))
+    assert set(re.findall(r"<script[^>]*>", pages)) <= {
+        f'<script src="/static/{name}" defer>' for name in ("vendor/htmx.min.js", "page.js")
+    }
+    assert not re.search(r"\son\w+=|javascript:", pages)
     assert not re.search(r"(src=|<link[^>]*href=)\"(https?:)?//", pages)
+
+
+def test_a_browser_logs_in_by_the_token_and_its_cookie_serves_our_own_pages_alone(http):
+    asked = http.get("/robots", headers={"Accept": "text/html"})
+    assert asked.status_code == 401
+    assert 'name="token"' in asked.text
+    assert 'name="next" value="/robots"' in asked.text
+    assert "WWW-Authenticate" not in asked.headers  # it would show a window of its own
+    wrong = http.post("/login", data={"token": "x" * 32})
+    assert (wrong.status_code, "Set-Cookie" in wrong.headers) == (401, False)
+    ours = str(http.base_url).rstrip("/")
+    for given, then in (("/robots", "/robots"), ("//elsewhere.example", "/"), ("https://a.b", "/")):
+        entered = http.post("/login", data={"token": TOKEN, "next": given})
+        assert (entered.status_code, entered.headers["Location"]) == (303, then)
+    assert {"HttpOnly", "SameSite=strict"} <= set(entered.headers["Set-Cookie"].split("; "))
+    assert http.get("/").status_code == 200
+    assert http.post("/runs/run_0/cancel", headers={"Origin": ours}).status_code == 404
+    elsewhere = {"Origin": "https://attacker.example"}
+    assert http.post("/runs/run_0/cancel", headers=elsewhere).status_code == 403
+    http.post("/logout")
+    assert http.get("/").status_code == 401
 
 
 def test_names_that_are_markup_are_shown_and_not_run(http):

@@ -19,9 +19,79 @@ def test_the_page_of_a_benchmark_shows_its_figures(http, benchmark):
     assert benchmark in http.get("/").text
 
 
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("/submit", "Submit a benchmark"),
+        ("/compare", "Tick benchmarks in the"),
+        ("/criticisms", "No simulator has been criticised here yet"),
+        ("/robots", "Visits to targets outside of this service"),
+        ("/datasets", "Recordings of transitions"),
+        ("/claims", "The paper’s claims"),
+        ("/docs", "/v1/benchmarks"),
+    ],
+)
+def test_every_page_answers_and_says_what_is_there(http, address, said):
+    answer = http.get(address)
+    assert answer.status_code == 200
+    assert said in answer.text
+
+
+def test_a_benchmark_has_its_best_first_its_runs_and_how_to_repeat_it(http, benchmark):
+    page = http.get(f"/benchmarks/{benchmark}").text
+    order = [
+        page.index(f"<h2{more}>{name}")
+        for more, name in (
+            (' id="leaderboard"', "Leaderboard"),
+            ("", "Figures"),
+            ("", "Probability of improvement"),
+            ("", "Runs"),
+            ("", "How to repeat it"),
+        )
+    ]
+    assert order == sorted(order)
+    for run in http.get(f"/v1/benchmarks/{benchmark}").json()["runs"]:
+        assert f'href="/runs/{run["id"]}"' in page
+    assert "too few for an interval" in page
+    assert f"/v1/benchmarks/{benchmark}/archive" in page
+    compared = http.get("/compare", params={"id": [benchmark, benchmark]}).text
+    assert compared.count(">dropo<") == 1
+
+
+def test_a_form_submits_what_it_priced(http):
+    form = {
+        "tasks": "arm",
+        "methods": "sysid",
+        "variants": "vanilla",
+        "collectors": "simopt",
+        "seeds": "81",
+        "preset": "smoke",
+        "settings": "iterations=1",
+    }
+    priced = http.post("/submit", data={**form, "act": "plan"}).text
+    assert "environment steps, at most" in priced
+    refused = http.post("/submit", data={**form, "seeds": "81, x", "act": "start"})
+    assert refused.status_code == 422
+    assert "given &#39;x&#39;" in refused.text
+    started = http.post("/submit", data={**form, "act": "start"})
+    assert started.status_code == 303
+    id = started.headers["Location"].rsplit("/")[-1]
+    spec = http.get(f"/v1/benchmarks/{id}").json()["spec"]
+    assert (spec["methods"], spec["seeds"], spec["iterations"]) == (["sysid"], [81], 1)
+    assert "of computing" in http.get(f"/benchmarks/{id}/left").text
+    again = http.get("/submit", params={"like": id}).text
+    assert 'value="81"' in again
+    assert "iterations=1" in again
+    assert http.post(f"/benchmarks/{id}/cancel").status_code == 303
+    until(lambda: http.get(f"/v1/benchmarks/{id}").json()["is_finished"])
+    assert 'action="/benchmarks/' + id + '/resume"' in http.get(f"/benchmarks/{id}").text
+
+
 def test_the_page_of_a_run_shows_its_events(http, finished):
     page = http.get(f"/runs/{finished}").text
-    assert "iteration_finished" in page
+    assert re.search(r"iteration_finished</td><td>iteration \d, \d+ transitions seen, target", page)
+    assert page.count('<rect class="computes"') > 3
+    assert "safetensors</a>" in page
     assert f"/v1/runs/{finished}/figures/returns.svg" in page
     assert f'href="/runs/{finished}"' in http.get("/").text
     assert http.get("/runs/run_0").status_code == 404

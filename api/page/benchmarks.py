@@ -1,0 +1,166 @@
+"""The pages of one benchmark and of several side by side."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Form, Query, Request, Response
+from fastapi.responses import HTMLResponse, RedirectResponse
+
+from adr_service.benchmark.claims import reports
+from adr_service.benchmark.comparison import Outcome, table
+from adr_service.benchmark.figures import FIGURES, drawable
+from adr_service.benchmark.improvements import improvement_matrices
+from adr_service.errors import InvalidInput
+from adr_service.methods.catalogue import methods, names_of
+from adr_service.specs import BenchmarkExtension, RunSpec
+from api.durations import in_words
+from api.page.overview import owners
+from api.page.rendering import SEE_OTHER, show
+from api.results import outcomes_of, results_json
+from api.routes import benchmarks as routes
+from api.routes.submissions import plan_here
+from api.service import Service, ServiceDependency
+from api.views import BenchmarkView, benchmark_view
+from db import benchmarks as benchmark_store
+from db import runs as run_store
+from db.runs import RunRecord
+
+router = APIRouter(include_in_schema=False)
+Json = dict[str, Any]
+
+
+@router.get("/benchmarks/{benchmark_id}")
+def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -> Response:
+    shown = benchmark_view(service, benchmark_store.get_benchmark(service.database, benchmark_id))
+    records = benchmark_store.runs_of(service.database, benchmark_id)
+    outcomes = outcomes_of(service, records)
+    working = [stage for run in shown.runs for stage in run.progress]
+    working = list({stage.digest: stage for stage in working}.values())  # runs share stages
+    return show(
+        request,
+        "benchmark.html",
+        live=not shown.is_finished,
+        benchmark=shown,
+        working=working,
+        owners=owners(service, working),
+        ray=service.dashboard_url,
+        offline=names_of("recordings"),
+        figures=drawable(outcomes),
+        captions={name: kind.caption for name, kind in FIGURES.items()},
+        spec=json.dumps(shown.spec.model_dump(mode="json", exclude_unset=True), indent=1),
+        address=str(request.base_url).rstrip("/"),
+        **_found(service, shown, records, outcomes),
+    )
+
+
+def _found(
+    service: Service, shown: BenchmarkView, records: Sequence[RunRecord], outcomes: list[Outcome]
+) -> Json:
+    """The tables. Bootstraps take a moment: not at every refresh of what changes anyway."""
+    if shown.is_finished:
+        found = json.loads(results_json(service, shown.id, records))
+        rows, aggregates = found["rows"], found["aggregates"]
+        matrices = improvement_matrices(found["comparisons"])
+        claims = [asdict(report) for report in reports(outcomes)]
+    else:
+        rows, aggregates, matrices, claims = _rows(outcomes), [], [], []
+    final = last_iterations(rows)
+    return {
+        "rows": rows,
+        "final": final,
+        "best": _best(final),
+        "aggregates": sorted(aggregates, key=lambda each: -each["interquartile_mean"]),
+        "matrices": matrices,
+        "claims": claims,
+    }
+
+
+def _rows(outcomes: Sequence[Outcome]) -> list[Json]:
+    return [asdict(row) for row in table(outcomes)]
+
+
+def last_iterations(rows: Sequence[Json]) -> list[Json]:
+    """Of each method on each task's variant and data the last row, the best first."""
+    columns = ("task", "variant", "method", "collector")
+    latest = {tuple(row[name] for name in columns): row for row in rows}
+    return sorted(
+        latest.values(), key=lambda row: (row["task"], row["variant"], -row["normalised_return"])
+    )
+
+
+def _best(final: Sequence[Json]) -> list[Json]:
+    """The best row of each task's variant, references left out."""
+    best: dict[tuple[str, str], Json] = {}
+    for row in final:
+        if not methods()[row["method"]].is_reference:
+            best.setdefault((row["task"], row["variant"]), row)
+    return list(best.values())
+
+
+@router.get("/benchmarks/{benchmark_id}/left")
+def left(benchmark_id: str, service: ServiceDependency) -> Response:
+    """What is left to compute, as a sentence; its price takes seconds for a large benchmark."""
+    records = benchmark_store.runs_of(service.database, benchmark_id)
+    live = [r.spec for r in records if not r.is_finished and isinstance(r.spec, RunSpec)]
+    plan = plan_here(service, live)
+    if not live or plan.hours is None:
+        return HTMLResponse("")
+    return HTMLResponse(
+        f"At most {in_words(plan.hours)} left on {plan.cores} cores "
+        f"({in_words(plan.core_hours)} of computing), if every training uses all its steps."
+    )
+
+
+@router.post("/benchmarks/{benchmark_id}/cancel")
+def cancel(benchmark_id: str, service: ServiceDependency) -> Response:
+    routes.cancel(benchmark_id, service)
+    return RedirectResponse(f"/benchmarks/{benchmark_id}", SEE_OTHER)
+
+
+@router.post("/benchmarks/{benchmark_id}/resume")
+def resume(benchmark_id: str, service: ServiceDependency) -> Response:
+    routes.resume(benchmark_id, service)
+    return RedirectResponse(f"/benchmarks/{benchmark_id}", SEE_OTHER)
+
+
+@router.post("/benchmarks/{benchmark_id}/extend")
+def extend(
+    benchmark_id: str, service: ServiceDependency, seeds: Annotated[str, Form(max_length=1000)]
+) -> Response:
+    extension = BenchmarkExtension.model_validate({"seeds": numbers_in(seeds)})
+    routes.extend(benchmark_id, extension, service, Response())
+    return RedirectResponse(f"/benchmarks/{benchmark_id}", SEE_OTHER)
+
+
+def numbers_in(text: str) -> list[int]:
+    """Seeds with spaces or commas between; raises InvalidInput."""
+    parts = text.replace(",", " ").split()
+    if wrong := [part for part in parts if not part.isdecimal()]:
+        raise InvalidInput(f"seeds are whole numbers, as 0 1 2; given {wrong[0]!r}")
+    return [int(part) for part in parts]
+
+
+@router.get("/compare")
+def compare(
+    request: Request,
+    service: ServiceDependency,
+    id: Annotated[list[str] | None, Query(max_length=50)] = None,
+) -> Response:
+    """Benchmarks and runs side by side; an address may have several ids in one parameter."""
+    ids = list(dict.fromkeys(name for given in id or [] for name in given.split()))
+    rows: list[tuple[str, str, Json]] = []
+    for each in ids:
+        records = _runs_of(service, each)
+        presets = {r.spec.preset for r in records if isinstance(r.spec, RunSpec)}
+        final = last_iterations(_rows(outcomes_of(service, records)))
+        rows += [(each, ", ".join(sorted(presets)), row) for row in final]
+    rows.sort(key=lambda row: (row[2]["task"], row[2]["variant"], row[2]["method"]))
+    return show(request, "compare.html", ids=ids, rows=rows)
+
+
+def _runs_of(service: Service, id: str) -> list[RunRecord]:
+    if id.startswith("bench_"):
+        return benchmark_store.runs_of(service.database, id)
+    return [run_store.get_run(service.database, id)]

@@ -1,0 +1,126 @@
+"""The pages of robots, datasets, criticisms, claims, and the API's reference."""
+
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import Annotated
+
+from fastapi import APIRouter, File, Form, Request, Response, UploadFile
+from fastapi.responses import RedirectResponse
+
+from adr_service.benchmark.claims import reports
+from adr_service.errors import AdrError
+from adr_service.specs import CriticismSpec
+from adr_service.tasks.catalogue import catalogue
+from api.page.rendering import SEE_OTHER, UNPROCESSABLE, show
+from api.results import outcomes_of
+from api.routes import criticisms as routes
+from api.routes.datasets import dataset_view
+from api.routes.submissions import start_run
+from api.routes.target_tasks import task_view
+from api.service import Service, ServiceDependency
+from api.uploads import LARGEST, Upload
+from db import datasets as dataset_store
+from db import runs as run_store
+from db import visits as visit_store
+
+router = APIRouter(include_in_schema=False)
+_SHOWN = 200
+
+
+@router.get("/robots")
+def robots(request: Request, service: ServiceDependency) -> Response:
+    visits = visit_store.list_visits(
+        service.database, external=True, limit=_SHOWN, newest_first=True
+    )
+    return show(
+        request,
+        "robots.html",
+        live=True,
+        heading="Robots",
+        explanation="Visits to targets outside of this service, the newest first. A robot’s client "
+        "claims one, acts, and uploads what it measured.",
+        items=[task_view(visit) for visit in visits],
+        more=len(visits) == _SHOWN,
+        now=datetime.now(UTC),
+    )
+
+
+@router.get("/datasets")
+def datasets(request: Request, service: ServiceDependency) -> Response:
+    records = dataset_store.list_datasets(service.database, limit=_SHOWN, newest_first=True)
+    return show(
+        request,
+        "datasets.html",
+        heading="Datasets",
+        explanation="Recordings of transitions, from which offline methods learn, and measurements "
+        "of states and commands, by which simulators are criticised.",
+        items=[dataset_view(record) for record in records],
+        more=len(records) == _SHOWN,
+    )
+
+
+@router.get("/criticisms")
+def criticisms(request: Request, service: ServiceDependency) -> Response:
+    return _criticisms(request, service, "arm", "vanilla", [])
+
+
+@router.post("/criticisms", max_body_size=LARGEST)
+def submit_criticism(
+    request: Request,
+    service: ServiceDependency,
+    measurement: Annotated[UploadFile, File()],
+    task: Annotated[str, Form(max_length=100)],
+    variant: Annotated[str, Form(max_length=100)],
+) -> Response:
+    """Store a measurement, and start a criticism by it."""
+    try:
+        upload = Upload.parse(measurement.file.read())
+        upload.check_task(task, variant)
+        service.check_disk()
+        dataset, _ = dataset_store.store_dataset(service.database, upload.content, upload.data)
+        spec = CriticismSpec.model_validate(
+            {"task": task, "variant": variant, "dataset": dataset.id}
+        )
+        service.check_dataset(spec)
+        record = start_run(service, spec, None)
+    except AdrError as error:
+        return _criticisms(request, service, task, variant, [str(error)])
+    return RedirectResponse(f"/runs/{record.id}", SEE_OTHER)
+
+
+def _criticisms(
+    request: Request, service: Service, task: str, variant: str, errors: list[str]
+) -> Response:
+    """The list, and the form with what was given and what is wrong with it."""
+    runs = run_store.list_runs(
+        service.database, method="criticism", limit=_SHOWN, newest_first=True
+    )
+    variants = {name: None for entry in catalogue().values() for name in entry.variants}
+    return show(
+        request,
+        "criticisms.html",
+        live=any(not run.is_finished for run in runs) and not errors,
+        status_code=UNPROCESSABLE if errors else 200,
+        heading="Criticisms",
+        explanation="What measurements say that a simulator gets wrong: its cause, and the "
+        "simulator extended by it.",
+        errors=errors,
+        given={"task": task, "variant": variant},
+        tasks=list(catalogue()),
+        variants=list(variants),
+        items=[routes.get_criticism(run.id, service) for run in runs],
+        more=len(runs) == _SHOWN,
+    )
+
+
+@router.get("/claims")
+def claims(request: Request, service: ServiceDependency) -> Response:
+    outcomes = outcomes_of(service, run_store.list_runs(service.database, limit=None))
+    found = [asdict(report) for report in reports(outcomes)]
+    return show(request, "claims.html", claims=found)
+
+
+@router.get("/docs")
+def docs(request: Request) -> Response:
+    """The API's reference, made from its description."""
+    return show(request, "docs.html", api=request.app.openapi())

@@ -1,0 +1,44 @@
+"""Pages from templates, and the links at the top of each."""
+
+from pathlib import Path
+from typing import Any
+
+from fastapi import Request, Response
+from fastapi.templating import Jinja2Templates
+from jinja2 import StrictUndefined
+
+STATIC = Path(__file__).parent / "static"
+SEE_OTHER = 303  # the status that sends a browser from a form to the page that shows its effect
+UNPROCESSABLE = 422
+_PAGES = {
+    "/": "Overview",
+    "/submit": "Submit",
+    "/compare": "Compare",
+    "/criticisms": "Criticisms",
+    "/robots": "Robots",
+    "/datasets": "Datasets",
+    "/claims": "Claims",
+    "/docs": "API",
+}
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+_templates = Jinja2Templates(Path(__file__).parent / "templates")
+_templates.env.undefined = StrictUndefined
+_templates.env.filters["sentence"] = _sentence
+
+
+def show(
+    request: Request,
+    template: str,
+    *,
+    live: bool = False,
+    status_code: int = 200,
+    **content: Any,
+) -> Response:
+    """A page; one that is `live` renews itself every five seconds."""
+    known = {"pages": _PAGES, "here": request.url.path, "live": live}
+    return _templates.TemplateResponse(request, template, known | content, status_code=status_code)

@@ -1,0 +1,166 @@
+"""The page of one run."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from fastapi import APIRouter, Request, Response
+from fastapi.responses import RedirectResponse
+
+from adr_service.benchmark.comparison import estimates, table
+from adr_service.benchmark.cost import Execution
+from adr_service.benchmark.figures import FIGURES, drawable
+from adr_service.errors import remedy_of
+from adr_service.events import (
+    CriticismFinished,
+    IterationFinished,
+    RunEvent,
+    RunFailed,
+    StageFinished,
+    TrainingEvaluated,
+)
+from adr_service.specs import CriticismSpec
+from api.page.rendering import SEE_OTHER, show
+from api.results import outcomes_of
+from api.routes import runs as routes
+from api.routes.criticisms import criticism_view
+from api.routes.target_tasks import task_view
+from api.routes.trainings import training_views
+from api.service import ServiceDependency
+from api.views import RunView, run_view
+from db import events as event_store
+from db import runs as run_store
+from db import stages as stage_store
+from db import visits as visit_store
+from db.models import OPEN_VISIT
+
+router = APIRouter(include_in_schema=False)
+_MOST_BARS = 80
+
+
+@dataclass(frozen=True)
+class Part:
+    """A stretch of a stage's time; start and width are shares of the whole."""
+
+    name: str
+    start: float
+    width: float
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A stage's time: it waited, a process started, and it was computed."""
+
+    kind: str
+    parts: list[Part]
+    seconds: float  # of computing
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The stages of a run in the order in which they were asked for."""
+
+    bars: list[Bar]
+    span: str
+    left_out: int
+
+
+@router.get("/runs/{run_id}")
+def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
+    record = run_store.get_run(service.database, run_id)
+    shown, outcomes = run_view(service, record), outcomes_of(service, [record])
+    events = event_store.events_of(service.database, run_id)
+    visits = visit_store.list_visits(service.database, run_id=run_id, external=True, limit=1000)
+    trainings = training_views(run_id, events)
+    finished = [e.event for e in events if isinstance(e.event, CriticismFinished)]
+    criticism = criticism_view(shown, finished[-1]) if finished else None
+    return show(
+        request,
+        "run.html",
+        live=not record.is_finished,
+        title=title_of(shown),
+        run=shown,
+        remedy=None if record.error_code is None else remedy_of(record.error_code),
+        waiting=[task_view(visit) for visit in visits if visit.state in OPEN_VISIT],
+        verdict=criticism.verdict if criticism else None,
+        files={n: a for n, a in criticism.links.items() if "." in n} if criticism else {},
+        rows=table(outcomes),
+        figures=drawable(outcomes),
+        captions={name: kind.caption for name, kind in FIGURES.items()},
+        estimates=estimates(outcomes),
+        inferences=[each.iteration for each in outcomes if each.iteration.diagnostics],
+        trainings=trainings,
+        has_curves=not isinstance(record.spec, CriticismSpec),
+        timeline=timeline(stage_store.executions_of(service.database, [run_id])),
+        events=[e for e in events if not isinstance(e.event, TrainingEvaluated)],
+        said=said,
+        ray=service.dashboard_url,
+    )
+
+
+def title_of(run: RunView) -> str:
+    """What a run is called."""
+    if isinstance(run.spec, CriticismSpec):
+        return f"Criticism of {run.spec.task}, {run.spec.variant}"
+    return f"{run.spec.column} on {run.spec.task}, {run.spec.variant}, seed {run.spec.seed}"
+
+
+def said(event: RunEvent) -> str:
+    """What an event tells, in a few words."""
+    match event:
+        case StageFinished():
+            return f"{event.kind} {event.digest[:8]}"
+        case IterationFinished():
+            returns = [value for policy in event.returns for value in policy]
+            told = [f"iteration {event.iteration}", f"{event.target_transitions} transitions seen"]
+            if returns:
+                told.append(f"target return {sum(returns) / len(returns):.0f}")
+            return ", ".join(told)
+        case CriticismFinished():
+            return str(event.verdict["verdict"])
+        case RunFailed():
+            return event.message
+        case _:
+            return ""
+
+
+def timeline(executions: Sequence[tuple[str, Execution]]) -> Timeline:
+    """The latest stages as bars; their process has begun before it computes."""
+    ordered = sorted(executions, key=lambda each: each[1].asked)
+    shown = ordered[-_MOST_BARS:]
+    if not shown:
+        return Timeline([], "", 0)
+    first = min(execution.asked for _, execution in shown)
+    span = max(max(execution.ended for _, execution in shown) - first, 1e-9)
+
+    def part(name: str, start: float, end: float) -> Part:
+        return Part(name, (start - first) / span, max(end - start, 0.0) / span)
+
+    bars = [
+        Bar(
+            kind,
+            [
+                part("waits", e.asked, e.placed),
+                part("starts", e.placed, e.began + (e.preparing or 0.0)),
+                part("computes", e.began + (e.preparing or 0.0), e.ended),
+            ],
+            e.seconds,
+        )
+        for kind, e in shown
+    ]
+    return Timeline(bars, _span(span), len(ordered) - len(shown))
+
+
+def _span(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 600 else f"{seconds / 60:.0f} minutes"
+
+
+@router.post("/runs/{run_id}/cancel")
+def cancel(run_id: str, service: ServiceDependency) -> Response:
+    routes.cancel(run_id, service)
+    return RedirectResponse(f"/runs/{run_id}", SEE_OTHER)
+
+
+@router.post("/runs/{run_id}/resume")
+def resume(run_id: str, service: ServiceDependency) -> Response:
+    routes.resume(run_id, service)
+    return RedirectResponse(f"/runs/{run_id}", SEE_OTHER)

@@ -1,0 +1,40 @@
+"""Logging in by a browser: the token as a cookie that scripts and other sites cannot use."""
+
+import hmac
+from typing import Annotated
+
+from fastapi import APIRouter, Form, Request, Response
+from fastapi.responses import RedirectResponse
+
+from api.guard import COOKIE
+from api.page.problems import problem_page
+from api.page.rendering import SEE_OTHER
+from api.service import ServiceDependency
+
+router = APIRouter(include_in_schema=False)
+
+
+@router.post("/login")
+def login(
+    request: Request,
+    service: ServiceDependency,
+    token: Annotated[str, Form(max_length=1000)],
+    next: Annotated[str, Form(max_length=1000)] = "/",
+) -> Response:
+    """Keep the token for this browser session, and go on to the page that asked for it."""
+    known = service.settings.token.get_secret_value()
+    if not hmac.compare_digest(token.encode(), known.encode()):
+        told = {"status": 401, "title": "unauthorised", "detail": "this is not the token"}
+        return problem_page(request.scope, told, next)
+    is_ours = next.startswith("/") and not next.startswith("//") and "\\" not in next
+    response = RedirectResponse(next if is_ours else "/", SEE_OTHER)
+    is_encrypted = request.url.scheme == "https"
+    response.set_cookie(COOKIE, token, httponly=True, samesite="strict", secure=is_encrypted)
+    return response
+
+
+@router.post("/logout")
+def logout() -> Response:
+    response = RedirectResponse("/", SEE_OTHER)
+    response.delete_cookie(COOKIE, httponly=True, samesite="strict")
+    return response

@@ -1,0 +1,121 @@
+// What the pages do with scripts: tables that sort and filter, and learning curves as they grow.
+// Everything else is HTML from the server; without scripts nothing is missing but these two.
+"use strict";
+
+// Okabe and Ito's colours, in the order of the figures
+const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f"];
+const sorted = new Map(); // id of a table -> [column, ascending], to survive a refresh
+
+function keyOf(row, column) {
+  const text = row.cells[column].dataset.value ?? row.cells[column].textContent.trim();
+  const number = Number.parseFloat(text.replace(/[,\s]/g, ""));
+  return Number.isNaN(number) ? text : number;
+}
+
+function sort(table, column, ascending) {
+  const body = table.tBodies[0];
+  const compare = (a, b) => {
+    const [x, y] = [keyOf(a, column), keyOf(b, column)];
+    if (typeof x !== typeof y) return typeof x === "number" ? -1 : 1; // what has no number is last
+    const order = typeof x === "number" ? x - y : x.localeCompare(y);
+    return ascending ? order : -order;
+  };
+  body.append(...[...body.rows].sort(compare));
+  [...table.tHead.rows[0].cells].forEach((cell, number) => {
+    if (number === column) cell.setAttribute("aria-sort", ascending ? "ascending" : "descending");
+    else cell.removeAttribute("aria-sort");
+  });
+  sorted.set(table.id, [column, ascending]);
+}
+
+function filter(table) {
+  const wanted = [...document.querySelectorAll(`select[data-filters="${table.id}"]`)];
+  for (const row of table.tBodies[0].rows) {
+    row.hidden = wanted.some((s) => s.value && row.cells[s.dataset.column].textContent.trim() !== s.value);
+  }
+}
+
+function prepare() {
+  for (const table of document.querySelectorAll("table.sortable")) {
+    for (const cell of table.tHead.rows[0].cells) {
+      if (cell.querySelector("button") || !cell.textContent.trim()) continue;
+      const button = document.createElement("button");
+      button.type = "button";
+      button.append(...cell.childNodes);
+      cell.append(button);
+    }
+    if (sorted.has(table.id)) sort(table, ...sorted.get(table.id));
+    filter(table);
+  }
+  document.querySelectorAll("[data-scripted]").forEach((each) => (each.hidden = false));
+}
+
+document.addEventListener("click", (event) => {
+  const cell = event.target.closest("table.sortable th");
+  if (!cell || !event.target.closest("button")) return;
+  sort(cell.closest("table"), cell.cellIndex, cell.getAttribute("aria-sort") !== "ascending");
+});
+document.addEventListener("change", (event) => {
+  const table = document.getElementById(event.target.dataset?.filters);
+  if (table) filter(table);
+});
+document.addEventListener("htmx:after:swap", prepare);
+
+// Learning curves of a run, from its stream of events, which has the earlier ones too.
+function follow(place) {
+  const curves = new Map(); // digest of a training -> Map of steps -> return
+  let chart = null;
+  let isDue = false;
+
+  const short = (number) => Intl.NumberFormat("en", { notation: "compact" }).format(number);
+
+  function draw() {
+    isDue = false;
+    const steps = [...new Set([...curves.values()].flatMap((curve) => [...curve.keys()]))];
+    steps.sort((a, b) => a - b);
+    const values = [...curves.values()].map((curve) => steps.map((at) => curve.get(at) ?? null));
+    if (chart && chart.series.length === curves.size + 1) {
+      chart.setData([steps, ...values]);
+      return;
+    }
+    chart?.destroy();
+    const style = getComputedStyle(document.body);
+    const axis = { stroke: style.color, grid: { stroke: "#8884", width: 1 }, ticks: { stroke: "#8884" } };
+    const lines = [...curves.keys()].map((digest, number) => ({
+      label: `training ${number + 1}`,
+      stroke: COLOURS[number % COLOURS.length],
+      width: 2,
+      spanGaps: true,
+      points: { show: steps.length < 60 },
+      value: (_, value) => (value === null ? "–" : value.toFixed(0)),
+    }));
+    const options = {
+      width: Math.min(place.clientWidth, 1000),
+      height: 320,
+      scales: { x: { time: false } },
+      series: [{ label: "steps" }, ...lines],
+      axes: [
+        { ...axis, label: "environment steps", space: 70, values: (_, ticks) => ticks.map(short) },
+        { ...axis, label: "return on the source", size: 70 },
+      ],
+      legend: { show: curves.size <= 12 },
+    };
+    chart = new uPlot(options, [steps, ...values], place);
+  }
+
+  const events = new EventSource(place.dataset.stream);
+  events.addEventListener("training_evaluated", (message) => {
+    const { digest, steps, mean_return: value } = JSON.parse(message.data).event;
+    if (!curves.has(digest)) curves.set(digest, new Map());
+    curves.get(digest).set(steps, value);
+    if (!isDue) {
+      isDue = true;
+      setTimeout(draw, 100); // many come at once
+    }
+  });
+  events.addEventListener("end", () => events.close());
+}
+
+prepare();
+const place = document.getElementById("curves");
+if (place) follow(place);

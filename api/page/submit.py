@@ -1,0 +1,149 @@
+"""The page that submits a benchmark, with its price before it starts."""
+
+import json
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, get_args
+
+from fastapi import APIRouter, Form, Request, Response
+from fastapi.responses import RedirectResponse
+from pydantic import BaseModel, ValidationError
+
+from adr_service.benchmark.plan import Plan
+from adr_service.errors import AdrError
+from adr_service.methods.catalogue import methods
+from adr_service.presets import PRESETS
+from adr_service.specs import BenchmarkSpec
+from adr_service.specs.names import Collector
+from adr_service.tasks.catalogue import catalogue
+from api.durations import in_words
+from api.page.benchmarks import numbers_in
+from api.page.rendering import SEE_OTHER, UNPROCESSABLE, show
+from api.routes.submissions import plan_here, start_benchmark
+from api.service import ServiceDependency
+from api.specs import assign
+from db import benchmarks as benchmark_store
+
+router = APIRouter(include_in_schema=False)
+_NOT_IN_THE_FORM = {"references", "preset", "seeds", "tasks", "variants", "methods", "collectors"}
+
+
+class Given(BaseModel):
+    """The fields of the form, as they were filled in."""
+
+    tasks: list[str] = []
+    variants: list[str] = []
+    methods: list[str] = []
+    collectors: list[str] = []
+    seeds: str = ""
+    preset: str = "quick"
+    references: bool = False
+    settings: str = ""
+    act: Literal["plan", "start"] = "plan"
+
+
+_FIRST = Given(
+    tasks=["arm"],
+    variants=["vanilla"],
+    methods=["simopt", "dropo"],
+    collectors=["simopt"],
+    seeds="0 1 2",
+    preset="demo",
+    references=True,
+)
+
+
+@router.get("/submit")
+def form(request: Request, service: ServiceDependency, like: str | None = None) -> Response:
+    """The form, filled in as a benchmark was."""
+    if like is None:
+        return _form(request, _FIRST)
+    spec = benchmark_store.get_benchmark(service.database, like).spec
+    own = [each.name for each in spec.methods if not isinstance(each, str)]
+    return _form(request, as_filled_in(spec), without=own)
+
+
+@router.post("/submit")
+def submit(
+    request: Request, service: ServiceDependency, given: Annotated[Given, Form()]
+) -> Response:
+    try:
+        spec = spec_of(given)
+        if given.act == "plan":
+            return _form(request, given, plan=plan_here(service, list(spec.runs())))
+        record = start_benchmark(service, spec, None)
+    except ValidationError as error:
+        return _form(request, given, errors=_explained(error))
+    except AdrError as error:
+        return _form(request, given, errors=[str(error)])
+    return RedirectResponse(f"/benchmarks/{record.id}", SEE_OTHER)
+
+
+def _form(
+    request: Request,
+    given: Given,
+    *,
+    plan: Plan | None = None,
+    errors: Sequence[str] = (),
+    without: Sequence[str] = (),
+) -> Response:
+    """The form; `without` are methods whose own settings it cannot have."""
+    variants = {name: None for entry in catalogue().values() for name in entry.variants}
+    return show(
+        request,
+        "submit.html",
+        status_code=UNPROCESSABLE if errors else 200,
+        given=given,
+        tasks=list(catalogue()),
+        variants=list(variants),
+        methods=[name for name, each in methods().items() if not each.is_reference],
+        collectors=get_args(Collector),
+        presets=list(PRESETS),
+        plan=plan,
+        errors=errors,
+        without=without,
+        duration=in_words,
+    )
+
+
+def spec_of(given: Given) -> BenchmarkSpec:
+    """Raises ValidationError, and InvalidInput for seeds or settings that cannot be read."""
+    lists = given.model_dump(include={"tasks", "variants", "methods", "collectors"})
+    spec: dict[str, Any] = {**lists, "seeds": numbers_in(given.seeds), "preset": given.preset}
+    spec["references"] = given.references
+    assign(spec, [line.strip() for line in given.settings.splitlines() if line.strip()])
+    return BenchmarkSpec.model_validate(spec)
+
+
+def _explained(error: ValidationError) -> list[str]:
+    """What is wrong in which field, one sentence each."""
+    return [
+        f"{'.'.join(map(str, each['loc'])) or 'benchmark'}: "
+        f"{each['msg'].removeprefix('Value error, ')}"
+        for each in error.errors()
+    ]
+
+
+def as_filled_in(spec: BenchmarkSpec) -> Given:
+    """A benchmark as the form would have it; methods lose settings of their own."""
+    others = spec.model_dump(mode="json", exclude_unset=True, exclude=_NOT_IN_THE_FORM)
+    return Given(
+        tasks=list(spec.tasks),
+        variants=list(spec.variants),
+        methods=[each if isinstance(each, str) else each.name for each in spec.methods],
+        collectors=list(spec.collectors),
+        seeds=" ".join(map(str, spec.seeds)),
+        preset=spec.preset,
+        references=spec.references,
+        settings="\n".join(_assignments(others)),
+    )
+
+
+def _assignments(fields: dict[str, Any], path: str = "") -> list[str]:
+    """Fields as lines that `assign` reads."""
+    lines: list[str] = []
+    for name, value in fields.items():
+        if isinstance(value, dict):
+            lines += _assignments(value, f"{path}{name}.")
+        elif value is not None:
+            lines.append(f"{path}{name}={json.dumps(value)}")
+    return lines

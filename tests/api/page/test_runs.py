@@ -1,0 +1,56 @@
+"""What the page of a run makes of its events and stages."""
+
+import pytest
+
+from adr_service.benchmark.cost import Execution
+from adr_service.events import IterationFinished, RunFailed, RunSucceeded, StageFinished
+from api.page.runs import said, timeline
+
+
+def stage(asked, placed, began, ended, preparing=None):
+    return "evaluate", Execution(
+        attempt=1,
+        started_by="run_0",
+        asked=asked,
+        placed=placed,
+        began=began,
+        ended=ended,
+        preparing=preparing,
+    )
+
+
+def test_a_bar_has_the_time_of_waiting_of_starting_and_of_computing():
+    (bar,) = timeline([stage(10.0, 12.0, 13.0, 20.0, preparing=1.0)]).bars
+    parts = {part.name: (part.start, part.width) for part in bar.parts}
+    assert parts["waits"] == pytest.approx((0.0, 0.2))
+    assert parts["starts"] == pytest.approx((0.2, 0.2))
+    assert parts["computes"] == pytest.approx((0.4, 0.6))
+
+
+def test_only_the_latest_stages_are_drawn_and_the_others_counted():
+    drawn = timeline([stage(i, i, i, i + 1.0) for i in range(100)])
+    assert (len(drawn.bars), drawn.left_out) == (80, 20)
+    assert timeline([]).bars == []
+
+
+def test_events_are_told_in_words():
+    finished = IterationFinished(
+        iteration=2,
+        target_rollouts=2,
+        target_transitions=400,
+        evaluation_episodes=2,
+        distributions=[],
+        policies=[],
+        source_returns=[],
+        reached_threshold=[],
+        training_steps=[],
+        inference_steps=0,
+        returns=[[1.0, 3.0]],
+        diagnostics={},
+    )
+    assert said(finished) == "iteration 2, 400 transitions seen, target return 2"
+    unevaluated = finished.model_copy(update={"returns": []})
+    assert said(unevaluated) == "iteration 2, 400 transitions seen"
+    assert said(StageFinished(kind="infer", digest="a" * 64)) == "infer aaaaaaaa"
+    assert said(RunFailed(submission=1, code="x", message="why")) == "why"
+    assert said(RunSucceeded()) == ""

@@ -1,0 +1,34 @@
+"""The form of a benchmark."""
+
+import pytest
+
+from adr_service.errors import InvalidInput
+from adr_service.specs import BenchmarkSpec
+from api.page.benchmarks import numbers_in
+from api.page.submit import Given, as_filled_in, spec_of
+
+
+def test_a_benchmark_comes_back_as_it_was_filled_in():
+    given = Given(
+        tasks=["arm"],
+        variants=["vanilla", "noisy"],
+        methods=["simopt", "droid"],
+        collectors=["simopt", "random"],
+        seeds="0 4",
+        preset="demo",
+        references=False,
+        settings="iterations=2\ntraining.max_steps=20000",
+    )
+    assert as_filled_in(spec_of(given)) == given
+
+
+def test_settings_of_methods_are_not_in_the_form():
+    method = {"name": "dropo", "budget": 100}
+    spec = BenchmarkSpec.model_validate({"tasks": ["arm"], "methods": [method]})
+    assert as_filled_in(spec).methods == ["dropo"]
+
+
+def test_seeds_are_numbers_with_spaces_or_commas_between():
+    assert numbers_in("0, 1 2,3") == [0, 1, 2, 3]
+    with pytest.raises(InvalidInput, match="given '-1'"):
+        numbers_in("-1")

@@ -1,0 +1,45 @@
+"""A browser of the machine, driven by Playwright."""
+
+import shutil
+
+import pytest
+from playwright.sync_api import sync_playwright
+
+from tests.api.conftest import benchmark, finished, http  # noqa: F401 - fixtures
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    """The distribution's own Chromium without a window."""
+    path = shutil.which("chromium") or shutil.which("chromium-browser")
+    if path is None:
+        pytest.skip("there is no chromium on this machine")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def opened(chromium, service):
+    """Opens an address of the service in a new window; everything that the console says fails."""
+    contexts, said = [], []
+
+    def open_page(address, width=1440, scheme="light", **more):
+        context = chromium.new_context(
+            base_url=service.client.url,
+            viewport={"width": width, "height": 1000},
+            color_scheme=scheme,
+            **more,
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.goto(address)
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert [text for text in said if "status of 422" not in text] == []  # of a refused form

@@ -1,0 +1,140 @@
+"""The pages in a browser: at three widths, light and dark, by mouse and without scripts."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import expect
+
+from adr_service.blind_test.planting import draw_case
+from tests.hidden import arm, recorded
+
+pytestmark = [pytest.mark.slow, pytest.mark.ray, pytest.mark.browser]
+LISTS = ["/", "/submit", "/compare", "/criticisms", "/robots", "/datasets", "/claims", "/docs"]
+SERIOUS = {"serious", "critical"}
+
+
+@pytest.fixture
+def addresses(benchmark, finished):
+    return [*LISTS, f"/benchmarks/{benchmark}", f"/runs/{finished}", f"/compare?id={benchmark}"]
+
+
+def serious(page):
+    """Findings of axe-core that keep people from using the page."""
+    found = Axe().run(page).response["violations"]
+    return [f"{f['id']}: {f['nodes'][0]['html']}" for f in found if f["impact"] in SERIOUS]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1440, 768, 390])
+def test_every_page_can_be_read_and_does_not_scroll_sideways(opened, addresses, width, scheme):
+    page = opened("/", width, scheme)
+    for address in addresses:
+        page.goto(address)
+        assert serious(page) == [], address
+        assert page.evaluate("document.documentElement.scrollWidth") <= width, address
+        assert page.locator("h1").count() == 1
+
+
+def test_without_scripts_nothing_is_missing_but_sorting_and_curves(opened, addresses):
+    page = opened("/", java_script_enabled=False)
+    for address in addresses:
+        page.goto(address)
+        expect(page.locator("h1")).to_be_visible()
+    page.goto("/submit")
+    page.get_by_role("button", name="What does it cost?").click()
+    expect(page.get_by_text("environment steps, at most")).to_be_visible()
+
+
+def test_a_benchmark_from_the_form_is_followed_to_its_figures(opened):
+    page = opened("/submit")
+    methods = page.get_by_role("group", name="Methods", exact=True)
+    methods.get_by_label("simopt", exact=True).uncheck()
+    methods.get_by_label("dropo", exact=True).uncheck()
+    methods.get_by_label("sysid", exact=True).check()
+    page.get_by_label("Seeds").fill("90")
+    page.get_by_label("Preset").select_option("smoke")
+    page.get_by_role("button", name="What does it cost?").click()
+    expect(page.get_by_text("on a core")).to_be_visible()
+    page.get_by_role("button", name="Start it").click()
+    expect(page).to_have_url(re.compile("/benchmarks/bench_"))
+    expect(page.locator("#live").get_by_text("3 succeeded")).to_be_visible(timeout=120_000)
+    # what it shows came without loading the page again, and it has stopped asking
+    expect(page.locator("#live[hx-trigger]")).to_have_count(0)
+    expect(page.locator("figure img").first).to_be_visible()
+    assert page.locator("figure img").first.evaluate("i => i.complete && i.naturalWidth > 0")
+
+
+def test_a_wrong_benchmark_is_explained_beside_what_was_filled_in(opened):
+    page = opened("/submit")
+    page.get_by_label("Changed settings").fill("iterations=none\nno_such=1")
+    page.get_by_role("button", name="Start it").click()
+    alert = page.get_by_role("alert")
+    expect(alert).to_contain_text("no_such")
+    expect(page.get_by_label("Changed settings")).to_have_value("iterations=none\nno_such=1")
+
+
+def test_tables_sort_by_any_column_and_filter(opened, benchmark):
+    page = opened(f"/benchmarks/{benchmark}")
+    column = page.locator("#final tbody tr td:nth-child(5)")
+    page.locator("#final").get_by_role("button", name="return / threshold").click()
+    rising = [float(text.split()[0]) for text in column.all_inner_texts()]
+    page.locator("#final").get_by_role("button", name="return / threshold").click()
+    falling = [float(text.split()[0]) for text in column.all_inner_texts()]
+    assert rising == sorted(rising)
+    assert falling == sorted(falling, reverse=True)
+    page.get_by_label("method").select_option("dropo")
+    assert page.locator("#final tbody tr:visible").count() == 1
+
+
+def test_learning_curves_grow_while_a_policy_is_trained(opened, service):
+    spec = {"task": "arm", "method": "prior", "preset": "demo", "seed": 91}
+    run = service.client.submit_run({**spec, "training": {"stop_at_threshold": False}})["id"]
+    page = opened(f"/runs/{run}")
+    expect(page.locator("#curves canvas")).to_be_visible(timeout=60_000)
+    expect(page.locator("#curves .u-legend")).to_contain_text("training 1")
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.get_by_role("button", name="Resume")).to_be_visible(timeout=60_000)
+    expect(page.locator("#curves canvas")).to_be_visible()  # the refreshes have left it
+
+
+def test_a_criticism_from_upload_to_report(opened, tmp_path):
+    hidden = draw_case(*arm(), np.random.default_rng(100), 0.3)
+    path = tmp_path / "arm.npz"
+    np.savez(path, **recorded(hidden.measurement.episodes(range(12))))
+    page = opened("/criticisms")
+    page.get_by_label("Measurement").set_input_files(path)
+    page.get_by_role("button", name="Criticise").click()
+    expect(page.locator("h2", has_text="Verdict")).to_be_visible(timeout=240_000)
+    page.get_by_role("link", name="report.html").click()
+    expect(page.locator("svg").first).to_be_visible()
+
+
+def test_a_file_that_is_no_measurement_is_explained(opened, tmp_path):
+    path = tmp_path / "wrong.npz"
+    path.write_bytes(b"nothing")
+    page = opened("/criticisms")
+    page.get_by_label("Measurement").set_input_files(path)
+    page.get_by_role("button", name="Criticise").click()
+    expect(page.get_by_role("alert")).to_be_visible()
+
+
+def test_a_run_that_waits_for_a_robot_says_so(opened, service):
+    spec = {"task": "arm", "method": "simopt", "preset": "smoke", "seed": 92}
+    run = service.client.submit_run({**spec, "target": {"kind": "external"}})["id"]
+    page = opened(f"/runs/{run}")
+    expect(page.locator("#live")).to_contain_text("It waits for a robot", timeout=120_000)
+    page.get_by_role("link", name="robot").first.click()
+    expect(page.locator("#list")).to_contain_text(run)
+    service.client.cancel(run)
+
+
+def test_an_unknown_address_is_a_page_for_people_and_json_for_programs(chromium, service, http):
+    context = chromium.new_context(base_url=service.client.url)
+    page = context.new_page()
+    assert page.goto("/runs/run_0").status == 404
+    expect(page.locator("h1")).to_have_text("Not found")
+    context.close()
+    assert json.loads(http.get("/runs/run_0").text)["status"] == 404
