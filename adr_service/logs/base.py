@@ -24,7 +24,7 @@ _CROWDED = 0.5  # of the usual spacing: readings closer than that are as good as
 _LEAST = 2  # readings of a column
 
 TimeUnit = Literal["s", "ms", "us", "ns"]
-_SECONDS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+SECONDS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ class Log:
     def _times(self, stream: Stream, clock: Clock) -> Vector:
         if clock.column not in stream.columns:
             raise UnknownName(f"column in {self.source}", clock.column, list(stream.columns))
-        size = 1.0 if clock.column in stream.dated else _SECONDS[clock.unit]
+        size = 1.0 if clock.column in stream.dated else SECONDS[clock.unit]
         return stream.columns[clock.column] * size
 
 

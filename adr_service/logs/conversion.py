@@ -22,11 +22,13 @@ from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.criticism.compatibility import check_state
 from adr_service.criticism.measurements import Measurement
 from adr_service.errors import InvalidInput
+from adr_service.logs.agreement import agreements
 from adr_service.logs.base import Log
 from adr_service.logs.mapping import LogMap, actuators_of, is_slide, joints_of
 from adr_service.logs.resampling import edges, held, interpolated, sampled, scatter
 from adr_service.logs.tracks import (
     LEAST_ROWS,
+    MANY_TURNS,
     PREFERRED,
     SAME,
     TURN,
@@ -38,8 +40,9 @@ from adr_service.logs.tracks import (
     recording_of,
 )
 
-_MANY_TURNS, _BEYOND = 3, 0.1  # turns of a joint; of its range
+_BEYOND = 0.1  # of a joint's range
 _SHORT_S = 2.0  # of all recordings, below which the time's unit looks wrong
+_OFTEN = 0.2  # share of rows at a limit
 _ROUNDED = 0.05  # of the readings' spacing
 
 
@@ -120,7 +123,15 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
         )
     joined = _joined(episodes, given, model)
     limits = _at_limit(model, np.concatenate([each.ctrl for each in episodes]))
-    warnings = tuple(_warnings(joined, period, recordings, given, model))
+    warnings = (
+        *_warnings(joined, period, recordings, given, model),
+        *(
+            f"{name}'s commands are at the model's limit or beyond in {share:.0%} of all rows; is "
+            f"actuators.{name}.scale right?"
+            for name, share in limits.items()
+            if share > _OFTEN
+        ),
+    )
     return Converted(joined, period, tuple(records), limits, warnings, np.median(noise, axis=0))
 
 
@@ -135,7 +146,7 @@ def _warnings(
     for number, name in enumerate(joints_of(model)):
         joint = model.joint(name)
         low, high = data.qpos[:, number].min(), data.qpos[:, number].max()
-        if not is_slide(model, name) and high - low > _MANY_TURNS * TURN:
+        if not is_slide(model, name) and high - low > MANY_TURNS * TURN:
             yield (
                 f"{name} turns {(high - low) / TURN:.0f} times; is joints.{name}.unit right "
                 f"({given.joints[name].unit or 'rad'})?"
@@ -147,6 +158,7 @@ def _warnings(
                 f"{name} goes from {low:.3g} to {high:.3g}, and the model's range is {least:.3g} "
                 f"to {most:.3g}; are unit, scale and zero of joints.{name} right?"
             )
+    yield from filter(None, (each.warning() for each in agreements(data, model)))
     spacing = max(track.spacing for each in recordings for track in each.positions)
     if (
         given.rows.period is None

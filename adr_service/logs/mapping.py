@@ -29,7 +29,6 @@ delay = 0.0               # seconds from the command's stamp to when the robot o
 between = "hold"          # readings; or "line", of a command that changes faster than the log shows
 """
 
-import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Literal, Self
@@ -41,14 +40,14 @@ from pydantic import Field, ValidationError, model_validator
 from adr_service.effects.base import is_added
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.json_values import Wire
-from adr_service.logs.base import Clock, Log, TimeUnit
+from adr_service.logs.base import Clock, TimeUnit
 
 PositionUnit = Literal["rad", "deg", "rev", "m", "cm", "mm"]
 VelocityUnit = Literal["rad/s", "deg/s", "rev/s", "rpm", "m/s", "cm/s", "mm/s"]
-_ANGLES = {"rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi}
-_LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+ANGLES = {"rad": 1.0, "deg": np.pi / 180, "rev": 2 * np.pi}
+LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _RATES = {
-    **{f"{unit}/s": size for unit, size in {**_ANGLES, **_LENGTHS}.items()},
+    **{f"{unit}/s": size for unit, size in {**ANGLES, **LENGTHS}.items()},
     "rpm": 2 * np.pi / 60,
 }
 
@@ -95,7 +94,7 @@ class JointMap(Wire):
 
     def check(self, name: str, is_slide: bool) -> None:
         """Raises InvalidInput for units of angles at a slide, or of lengths at a hinge."""
-        known, kind = (_LENGTHS, "a slide") if is_slide else (_ANGLES, "a hinge")
+        known, kind = (LENGTHS, "a slide") if is_slide else (ANGLES, "a hinge")
         unit = (
             "rpm" if self.velocity_unit == "rpm" else (self.velocity_unit or "").removesuffix("/s")
         )
@@ -107,7 +106,7 @@ class JointMap(Wire):
                 )
 
     def _size(self, is_slide: bool) -> float:
-        known = _LENGTHS if is_slide else _ANGLES
+        known = LENGTHS if is_slide else ANGLES
         return known[self.unit] if self.unit else 1.0
 
 
@@ -131,7 +130,7 @@ class ActuatorMap(Wire):
 
     @property
     def factor(self) -> float:
-        return self.scale * (1.0 if self.unit is None else {**_ANGLES, **_LENGTHS}[self.unit])
+        return self.scale * (1.0 if self.unit is None else {**ANGLES, **LENGTHS}[self.unit])
 
 
 class LogMap(Wire):
@@ -176,104 +175,6 @@ def actuators_of(model: mujoco.MjModel) -> list[str]:
 
 def is_slide(model: mujoco.MjModel, joint: str) -> bool:
     return bool(model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE)
-
-
-def draft(logs: Sequence[Log], model: mujoco.MjModel) -> str:
-    """A map to start from, with `?` where no column's name says which joint or command it is.
-
-    Comments list all columns with their ranges.
-    """
-    names = list(dict.fromkeys(name for log in logs for name in log.names))
-    lines = ["# columns: name, readings, smallest and largest", *_listing(logs[0])]
-    if any(stream.stamps is None for stream in logs[0].streams):
-        time = next((name for name in names if _kind(name) is _TIMES), "?")
-        lines += ["", "[time]", f"column = {_text(time)}"]
-        lines.append(f'unit = "{_unit(time, ("s", "ms", "us", "ns"))}"  # s, ms, us, ns')
-    lines += ["", "[rows]", "seconds = 1.0  # length of an episode"]
-    lines.append("# period = 0.01  # seconds between rows; about the readings' own, if left out")
-    places = joints_of(model)
-    for number, joint in enumerate(places):
-        units = tuple(_LENGTHS if is_slide(model, joint) else _ANGLES)
-        position = _guess(names, joint, number, len(places), _POSITIONS)
-        velocity = _guess(names, joint, number, len(places), _VELOCITIES)
-        lines += ["", f"[joints.{_key(joint)}]", f"position = {_text(position)}"]
-        lines.append(f'unit = "{_unit(position, units)}"  # {", ".join(units)}')
-        known = (
-            f"velocity = {_text(velocity)}" if velocity != "?" else "# no velocity: not measured"
-        )
-        lines.append(known)
-    drives = actuators_of(model)
-    for number, actuator in enumerate(drives):
-        command = _guess(names, actuator, number, len(drives), _COMMANDS)
-        lines += ["", f"[actuators.{_key(actuator)}]", f"command = {_text(command)}"]
-        lines.append("scale = 1.0  # of a reading in the model's command")
-        lines.append('# between = "line"  # if the command changes faster than the log shows')
-    return "\n".join(lines) + "\n"
-
-
-_TIMES = ("time", "timestamp", "stamp", "t")
-_POSITIONS = ("position", "pos", "qpos", "q", "angle", "state")
-_VELOCITIES = ("velocity", "vel", "qvel", "dq", "qd", "speed")
-_COMMANDS = ("effort", "torque", "tau", "command", "cmd", "ctrl", "current", "action", "u")
-
-
-def _listing(log: Log) -> list[str]:
-    lines: list[str] = []
-    for stream in log.streams:
-        for name, values in stream.columns.items():
-            known = values[np.isfinite(values)]
-            reach = f"{known.min():.6g} to {known.max():.6g}" if known.size else "no numbers"
-            lines.append(f"#   {name}: {known.size}, {reach}")
-    lines += [f"#   {name}: cannot be read, {why}" for name, why in log.unread.items()]
-    return lines
-
-
-def _guess(
-    names: Sequence[str], element: str, number: int, count: int, words: Sequence[str]
-) -> str:
-    """The column named by one of the words and the element, or else the one in its place if there
-    are as many columns with such a word as elements; `?` if there is no such column."""
-    having = [name for name in names if _kind(name) is words]
-    own = [name for name in having if set(_words(name)) & set(_words(element))]
-    for found in ([n for n in own if element.lower() in n.lower()], own):
-        if len(found) == 1:
-            return found[0]
-    return having[number] if len(having) == count else "?"
-
-
-def _kind(name: str) -> Sequence[str] | None:
-    """Group of words that a column's name belongs to; an angle's unit alone is a position."""
-    groups = (_TIMES, _VELOCITIES, _COMMANDS, _POSITIONS, tuple(_ANGLES))
-    own = set(_words(name))
-    group = next((group for group in groups if own & set(group)), None)
-    return _POSITIONS if group == tuple(_ANGLES) else group
-
-
-def _unit(column: str, units: Sequence[str]) -> str:
-    """The unit that a column's name ends on, or else the first."""
-    last = _words(column)[-1:]
-    return next((unit for unit in units if [unit] == last), units[0])
-
-
-def _words(name: str) -> list[str]:
-    """Parts of a column's name, digits apart from letters: dq, 1 and deg of `dq1_deg`."""
-    parts, word = [], ""
-    for letter in name.lower():
-        if word and (not letter.isalnum() or letter.isdigit() != word[-1].isdigit()):
-            parts.append(word)
-            word = ""
-        word += letter if letter.isalnum() else ""
-    return [*parts, word] if word else parts
-
-
-def _key(name: str) -> str:
-    is_bare = name.replace("_", "").replace("-", "").isalnum() and name.isascii()
-    return name if is_bare else _text(name)
-
-
-def _text(name: str) -> str:
-    """A name as a string of TOML, which has JSON's escapes."""
-    return json.dumps(name)
 
 
 def _check_names(what: str, given: Mapping[str, object], expected: Sequence[str]) -> None:

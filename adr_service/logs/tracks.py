@@ -17,6 +17,7 @@ GAP = 3.0  # times the median spacing, from which on readings are missing
 SAME = 1e-6  # of a period: times as near as that are the same
 _DENSER = 0.7  # of a column's spacing: closer rows would count a reading more than once
 TURN, _NEARLY = 2 * np.pi, 0.1  # a jump by a turn, to within a tenth
+MANY_TURNS = 3  # of a joint, from which on its unit looks wrong
 _SINCE_1970_S = 1e8  # stamps from which on they count from 1970
 _LONG_S = 1.0  # period from which on the time's unit looks wrong
 
@@ -81,7 +82,7 @@ def recording_of(log: Log, given: LogMap, model: mujoco.MjModel) -> Recording:
         position = scaled(_unwrapped(position, joint), joint.position_factor(slide))
         position = replace(position, is_fitted=joint.derive_velocity)
         if not slide:
-            _check_wraps(log, name, position)
+            _check_wraps(log, name, position, joint)
         positions.append(position)
         velocity = None
         if joint.velocity is not None:
@@ -131,15 +132,30 @@ def _unwrapped(track: Track, joint: JointMap) -> Track:
     return replace(track, signal=replace(track.signal, value=value))
 
 
-def _check_wraps(log: Log, joint: str, position: Track) -> None:
-    time, jumps = position.signal.time, np.abs(np.diff(position.signal.value))
-    is_near = np.diff(time) <= GAP * position.spacing
-    if (turns := np.flatnonzero(is_near & (np.abs(jumps - TURN) < _NEARLY * TURN))).size:
+def _check_wraps(log: Log, name: str, position: Track, joint: JointMap) -> None:
+    """Raises InvalidInput for readings that jump by a turn."""
+    time, value = position.signal.time, position.signal.value
+    jumps, is_near = np.abs(np.diff(value)), np.diff(time) <= GAP * position.spacing
+    turns = np.flatnonzero(is_near & (np.abs(jumps - TURN) < _NEARLY * TURN))
+    if not turns.size:
+        return
+    jumping = (
+        f"{log.source}: column {position.column!r} jumps by a turn at {time[turns[0] + 1]:.6g} s"
+    )
+    if (whole := np.ptp(value) / TURN) > MANY_TURNS:
         raise InvalidInput(
-            f"{log.source}: column {position.column!r} jumps by a turn at "
-            f"{time[turns[0] + 1]:.6g} s; if its readings wrap around, give joints.{joint}.wrap, "
-            "the size of a turn in them (360 for degrees)"
+            f"{jumping}, and goes through {whole:.0f} turns in all; is joints.{name}.unit right "
+            f"({joint.unit or 'rad, because none is given'})?"
         )
+    if joint.wrap is not None:
+        raise InvalidInput(
+            f"{jumping} also with joints.{name}.wrap = {joint.wrap:g}; that is the size of a turn "
+            "in the readings' own unit: is it right?"
+        )
+    raise InvalidInput(
+        f"{jumping}; if its readings wrap around, give joints.{name}.wrap, the size of a turn in "
+        "them (360 for degrees)"
+    )
 
 
 def check_velocities(recordings: Sequence[Recording]) -> None:

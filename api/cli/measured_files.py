@@ -10,7 +10,8 @@ from adr_service.errors import InvalidInput
 from adr_service.logs.base import Log
 from adr_service.logs.catalogue import read_logs
 from adr_service.logs.conversion import Converted, convert
-from adr_service.logs.mapping import LogMap, draft
+from adr_service.logs.drafting import draft
+from adr_service.logs.mapping import LogMap
 from adr_service.logs.report import report_page
 from api.cli.criticism_files import nominal_of
 

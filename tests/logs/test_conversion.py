@@ -146,6 +146,15 @@ def test_readings_that_jump_by_a_turn_are_refused(robot, even, given):
     wrapped = {**even, "q1": (4 * even["q1"] + np.pi) % (2 * np.pi) - np.pi}
     with pytest.raises(InvalidInput, match=r"'q1' jumps by a turn at .* joints.shoulder.wrap"):
         convert([log(wrapped)], given, robot)
+    wrong = changed(('position = "q1"', 'position = "q1"\nwrap = 360.0'))
+    with pytest.raises(InvalidInput, match=r"also with joints.shoulder.wrap = 360.* right\?"):
+        convert([log(wrapped)], wrong, robot)
+
+
+def test_degrees_that_are_read_as_radians_lead_to_the_question_of_the_unit(robot, even, given):
+    fast = {**even, "q1": np.degrees(even["q1"]) + 6.28 * (even["time"] > 5)}
+    with pytest.raises(InvalidInput, match=r"19 turns in all; is joints.shoulder.unit right \(rad"):
+        convert([log(fast)], given, robot)
 
 
 def test_commands_change_within_rows_at_the_steps_of_the_model(robot, even):
@@ -298,9 +307,12 @@ def test_what_looks_wrong_is_pointed_out(robot, even, given):
     coarse = unlimited.replace('timestep="0.002"', 'timestep="0.003"')
     model = mujoco.MjModel.from_xml_string(coarse)
     warnings = convert([log(turning)], given, model).warnings
-    assert [w.split(" ")[0] for w in warnings] == ["shoulder", "slider", "rows", "motor"]
+    assert [w.split(" ")[0] for w in warnings] == [
+        *("shoulder", "slider", "shoulder", "rows", "motor")
+    ]
     assert warnings[0] == "shoulder turns 4 times; is joints.shoulder.unit right (rad)?"
-    assert convert([log(even)], given, robot).warnings == ()
+    (moved,) = convert([log(even)], given, robot).warnings  # no command made this motion
+    assert moved.startswith("shoulder hardly accelerates by the commands to motor")
 
 
 def test_stamps_since_1970_become_seconds_of_the_recording(robot, even, given):

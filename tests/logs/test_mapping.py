@@ -1,12 +1,10 @@
 """The map from columns to a model."""
 
-import mujoco
-import numpy as np
 import pytest
 
 from adr_service.errors import InvalidInput
-from adr_service.logs.mapping import LogMap, draft
-from tests.logs.conftest import MAP, log, motion
+from adr_service.logs.mapping import LogMap
+from tests.logs.conftest import MAP
 
 
 @pytest.mark.parametrize(
@@ -38,32 +36,3 @@ def test_a_wrong_map_is_refused_with_its_field(robot, old, new, message):
     assert old in MAP
     with pytest.raises(InvalidInput, match=message):
         LogMap.from_toml(MAP.replace(old, new)).check(robot)
-
-
-def test_a_draft_finds_columns_by_word_and_number(robot):
-    columns = motion(np.arange(5.0))
-    renamed = {"stamp_ms": columns["time"], "q1_deg": columns["q1"], "q2_mm": columns["q2"]}
-    renamed |= {"dq1_deg": columns["dq1"], "current": columns["u"], "x": columns["u"]}
-    text = draft([log(renamed)], robot)
-    found = LogMap.from_toml(text)
-    assert (found.time.column, found.time.unit) == ("stamp_ms", "ms")
-    assert (found.joints["shoulder"].position, found.joints["shoulder"].unit) == ("q1_deg", "deg")
-    assert (found.joints["slider"].position, found.joints["slider"].unit) == ("q2_mm", "mm")
-    assert found.joints["slider"].velocity is None  # there are two joints and one column
-    assert found.actuators["motor"].command == "current"
-    assert "#   x: 5, " in text
-
-
-def test_a_draft_finds_columns_by_the_joint_and_marks_what_it_does_not_know(robot):
-    columns = {"/state.position.slider": np.zeros(3), "/state.position.wheel": np.zeros(3)}
-    found = LogMap.from_toml(draft([log({"time": np.arange(3.0), **columns})], robot))
-    assert found.joints["slider"].position == "/state.position.slider"
-    assert found.actuators["motor"].command == "?"
-
-
-def test_names_that_toml_cannot_bear_are_quoted():
-    xml = """<mujoco><worldbody><body><joint name="left arm/1"/><geom size="1"/></body></worldbody>
-    </mujoco>"""
-    model = mujoco.MjModel.from_xml_string(xml)
-    text = draft([log({"time": np.arange(3.0), "q": np.zeros(3)})], model)
-    assert LogMap.from_toml(text).joints["left arm/1"].position == "q"

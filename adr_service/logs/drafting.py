@@ -1,0 +1,174 @@
+"""A draft of the map from a log's columns to a model: what names and ranges of columns suggest."""
+
+import json
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from adr_service.logs.base import SECONDS, Log
+from adr_service.logs.mapping import ANGLES, LENGTHS, actuators_of, is_slide, joints_of
+
+_TIMES = ("time", "timestamp", "stamp", "t")
+_POSITIONS = ("position", "pos", "qpos", "q", "angle", "state")
+_VELOCITIES = ("velocity", "vel", "qvel", "dq", "qd", "speed")
+_COMMANDS = (
+    *("effort", "torque", "tau", "nm", "current", "i", "amps"),
+    *("command", "cmd", "ctrl", "action", "u"),
+)
+_SHORTEST = 2  # letters of an abbreviation: el for elbow
+_LIKELY_S = (1e-4, 1.0)  # between readings
+_TURNS = 3 * 2 * np.pi  # a hinge that goes further is rather in degrees
+_BY_ORDER = "  # guessed by the order of the columns: check"
+
+
+def draft(logs: Sequence[Log], model: mujoco.MjModel) -> str:
+    """A map to start from, with `?` where nothing says which column is a joint or a command.
+
+    Comments list all columns with their ranges, and mark what is a guess.
+    """
+    names = list(dict.fromkeys(name for log in logs for name in log.names))
+    lines = ["# columns: name, readings, smallest and largest", *_listing(logs[0])]
+    if any(stream.stamps is None for stream in logs[0].streams):
+        time = next((name for name in names if _kind(name) is _TIMES), "?")
+        lines += ["", "[time]", f"column = {_text(time)}", _time_unit(logs[0], time)]
+    lines += ["", "[rows]", "seconds = 1.0  # length of an episode"]
+    lines.append("# period = 0.01  # seconds between rows; about the readings' own, if left out")
+    joints, drives = joints_of(model), actuators_of(model)
+    positions = _matched(names, joints, _POSITIONS)
+    velocities = _matched(names, joints, _VELOCITIES)
+    for joint in joints:
+        lines += ["", f"[joints.{_key(joint)}]", _line("position", *positions[joint])]
+        lines.append(_position_unit(logs[0], positions[joint][0], is_slide(model, joint)))
+        lines.append("# scale = -1.0  # if it turns the other way than the model's")
+        known = velocities[joint][0] != "?"
+        lines.append(
+            _line("velocity", *velocities[joint]) if known else "# no velocity: not measured"
+        )
+    commands = _matched(names, drives, _COMMANDS)
+    for drive in drives:
+        lines += ["", f"[actuators.{_key(drive)}]", _line("command", *commands[drive])]
+        lines.append("scale = 1.0  # of a reading in the model's command; negative if reversed")
+        lines.append('# between = "line"  # if the command changes faster than the log shows')
+    return "\n".join(lines) + "\n"
+
+
+def _listing(log: Log) -> list[str]:
+    lines: list[str] = []
+    for stream in log.streams:
+        for name, values in stream.columns.items():
+            known = values[np.isfinite(values)]
+            reach = f"{known.min():.6g} to {known.max():.6g}" if known.size else "no numbers"
+            lines.append(f"#   {name}: {known.size}, {reach}")
+    lines += [f"#   {name}: cannot be read, {why}" for name, why in log.unread.items()]
+    return lines
+
+
+def _matched(
+    names: Sequence[str], elements: Sequence[str], words: Sequence[str]
+) -> dict[str, tuple[str, bool]]:
+    """Column of each element, and whether it is a guess.
+
+    A column belongs to the element that its name contains, shares a word with or abbreviates. If
+    none belongs to any, columns are guessed by their order if there are as many as elements.
+    """
+    having = [name for name in names if _kind(name) is words]
+    found: dict[str, tuple[str, bool]] = {}
+    for element in elements:
+        for belongs in (_contains, _shares, _abbreviates):
+            own = [name for name in having if belongs(name, element)]
+            if len(own) == 1:
+                found[element] = own[0], False
+                break
+    if not found and len(having) == len(elements):
+        is_guess = len(elements) > 1
+        return {each: (name, is_guess) for each, name in zip(elements, having, strict=True)}
+    return {each: found.get(each, ("?", False)) for each in elements}
+
+
+def _contains(column: str, element: str) -> bool:
+    return element.lower() in column.lower()
+
+
+def _shares(column: str, element: str) -> bool:
+    return bool(set(_words(column)) & set(_words(element)))
+
+
+def _abbreviates(column: str, element: str) -> bool:
+    short = [word for word in _words(column) if len(word) >= _SHORTEST]
+    return any(word.startswith(each) for each in short for word in _words(element))
+
+
+def _kind(name: str) -> Sequence[str] | None:
+    """Group of words that a column's name belongs to; an angle's unit alone is a position."""
+    groups = (_TIMES, _VELOCITIES, _COMMANDS, _POSITIONS, tuple(ANGLES))
+    own = set(_words(name))
+    group = next((group for group in groups if own & set(group)), None)
+    return _POSITIONS if group == tuple(ANGLES) else group
+
+
+def _time_unit(log: Log, column: str) -> str:
+    """The unit that the name ends on, or else one in which rows come at a likely pace."""
+    named = _named_unit(column, tuple(SECONDS))
+    unit = named or next((u for u, size in SECONDS.items() if _is_likely(log, column, size)), "s")
+    return f'unit = "{unit}"  # {_choice(named, tuple(SECONDS))}'
+
+
+def _is_likely(log: Log, column: str, size: float) -> bool:
+    times = _values(log, column)
+    if len(times) < 2:
+        return False
+    low, high = _LIKELY_S
+    return bool(low <= size * np.median(np.diff(times)) <= high)
+
+
+def _position_unit(log: Log, column: str, slide: bool) -> str:
+    units = tuple(LENGTHS if slide else ANGLES)
+    named, values = _named_unit(column, units), _values(log, column)
+    is_wide = not slide and len(values) > 0 and np.abs(values).max() > _TURNS
+    unit = named or ("deg" if is_wide else units[0])
+    return f'unit = "{unit}"  # {_choice(named, units)}'
+
+
+def _choice(named: str | None, units: Sequence[str]) -> str:
+    return ("" if named else "guessed: ") + ", ".join(units)
+
+
+def _values(log: Log, column: str) -> np.ndarray:
+    """The numbers of a column; none, if there is no such column."""
+    for stream in log.streams:
+        if column in stream.columns:
+            values = stream.columns[column]
+            return values[np.isfinite(values)]
+    return np.empty(0)
+
+
+def _named_unit(column: str, units: Sequence[str]) -> str | None:
+    """The unit that a column's name ends on."""
+    last = _words(column)[-1:]
+    return next((unit for unit in units if [unit] == last), None)
+
+
+def _words(name: str) -> list[str]:
+    """Parts of a column's name, digits apart from letters: dq, 1 and deg of `dq1_deg`."""
+    parts, word = [], ""
+    for letter in name.lower():
+        if word and (not letter.isalnum() or letter.isdigit() != word[-1].isdigit()):
+            parts.append(word)
+            word = ""
+        word += letter if letter.isalnum() else ""
+    return [*parts, word] if word else parts
+
+
+def _line(field: str, column: str, is_guess: bool) -> str:
+    return f"{field} = {_text(column)}" + (_BY_ORDER if is_guess else "")
+
+
+def _key(name: str) -> str:
+    is_bare = name.replace("_", "").replace("-", "").isalnum() and name.isascii()
+    return name if is_bare else _text(name)
+
+
+def _text(name: str) -> str:
+    """A name as a string of TOML, which has JSON's escapes."""
+    return json.dumps(name)

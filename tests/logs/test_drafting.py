@@ -1,0 +1,59 @@
+"""A draft of the map: what it knows, what it guesses, and what it leaves open."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from adr_service.logs.drafting import draft
+from adr_service.logs.mapping import LogMap
+from tests.logs.conftest import log, motion
+
+
+def test_a_draft_finds_columns_by_word_and_number(robot):
+    columns = motion(np.arange(5.0))
+    renamed = {"stamp_ms": columns["time"], "q1_deg": columns["q1"], "q2_mm": columns["q2"]}
+    renamed |= {"dq1_deg": columns["dq1"], "current": columns["u"], "x": columns["u"]}
+    text = draft([log(renamed)], robot)
+    found = LogMap.from_toml(text)
+    assert (found.time.column, found.time.unit) == ("stamp_ms", "ms")
+    assert (found.joints["shoulder"].position, found.joints["shoulder"].unit) == ("q1_deg", "deg")
+    assert (found.joints["slider"].position, found.joints["slider"].unit) == ("q2_mm", "mm")
+    assert found.joints["slider"].velocity is None  # there are two joints and one column
+    assert text.count("guessed by the order") == 2
+    assert found.actuators["motor"].command == "current"
+    assert "#   x: 5, " in text
+
+
+def test_a_draft_finds_columns_by_the_joint_and_marks_what_it_does_not_know(robot):
+    columns = {"/state.position.slider": np.zeros(3), "/state.position.wheel": np.zeros(3)}
+    found = LogMap.from_toml(draft([log({"time": np.arange(3.0), **columns})], robot))
+    assert found.joints["slider"].position == "/state.position.slider"
+    assert found.actuators["motor"].command == "?"
+
+
+def test_names_that_toml_cannot_bear_are_quoted():
+    xml = """<mujoco><worldbody><body><joint name="left arm/1"/><geom size="1"/></body></worldbody>
+    </mujoco>"""
+    model = mujoco.MjModel.from_xml_string(xml)
+    text = draft([log({"time": np.arange(3.0), "q": np.zeros(3)})], model)
+    assert LogMap.from_toml(text).joints["left arm/1"].position == "q"
+
+
+def test_a_draft_reads_abbreviations_in_any_order(robot):
+    columns = {"time": np.arange(3.0), "pos_sl": np.zeros(3), "pos_sh": np.zeros(3)}
+    text = draft([log(columns)], robot)
+    found = LogMap.from_toml(text)
+    assert found.joints["shoulder"].position == "pos_sh"
+    assert found.joints["slider"].position == "pos_sl"
+    assert "guessed by the order" not in text
+
+
+@pytest.mark.parametrize(("spacing", "unit"), [(0.01, "s"), (10.0, "ms"), (1e4, "us"), (1e7, "ns")])
+def test_the_unit_of_stamps_without_one_is_guessed_by_their_pace(robot, spacing, unit):
+    text = draft([log({"stamp": spacing * np.arange(5.0), "q": np.zeros(5)})], robot)
+    assert f'unit = "{unit}"  # guessed: s, ms, us, ns' in text
+
+
+def test_angles_beyond_many_turns_are_guessed_to_be_degrees(robot):
+    columns = {"time": np.arange(3.0), "shoulder_pos": np.array([-40.0, 0.0, 90.0])}
+    assert LogMap.from_toml(draft([log(columns)], robot)).joints["shoulder"].unit == "deg"
