@@ -24,9 +24,10 @@ from adr_service.arrays import Array3
 from adr_service.blind_test.planting import hide, sized_effect
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.next_recording import Plan, next_recording
+from adr_service.criticism.next_recording import next_recording
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import Criticism, criticise
+from adr_service.criticism.plans import Plan
 from adr_service.criticism.verdict import Conclusion
 from adr_service.tasks.catalogue import get_task, source_of
 

@@ -31,6 +31,7 @@ class Excitation:
     location: str
     nats: float  # that it would gain alone, at its typical size; NaN: it cannot be simulated
     strength: str  # name of the effect's first parameter
+    sensible: float  # its typical value
     visible: float  # smallest value of it that could be evidence, others in proportion
     unit: str
 
@@ -51,7 +52,10 @@ def excitation(simulator: Simulator, noise: Vector) -> list[Excitation]:
         gain = float(np.nansum(nats)) if np.isfinite(nats).any() else np.nan
         visible = effect.values[0] * float(np.sqrt(THRESHOLD / max(gain, _LEAST)))
         unit = unit_of(simulator.base, effect.location, strength.unit)
-        found.append(Excitation(effect.kind, effect.location, gain, strength.name, visible, unit))
+        size = effect.values[0]
+        found.append(
+            Excitation(effect.kind, effect.location, gain, strength.name, size, visible, unit)
+        )
     return sorted(found, key=lambda each: -np.nan_to_num(each.nats, nan=-1.0))
 
 

@@ -6,11 +6,12 @@ extension.to_json()    # all effects; this package replays those on commands and
 """
 
 import ctypes
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -31,6 +32,7 @@ class Extension:
 
     xml: str
     effects: tuple[Effect, ...]
+    changes: tuple[str, ...] = ()  # attributes of MJCF that differ without the effects
 
     @property
     def beside(self) -> list[Effect]:
@@ -54,11 +56,44 @@ def _is_in_mjcf(effect: Effect) -> bool:
 def extend(nominal: Nominal, parameters: Vector, effects: Sequence[Effect]) -> Extension:
     """The model with fitted parameters and effects, written out."""
     spec = nominal.spec(parameters)
+    before = written_out(spec)
     model = with_effects(spec, lambda model: nominal.write(model, parameters), effects)
     spec.copy_back(model)
     for body in spec.bodies[1:]:  # the one field of an effect that MuJoCo does not copy back
         body.gravcomp = float(model.body_gravcomp[model.body(body.name).id])
-    return Extension(written_out(spec), tuple(effects))
+    after = written_out(spec)
+    return Extension(after, tuple(effects), tuple(_changes(before, after)))
+
+
+def _changes(before: str, after: str) -> Iterator[str]:
+    """New and changed attributes, by element, as `<joint name="elbow" frictionloss="0.35">`."""
+    known = dict(_elements(before))
+    for place, attributes in _elements(after):
+        old = known.get(place, {})
+        new = {name: value for name, value in attributes.items() if old.get(name) != value}
+        if new:
+            named = {"name": attributes["name"]} if "name" in attributes else {}
+            shown = " ".join(f'{name}="{_short(value)}"' for name, value in (named | new).items())
+            where = "" if named else f" in {place.rpartition('/')[0]}"
+            yield f"<{place.rpartition('/')[2].partition(' ')[0]} {shown}>{where}"
+
+
+def _elements(xml: str) -> Iterator[tuple[str, dict[str, str]]]:
+    """Every element's place, by tags and names from the root on, and its attributes."""
+    waiting = [("", ElementTree.fromstring(xml))]  # noqa: S314 - we have written it
+    while waiting:
+        above, element = waiting.pop()
+        place = f"{above}/{element.tag} {element.get('name', '')}".rstrip()
+        yield place, dict(element.attrib)
+        waiting += [(place, child) for child in reversed(element)]
+
+
+def _short(value: str) -> str:
+    """Numbers with six digits; other words as they are."""
+    try:
+        return " ".join(f"{float(word):.6g}" for word in value.split())
+    except ValueError:
+        return value
 
 
 def written_out(spec: mujoco.MjSpec) -> str:

@@ -93,7 +93,9 @@ def _horizons(figure: Figure, criticism: Criticism) -> None:
     for label, colour, column in (("as it is", _BEFORE, 0), ("extended", _AFTER, 1)):
         axes.plot(steps, [gain.horizons[s][column] for s in steps], "o-", color=colour, label=label)
     axes.set(xscale="log", yscale="log", xlabel="control steps ahead")
-    axes.set_ylabel("error, 1: what is expected of one step")
+    is_measured = criticism.baseline.simulator.data.is_measured().all()
+    unit = "what is expected of one step" if is_measured else "one step, extended"
+    axes.set_ylabel(f"error, 1: {unit}")
     axes.set_title("Prediction of episodes that nothing was fitted to")
     axes.legend(frameon=False)
     _plain(axes, steps)
@@ -106,12 +108,16 @@ def _trace(figure: Figure, criticism: Criticism) -> None:
     trace, dof = gain.trace, _most_changed(criticism.baseline, criticism.final)
     nv = criticism.baseline.simulator.base.nv
     axes = figure.subplots(1, 2)
+    measured = criticism.baseline.simulator.data.is_measured()
     for ax, column, what in zip(axes, (dof, nv + dof), ("position", "velocity"), strict=True):
-        ax.plot(trace.time, trace.measured[:, column], "k.", markersize=3, label="measured")
+        shown, colour = ("measured", "black") if measured[column] else ("not measured", "#999999")
+        points = trace.measured[:, column]
+        ax.plot(trace.time, points, ".", color=colour, markersize=3, label=shown)
         ax.plot(trace.time, trace.without[:, column], color=_BEFORE, label="as it is")
         ax.plot(trace.time, trace.extended[:, column], color=_AFTER, label="extended")
         ax.set(xlabel="time [s]", ylabel=f"{what} [{_unit(criticism.baseline, dof, what)}]")
-    axes[0].legend(frameon=False)
+        if column == dof or not measured[column]:
+            ax.legend(frameon=False)
     figure.suptitle(f"{_joints(criticism)[dof]}: simulated from the first state on, without a look")
 
 

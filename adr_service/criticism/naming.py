@@ -85,7 +85,9 @@ def name_effects(
         responses, chance = Responses(current), 0.0  # about the baseline all would be others
     together = len(named)  # these were weighed as a whole
     for count in range(together, _MOST_NAMED):
-        alive = partial(progress, 0.1 + 0.7 * count / _MOST_NAMED, causes=count)
+        doing = "refining the best effects" + (f" beside {count} named" if count else "")
+        share = 0.1 + 0.7 * count / _MOST_NAMED
+        alive = partial(progress, share, causes=count, doing=doing)
         alive()
         if count > 0:
             candidates = scan(current, responses)
@@ -97,7 +99,8 @@ def name_effects(
         current = smoothed(from_elsewhere(current, alike[0].fit))
         asked_again = range(together, count)
         named, current = reconsidered(named, current, asked_again, responses, rng, alive)
-    named, current = _revised(named, current, responses, rng, partial(progress, 0.8))
+    alive = partial(progress, 0.8, causes=len(named), doing="weighing the causes together")
+    named, current = _revised(named, current, responses, rng, alive)
     return named, current, chance
 
 

@@ -1,15 +1,17 @@
 """The recording to make next: commands on which explanations that are tied now would differ most.
 
     plan = next_recording(criticism, limits, rng)
-    plan.commands                       # (episodes, rows, nu), each episode after the robot's reset
+    plan.commands                       # (episodes, rows, nu)
+    plan.start                          # (nq,) pose at rest from which each episode starts
     plan.separations[0].if_named        # evidence to expect, in nats, if the named cause is true
 
-Each of many random motions is simulated with one explanation, from the states in which recorded
-episodes begin. By another explanation the same steps end elsewhere, also after its strengths and
-the free parameters have changed to make up for it, in both recordings together. Half the sum of
-squares of what is left, in units of one-step errors, is the evidence to expect if the first is
-true. Motions are chosen one by one. Where nothing is tied, they are chosen to show as many effects
-as possible, at sizes that sensible simulators lack.
+Each of many random motions is simulated with one explanation. It begins in a pose at rest, or in
+the states in which recorded episodes begin, if these are at rest: then a reset made them. By
+another explanation the same steps end elsewhere, also after its strengths and the free parameters
+have changed to make up for it, in both recordings together. Half the sum of squares of what is
+left, in units of one-step errors, is the evidence to expect if the first is true. Motions are
+chosen one by one. Where nothing is tied, they are chosen to show as many effects as possible, at
+sizes that sensible simulators lack.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -24,55 +26,20 @@ from adr_service.criticism.excitation import gained_by_effects
 from adr_service.criticism.linearisation import by_parameters, by_strengths
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.pipeline import Criticism
+from adr_service.criticism.plans import Plan, Separation
 from adr_service.criticism.scan import location_of
 from adr_service.criticism.simulator import Simulator
 from adr_service.criticism.weighing import Weighed
 from adr_service.effects.models import plausible_of
 from adr_service.errors import InvalidInput
-from adr_service.npz import read_arrays, write_arrays
 
 _CANDIDATES = 96  # motions to choose from
 _PACES = (0.5, 0.8, 0.9, 0.95, 0.98)  # share of a command that is left after a control step
 _ALONE = 0.3  # of the motions move one actuator
 _LEAST = 1e-6  # ridge, in squares of an error; range of a position
 _BEYOND = 0.5  # of a recorded range, that a plan may go further to both sides
-_PLANNED = ("time", "ctrl", "episode")
+_RESTING = 0.3  # of the usual speed, below which recorded episodes begin after a reset
 _Settings = tuple[int | None, int]  # threads, steps for one of the model's
-
-
-@dataclass(frozen=True)
-class Separation:
-    """Evidence to expect from both recordings together, to first order."""
-
-    named: str
-    other: str
-    if_named: float  # nats to expect if the named cause is true
-    # the same if the other is true. If one can do all that the other does, only its own truth shows
-    if_other: float
-
-    @property
-    def is_expected(self) -> bool:
-        """True if one of the two can be told from the other."""
-        return max(self.if_named, self.if_other) >= THRESHOLD
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Commands of the next recording, open loop."""
-
-    commands: Array3  # (episodes, rows, nu)
-    period: float  # [s] that each command holds
-    separations: tuple[Separation, ...]
-    reach: Matrix  # (nq, 2) smallest and largest positions in simulation, with what is named
-    recorded: Matrix  # (nq, 2) the same of the recording that there is
-
-    def to_npz(self) -> bytes:
-        """An `.npz` of `time` (N,), `ctrl` (N, nu) and `episode` (N,), as in a measurement."""
-        episodes, rows, width = self.commands.shape
-        time = np.tile(self.period * np.arange(rows), episodes)
-        number = np.repeat(np.arange(episodes), rows)
-        ctrl = self.commands.reshape(-1, width)
-        return write_arrays({"time": time, "ctrl": ctrl, "episode": number})
 
 
 @dataclass(frozen=True)
@@ -120,6 +87,7 @@ def next_recording(
     rng: np.random.Generator,
     *,
     allowed: Mapping[int, tuple[float, float]] | None = None,
+    start: Mapping[int, float] | None = None,
     episodes: int = 12,
     seconds: float = 1.5,
     threads: int | None = None,
@@ -127,7 +95,9 @@ def next_recording(
     """The best of many motions within limits (nu, 2) of each command.
 
     `allowed` has the smallest and largest position [rad or m] of joints by number, which no motion
-    leaves in simulation. Other joints stay near the recorded positions if that is possible. Raises
+    leaves in simulation. Other joints stay near the recorded positions if that is possible. `start`
+    has positions of joints by number in which each episode starts at rest, with the others where
+    the recording begins; None: so does every joint, unless recorded episodes begin at rest. Raises
     InvalidInput for limits that `check_limits` refuses, and if too few motions within all these
     stay finite in simulation.
     """
@@ -135,7 +105,8 @@ def next_recording(
     check_limits(limits, final.simulator)
     rows = max(round(seconds / recorded.period()), 2)
     commands = _motions(limits, rows, rng)
-    motions = _from_recorded_starts(final, commands)
+    pose = _pose(final, start)
+    motions = _from_starts(final, commands, pose)
     pairs = [(alike[0], other) for alike in criticism.named for other in alike[1:]]
     nominal, settings = final.simulator.nominal, (threads, final.simulator.finer)
     with (
@@ -151,17 +122,27 @@ def next_recording(
     finite = _that_stay_finite(planned)
     possible = _within(planned, finite, allowed or {})
     if len(possible) < episodes:
+        alone = [
+            f"{final.simulator.base.joint(joint).name} stays there in "
+            f"{len(_within(planned, finite, {joint: bounds}))}"
+            for joint, bounds in (allowed or {}).items()
+        ]
         raise InvalidInput(
             f"of {_CANDIDATES} motions within these limits, {len(finite)} stay finite in "
-            f"simulation, and {len(possible)} of them within the allowed positions; {episodes} are "
-            "needed (give narrower limits of commands, or allow more positions)"
+            f"simulation, and {len(possible)} of them within the allowed positions"
+            f"{' (' + ', '.join(alone) + ')' if alone else ''}; {episodes} are needed: give "
+            "narrower limits of commands, allow more positions, or start elsewhere"
         )
     possible = _near(planned, recorded, possible, allowed or {}, episodes)
+    newly_shown: tuple[str, ...] = ()
     if compared:
         chosen = _best(compared, possible, episodes)
     else:
-        with Simulator(nominal, planned, *settings) as simulator:
-            chosen = _most_shown(final, simulator, possible, episodes)
+        with (
+            Simulator(nominal, recorded, *settings) as before,
+            Simulator(nominal, planned, *settings) as after,
+        ):
+            chosen, newly_shown = _most_shown(final, before, after, possible, episodes)
     return Plan(
         commands[chosen],
         recorded.period(),
@@ -169,6 +150,8 @@ def next_recording(
             Separation(_name(one), _name(other), if_one.nats(chosen), if_other.nats(chosen))
             for (one, other), (if_one, if_other) in zip(pairs, compared, strict=True)
         ),
+        newly_shown,
+        pose,
         _reach(planned.episodes(sorted(chosen))),
         _reach(recorded),
     )
@@ -199,30 +182,6 @@ def recorded_limits(simulator: Simulator) -> Matrix:
     return np.column_stack([obeyed.min(axis=(0, 1)), obeyed.max(axis=(0, 1))])
 
 
-def read_commands(content: bytes, width: int, period: float) -> list[Matrix]:
-    """The commands (rows, nu) of each episode of a plan's `.npz`.
-
-    Raises InvalidInput unless each holds for `period` seconds and they are for `width` actuators.
-    """
-    arrays = read_arrays(content, _PLANNED)
-    if missing := [name for name in _PLANNED if name not in arrays]:
-        raise InvalidInput(f"the plan lacks {missing}; `adr criticise --next` writes one")
-    time, ctrl, episode = (arrays[name] for name in _PLANNED)
-    if ctrl.dtype.kind not in "iuf" or ctrl.ndim != 2 or ctrl.shape[1] != width:
-        raise InvalidInput(
-            f"the plan's commands are {ctrl.dtype} of shape {ctrl.shape}; expected are numbers of "
-            f"shape (rows, {width})"
-        )
-    # a plan is a measurement of a robot without joints
-    empty = np.empty((len(ctrl), 0))
-    plan = Measurement(time=time, qpos=empty, qvel=empty, ctrl=ctrl, episode=episode)
-    if abs(plan.period() - period) > 1e-3 * period:
-        raise InvalidInput(
-            f"the plan's commands hold for {plan.period():g} s; the robot's hold for {period:g} s"
-        )
-    return [plan.ctrl[first:last] for first, last in plan.spans()]
-
-
 def _motions(limits: Matrix, rows: int, rng: np.random.Generator) -> Array3:
     """(candidates, rows, nu) coloured noise, in all commands or in one."""
     low, high = limits.T
@@ -241,19 +200,44 @@ def _motions(limits: Matrix, rows: int, rng: np.random.Generator) -> Array3:
     return commands
 
 
-def _from_recorded_starts(fit: Fit, commands: Array3) -> Measurement:
-    """Motions from the states in which recorded episodes begin, in turn."""
+def _recorded_starts(fit: Fit) -> Matrix:
+    """(episodes, 2 nv) states in which recorded episodes begin."""
+    return fit.states[[first for first, _ in fit.simulator.data.spans()]]
+
+
+def _pose(fit: Fit, start: Mapping[int, float] | None) -> Vector | None:
+    """(nq,) positions at rest to start from; None: recorded episodes begin at rest, so as they do.
+
+    Episodes that are pieces of a longer recording begin in the middle of a motion, in which no
+    robot can be put.
+    """
+    first, speed = np.split(_recorded_starts(fit), 2, axis=1)
+    usual = np.sqrt(np.mean(np.split(fit.states, 2, axis=1)[1] ** 2, axis=0))
+    if start is None and np.all(np.sqrt(np.mean(speed**2, axis=0)) <= _RESTING * usual):
+        return None
+    pose = first[0].copy()
+    for joint, position in (start or {}).items():
+        pose[joint] = position
+    return pose
+
+
+def _from_starts(fit: Fit, commands: Array3, pose: Vector | None) -> Measurement:
+    """Motions from a pose at rest, or from the states in which recorded episodes begin, in turn."""
     count, rows, width = commands.shape
-    data = fit.simulator.data
-    firsts = np.array([first for first, _ in data.spans()])
-    states = np.repeat(fit.states[firsts[np.arange(count) % len(firsts)]], rows, axis=0)
-    qpos, qvel = np.split(states, 2, axis=1)
+    data, recorded = fit.simulator.data, _recorded_starts(fit)
+    if pose is None:
+        starts = recorded[np.arange(count) % len(recorded)]
+    else:
+        starts = np.tile(np.concatenate([pose, np.zeros_like(pose)]), (count, 1))
+    qpos, qvel = np.split(np.repeat(starts, rows, axis=0), 2, axis=1)
     return Measurement(
         time=np.tile(data.period() * np.arange(rows), count),
         qpos=qpos,
         qvel=qvel,
         ctrl=commands.reshape(-1, width),
         episode=np.repeat(np.arange(count), rows),
+        qpos_std=data.qpos_std,
+        qvel_std=data.qvel_std,
     )
 
 
@@ -370,13 +354,20 @@ def _best(
 
 
 def _most_shown(
-    final: Fit, simulator: Simulator, possible: Sequence[int], episodes: int
-) -> list[int]:
-    """Motions, one by one, that bring most effects near the threshold of evidence."""
+    final: Fit, before: Simulator, after: Simulator, possible: Sequence[int], episodes: int
+) -> tuple[list[int], tuple[str, ...]]:
+    """Motions, one by one, that bring most effects near the threshold of evidence, and the effects
+    that are beyond it with them and not without."""
     noise = np.where(final.simulator.data.is_measured(), np.sqrt(final.noise.sensor), np.nan)
-    gains = gained_by_effects(simulator, noise, simulator.measured)
+    gains = list(gained_by_effects(after, noise, after.measured))
     nats = np.nan_to_num(np.stack([gained for _, gained in gains]))  # (effects, N)
-    each = np.stack([nats[:, a:b].sum(axis=1) for a, b in simulator.transitions()])
+    names = [f"{effect.kind} {effect.location}" for effect, _ in gains]
+    recorded = {
+        f"{effect.kind} {effect.location}": float(np.nansum(gained))
+        for effect, gained in gained_by_effects(before, noise, before.measured)
+    }
+    known = np.array([recorded.get(name, 0.0) for name in names])
+    each = np.stack([nats[:, a:b].sum(axis=1) for a, b in after.transitions()])
     chosen: list[int] = []
     total = np.zeros(each.shape[1])
     for _ in range(episodes):
@@ -384,7 +375,8 @@ def _most_shown(
         worth = np.minimum(total + each[left], THRESHOLD).sum(axis=1)
         chosen.append(left[int(np.argmax(worth))])
         total = total + each[chosen[-1]]
-    return chosen
+    is_new = (known < THRESHOLD) & (known + total >= THRESHOLD)
+    return chosen, tuple(name for name, new in zip(names, is_new, strict=True) if new)
 
 
 def _name(weighed: Weighed) -> str:

@@ -36,6 +36,7 @@ from adr_service.criticism.remarks import (
     on_implausible,
     on_persistence,
     on_refuted,
+    on_unknown,
 )
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import Candidate, scan
@@ -102,14 +103,14 @@ def criticise(
     learned, sealed = split(data)
     with ExitStack() as simulators:
         simulators.enter_context(threadpool_limits(1))
-        progress(0.02)
+        progress(0.02, doing="fitting the simulator as it is")
         start, block = _best_step(nominal, learned, rng, threads, simulators)
         baseline = smoothed(start)
-        progress(0.1)
+        progress(0.1, doing="trying every effect at every place")
         responses = Responses(baseline)
         first = scan(baseline, responses)
         named, final, chance = name_effects(baseline, first, responses, block, rng, progress)
-        progress(0.9, causes=len(named))
+        progress(0.9, causes=len(named), doing="judging what is left, and the sealed episodes")
         outcome = _Outcome(named, final, chance, None, on_commands(baseline.simulator.base, data))
         outcome = _opened(outcome, baseline, sealed, rng, threads)
         judgement = _judged(outcome, baseline)
@@ -210,7 +211,8 @@ def _judged(outcome: _Outcome, baseline: Fit) -> _Judgement:
     explained = float(gained(whole, baseline.settled).sum()) if outcome.named else 0.0
     if is_unknown(flexible.gains, explained):
         conclusion = Conclusion.UNKNOWN
-        outcome = replace(outcome, named=[], final=baseline, gain=None)
+        remarks = (*outcome.remarks, on_unknown())
+        outcome = replace(outcome, named=[], final=baseline, gain=None, remarks=remarks)
     spread = spread_causes(whole)
     if conclusion == Conclusion.NONE and (outcome.named or spread):
         is_tied = any(len(alike) > 1 for alike in outcome.named)

@@ -11,6 +11,7 @@ from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import plausible_of, unit_of
 
+_ROUNDING = 1e-6  # of a range of commands
 _IMPLAUSIBLE = 2.0  # deviations of a strength among robots
 
 
@@ -26,13 +27,23 @@ def on_commands(model: mujoco.MjModel, data: Measurement) -> tuple[str, ...]:
                 "show what it does with other commands."
             )
         low, high = model.actuator_ctrlrange[number]
-        beyond = int(np.sum((values < low) | (values > high)))
+        slack = _ROUNDING * (high - low)
+        beyond = int(np.sum((values < low - slack) | (values > high + slack)))
         if model.actuator_ctrllimited[number] and beyond:
             remarks.append(
                 f"{beyond} of {len(values)} commands to actuator {name} are beyond its limits, "
                 f"{low:g} to {high:g}; the simulator obeys the limits, as MuJoCo does."
             )
     return tuple(remarks)
+
+
+def on_unknown() -> str:
+    """A remark for readers who would look for unknown physics first."""
+    return (
+        "Before you look for physics: a wrong sign, unit, gain or time of a column looks like a "
+        "force that nobody knows. Check the map of the log, and what `adr measure` pointed out "
+        "(docs/logs.md); then whether a free parameter has too narrow bounds."
+    )
 
 
 def on_refuted(effects: Sequence[Effect]) -> str:

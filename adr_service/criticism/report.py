@@ -5,6 +5,7 @@ from html import escape
 from typing import Any
 
 from adr_service.criticism.decision import THRESHOLD
+from adr_service.criticism.extension import Extension
 from adr_service.criticism.figures import draw_all
 from adr_service.criticism.page import page, table
 from adr_service.criticism.pipeline import Criticism
@@ -20,6 +21,8 @@ def report_page(criticism: Criticism, name: str) -> str:
     parts += [f"<p>{escape(remark)}</p>" for remark in verdict.remarks]
     if verdict.causes:
         parts.append(_causes(verdict))
+    if criticism.extension is not None:
+        parts.append(_in_mjcf(criticism.extension))
     if verdict.gain is not None:
         parts.append(_gain(verdict.gain, verdict.residual))
     parts.append("<h2>Where the error is</h2>" + pictures["where"])
@@ -107,6 +110,15 @@ def _causes(verdict: Verdict) -> str:
             rows += _rows(other, "or: ")
     heads = ["cause", "strength", "value", "95 % interval", "unit", "evidence [nats]"]
     return "<h2>Causes</h2>" + table(heads, rows) + _advice(verdict)
+
+
+def _in_mjcf(extension: Extension) -> str:
+    """Changes of the file, to be written into one's own."""
+    lines = [f"<li><code>{escape(change)}</code></li>" for change in extension.changes]
+    beside = [f"{effect.kind} {effect.location}" for effect in extension.beside]
+    if beside:
+        lines.append(f"<li>MJCF cannot express {escape(', '.join(beside))}: see effects.json.</li>")
+    return "<h2>In your MJCF</h2><ul>" + "".join(lines) + "</ul>"
 
 
 def _advice(verdict: Verdict) -> str:

@@ -71,7 +71,12 @@ def residual_of(
     at_bound = (final.parameters <= space.feasible_low) | (final.parameters >= space.high)
     fitted = zip(baseline.parameters.tolist(), final.parameters.tolist(), strict=True)
     return Residual(
-        noise=tuple(np.sqrt(final.noise.sensor).tolist()),
+        noise=tuple(
+            float(np.sqrt(variance)) if is_measured else None
+            for variance, is_measured in zip(
+                final.noise.sensor, simulator.data.is_measured(), strict=True
+            )
+        ),
         step=simulator.base.opt.timestep / simulator.finer,
         own_step=simulator.base.opt.timestep,
         unexplained_nats=float(flexible.gains.sum()),

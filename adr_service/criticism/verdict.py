@@ -133,7 +133,8 @@ class Rest:
 class Residual:
     """Everything that the named causes leave, and detection limits."""
 
-    noise: tuple[float, ...]  # standard deviation of each sensor, in its unit
+    noise: tuple[float | None, ...]  # standard deviation of each sensor, in its unit; None: nobody
+    # measured it
     step: float  # [s] of the simulator that judged the data
     own_step: float  # [s] that its file has
     # what a flexible force would still gain beside the best effects, be they named or not

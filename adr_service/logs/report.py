@@ -32,6 +32,7 @@ _SCATTER = (
     "expect: if it is much larger, a command jumps with the readings, or the log is too slow.</p>"
 )
 _POSITION, _VELOCITY, _COMMAND = "#0072B2", "#009E73", "#D55E00"  # Okabe and Ito
+_INFERRED = "#999999"
 
 
 def report_page(
@@ -95,7 +96,7 @@ def _shown(shown: Sequence[Excitation]) -> str:
     )
     strong = [each for each in shown if each.is_shown]
     weak = [each for each in shown if not each.is_shown]
-    heads = ["effect", "nats at a sensible size", "smallest that could be seen"]
+    heads = ["effect", "a sensible size", "nats at it", "smallest that could be seen"]
     lists = _listed(heads, strong) if strong else "<p><b>Nothing.</b></p>"
     if not weak:
         return explained + lists
@@ -110,6 +111,7 @@ def _listed(heads: Sequence[str], shown: Sequence[Excitation]) -> str:
     rows = [
         [
             escape(f"{each.kind} {each.location}"),
+            _strength(each, each.sensible),
             f"{each.nats:.0f}" if each.nats >= 1 else "less than 1",
             _visible(each),
         ]
@@ -121,8 +123,12 @@ def _listed(heads: Sequence[str], shown: Sequence[Excitation]) -> str:
 def _visible(each: Excitation) -> str:
     if not each.nats * _NEVER**2 >= THRESHOLD:
         return "none"
+    return _strength(each, each.visible)
+
+
+def _strength(each: Excitation, value: float) -> str:
     unit = "" if each.unit == "1" else f" {escape(each.unit)}"
-    return f"{each.strength} {each.visible:.2g}{unit}"
+    return f"{each.strength} {value:.2g}{unit}"
 
 
 def _limits(converted: Converted) -> str:
@@ -173,7 +179,10 @@ def _traces(converted: Converted, model: mujoco.MjModel) -> Figure:
     for number, name in enumerate(joints):
         unit = "m" if is_slide(model, name) else "rad"
         panels.append((f"{name} [{unit}]", data.qpos[:, number], _POSITION))
-        panels.append((f"{name} [{unit}/s]", data.qvel[:, number], _VELOCITY))
+        blind = data.qvel_std is not None and np.isinf(data.qvel_std[number])
+        inferred = "\nnot measured" if blind else ""
+        colour = _INFERRED if blind else _VELOCITY
+        panels.append((f"{name} [{unit}/s]{inferred}", data.qvel[:, number], colour))
     panels += [(name, data.ctrl[:, number], _COMMAND) for number, name in enumerate(drives)]
     figure = Figure(figsize=(8, 0.6 + 0.9 * len(panels)), layout="constrained")
     time = converted.period * np.arange(len(data.time), dtype=np.float64)

@@ -1,15 +1,16 @@
 """`adr criticise`: name what a simulator gets wrong, given measured data."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from adr_service.errors import InvalidInput
-from adr_service.progress import silent
 from api.cli.follow import follow
 from api.cli.options import Url
-from api.cli.terminal import console
+from api.cli.steps import told
+from api.cli.terminal import console, errors
 from api.cli.verdict_table import verdict_table
 from api.client import AdrClient, connect
 from api.settings import DEFAULT_URL
@@ -44,6 +45,20 @@ Reach = Annotated[
     list[str] | None,
     typer.Option(help="Positions its joints may take: shoulder=-1:2, …; else near those recorded."),
 ]
+Start = Annotated[
+    list[str] | None,
+    typer.Option(help="Where each episode starts at rest: shoulder=0.5, …; else as recorded."),
+]
+
+
+@dataclass(frozen=True)
+class _Planned:
+    """The recording to plan after a criticism."""
+
+    file: Path
+    limit: list[str]
+    reach: list[str]
+    start: list[str]
 
 
 @app.command()
@@ -59,6 +74,7 @@ def criticise(
     next_: Next = None,
     limit: Limit = None,
     reach: Reach = None,
+    start: Start = None,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Name what a simulator gets wrong, given measured data; with --data, without a service."""
@@ -66,11 +82,12 @@ def criticise(
         raise InvalidInput("give either --data or --dataset")
     if out.exists() and not out.is_dir():
         raise InvalidInput(f"{out} is a file; --out is a folder")
-    if (limit or reach) and next_ is None:
-        raise InvalidInput("--limit and --reach go with --next")
+    if (limit or reach or start) and next_ is None:
+        raise InvalidInput("--limit, --reach and --start go with --next")
     if data:
         given = (task, variant, model, free or [])
-        _criticise_here(data, out, given, seed, next_, limit or [], reach or [])
+        planned = _Planned(next_, limit or [], reach or [], start or []) if next_ else None
+        _criticise_here(data, out, given, seed, planned)
         return
     if next_ is not None:
         raise InvalidInput("--next goes with --data")
@@ -86,24 +103,25 @@ def _criticise_here(
     out: Path,
     given: tuple[str | None, str | None, Path | None, list[str]],
     seed: int,
-    planned: Path | None,
-    limit: list[str],
-    reach: list[str],
+    planned: _Planned | None,
 ) -> None:
     """Criticise in this process; `given` is task, variant, model and free parameters."""
     from api.cli import criticism_files  # imports the simulator
 
     nominal, name = criticism_files.nominal_of(*given)
-    limits = criticism_files.limits_of(limit, nominal)
-    allowed = criticism_files.reach_of(reach, nominal)
-    with console.status("fitting"):
-        criticism = criticism_files.criticise_files(nominal, name, data, out, seed, silent)
+    limits, allowed, start = {}, {}, {}
+    if planned is not None:  # wrong ones are refused before the work
+        limits = criticism_files.limits_of(planned.limit, nominal)
+        allowed = criticism_files.reach_of(planned.reach, nominal)
+        start = criticism_files.start_of(planned.start, nominal)
+    with told(errors) as progress:
+        criticism = criticism_files.criticise_files(nominal, name, data, out, seed, progress)
     console.print(verdict_table(criticism.verdict.to_json()))
     files = criticism_files.FILES[: 4 if criticism.extension else 2]
     console.print(f"{out}: {', '.join(files)}")
     if planned is not None:
         with console.status("planning"):
-            lines = criticism_files.plan_file(criticism, planned, limits, allowed, seed)
+            lines = criticism_files.plan_file(criticism, planned.file, limits, allowed, start, seed)
         console.print("\n".join(lines), highlight=False)
 
 

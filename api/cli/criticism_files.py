@@ -10,9 +10,10 @@ import numpy as np
 from adr_service.arrays import Vector
 from adr_service.criticism.extension import written_out
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.next_recording import Separation, next_recording, recorded_limits
+from adr_service.criticism.next_recording import next_recording, recorded_limits
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import Criticism, criticise
+from adr_service.criticism.plans import Plan, Separation
 from adr_service.criticism.report import FILES, files_of
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.parameters import Parameter, ParameterSpace
@@ -20,6 +21,7 @@ from adr_service.progress import Progress
 from adr_service.tasks.catalogue import get_task, variant_of
 
 Bounds = Mapping[int, tuple[float, float]]  # by number of an actuator or a joint
+Pose = Mapping[int, float]  # positions [rad or m] by number of a joint
 
 
 def nominal_of(
@@ -77,24 +79,40 @@ def criticise_files(
 
 
 def plan_file(
-    criticism: Criticism, out: Path, limits: Bounds, allowed: Bounds, seed: int
+    criticism: Criticism, out: Path, limits: Bounds, allowed: Bounds, start: Pose, seed: int
 ) -> list[str]:
     """Write the commands of the next recording, and return what to expect of it."""
     simulator = criticism.final.simulator
     commands = recorded_limits(simulator)
     for number, bounds in limits.items():
         commands[number] = bounds
-    plan = next_recording(criticism, commands, np.random.default_rng(seed), allowed=allowed)
+    rng = np.random.default_rng(seed)
+    plan = next_recording(criticism, commands, rng, allowed=allowed, start=start or None)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_bytes(plan.to_npz())
     episodes, rows, _ = plan.commands.shape
     lines = [f"{out}: commands of {episodes} episodes, {rows * plan.period:.2g} s each"]
     for each in plan.separations:
         lines.append(f"  {each.named} or {each.other}: {_expected(each)}")
+    if not plan.separations:
+        shown = ", ".join(plan.newly_shown)
+        lines.append(
+            f"  nothing is tied; it could show what the recording cannot: {shown}"
+            if shown
+            else "  nothing is tied, and it could show nothing that the recording cannot"
+        )
     joints = [simulator.base.joint(i).name for i in range(simulator.base.njnt)]
+    lines.append(f"  each episode starts {_beginning(plan, joints)}")
     for name, now, before in zip(joints, plan.reach, plan.recorded, strict=True):
         lines.append(f"  {name}: {_range(now)} in simulation, {_range(before)} as recorded")
     return lines
+
+
+def _beginning(plan: Plan, joints: Sequence[str]) -> str:
+    if plan.start is None:
+        return "after a reset, as recorded ones do"
+    at = ", ".join(f"{name} = {value:.3g}" for name, value in zip(joints, plan.start, strict=True))
+    return f"at rest at {at}"
 
 
 def _range(bounds: Vector) -> str:
@@ -122,6 +140,24 @@ def reach_of(texts: Sequence[str], nominal: Nominal) -> Bounds:
     model = nominal.model(nominal.start)
     names = [model.joint(i).name for i in range(model.njnt)]
     return dict(_bounds("reach", "joint", text, names) for text in texts)
+
+
+def start_of(texts: Sequence[str], nominal: Nominal) -> Pose:
+    """Positions of texts NAME=VALUE, by the joint's number."""
+    model = nominal.model(nominal.start)
+    names = [model.joint(i).name for i in range(model.njnt)]
+    pose: dict[int, float] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        if name not in names:
+            raise UnknownName("joint", name, names)
+        try:
+            pose[names.index(name)] = float(value)
+        except ValueError as error:
+            raise InvalidInput(
+                f"--start {text!r} is not NAME=POSITION, as in {names[0]}=0.5"
+            ) from error
+    return pose
 
 
 def _bounds(

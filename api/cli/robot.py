@@ -66,15 +66,15 @@ def robot(
 
 
 def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
-    from adr_service.criticism.next_recording import read_commands
+    from adr_service.criticism.plans import read_plan
     from adr_service.simulation.batch import control_period
     from adr_service.tasks.catalogue import get_task
     from api.robot.environment import check_environment, load_environment
-    from api.robot.playback import about, check_commands, play
+    from api.robot.playback import about, check_commands, farthest_start, play
 
     robot, known = load_environment(env), get_task(task)
     check_environment(robot, about(known), limits)
-    commands = read_commands(plan.read_bytes(), len(known.action_low), control_period(known))
+    commands, start = read_plan(plan.read_bytes(), len(known.action_low), control_period(known))
     check_commands(known, commands)
     out.parent.mkdir(parents=True, exist_ok=True)  # before anything moves
     out.write_bytes(b"")
@@ -83,5 +83,7 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
     console.print(f"{out}: {len(commands)} episodes, {len(played.measurement.time)} rows")
     if played.limited:
         console.print(f"{played.limited} commands were beyond your limit, and were sent at it")
+    if (away := farthest_start(played.measurement, start)) is not None:
+        console.print(f"episodes started {away:.2g} rad or m at most from where the plan starts")
     for why, count in Counter(played.shortened).items():
         console.print(f"{count} episodes ended early: {why}")

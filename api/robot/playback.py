@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from adr_service.arrays import Matrix
+from adr_service.arrays import Matrix, Vector
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.smoothing import is_measured, measurement_of
 from adr_service.errors import InvalidInput
@@ -75,6 +75,14 @@ def play(env: Env, task: Task, limits: Limits, plan: Sequence[Matrix]) -> Playba
         sum(each.limited for each in episodes),
         (*shortened, *["it ended before its first command"] * missing),
     )
+
+
+def farthest_start(played: Measurement, start: Vector | None) -> float | None:
+    """The largest distance [rad or m] of a joint from the pose to start from, if there is one."""
+    if start is None:
+        return None
+    firsts = played.qpos[[first for first, _ in played.spans()]]
+    return float(np.abs(firsts - start).max())
 
 
 def _episodes(env: Env, task: Task, limits: Limits, plan: Sequence[Matrix]) -> Iterator[_Episode]:

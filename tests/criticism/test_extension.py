@@ -35,6 +35,17 @@ def test_an_extended_arm_is_the_robot_that_lacked_nothing():
         np.testing.assert_array_equal(getattr(written, field), getattr(expected, field), field)
 
 
+def test_the_lines_to_write_into_ones_own_file_are_told():
+    nominal = arm()[1]
+    friction = Effect("joint_coulomb_friction", "joint:shoulder", (0.25,))
+    (spring, loss) = sorted(
+        extend(nominal, nominal.start, [SPRING, friction]).changes, key=lambda line: "loss" in line
+    )
+    assert spring == '<joint name="elbow" stiffness="0.333333">'
+    assert loss == '<joint name="shoulder" frictionloss="0.25">'
+    assert extend(nominal, nominal.start, [DELAY]).changes == ()
+
+
 def test_an_effect_on_commands_stands_beside_the_model():
     nominal = arm()[1]
     extension = extend(nominal, nominal.start, [DELAY, SPRING])

@@ -1,12 +1,20 @@
 """Commands of the recording to make next."""
 
+from dataclasses import replace
+
+import mujoco
 import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import hide
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.next_recording import _summed, next_recording, recorded_limits
+from adr_service.criticism.next_recording import (
+    _summed,
+    next_recording,
+    recorded_limits,
+)
 from adr_service.criticism.pipeline import criticise
+from adr_service.criticism.plans import read_plan
 from adr_service.effects.base import Effect
 from adr_service.errors import InvalidInput
 from adr_service.npz import read_arrays
@@ -68,8 +76,39 @@ def test_a_joint_stays_within_the_positions_that_it_is_allowed(tied):
     assert np.ptp(far.reach[1]) > np.ptp(near.reach[1])
 
 
+def test_episodes_start_where_they_are_told_to_at_rest(tied):
+    plan = planned(tied, start={1: 0.5}, episodes=3)
+    assert plan.start[1] == 0.5
+    simulator = tied[2].final.simulator
+    commands, pose = read_plan(plan.to_npz(), 2, plan.period)
+    np.testing.assert_array_equal(pose, plan.start)
+    model = simulator.nominal.model(simulator.nominal.start)
+    data, steps = mujoco.MjData(model), round(plan.period / model.opt.timestep)
+    data.qpos[:] = pose
+    for command in commands[0]:
+        assert plan.reach[1, 0] - 0.2 < data.qpos[1] < plan.reach[1, 1] + 0.2
+        data.ctrl[:] = command
+        mujoco.mj_step(model, data, nstep=steps)
+
+
+def test_pieces_of_a_longer_recording_are_no_starts(clean):
+    """Their first rows are in the middle of a motion, in which no robot can be put."""
+    whole = Measurement(**clean)
+    halves = np.arange(len(whole.time)) % 76 // 38  # of the episodes
+    pieces = replace(whole, episode=2 * whole.episode + halves)
+    resets, moving = (
+        criticise(arm()[1], data, np.random.default_rng(0), threads=1) for data in (whole, pieces)
+    )
+    limits = recorded_limits(resets.final.simulator)
+    rng = np.random.default_rng(0)
+    assert next_recording(resets, limits, rng, threads=1, episodes=2).start is None
+    plan = next_recording(moving, limits, rng, threads=1, episodes=2)
+    np.testing.assert_allclose(plan.start, whole.qpos[0], atol=0.02)
+
+
 def test_positions_that_no_motion_keeps_to_are_refused(tied):
-    with pytest.raises(InvalidInput, match="0 of them within the allowed positions; 12 are needed"):
+    message = r"0 of them within the allowed positions \(shoulder stays there in 0\); 12 are needed"
+    with pytest.raises(InvalidInput, match=message):
         planned(tied, allowed={0: (5.0, 6.0)})
 
 
@@ -77,7 +116,7 @@ def test_a_plan_is_the_same_for_the_same_seed_and_a_file(tied):
     one, two, other = planned(tied), planned(tied), planned(tied, seed=1)
     np.testing.assert_array_equal(one.commands, two.commands)
     assert not np.array_equal(one.commands, other.commands)
-    arrays = read_arrays(one.to_npz(), ["time", "ctrl", "episode"])
+    arrays = read_arrays(one.to_npz(), ["time", "ctrl", "episode", "qpos0"])
     np.testing.assert_array_equal(arrays["ctrl"].reshape(one.commands.shape), one.commands)
     assert len(np.unique(arrays["episode"])) == 12
 
@@ -90,6 +129,7 @@ def test_without_a_tie_motions_are_chosen_that_show_many_effects(clean):
     np.testing.assert_array_equal(limits[:, 1], data.ctrl.max(axis=0))
     plan = next_recording(criticism, limits, np.random.default_rng(0), threads=1)
     assert plan.separations == ()
+    assert isinstance(plan.newly_shown, tuple)
     assert np.all(plan.reach[:, 0] < plan.reach[:, 1])
 
 

@@ -26,6 +26,9 @@ def test_constant_commands_and_commands_beyond_limits_have_a_remark(good):
     still, beyond = on_commands(model, Measurement(**{**good, "ctrl": commands}))
     assert still.startswith("The command to actuator shoulder is 0.25 all the time")
     assert beyond.startswith("3 of 2250 commands to actuator elbow are beyond its limits, -1 to 1")
+    rounded = np.array(good["ctrl"])
+    rounded[0, 1] = np.nextafter(1.0, 2.0)
+    assert on_commands(model, Measurement(**{**good, "ctrl": rounded})) == ()
 
 
 def test_a_refuted_effect_is_named_with_its_place():

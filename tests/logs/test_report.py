@@ -8,8 +8,8 @@ from adr_service.logs.report import report_page
 from tests.logs.conftest import log
 
 SHOWN = [
-    Excitation("joint_spring", "joint:shoulder", 900.0, "stiffness", 0.01, "N m/rad"),
-    Excitation("body_mass", "body:<forearm>", 3.0, "mass", 0.5, "kg"),
+    Excitation("joint_spring", "joint:shoulder", 900.0, "stiffness", 0.4, 0.01, "N m/rad"),
+    Excitation("body_mass", "body:<forearm>", 3.0, "mass", 0.2, 0.5, "kg"),
 ]
 
 

@@ -48,7 +48,7 @@ def test_a_plan_is_played_and_judged_together_with_the_first_recording(adr_here,
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--limit", "shoulder=-1:1"], "--limit and --reach go with --next"),
+        (["--limit", "shoulder=-1:1"], "--limit, --reach and --start go with --next"),
         (["--next", "next.npz", "--reach", "elbo=-1:1"], "did you mean 'elbow'"),
         (["--next", "next.npz", "--reach", "elbow=1:-1"], "the lower bound comes first"),
         (["--next", "next.npz", "--limit", "sholder=-1:1"], "did you mean 'shoulder'"),

@@ -6,15 +6,15 @@ import pytest
 
 import adr_service  # noqa: F401, as it registers the environments
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.next_recording import read_commands
 from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.plans import read_plan
 from adr_service.criticism.simulator import Simulator
 from adr_service.errors import InvalidInput
 from adr_service.npz import write_arrays
 from adr_service.simulation.batch import control_period
 from adr_service.tasks.catalogue import get_task, source_of
 from api.robot.limits import Limits
-from api.robot.playback import check_commands, play
+from api.robot.playback import check_commands, farthest_start, play
 
 TASK = get_task("arm")
 PERIOD = control_period(TASK)
@@ -38,7 +38,7 @@ def robot():
 
 
 def test_commands_become_a_measurement_with_a_row_for_each(robot):
-    commands = read_commands(plan(), 2, PERIOD)
+    commands = read_plan(plan(), 2, PERIOD)[0]
     played = play(robot, TASK, Limits(), commands)
     data = played.measurement
     assert [last - first for first, last in data.spans()] == [30] * 10
@@ -49,7 +49,7 @@ def test_commands_become_a_measurement_with_a_row_for_each(robot):
 
 
 def test_the_owners_limit_holds_and_is_counted(robot):
-    commands = read_commands(plan(), 2, PERIOD)
+    commands = read_plan(plan(), 2, PERIOD)[0]
     played = play(robot, TASK, Limits(actions=(0.5,)), commands)
     assert np.abs(played.measurement.ctrl).max() == 0.5
     sent = np.concatenate([each[:-1] for each in commands])
@@ -58,14 +58,14 @@ def test_the_owners_limit_holds_and_is_counted(robot):
 
 def test_an_episode_that_the_environment_ends_is_shorter():
     with gymnasium.make("adr/RandomArm-v0", max_episode_steps=20) as env:
-        played = play(env, TASK, Limits(), read_commands(plan(), 2, PERIOD))
+        played = play(env, TASK, Limits(), read_plan(plan(), 2, PERIOD)[0])
     assert played.shortened == ("the environment ended it",) * 10
     assert [last - first for first, last in played.measurement.spans()] == [21] * 10
 
 
 def test_each_row_leads_to_the_next_under_its_command(robot):
     """The simulator that the robot is predicts every row from the one before."""
-    data = play(robot, TASK, Limits(), read_commands(plan(), 2, PERIOD)).measurement
+    data = play(robot, TASK, Limits(), read_plan(plan(), 2, PERIOD)[0]).measurement
     nominal = Nominal.of_task(TASK, source_of("arm", "vanilla"))
     with Simulator(nominal, data, threads=1) as simulator:
         ends = simulator.measured[simulator.starts + 1]
@@ -75,7 +75,7 @@ def test_each_row_leads_to_the_next_under_its_command(robot):
 
 
 def test_the_owners_seconds_hold(robot):
-    commands = read_commands(plan(), 2, PERIOD)
+    commands = read_plan(plan(), 2, PERIOD)[0]
     played = play(robot, TASK, Limits(seconds=5.5 * PERIOD), commands)
     assert [last - first for first, last in played.measurement.spans()] == [6] * 10
     assert set(played.shortened) == {f"the robot may move for {5.5 * PERIOD:g} s"}
@@ -83,7 +83,7 @@ def test_the_owners_seconds_hold(robot):
 
 def test_commands_beyond_the_tasks_bounds_are_refused():
     with pytest.raises(InvalidInput, match=r"command . is .* in row .*; arm takes -1 to 1"):
-        check_commands(TASK, read_commands(plan(scale=50.0), 2, PERIOD))
+        check_commands(TASK, read_plan(plan(scale=50.0), 2, PERIOD)[0])
 
 
 @pytest.mark.parametrize(
@@ -101,4 +101,11 @@ def test_commands_beyond_the_tasks_bounds_are_refused():
 )
 def test_a_plan_of_another_robot_is_refused(content, message):
     with pytest.raises(InvalidInput, match=message):
-        read_commands(content, 2, PERIOD)
+        read_plan(content, 2, PERIOD)[0]
+
+
+def test_the_distance_from_the_pose_of_the_plan_is_told(robot):
+    played = play(robot, TASK, Limits(), read_plan(plan(), 2, PERIOD)[0]).measurement
+    firsts = np.array([played.qpos[first] for first, _ in played.spans()])
+    assert farthest_start(played, np.array([1.0, 0.0])) == np.abs(firsts - [1.0, 0.0]).max()
+    assert farthest_start(played, None) is None
