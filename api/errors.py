@@ -28,6 +28,7 @@ _STATUS = {
     "database_gone": 503,
     "disk_full": 507,
 }
+DEFECT = "the service has a defect; its log says more"
 _RETRY_AFTER_S = 5
 _LONGEST = 200  # characters of a given value that a problem repeats
 _MOST_ERRORS = 50  # of fields, in one problem
@@ -122,7 +123,7 @@ def _methods_of(request: Request) -> set[str]:
 
 async def _defect(request: Request, error: Exception) -> JSONResponse:
     log.exception("%s %s", request.method, request.url.path, exc_info=error)
-    return problem(500, "internal", "the service has a defect; its log says more")
+    return problem(500, "internal", DEFECT)
 
 
 def _whole(text: str) -> str:

@@ -48,6 +48,7 @@ class Guard:
         self._app = RequestBodyLimitMiddleware(app, _LARGEST_BODY)
         self._user = settings.token.get_secret_value()
         self._robot = settings.robot_token.get_secret_value()
+        self._cookie = cookie_of(self._user)
         self._hosts = _hosts(settings)
         self._rate = parse(settings.rate)
         self._limiter = FixedWindowRateLimiter(MemoryStorage())
@@ -95,6 +96,8 @@ class Guard:
         if not self._user or _OPEN_PATHS.fullmatch(path):
             return None
         given = _token(headers, method)
+        if not given and hmac.compare_digest(_cookie(headers), self._cookie.encode()):
+            return None
         if hmac.compare_digest(given, self._user.encode()):
             return None
         if self._robot and hmac.compare_digest(given, self._robot.encode()):
@@ -126,16 +129,17 @@ class _Answer:
                 detail = f"the body may have {most} bytes here"
                 await problem(413, "too_large", detail)(self._scope, self._receive, self._plain)
                 return
-            _add(headers)
+            protect(headers)
         await self._send(message)
 
     async def _plain(self, message: Message) -> None:
         if message["type"] == "http.response.start":
-            _add(MutableHeaders(raw=message["headers"]))
+            protect(MutableHeaders(raw=message["headers"]))
         await self._send(message)
 
 
-def _add(headers: MutableHeaders) -> None:
+def protect(headers: MutableHeaders) -> None:
+    """Add the headers that protect browsers."""
     for name, value in _HEADERS.items():
         headers.setdefault(name, value)
 
@@ -168,8 +172,7 @@ def _without_port(host: str) -> str:
 def _token(headers: Headers, method: str) -> bytes:
     """Return the token of a request.
 
-    Browsers resend passwords, so those only allow reading. They send the cookie of a login from our
-    own pages alone.
+    Browsers resend passwords, so those only allow reading.
     """
     kind, _, value = headers.get("authorization", "").partition(" ")
     if kind.lower() == "bearer":
@@ -179,4 +182,14 @@ def _token(headers: Headers, method: str) -> bytes:
             return base64.b64decode(value, validate=True).partition(b":")[2]
         except ValueError:
             return b""
+    return b""
+
+
+def _cookie(headers: Headers) -> bytes:
+    """Return the cookie of a login, which browsers send from our own pages alone."""
     return cookie_parser(headers.get("cookie", "")).get(COOKIE, "").encode()
+
+
+def cookie_of(token: str) -> str:
+    """Return what a browser keeps after a login by a token; nobody gets the token from it."""
+    return hmac.new(token.encode(), b"cookie of a login", "sha256").hexdigest()

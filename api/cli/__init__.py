@@ -4,9 +4,13 @@ Each file has one family of commands. A command imports what takes seconds (Ray,
 when it runs, so that `adr --help` answers at once.
 """
 
+from importlib.metadata import version
+from typing import Annotated
+
 import typer
 from rich.markup import escape
 
+import adr_service
 from adr_service.errors import AdrError
 from api.cli import (
     archive,
@@ -24,10 +28,21 @@ from api.cli import (
     tune,
     upkeep,
 )
-from api.cli.terminal import errors
+from api.cli.terminal import console, errors
+from api.client import Refused
+
+_USAGE, _NOT_FOUND, _REFUSED, _UNREACHABLE = 2, 3, 4, 5
+_STATUS = {"not_found": _NOT_FOUND, "unreachable": _UNREACHABLE}  # by an error's code
+_BY_ANSWER = {404: _NOT_FOUND, 422: _USAGE}  # by the service's refusal; others are refused
+_BESIDE = ("mujoco", "ray", "torch", "stable-baselines3")  # whose versions change numbers
 
 app = typer.Typer(
-    help="Benchmark adaptive domain randomization.", no_args_is_help=True, add_completion=False
+    help="Benchmark adaptive domain randomization.",
+    epilog=(
+        "Exit status: 0 done; 1 something that was watched failed; 2 wrong use or input; "
+        "3 not found; 4 refused by the service; 5 no service answers."
+    ),
+    no_args_is_help=True,
 )
 for family in (serve, runs, results, data, measure, criticise, tune, render, robot, demo, doctor):
     app.add_typer(family.app)
@@ -36,10 +51,37 @@ app.add_typer(criticise_bench.app, name="criticise-bench")
 app.add_typer(upkeep.app, name="db")
 
 
+def _show_versions(asked: bool) -> None:
+    if asked:
+        console.print(f"adr-service {adr_service.__version__}", highlight=False)
+        for name in _BESIDE:
+            console.print(f"{name} {version(name)}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    versions: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_show_versions, is_eager=True, help="Show versions, and end."
+        ),
+    ] = False,
+) -> None:
+    """Options without a command."""
+
+
 def main() -> None:
     """Run the console script; expected errors become messages instead of tracebacks."""
     try:
         app()
     except (AdrError, OSError) as error:
         errors.print(f"[red]error:[/red] {escape(str(error))}", highlight=False, soft_wrap=True)
-        raise SystemExit(2) from error
+        raise SystemExit(status_of(error)) from error
+
+
+def status_of(error: AdrError | OSError) -> int:
+    """The exit status that the epilog explains."""
+    if isinstance(error, Refused):
+        return _BY_ANSWER.get(error.status, _REFUSED)
+    return _STATUS.get(error.code, _USAGE) if isinstance(error, AdrError) else _USAGE

@@ -7,7 +7,7 @@ import typer
 from rich.table import Table
 
 from adr_service.errors import InvalidInput
-from api.cli.options import Url
+from api.cli.options import AsJson, Url
 from api.cli.terminal import console
 from api.client import Json, connect
 from api.settings import DEFAULT_URL
@@ -20,18 +20,25 @@ def upload(
     file: Annotated[Path, typer.Argument(help="An .npz, or PREFIX of DROPO's PREFIX_*.npy.")],
     task: Annotated[str, typer.Option(help="Task that was recorded: hopper, …")],
     url: Url = DEFAULT_URL,
+    as_json: AsJson = False,
 ) -> None:
     """Store a recording of a real machine for later runs; print its id."""
     with connect(url) as client:
         stored = client.upload(read_recording(file, task), task)
-    console.print(stored["id"])
+    if as_json:
+        console.print_json(data=stored)
+    else:
+        console.print(stored["id"])
 
 
 @app.command()
-def datasets(url: Url = DEFAULT_URL) -> None:
+def datasets(url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
     """List uploaded recordings."""
     with connect(url) as client:
         stored = client.list_all("datasets")
+    if as_json:
+        console.print_json(data=stored)
+        return
     none = "no recordings yet; `adr upload` stores one"
     console.print(_datasets_table(stored) if stored else none)
 

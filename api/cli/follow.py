@@ -10,10 +10,16 @@ from api.cli.verdict_table import verdict_table
 from api.client import AdrClient, Json
 
 
-def follow(client: AdrClient, id: str) -> None:
-    """Show progress to the end, then the results; exit with status 1 unless all succeeded."""
-    final = live(console, client, id)
-    show_results(client, final)
+def follow(client: AdrClient, id: str, as_json: bool = False) -> None:
+    """Show progress to the end, then the results; exit with status 1 unless all succeeded.
+
+    As JSON, the output has the final state alone, and progress goes where errors go.
+    """
+    final = live(errors if as_json else console, client, id)
+    if as_json:
+        console.print_json(data=final)
+    else:
+        show_results(client, final)
     states = final["states"] if "states" in final else {final["state"]: 1}
     for line in failures(final):
         errors.print(escape(line), highlight=False, soft_wrap=True)

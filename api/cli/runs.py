@@ -63,9 +63,11 @@ def submit(
     assign(spec, setting)
     with connect(url) as client:
         answer = _send(client, spec, dry_run)
-        _print_answer(answer, dry_run, as_json)
-        if watch and not dry_run:
-            follow(client, answer["id"])
+        is_followed = watch and not dry_run
+        if not (as_json and is_followed):
+            _print_answer(answer, dry_run, as_json)
+        if is_followed:
+            follow(client, answer["id"], as_json)
 
 
 def _recorded(dataset: str | None) -> Json | None:
@@ -107,6 +109,7 @@ def extend(
     dry_run: DryRun = False,
     watch: Watch = False,
     url: Url = DEFAULT_URL,
+    as_json: AsJson = False,
 ) -> None:
     """Add runs to a benchmark; its results so far stay."""
     if not id.startswith("bench_"):
@@ -116,34 +119,55 @@ def extend(
     with connect(url) as client:
         extension = {name: value for name, value in given.items() if value}
         answer = client.extend_benchmark(id, extension, dry_run=dry_run)
-        if dry_run:
+        is_followed = watch and not dry_run
+        if as_json and not is_followed:
+            console.print_json(data=answer)
+        elif dry_run:
             console.print(plan_table(answer["plan"]))
-            return
-        console.print(f"{id} goes on")
-        if watch:
-            follow(client, id)
+        elif not as_json:
+            console.print(f"{id} goes on")
+        if is_followed:
+            follow(client, id, as_json)
 
 
 @app.command("list")
-def list_all(url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
-    """List benchmarks and runs."""
+def list_all(
+    task: Annotated[str | None, typer.Option(help="Only of this task.")] = None,
+    method: Annotated[str | None, typer.Option(help="Only runs of this method.")] = None,
+    state: Annotated[str | None, typer.Option(help="Only runs in it: running, failed, …")] = None,
+    url: Url = DEFAULT_URL,
+    as_json: AsJson = False,
+) -> None:
+    """List benchmarks and runs, in order of submission."""
+    filters = {"task": task, "method": method, "state": state}
+    given = {name: value for name, value in filters.items() if value is not None}
     with connect(url) as client:
-        benchmarks, runs = client.list_all("benchmarks"), client.list_all("runs")
+        benchmarks, runs = client.list_all("benchmarks"), client.list_all("runs", **given)
+    if given:
+        listed = {run["benchmark_id"] for run in runs}
+        benchmarks = [benchmark for benchmark in benchmarks if benchmark["id"] in listed]
     if as_json:
         console.print_json(data={"benchmarks": benchmarks, "runs": runs})
         return
-    console.print(_runs_table(runs) if runs else "no runs yet; `adr demo` makes some")
+    none = "no such runs" if given else "no runs yet; `adr demo` makes some"
+    console.print(_runs_table(runs) if runs else none)
     for benchmark in benchmarks:
         states = ", ".join(f"{count} {state}" for state, count in benchmark["states"].items())
-        console.print(f"{benchmark['id']}: {states}")
+        console.print(f"{benchmark['id']}, {_day(benchmark)}: {states}")
+
+
+def _day(listed: Json) -> str:
+    """When a run or a benchmark was submitted, to the minute."""
+    return str(listed["created_at"])[:16].replace("T", " ")
 
 
 def _runs_table(runs: list[Json]) -> Table:
-    table = Table("id", "task", "variant", "method", "seed", "preset", "state", box=None)
+    headings = ("id", "task", "variant", "method", "seed", "preset", "state", "submitted (UTC)")
+    table = Table(*headings, box=None)
     for run in runs:
         spec = run["spec"]
         cells = (spec["task"], spec["variant"], label(spec), str(spec["seed"]))
-        table.add_row(run["id"], *cells, spec.get("preset", ""), run["state"])
+        table.add_row(run["id"], *cells, spec.get("preset", ""), run["state"], _day(run))
     return table
 
 
@@ -155,27 +179,33 @@ def status(id: Id, url: Url = DEFAULT_URL) -> None:
 
 
 @app.command()
-def watch(id: Id, url: Url = DEFAULT_URL) -> None:
+def watch(id: Id, url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
     """Follow a run or a benchmark to its end; exit status 1 if something failed."""
     with connect(url) as client:
-        follow(client, id)
+        follow(client, id, as_json)
 
 
 @app.command()
-def cancel(id: Id, url: Url = DEFAULT_URL) -> None:
+def cancel(id: Id, url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
     """Ask a run, or all live runs of a benchmark, to stop."""
     with connect(url) as client:
         had_ended = is_finished(client.get(id))
-        client.cancel(id)
+        answer = client.cancel(id)
+    if as_json:
+        console.print_json(data=answer)
+        return
     state = "had ended before" if had_ended else "is asked to stop"
     console.print(f"{id} {state}; finished stages are kept")
 
 
 @app.command()
-def resume(id: Id, url: Url = DEFAULT_URL) -> None:
+def resume(id: Id, url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
     """Continue a failed or cancelled run or benchmark."""
     with connect(url) as client:
         states = client.get(id).get("states")  # of a benchmark; a run is refused by the service
-        client.resume(id)
+        answer = client.resume(id)
+    if as_json:
+        console.print_json(data=answer)
+        return
     has_some = states is None or states.keys() & {"failed", "cancelled"}
     console.print(f"{id} {'goes on' if has_some else 'has no run that failed or was cancelled'}")

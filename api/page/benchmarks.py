@@ -7,16 +7,18 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.responses import HTMLResponse, RedirectResponse
+from pydantic import ValidationError
 
 from adr_service.benchmark.claims import reports
 from adr_service.benchmark.comparison import Outcome, table
 from adr_service.benchmark.figures import FIGURES, drawable
 from adr_service.benchmark.improvements import improvement_matrices
 from adr_service.errors import InvalidInput
+from adr_service.json_values import explain
 from adr_service.methods.catalogue import methods, names_of
 from adr_service.specs import BenchmarkExtension, RunSpec
 from api.durations import in_words
-from api.page.overview import owners
+from api.page.names import numbers_in, titles
 from api.page.rendering import SEE_OTHER, show
 from api.results import outcomes_of, results_json
 from api.routes import benchmarks as routes
@@ -44,18 +46,18 @@ def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -
         live=not shown.is_finished,
         benchmark=shown,
         working=working,
-        owners=owners(service, working),
+        owners=titles(service, (stage.started_by for stage in working)),
         ray=service.dashboard_url,
         offline=names_of("recordings"),
         figures=drawable(outcomes),
         captions={name: kind.caption for name, kind in FIGURES.items()},
         spec=json.dumps(shown.spec.model_dump(mode="json", exclude_unset=True), indent=1),
         address=str(request.base_url).rstrip("/"),
-        **_found(service, shown, records, outcomes),
+        **_tables(service, shown, records, outcomes),
     )
 
 
-def _found(
+def _tables(
     service: Service, shown: BenchmarkView, records: Sequence[RunRecord], outcomes: list[Outcome]
 ) -> Json:
     """The tables. Bootstraps take a moment: not at every refresh of what changes anyway."""
@@ -82,7 +84,7 @@ def _rows(outcomes: Sequence[Outcome]) -> list[Json]:
 
 
 def last_iterations(rows: Sequence[Json]) -> list[Json]:
-    """Of each method on each task's variant and data the last row, the best first."""
+    """The last row of each method on each task's variant and data, the best first."""
     columns = ("task", "variant", "method", "collector")
     latest = {tuple(row[name] for name in columns): row for row in rows}
     return sorted(
@@ -101,7 +103,7 @@ def _best(final: Sequence[Json]) -> list[Json]:
 
 @router.get("/benchmarks/{benchmark_id}/left")
 def left(benchmark_id: str, service: ServiceDependency) -> Response:
-    """What is left to compute, as a sentence; its price takes seconds for a large benchmark."""
+    """A sentence on the work that is left; its price takes seconds for a large benchmark."""
     records = benchmark_store.runs_of(service.database, benchmark_id)
     live = [r.spec for r in records if not r.is_finished and isinstance(r.spec, RunSpec)]
     plan = plan_here(service, live)
@@ -129,17 +131,12 @@ def resume(benchmark_id: str, service: ServiceDependency) -> Response:
 def extend(
     benchmark_id: str, service: ServiceDependency, seeds: Annotated[str, Form(max_length=1000)]
 ) -> Response:
-    extension = BenchmarkExtension.model_validate({"seeds": numbers_in(seeds)})
+    try:
+        extension = BenchmarkExtension.model_validate({"seeds": numbers_in(seeds)})
+    except ValidationError as error:
+        raise InvalidInput(explain(error, "the extension")) from error
     routes.extend(benchmark_id, extension, service, Response())
     return RedirectResponse(f"/benchmarks/{benchmark_id}", SEE_OTHER)
-
-
-def numbers_in(text: str) -> list[int]:
-    """Seeds with spaces or commas between; raises InvalidInput."""
-    parts = text.replace(",", " ").split()
-    if wrong := [part for part in parts if not part.isdecimal()]:
-        raise InvalidInput(f"seeds are whole numbers, as 0 1 2; given {wrong[0]!r}")
-    return [int(part) for part in parts]
 
 
 @router.get("/compare")

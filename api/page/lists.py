@@ -8,7 +8,7 @@ from fastapi import APIRouter, File, Form, Request, Response, UploadFile
 from fastapi.responses import RedirectResponse
 
 from adr_service.benchmark.claims import reports
-from adr_service.errors import AdrError
+from adr_service.errors import InvalidInput
 from adr_service.specs import CriticismSpec
 from adr_service.tasks.catalogue import catalogue
 from api.page.rendering import SEE_OTHER, UNPROCESSABLE, show
@@ -25,6 +25,7 @@ from db import visits as visit_store
 
 router = APIRouter(include_in_schema=False)
 _SHOWN = 200
+_MOST_CRITICISMS = 50  # each with its verdict
 
 
 @router.get("/robots")
@@ -83,7 +84,7 @@ def submit_criticism(
         )
         service.check_dataset(spec)
         record = start_run(service, spec, None)
-    except AdrError as error:
+    except InvalidInput as error:
         return _criticisms(request, service, task, variant, [str(error)])
     return RedirectResponse(f"/runs/{record.id}", SEE_OTHER)
 
@@ -93,7 +94,7 @@ def _criticisms(
 ) -> Response:
     """The list, and the form with what was given and what is wrong with it."""
     runs = run_store.list_runs(
-        service.database, method="criticism", limit=_SHOWN, newest_first=True
+        service.database, method="criticism", limit=_MOST_CRITICISMS, newest_first=True
     )
     variants = {name: None for entry in catalogue().values() for name in entry.variants}
     return show(
@@ -109,7 +110,7 @@ def _criticisms(
         tasks=list(catalogue()),
         variants=list(variants),
         items=[routes.get_criticism(run.id, service) for run in runs],
-        more=len(runs) == _SHOWN,
+        more=len(runs) == _MOST_CRITICISMS,
     )
 
 

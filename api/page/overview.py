@@ -1,24 +1,25 @@
 """The first page: what runs, what waits, and the newest benchmarks and runs."""
 
 import json
-from collections.abc import Sequence
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
 from adr_service.methods.catalogue import methods
+from api.page.names import titles
 from api.page.rendering import show
 from api.results import results_json
 from api.service import Service, ServiceDependency
 from api.views import BenchmarkSummary, benchmark_summaries
 from db import benchmarks as benchmark_store
-from db import runs as run_store
 from db import visits as visit_store
 from db.models import VisitState
-from workers.jobs import Activity
 
 router = APIRouter(include_in_schema=False)
 _SHOWN = 50  # of each list; the API has the rest
+_MOST_KEPT = 1000
+# by benchmark and the states of its runs: a page that renews itself must be cheap
+_leaders: dict[tuple[str, tuple[tuple[str, int], ...]], dict[str, Any] | None] = {}
 
 
 @router.get("/")
@@ -38,27 +39,23 @@ def overview(request: Request, service: ServiceDependency) -> Response:
         ray=service.dashboard_url,
         robots=len(waiting),
         activities=sorted(activities, key=lambda each: each.state),
-        owners=owners(service, activities),
+        owners=titles(service, (each.started_by for each in activities)),
         benchmarks=benchmarks,
         leaders={each.id: _leader(service, each) for each in benchmarks},
         runs=single,
     )
 
 
-def owners(service: Service, activities: Sequence[Activity]) -> dict[str, str]:
-    """What the runs that started some stages are called, by id."""
-    named: dict[str, str] = {}
-    for id in {each.started_by for each in activities}:
-        spec = run_store.get_run(service.database, id).spec
-        named[id] = f"{spec.label} on {spec.task}, {spec.variant}, seed {spec.seed}"
-    return named
-
-
 def _leader(service: Service, benchmark: BenchmarkSummary) -> dict[str, Any] | None:
     """The best method of a finished benchmark; nothing is compared while results still come."""
     if not benchmark.is_finished:
         return None
-    runs = benchmark_store.runs_of(service.database, benchmark.id)
-    found = json.loads(results_json(service, benchmark.id, runs))["aggregates"]
-    ranked = [row for row in found if not methods()[row["method"]].is_reference]
-    return max(ranked, key=lambda row: row["interquartile_mean"], default=None)
+    key = (benchmark.id, tuple(benchmark.states.items()))
+    if key not in _leaders:
+        if len(_leaders) > _MOST_KEPT:
+            _leaders.clear()
+        runs = benchmark_store.runs_of(service.database, benchmark.id)
+        found = json.loads(results_json(service, benchmark.id, runs))["aggregates"]
+        ranked = [row for row in found if not methods()[row["method"]].is_reference]
+        _leaders[key] = max(ranked, key=lambda row: row["interquartile_mean"], default=None)
+    return _leaders[key]

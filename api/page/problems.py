@@ -8,6 +8,8 @@ from fastapi import Request, Response
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from api.errors import DEFECT
+from api.guard import protect
 from api.page.rendering import show
 
 
@@ -26,9 +28,10 @@ class Problems:
             await self._app(scope, receive, shown.send)
         except Exception:
             if not shown.has_begun:
-                detail = "the service has a defect; its log says more"
-                told = {"status": 500, "title": "internal error", "detail": detail}
-                await problem_page(scope, told, "/")(scope, receive, send)
+                defect = {"status": 500, "title": "internal", "detail": DEFECT}
+                page = problem_page(scope, defect, "/")
+                protect(page.headers)
+                await page(scope, receive, send)
             raise  # for the log
 
 

@@ -7,6 +7,8 @@ from fastapi import Request, Response
 from fastapi.templating import Jinja2Templates
 from jinja2 import StrictUndefined
 
+from api.guard import COOKIE
+
 STATIC = Path(__file__).parent / "static"
 SEE_OTHER = 303  # the status that sends a browser from a form to the page that shows its effect
 UNPROCESSABLE = 422
@@ -40,5 +42,10 @@ def show(
     **content: Any,
 ) -> Response:
     """A page; one that is `live` renews itself every five seconds."""
-    known = {"pages": _PAGES, "here": request.url.path, "live": live}
+    known = {
+        "pages": _PAGES,
+        "here": request.url.path,
+        "live": live,
+        "logged_in": COOKIE in request.cookies,
+    }
     return _templates.TemplateResponse(request, template, known | content, status_code=status_code)

@@ -19,6 +19,8 @@ from adr_service.events import (
     TrainingEvaluated,
 )
 from adr_service.specs import CriticismSpec
+from api.durations import in_words
+from api.page.names import title_of
 from api.page.rendering import SEE_OTHER, show
 from api.results import outcomes_of
 from api.routes import runs as routes
@@ -26,7 +28,7 @@ from api.routes.criticisms import criticism_view
 from api.routes.target_tasks import task_view
 from api.routes.trainings import training_views
 from api.service import ServiceDependency
-from api.views import RunView, run_view
+from api.views import run_view
 from db import events as event_store
 from db import runs as run_store
 from db import stages as stage_store
@@ -77,7 +79,7 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
         request,
         "run.html",
         live=not record.is_finished,
-        title=title_of(shown),
+        title=title_of(record.spec),
         run=shown,
         remedy=None if record.error_code is None else remedy_of(record.error_code),
         waiting=[task_view(visit) for visit in visits if visit.state in OPEN_VISIT],
@@ -90,31 +92,26 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
         inferences=[each.iteration for each in outcomes if each.iteration.diagnostics],
         trainings=trainings,
         has_curves=not isinstance(record.spec, CriticismSpec),
-        timeline=timeline(stage_store.executions_of(service.database, [run_id])),
+        timeline=timeline(
+            stage_store.executions_of(service.database, [run_id]), record.created_at.timestamp()
+        ),
         events=[e for e in events if not isinstance(e.event, TrainingEvaluated)],
-        said=said,
+        words_of=words_of,
         ray=service.dashboard_url,
     )
 
 
-def title_of(run: RunView) -> str:
-    """What a run is called."""
-    if isinstance(run.spec, CriticismSpec):
-        return f"Criticism of {run.spec.task}, {run.spec.variant}"
-    return f"{run.spec.column} on {run.spec.task}, {run.spec.variant}, seed {run.spec.seed}"
-
-
-def said(event: RunEvent) -> str:
-    """What an event tells, in a few words."""
+def words_of(event: RunEvent) -> str:
+    """An event's values in a few words."""
     match event:
         case StageFinished():
             return f"{event.kind} {event.digest[:8]}"
         case IterationFinished():
             returns = [value for policy in event.returns for value in policy]
-            told = [f"iteration {event.iteration}", f"{event.target_transitions} transitions seen"]
+            parts = [f"iteration {event.iteration}", f"{event.target_transitions} transitions seen"]
             if returns:
-                told.append(f"target return {sum(returns) / len(returns):.0f}")
-            return ", ".join(told)
+                parts.append(f"target return {sum(returns) / len(returns):.0f}")
+            return ", ".join(parts)
         case CriticismFinished():
             return str(event.verdict["verdict"])
         case RunFailed():
@@ -123,12 +120,15 @@ def said(event: RunEvent) -> str:
             return ""
 
 
-def timeline(executions: Sequence[tuple[str, Execution]]) -> Timeline:
-    """The latest stages as bars; their process has begun before it computes."""
+def timeline(executions: Sequence[tuple[str, Execution]], since: float) -> Timeline:
+    """The latest stages that were asked for `since` [s since the epoch], as bars.
+
+    Other runs may have asked for the others long before.
+    """
     ordered = sorted(executions, key=lambda each: each[1].asked)
-    shown = ordered[-_MOST_BARS:]
+    shown = [each for each in ordered if each[1].asked >= since][-_MOST_BARS:]
     if not shown:
-        return Timeline([], "", 0)
+        return Timeline([], "", len(ordered))
     first = min(execution.asked for _, execution in shown)
     span = max(max(execution.ended for _, execution in shown) - first, 1e-9)
 
@@ -147,11 +147,7 @@ def timeline(executions: Sequence[tuple[str, Execution]]) -> Timeline:
         )
         for kind, e in shown
     ]
-    return Timeline(bars, _span(span), len(ordered) - len(shown))
-
-
-def _span(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 600 else f"{seconds / 60:.0f} minutes"
+    return Timeline(bars, in_words(span / 3600), len(ordered) - len(shown))
 
 
 @router.post("/runs/{run_id}/cancel")

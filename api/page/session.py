@@ -1,4 +1,8 @@
-"""Logging in by a browser: the token as a cookie that scripts and other sites cannot use."""
+"""Logging in by a browser: a cookie that scripts and pages of other sites cannot use.
+
+Cookies cross ports: other programs on the same machine, under the same name, are sent it too. So it
+is no token, and opens the service as a cookie alone (docs/security.md).
+"""
 
 import hmac
 from typing import Annotated
@@ -6,7 +10,7 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Request, Response
 from fastapi.responses import RedirectResponse
 
-from api.guard import COOKIE
+from api.guard import COOKIE, cookie_of
 from api.page.problems import problem_page
 from api.page.rendering import SEE_OTHER
 from api.service import ServiceDependency
@@ -24,12 +28,14 @@ def login(
     """Keep the token for this browser session, and go on to the page that asked for it."""
     known = service.settings.token.get_secret_value()
     if not hmac.compare_digest(token.encode(), known.encode()):
-        told = {"status": 401, "title": "unauthorised", "detail": "this is not the token"}
-        return problem_page(request.scope, told, next)
+        wrong = {"status": 401, "title": "unauthorised", "detail": "this is not the token"}
+        return problem_page(request.scope, wrong, next)
     is_ours = next.startswith("/") and not next.startswith("//") and "\\" not in next
     response = RedirectResponse(next if is_ours else "/", SEE_OTHER)
     is_encrypted = request.url.scheme == "https"
-    response.set_cookie(COOKIE, token, httponly=True, samesite="strict", secure=is_encrypted)
+    response.set_cookie(
+        COOKIE, cookie_of(token), httponly=True, samesite="strict", secure=is_encrypted
+    )
     return response
 
 

@@ -6,17 +6,17 @@ from typing import Annotated, Any, Literal, get_args
 
 from fastapi import APIRouter, Form, Request, Response
 from fastapi.responses import RedirectResponse
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from adr_service.benchmark.plan import Plan
-from adr_service.errors import AdrError
+from adr_service.errors import InvalidInput
 from adr_service.methods.catalogue import methods
 from adr_service.presets import PRESETS
 from adr_service.specs import BenchmarkSpec
 from adr_service.specs.names import Collector
 from adr_service.tasks.catalogue import catalogue
 from api.durations import in_words
-from api.page.benchmarks import numbers_in
+from api.page.names import numbers_in
 from api.page.rendering import SEE_OTHER, UNPROCESSABLE, show
 from api.routes.submissions import plan_here, start_benchmark
 from api.service import ServiceDependency
@@ -24,7 +24,7 @@ from api.specs import assign
 from db import benchmarks as benchmark_store
 
 router = APIRouter(include_in_schema=False)
-_NOT_IN_THE_FORM = {"references", "preset", "seeds", "tasks", "variants", "methods", "collectors"}
+_HAVE_OWN_FIELDS = {"references", "preset", "seeds", "tasks", "variants", "methods", "collectors"}
 
 
 class Given(BaseModel):
@@ -34,7 +34,7 @@ class Given(BaseModel):
     variants: list[str] = []
     methods: list[str] = []
     collectors: list[str] = []
-    seeds: str = ""
+    seeds: Annotated[str, Field(max_length=10_000)] = ""
     preset: str = "quick"
     references: bool = False
     settings: str = ""
@@ -58,8 +58,10 @@ def form(request: Request, service: ServiceDependency, like: str | None = None) 
     if like is None:
         return _form(request, _FIRST)
     spec = benchmark_store.get_benchmark(service.database, like).spec
-    own = [each.name for each in spec.methods if not isinstance(each, str)]
-    return _form(request, as_filled_in(spec), without=own)
+    own = [f"the settings of {each.name}" for each in spec.methods if not isinstance(each, str)]
+    names = [each if isinstance(each, str) else each.name for each in spec.methods]
+    references = [name for name in names if methods()[name].is_reference]
+    return _form(request, as_filled_in(spec), without=[*own, *references])
 
 
 @router.post("/submit")
@@ -73,7 +75,7 @@ def submit(
         record = start_benchmark(service, spec, None)
     except ValidationError as error:
         return _form(request, given, errors=_explained(error))
-    except AdrError as error:
+    except InvalidInput as error:
         return _form(request, given, errors=[str(error)])
     return RedirectResponse(f"/benchmarks/{record.id}", SEE_OTHER)
 
@@ -86,7 +88,7 @@ def _form(
     errors: Sequence[str] = (),
     without: Sequence[str] = (),
 ) -> Response:
-    """The form; `without` are methods whose own settings it cannot have."""
+    """The form; `without` are parts of a spec that it cannot have."""
     variants = {name: None for entry in catalogue().values() for name in entry.variants}
     return show(
         request,
@@ -115,7 +117,7 @@ def spec_of(given: Given) -> BenchmarkSpec:
 
 
 def _explained(error: ValidationError) -> list[str]:
-    """What is wrong in which field, one sentence each."""
+    """A sentence for each wrong field."""
     return [
         f"{'.'.join(map(str, each['loc'])) or 'benchmark'}: "
         f"{each['msg'].removeprefix('Value error, ')}"
@@ -125,7 +127,7 @@ def _explained(error: ValidationError) -> list[str]:
 
 def as_filled_in(spec: BenchmarkSpec) -> Given:
     """A benchmark as the form would have it; methods lose settings of their own."""
-    others = spec.model_dump(mode="json", exclude_unset=True, exclude=_NOT_IN_THE_FORM)
+    others = spec.model_dump(mode="json", exclude_unset=True, exclude=_HAVE_OWN_FIELDS)
     return Given(
         tasks=list(spec.tasks),
         variants=list(spec.variants),

@@ -66,12 +66,24 @@ def test_nothing_is_open_without_the_token_but_the_health_check(http, guarded):
     routes = httpx2.get(f"{guarded.client.url}/openapi.json", headers=bearer(TOKEN)).json()["paths"]
     pages = [route.path for router in page_routers for route in router.routes]
     assert http.get("/static/style.css").status_code == 200
-    assert http.get("/static/../guard.py").status_code in (401, 404)
     for path in [*routes, *pages, "/openapi.json"]:
         if path not in ("/healthz", "/login"):
             refused = http.get(path)
             assert refused.status_code == 401, path
             assert refused.headers["WWW-Authenticate"].startswith("Bearer")
+
+
+@pytest.mark.parametrize("path", ["/static/%2e%2e/guard.py", "/static/..%2fguard.py"])
+def test_static_files_do_not_lead_out_of_their_folder(guarded, path):
+    """Sent as it is: clients tidy such paths up."""
+    address = guarded.client.url.removeprefix("http://")
+    host, _, port = address.partition(":")
+    with socket.create_connection((host, int(port)), timeout=30) as connection:
+        request = f"GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n"
+        connection.sendall(request.encode())
+        answer = b"".join(iter(lambda: connection.recv(65536), b""))
+    assert answer.startswith((b"HTTP/1.1 404", b"HTTP/1.1 401"))
+    assert b"class Guard" not in answer
 
 
 def test_a_robots_token_opens_its_tasks_and_nothing_else(http):
@@ -154,6 +166,11 @@ def test_a_browser_logs_in_by_the_token_and_its_cookie_serves_our_own_pages_alon
         assert (entered.status_code, entered.headers["Location"]) == (303, then)
     assert {"HttpOnly", "SameSite=strict"} <= set(entered.headers["Set-Cookie"].split("; "))
     assert http.get("/").status_code == 200
+    assert "Log out" in http.get("/").text
+    (cookie,) = http.cookies.values()
+    assert TOKEN not in cookie
+    with httpx2.Client(base_url=ours) as other:
+        assert other.get("/", headers=bearer(cookie)).status_code == 401
     assert http.post("/runs/run_0/cancel", headers={"Origin": ours}).status_code == 404
     elsewhere = {"Origin": "https://attacker.example"}
     assert http.post("/runs/run_0/cancel", headers=elsewhere).status_code == 403

@@ -5,11 +5,12 @@
 // Okabe and Ito's colours, in the order of the figures
 const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f"];
 const sorted = new Map(); // id of a table -> [column, ascending], to survive a refresh
+const opened = new Set(); // ids of details that are open, likewise
 
 function keyOf(row, column) {
   const text = row.cells[column].dataset.value ?? row.cells[column].textContent.trim();
-  const number = Number.parseFloat(text.replace(/[,\s]/g, ""));
-  return Number.isNaN(number) ? text : number;
+  const number = Number(text.replaceAll(",", ""));
+  return text === "" || Number.isNaN(number) ? text : number;
 }
 
 function sort(table, column, ascending) {
@@ -47,6 +48,7 @@ function prepare() {
     if (sorted.has(table.id)) sort(table, ...sorted.get(table.id));
     filter(table);
   }
+  for (const id of opened) document.getElementById(id)?.setAttribute("open", "");
   document.querySelectorAll("[data-scripted]").forEach((each) => (each.hidden = false));
 }
 
@@ -59,6 +61,14 @@ document.addEventListener("change", (event) => {
   const table = document.getElementById(event.target.dataset?.filters);
   if (table) filter(table);
 });
+document.addEventListener(
+  "toggle",
+  ({ target }) => {
+    if (target.id && target.open) opened.add(target.id);
+    else opened.delete(target.id);
+  },
+  true,
+);
 document.addEventListener("htmx:after:swap", prepare);
 
 // Learning curves of a run, from its stream of events, which has the earlier ones too.
@@ -103,8 +113,7 @@ function follow(place) {
     chart = new uPlot(options, [steps, ...values], place);
   }
 
-  const events = new EventSource(place.dataset.stream);
-  events.addEventListener("training_evaluated", (message) => {
+  function add(message) {
     const { digest, steps, mean_return: value } = JSON.parse(message.data).event;
     if (!curves.has(digest)) curves.set(digest, new Map());
     curves.get(digest).set(steps, value);
@@ -112,8 +121,23 @@ function follow(place) {
       isDue = true;
       setTimeout(draw, 100); // many come at once
     }
-  });
-  events.addEventListener("end", () => events.close());
+  }
+
+  let events = null;
+  let hasEnded = false;
+  // a browser has six connections to a service: a page that nobody sees gives its own back
+  function connect() {
+    events?.close();
+    if (document.hidden || hasEnded) return;
+    events = new EventSource(place.dataset.stream);
+    events.addEventListener("training_evaluated", add);
+    events.addEventListener("end", () => {
+      hasEnded = true;
+      events.close();
+    });
+  }
+  document.addEventListener("visibilitychange", connect);
+  connect();
 }
 
 prepare();

@@ -24,7 +24,7 @@ def test_an_export_overwrites_nothing(adr, benchmark, file):
 
 
 def test_an_export_that_fails_leaves_no_file(adr, tmp_path):
-    assert adr("archive", "export", "bench_nothing", "b.adr")[0] == 2
+    assert adr("archive", "export", "bench_nothing", "b.adr")[0] == 3
     assert list(tmp_path.iterdir()) == []
 
 

@@ -6,7 +6,11 @@ import sys
 import pytest
 from typer.main import get_command
 
-from api.cli import app
+import adr_service
+from adr_service.errors import InvalidInput
+from api.cli import app, status_of
+from api.client import Refused, Unreachable
+from db.errors import NotFound
 
 COMMANDS = {
     *("serve", "submit", "extend", "list", "status", "watch", "cancel", "resume", "results"),
@@ -35,8 +39,33 @@ def test_every_command_and_option_has_a_help_text(name):
             assert parameter.help, f"{each.name} {parameter.name}"
 
 
-def test_an_expected_error_is_one_message_and_status_2(adr_here):
+def test_an_expected_error_is_one_message_and_a_status_of_its_kind(adr_here):
     status, out, errors = adr_here("status", "run_x", "--url", "http://127.0.0.1:9")
-    assert (status, out) == (2, "")
+    assert (status, out) == (5, "")
     assert errors.startswith("error: no service answers at http://127.0.0.1:9")
     assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (InvalidInput("wrong"), 2),
+        (OSError("no file"), 2),
+        (Refused(422, "wrong"), 2),
+        (NotFound("run", "run_0"), 3),
+        (Refused(404, "there is none"), 3),
+        (Refused(409, "it has ended"), 4),
+        (Refused(429, "too many"), 4),
+        (Refused(401, "the token"), 4),
+        (Unreachable("nobody"), 5),
+    ],
+)
+def test_errors_have_the_status_that_help_explains(error, status):
+    assert status_of(error) == status
+
+
+def test_the_version_is_told_with_those_that_change_numbers(adr_here):
+    status, shown, _ = adr_here("--version")
+    assert status == 0
+    assert shown.splitlines()[0] == f"adr-service {adr_service.__version__}"
+    assert {line.split()[0] for line in shown.splitlines()[1:]} >= {"mujoco", "torch"}

@@ -4,7 +4,7 @@ import pytest
 
 from adr_service.benchmark.cost import Execution
 from adr_service.events import IterationFinished, RunFailed, RunSucceeded, StageFinished
-from api.page.runs import said, timeline
+from api.page.runs import timeline, words_of
 
 
 def stage(asked, placed, began, ended, preparing=None):
@@ -20,7 +20,7 @@ def stage(asked, placed, began, ended, preparing=None):
 
 
 def test_a_bar_has_the_time_of_waiting_of_starting_and_of_computing():
-    (bar,) = timeline([stage(10.0, 12.0, 13.0, 20.0, preparing=1.0)]).bars
+    (bar,) = timeline([stage(10.0, 12.0, 13.0, 20.0, preparing=1.0)], 0.0).bars
     parts = {part.name: (part.start, part.width) for part in bar.parts}
     assert parts["waits"] == pytest.approx((0.0, 0.2))
     assert parts["starts"] == pytest.approx((0.2, 0.2))
@@ -28,9 +28,11 @@ def test_a_bar_has_the_time_of_waiting_of_starting_and_of_computing():
 
 
 def test_only_the_latest_stages_are_drawn_and_the_others_counted():
-    drawn = timeline([stage(i, i, i, i + 1.0) for i in range(100)])
+    drawn = timeline([stage(i, i, i, i + 1.0) for i in range(100)], 0.0)
     assert (len(drawn.bars), drawn.left_out) == (80, 20)
-    assert timeline([]).bars == []
+    assert timeline([], 0.0).bars == []
+    shared = timeline([stage(1.0, 1.0, 1.0, 2.0), stage(9.0, 9.0, 9.0, 10.0)], 5.0)
+    assert (len(shared.bars), shared.left_out) == (1, 1)
 
 
 def test_events_are_told_in_words():
@@ -48,9 +50,9 @@ def test_events_are_told_in_words():
         returns=[[1.0, 3.0]],
         diagnostics={},
     )
-    assert said(finished) == "iteration 2, 400 transitions seen, target return 2"
+    assert words_of(finished) == "iteration 2, 400 transitions seen, target return 2"
     unevaluated = finished.model_copy(update={"returns": []})
-    assert said(unevaluated) == "iteration 2, 400 transitions seen"
-    assert said(StageFinished(kind="infer", digest="a" * 64)) == "infer aaaaaaaa"
-    assert said(RunFailed(submission=1, code="x", message="why")) == "why"
-    assert said(RunSucceeded()) == ""
+    assert words_of(unevaluated) == "iteration 2, 400 transitions seen"
+    assert words_of(StageFinished(kind="infer", digest="a" * 64)) == "infer aaaaaaaa"
+    assert words_of(RunFailed(submission=1, code="x", message="why")) == "why"
+    assert words_of(RunSucceeded()) == ""

@@ -4,7 +4,7 @@ import pytest
 
 from adr_service.errors import InvalidInput
 from adr_service.specs import BenchmarkSpec
-from api.page.benchmarks import numbers_in
+from api.page.names import numbers_in
 from api.page.submit import Given, as_filled_in, spec_of
 
 
@@ -32,3 +32,5 @@ def test_seeds_are_numbers_with_spaces_or_commas_between():
     assert numbers_in("0, 1 2,3") == [0, 1, 2, 3]
     with pytest.raises(InvalidInput, match="given '-1'"):
         numbers_in("-1")
+    with pytest.raises(InvalidInput, match="given '9999"):
+        numbers_in("9" * 5000)
