@@ -32,7 +32,7 @@ class Extension:
 
     xml: str
     effects: tuple[Effect, ...]
-    changes: tuple[str, ...] = ()  # attributes of MJCF that differ without the effects
+    changes: tuple[str, ...] = ()  # attributes of MJCF that the effects change
 
     @property
     def beside(self) -> list[Effect]:
@@ -55,27 +55,40 @@ def _is_in_mjcf(effect: Effect) -> bool:
 
 def extend(nominal: Nominal, parameters: Vector, effects: Sequence[Effect]) -> Extension:
     """The model with fitted parameters and effects, written out."""
+    without, xml = (_written(nominal, parameters, each) for each in ((), effects))
+    return Extension(xml, tuple(effects), tuple(_changes(without, xml, nominal.xml)))
+
+
+def _written(nominal: Nominal, parameters: Vector, effects: Sequence[Effect]) -> str:
     spec = nominal.spec(parameters)
-    before = written_out(spec)
     model = with_effects(spec, lambda model: nominal.write(model, parameters), effects)
     spec.copy_back(model)
     for body in spec.bodies[1:]:  # the one field of an effect that MuJoCo does not copy back
         body.gravcomp = float(model.body_gravcomp[model.body(body.name).id])
-    after = written_out(spec)
-    return Extension(after, tuple(effects), tuple(_changes(before, after)))
+    return written_out(spec)
 
 
-def _changes(before: str, after: str) -> Iterator[str]:
-    """New and changed attributes, by element, as `<joint name="elbow" frictionloss="0.35">`."""
-    known = dict(_elements(before))
-    for place, attributes in _elements(after):
+def _changes(without: str, xml: str, file: str) -> Iterator[str]:
+    """New and changed attributes, by element, as `<joint name="elbow" frictionloss="0.35">`.
+
+    An element that has no name in the user's file is described by the one around it. Inertias are
+    whole, because most files let MuJoCo infer them.
+    """
+    known = dict(_elements(without))
+    for place, attributes in _elements(xml):
         old = known.get(place, {})
         new = {name: value for name, value in attributes.items() if old.get(name) != value}
-        if new:
-            named = {"name": attributes["name"]} if "name" in attributes else {}
-            shown = " ".join(f'{name}="{_short(value)}"' for name, value in (named | new).items())
-            where = "" if named else f" in {place.rpartition('/')[0]}"
-            yield f"<{place.rpartition('/')[2].partition(' ')[0]} {shown}>{where}"
+        if not new:
+            continue
+        above, _, last = place.rpartition("/")
+        tag = last.partition(" ")[0]
+        given = attributes.get("name", "")
+        is_named = f'"{given}"' in file
+        shown = attributes if tag == "inertial" else new
+        shown = {name: value for name, value in shown.items() if name != "name"}
+        named = {"name": given} if is_named else {}
+        words = " ".join(f'{name}="{_short(value)}"' for name, value in (named | shown).items())
+        yield f"<{tag} {words}>" + ("" if is_named else f" in {above.rpartition('/')[2]}")
 
 
 def _elements(xml: str) -> Iterator[tuple[str, dict[str, str]]]:

@@ -94,9 +94,9 @@ def _horizons(simulator: Simulator, before: Fit, after: Fit) -> dict[int, tuple[
     starts from inferred velocities, whose errors nobody knows.
     """
     scale = expected_errors(after)
-    if not simulator.data.is_measured().all():
-        (step,) = _errors(simulator, after, 1, np.where(np.isnan(scale), np.nan, 1.0))
-        scale = np.sqrt(np.nanmean(step, axis=0))
+    if not (measured := simulator.data.is_measured()).all():
+        (step,) = _errors(simulator, after, 1, np.ones(len(scale)))
+        scale[measured] = np.sqrt(np.nanmean(step[:, measured], axis=0))
     without, extended = (_errors(simulator, fit, max(_HORIZONS), scale) for fit in (before, after))
     for one, other in zip(without, extended, strict=True):  # compare what both can predict
         one[np.isnan(other)], other[np.isnan(one)] = np.nan, np.nan

@@ -369,13 +369,13 @@ def _most_shown(
     known = np.array([recorded.get(name, 0.0) for name in names])
     each = np.stack([nats[:, a:b].sum(axis=1) for a, b in after.transitions()])
     chosen: list[int] = []
-    total = np.zeros(each.shape[1])
+    total = known.copy()
     for _ in range(episodes):
         left = [number for number in possible if number not in chosen]
         worth = np.minimum(total + each[left], THRESHOLD).sum(axis=1)
         chosen.append(left[int(np.argmax(worth))])
         total = total + each[chosen[-1]]
-    is_new = (known < THRESHOLD) & (known + total >= THRESHOLD)
+    is_new = (known < THRESHOLD) & (total >= THRESHOLD)
     return chosen, tuple(name for name, new in zip(names, is_new, strict=True) if new)
 
 

@@ -82,4 +82,14 @@ def read_plan(content: bytes, width: int, period: float) -> tuple[list[Matrix], 
         raise InvalidInput(
             f"the plan's commands hold for {plan.period():g} s; the robot's hold for {period:g} s"
         )
-    return [plan.ctrl[first:last] for first, last in plan.spans()], arrays.get(_START)
+    start = arrays.get(_START)
+    if start is not None and not _is_pose(start):
+        raise InvalidInput(
+            f"the plan's {_START} is {start.dtype} of shape {start.shape}; expected is a finite "
+            "position of each joint"
+        )
+    return [plan.ctrl[first:last] for first, last in plan.spans()], start
+
+
+def _is_pose(start: np.ndarray) -> bool:
+    return start.dtype.kind == "f" and start.ndim == 1 and bool(np.all(np.isfinite(start)))

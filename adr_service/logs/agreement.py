@@ -33,7 +33,7 @@ class Agreement:
     error: float  # standard error, over episodes
 
     def warning(self) -> str:
-        """What looks wrong, and where to look; empty if nothing does."""
+        """A sentence on what looks wrong and where to look; empty if nothing does."""
         low, high = self.slope - _SURE * self.error, self.slope + _SURE * self.error
         names = " and ".join(self.actuators)
         fields = f"actuators.{self.actuators[0]}.scale and joints.{self.joint}.scale"
@@ -55,7 +55,10 @@ class Agreement:
 
 
 def agreements(data: Measurement, model: mujoco.MjModel) -> Iterator[Agreement]:
-    """One for each joint that actuators move, unless the robot touches something."""
+    """One for each joint that actuators move, by the rows in which the robot touches nothing.
+
+    None for joints with too few such episodes, or with commands that never change.
+    """
     needed, given, episodes = _forces(data, model)
     for joint in range(model.njnt):
         drives = [n for n in _drives(model) if model.actuator_trnid[n, 0] == joint]
@@ -78,26 +81,29 @@ def _drives(model: mujoco.MjModel) -> list[int]:
 def _forces(data: Measurement, model: mujoco.MjModel) -> tuple[Matrix, Matrix, Vector]:
     """(n, nv) forces that the motion takes, and those of the actuators; (n,) their episodes.
 
-    No rows, if the robot touches something: then forces of contacts move it too.
+    Without the rows in which the robot touches something: forces of contacts move it too.
     """
     period, state = data.period(), mujoco.MjData(model)
     inner = np.concatenate([np.arange(first + 1, last - 1) for first, last in data.spans()])
-    rows = inner[:: max(len(inner) // _MOST, 1)]
-    position = data.qpos
-    needed, given = np.empty((2, len(rows), model.nv))
-    for number, row in enumerate(rows.tolist()):
-        before, now, after = position[row - 1 : row + 2]
+    needed: list[Vector] = []
+    given: list[Vector] = []
+    kept: list[int] = []
+    for row in inner[:: max(len(inner) // _MOST, 1)].tolist():
+        before, now, after = data.qpos[row - 1 : row + 2]
         state.qpos[:] = now
         state.qvel[:] = (after - before) / (2 * period)
         state.ctrl[: data.ctrl.shape[1]] = (data.ctrl[row - 1] + data.ctrl[row]) / 2
         mujoco.mj_forward(model, state)
         if state.ncon:
-            return np.empty((0, model.nv)), np.empty((0, model.nv)), np.empty(0)
-        given[number] = state.qfrc_actuator
+            continue
+        given.append(state.qfrc_actuator.copy())
         state.qacc[:] = (after - 2 * now + before) / period**2
         mujoco.mj_inverse(model, state)
-        needed[number] = state.qfrc_inverse
-    return needed, given, data.episode[rows].astype(np.float64)
+        needed.append(state.qfrc_inverse.copy())
+        kept.append(row)
+    shape = (len(kept), model.nv)
+    episodes = data.episode[kept].astype(np.float64)
+    return np.reshape(needed, shape), np.reshape(given, shape), episodes
 
 
 def _slope(needed: Vector, given: Vector, episodes: Vector) -> tuple[float, float] | None:

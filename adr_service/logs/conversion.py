@@ -22,7 +22,7 @@ from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.criticism.compatibility import check_state
 from adr_service.criticism.measurements import Measurement
 from adr_service.errors import InvalidInput
-from adr_service.logs.agreement import agreements
+from adr_service.logs.agreement import Agreement, agreements
 from adr_service.logs.base import Log
 from adr_service.logs.mapping import LogMap, actuators_of, is_slide, joints_of
 from adr_service.logs.resampling import edges, held, interpolated, sampled, scatter
@@ -81,6 +81,7 @@ class Converted:
     period: float  # [s]
     records: tuple[Record, ...]
     at_limit: Mapping[str, float]  # share of rows at a limit or beyond, by actuator with limits
+    agreements: tuple[Agreement, ...]  # of the joints for which the data could be compared
     warnings: tuple[str, ...]  # what looks wrong, and is not refused
     noise: Vector  # (2 nv,) deviations of positions and velocities by the scatter of readings; NaN:
     # not measured
@@ -122,9 +123,10 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
             "rows.period, or a log with fewer gaps"
         )
     joined = _joined(episodes, given, model)
+    compared = tuple(agreements(joined, model))
     limits = _at_limit(model, np.concatenate([each.ctrl for each in episodes]))
     warnings = (
-        *_warnings(joined, period, recordings, given, model),
+        *_warnings(joined, period, recordings, given, model, compared),
         *(
             f"{name}'s commands are at the model's limit or beyond in {share:.0%} of all rows; is "
             f"actuators.{name}.scale right?"
@@ -132,7 +134,8 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
             if share > _OFTEN
         ),
     )
-    return Converted(joined, period, tuple(records), limits, warnings, np.median(noise, axis=0))
+    typical = np.median(noise, axis=0)
+    return Converted(joined, period, tuple(records), limits, compared, warnings, typical)
 
 
 def _warnings(
@@ -141,6 +144,7 @@ def _warnings(
     recordings: Sequence[Recording],
     given: LogMap,
     model: mujoco.MjModel,
+    compared: Sequence[Agreement],
 ) -> Iterator[str]:
     """Sentences on what is possible but looks wrong."""
     for number, name in enumerate(joints_of(model)):
@@ -158,7 +162,7 @@ def _warnings(
                 f"{name} goes from {low:.3g} to {high:.3g}, and the model's range is {least:.3g} "
                 f"to {most:.3g}; are unit, scale and zero of joints.{name} right?"
             )
-    yield from filter(None, (each.warning() for each in agreements(data, model)))
+    yield from filter(None, (each.warning() for each in compared))
     spacing = max(track.spacing for each in recordings for track in each.positions)
     if (
         given.rows.period is None

@@ -19,6 +19,7 @@ _COMMANDS = (
 _SHORTEST = 2  # letters of an abbreviation: el for elbow
 _LIKELY_S = (1e-4, 1.0)  # between readings
 _TURNS = 3 * 2 * np.pi  # a hinge that goes further is rather in degrees
+_BY_NAME = "  # guessed by its name: check"
 _BY_ORDER = "  # guessed by the order of the columns: check"
 
 
@@ -66,24 +67,28 @@ def _listing(log: Log) -> list[str]:
 
 def _matched(
     names: Sequence[str], elements: Sequence[str], words: Sequence[str]
-) -> dict[str, tuple[str, bool]]:
-    """Column of each element, and whether it is a guess.
+) -> dict[str, tuple[str, str]]:
+    """Column of each element, and a comment if it is a guess.
 
-    A column belongs to the element that its name contains, shares a word with or abbreviates. If
-    none belongs to any, columns are guessed by their order if there are as many as elements.
+    A column belongs to the element that its name contains. What is left is guessed: a column shares
+    a word with one element alone, or abbreviates it. If nothing fits, and there are as many columns
+    as elements, they are guessed by their order.
     """
     having = [name for name in names if _kind(name) is words]
-    found: dict[str, tuple[str, bool]] = {}
-    for element in elements:
-        for belongs in (_contains, _shares, _abbreviates):
-            own = [name for name in having if belongs(name, element)]
-            if len(own) == 1:
-                found[element] = own[0], False
-                break
+    found: dict[str, tuple[str, str]] = {}
+    for belongs, comment in ((_contains, ""), (_shares, _BY_NAME), (_abbreviates, _BY_NAME)):
+        taken = {column for column, _ in found.values()}
+        free = [column for column in having if column not in taken]
+        for element in (each for each in elements if each not in found):
+            own = [column for column in free if belongs(column, element)]
+            others = [e for e in elements if e != element and e not in found]
+            is_alone = len(own) == 1 and not any(belongs(own[0], other) for other in others)
+            if is_alone:
+                found[element] = own[0], comment
     if not found and len(having) == len(elements):
-        is_guess = len(elements) > 1
-        return {each: (name, is_guess) for each, name in zip(elements, having, strict=True)}
-    return {each: found.get(each, ("?", False)) for each in elements}
+        comment = _BY_ORDER if len(elements) > 1 else ""
+        return {each: (name, comment) for each, name in zip(elements, having, strict=True)}
+    return {each: found.get(each, ("?", "")) for each in elements}
 
 
 def _contains(column: str, element: str) -> bool:
@@ -160,8 +165,8 @@ def _words(name: str) -> list[str]:
     return [*parts, word] if word else parts
 
 
-def _line(field: str, column: str, is_guess: bool) -> str:
-    return f"{field} = {_text(column)}" + (_BY_ORDER if is_guess else "")
+def _line(field: str, column: str, comment: str) -> str:
+    return f"{field} = {_text(column)}{comment}"
 
 
 def _key(name: str) -> str:

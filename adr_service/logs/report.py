@@ -31,6 +31,12 @@ _SCATTER = (
     "is the sensor's noise, and what moves between readings. Compare it with the noise that you "
     "expect: if it is much larger, a command jumps with the readings, or the log is too slow.</p>"
 )
+_FORCES = (
+    "<p>The last column is the force that the joint's motion takes by the model, per force of "
+    "its drives: 1 if the model and the map are right, less with friction, negative if a sign is "
+    "wrong. It is not compared for a joint without a drive, nor while the robot touches "
+    "something.</p>"
+)
 _POSITION, _VELOCITY, _COMMAND = "#0072B2", "#009E73", "#D55E00"  # Okabe and Ito
 _INFERRED = "#999999"
 
@@ -65,6 +71,7 @@ def _motion(converted: Converted, model: mujoco.MjModel) -> str:
     """A table of the motion of each joint."""
     data = converted.measurement
     inside = np.diff(data.episode) == 0
+    slopes = {each.joint: f"{each.slope:.2f} ± {each.error:.2f}" for each in converted.agreements}
     rows: list[list[Any]] = []
     for number, name in enumerate(joints_of(model)):
         speed = data.qvel[:, number]
@@ -81,10 +88,11 @@ def _motion(converted: Converted, model: mujoco.MjModel) -> str:
                 turns,
                 f"{at_rest:.0%}",
                 "yes" if is_measured else "no",
+                slopes.get(name, "not compared"),
             ]
         )
     heads = ["joint", "range", "speed, RMS", "reversals", "at rest", "velocity measured"]
-    return "<h2>Motion</h2>" + table(heads, rows)
+    return "<h2>Motion</h2>" + table([*heads, "force, per drive's"], rows) + _FORCES
 
 
 def _shown(shown: Sequence[Excitation]) -> str:

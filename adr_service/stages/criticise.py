@@ -42,8 +42,10 @@ class Criticise(Stage[Criticised]):
 
     kind: ClassVar = "criticise"
     # 2: many effects at once, 3: when they are, 4: named ones asked again, 5: misfit that persists,
-    # strengths that are confused, an interval for what is explained
-    version: ClassVar = 5
+    # strengths that are confused, an interval for what is explained, 6: errors after steps from
+    # inferred velocities have a unit of their own, lines to change in one's MJCF, null for noise of
+    # sensors that are not there
+    version: ClassVar = 6
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 

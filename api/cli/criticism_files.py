@@ -152,11 +152,18 @@ def start_of(texts: Sequence[str], nominal: Nominal) -> Pose:
         if name not in names:
             raise UnknownName("joint", name, names)
         try:
-            pose[names.index(name)] = float(value)
+            position = float(value)
         except ValueError as error:
             raise InvalidInput(
                 f"--start {text!r} is not NAME=POSITION, as in {names[0]}=0.5"
             ) from error
+        joint = model.joint(name)
+        low, high = joint.range if joint.limited[0] else (-np.inf, np.inf)
+        if not (np.isfinite(position) and low <= position <= high):
+            raise InvalidInput(
+                f"--start {text!r}: {name} may be at {low:.4g} to {high:.4g} rad or m"
+            )
+        pose[names.index(name)] = position
     return pose
 
 

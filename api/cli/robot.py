@@ -70,7 +70,7 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
     from adr_service.simulation.batch import control_period
     from adr_service.tasks.catalogue import get_task
     from api.robot.environment import check_environment, load_environment
-    from api.robot.playback import about, check_commands, farthest_start, play
+    from api.robot.playback import about, check_commands, play
 
     robot, known = load_environment(env), get_task(task)
     check_environment(robot, about(known), limits)
@@ -78,12 +78,10 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
     check_commands(known, commands)
     out.parent.mkdir(parents=True, exist_ok=True)  # before anything moves
     out.write_bytes(b"")
-    played = play(robot, known, limits, commands)
+    played = play(robot, known, limits, commands, start)
     out.write_bytes(played.measurement.to_npz())
     console.print(f"{out}: {len(commands)} episodes, {len(played.measurement.time)} rows")
     if played.limited:
         console.print(f"{played.limited} commands were beyond your limit, and were sent at it")
-    if (away := farthest_start(played.measurement, start)) is not None:
-        console.print(f"episodes started {away:.2g} rad or m at most from where the plan starts")
     for why, count in Counter(played.shortened).items():
         console.print(f"{count} episodes ended early: {why}")

@@ -17,6 +17,8 @@ from adr_service.transitions import TransitionDataset
 from api.robot.environment import Env
 from api.robot.limits import Limits
 
+_AWAY = 0.2  # [rad or m] from the pose to start from
+
 
 @dataclass(frozen=True)
 class Playback:
@@ -52,13 +54,17 @@ def check_commands(task: Task, plan: Sequence[Matrix]) -> None:
         )
 
 
-def play(env: Env, task: Task, limits: Limits, plan: Sequence[Matrix]) -> Playback:
+def play(
+    env: Env, task: Task, limits: Limits, plan: Sequence[Matrix], start: Vector | None = None
+) -> Playback:
     """Reset the robot and send the commands (rows, nu), for each episode.
 
-    An episode ends early where the environment ends it, after the owner's `limits.seconds`, or at
-    an observation that is not finite. Raises InvalidInput if no episode has a transition.
+    `start` (nq,) is the pose from which the plan begins: nothing is sent from another one. An
+    episode ends early where the environment ends it, after the owner's `limits.seconds`, or at an
+    observation that is not finite. Raises InvalidInput if no episode has a transition, and if the
+    first begins in another pose.
     """
-    episodes = list(_episodes(env, task, limits, plan))
+    episodes = list(_episodes(env, task, limits, plan, start))
     if not episodes:
         raise InvalidInput("no episode of the plan has a single transition")
     whole = measurement_of(task, TransitionDataset.concatenate([each.data for each in episodes]))
@@ -77,19 +83,25 @@ def play(env: Env, task: Task, limits: Limits, plan: Sequence[Matrix]) -> Playba
     )
 
 
-def farthest_start(played: Measurement, start: Vector | None) -> float | None:
-    """The largest distance [rad or m] of a joint from the pose to start from, if there is one."""
-    if start is None:
-        return None
-    firsts = played.qpos[[first for first, _ in played.spans()]]
-    return float(np.abs(firsts - start).max())
+def _check_start(task: Task, shown: Vector, start: Vector) -> None:
+    """Raises InvalidInput unless a robot that shows this is in the pose to start from."""
+    known = is_measured(task)[: len(start)]
+    pose = task.state(shown[None, : task.measured]).qpos[0]
+    if np.any(np.abs(pose - start)[known] > _AWAY):
+        raise InvalidInput(
+            f"the plan begins at {np.round(start, 3).tolist()}, and the robot is at "
+            f"{np.round(pose, 3).tolist()}, from where the plan would move it elsewhere. Put it "
+            "there, or plan from where it is (adr criticise --next, --start)"
+        )
 
 
-def _episodes(env: Env, task: Task, limits: Limits, plan: Sequence[Matrix]) -> Iterator[_Episode]:
+def _episodes(
+    env: Env, task: Task, limits: Limits, plan: Sequence[Matrix], start: Vector | None
+) -> Iterator[_Episode]:
     """The episodes with a transition, until the owner interrupts."""
     try:
         for number, commands in enumerate(plan):
-            episode = _episode(env, task, limits, commands, number)
+            episode = _episode(env, task, limits, commands, number, start)
             if episode is not None:
                 yield episode
     except KeyboardInterrupt:
@@ -97,11 +109,23 @@ def _episodes(env: Env, task: Task, limits: Limits, plan: Sequence[Matrix]) -> I
 
 
 def _episode(
-    env: Env, task: Task, limits: Limits, commands: Matrix, number: int
+    env: Env,
+    task: Task,
+    limits: Limits,
+    commands: Matrix,
+    number: int,
+    start: Vector | None,
 ) -> _Episode | None:
     """One episode. Its last command is not sent: a measurement's last row has a state alone."""
     observation, _ = env.reset(seed=number)
     seen, sent = [np.asarray(observation, dtype=np.float64)], []
+    if start is not None:
+        try:
+            _check_start(task, seen[0], start)
+        except InvalidInput:
+            if number == 0:
+                raise
+            return None  # those before are kept
     limited, why, began = 0, "", time.monotonic()
     for command in commands[:-1]:
         moved = (len(sent) + 1) * control_period(task)

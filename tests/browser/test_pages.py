@@ -63,6 +63,10 @@ def test_a_benchmark_from_the_form_is_followed_to_its_figures(opened):
     expect(page.locator("#live").get_by_text("3 succeeded")).to_be_visible(timeout=120_000)
     # what it shows came without loading the page again, and it has stopped asking
     expect(page.locator("#live[hx-trigger]")).to_have_count(0)
+    asked = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.wait_for_timeout(6000)
+    assert page.url not in asked
     expect(page.locator("figure img").first).to_be_visible()
     assert page.locator("figure img").first.evaluate("i => i.complete && i.naturalWidth > 0")
 
@@ -129,6 +133,37 @@ def test_a_run_that_waits_for_a_robot_says_so(opened, service):
     page.get_by_role("link", name="robot").first.click()
     expect(page.locator("#list")).to_contain_text(run)
     service.client.cancel(run)
+
+
+def test_a_refused_refresh_leaves_the_page_and_is_asked_again(opened, service):
+    training = {"max_steps": 1_000_000, "stop_at_threshold": False}
+    spec = {"task": "arm", "method": "prior", "preset": "smoke", "seed": 93, "training": training}
+    run = service.client.submit_run(spec)["id"]
+    page = opened(f"/runs/{run}")
+    answers = []
+
+    def refuse_once(route):
+        answers.append(1)
+        route.fulfill(status=503, body="later") if len(answers) == 1 else route.continue_()
+
+    page.route(f"**/runs/{run}", refuse_once)
+    expect(page.locator("#live h2").first).to_be_visible()
+    page.wait_for_timeout(12_000)
+    assert len(answers) >= 2
+    expect(page.locator("#live h2").first).to_be_visible()
+    service.client.cancel(run)
+
+
+def test_columns_of_times_sort_too(opened, service, finished):
+    other = service.client.submit_run({"task": "arm", "method": "prior", "preset": "smoke"})["id"]
+    page = opened("/")
+    page.locator("#runs").get_by_role("button", name="run", exact=True).click()
+    ids = page.locator("#runs tbody td:first-child").all_inner_texts()
+    assert {other, finished} <= set(ids)
+    assert ids == sorted(ids)
+    page.locator("#runs").get_by_role("button", name="changed").click()
+    times = page.locator("#runs tbody time").all_inner_texts()
+    assert times == sorted(times)
 
 
 def test_an_unknown_address_is_a_page_for_people_and_json_for_programs(chromium, service, http):

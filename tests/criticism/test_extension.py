@@ -38,12 +38,27 @@ def test_an_extended_arm_is_the_robot_that_lacked_nothing():
 def test_the_lines_to_write_into_ones_own_file_are_told():
     nominal = arm()[1]
     friction = Effect("joint_coulomb_friction", "joint:shoulder", (0.25,))
+    fitted = 1.02 * nominal.start  # free parameters that moved are not among them
     (spring, loss) = sorted(
-        extend(nominal, nominal.start, [SPRING, friction]).changes, key=lambda line: "loss" in line
+        extend(nominal, fitted, [SPRING, friction]).changes, key=lambda line: "loss" in line
     )
     assert spring == '<joint name="elbow" stiffness="0.333333">'
     assert loss == '<joint name="shoulder" frictionloss="0.25">'
     assert extend(nominal, nominal.start, [DELAY]).changes == ()
+
+
+def test_elements_without_a_name_are_told_by_what_is_around_them():
+    robot = """<mujoco><worldbody><body name="link"><joint/><geom size="1"/></body></worldbody>
+    </mujoco>"""
+    nominal = Nominal.of_model(robot, ParameterSpace(()))
+    spring = Effect("joint_spring", "joint:unnamed_0", (0.3,))
+    assert extend(nominal, nominal.start, [spring]).changes == (
+        '<joint stiffness="0.3"> in body link',
+    )
+    mass = Effect("body_mass", "body:link", (0.5,))
+    (line,) = extend(nominal, nominal.start, [mass]).changes
+    assert line.startswith("<inertial pos=")
+    assert line.endswith("> in body link")
 
 
 def test_an_effect_on_commands_stands_beside_the_model():

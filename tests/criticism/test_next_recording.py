@@ -129,8 +129,16 @@ def test_without_a_tie_motions_are_chosen_that_show_many_effects(clean):
     np.testing.assert_array_equal(limits[:, 1], data.ctrl.max(axis=0))
     plan = next_recording(criticism, limits, np.random.default_rng(0), threads=1)
     assert plan.separations == ()
-    assert isinstance(plan.newly_shown, tuple)
     assert np.all(plan.reach[:, 0] < plan.reach[:, 1])
+
+
+def test_a_plan_says_what_it_could_show_that_the_recording_cannot():
+    rng = np.random.default_rng(5)
+    data = hide(*arm(), rng, [], commands=held(rng) * [1.0, 0.0])
+    criticism = criticise(arm()[1], data, rng, threads=1)
+    assert not any(criticism.verdict.tied)
+    plan = next_recording(criticism, LIMITS, rng, threads=1)
+    assert "actuator_gain actuator:elbow" in plan.newly_shown
 
 
 @pytest.mark.parametrize(

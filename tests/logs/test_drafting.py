@@ -45,7 +45,25 @@ def test_a_draft_reads_abbreviations_in_any_order(robot):
     found = LogMap.from_toml(text)
     assert found.joints["shoulder"].position == "pos_sh"
     assert found.joints["slider"].position == "pos_sl"
-    assert "guessed by the order" not in text
+    assert text.count("guessed by its name") == 2
+
+
+@pytest.mark.parametrize(
+    ("columns", "expected"),
+    [
+        (("pos_left_hip", "pos_lk"), ("pos_left_hip", "?")),  # of one joint, and of nobody knows
+        (("pos_left", "vel_left"), ("?", "?")),  # it may be either
+        (("q_hip", "q_knee"), ("q_hip", "q_knee")),
+    ],
+)
+def test_a_column_is_never_given_to_two_joints(columns, expected):
+    xml = """<mujoco><worldbody><body><joint name="left_hip"/><geom size="1"/><body>
+    <joint name="left_knee"/><geom size="1"/></body></body></worldbody></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(xml)
+    found = LogMap.from_toml(
+        draft([log({"time": np.arange(3.0), **{name: np.zeros(3) for name in columns}})], model)
+    )
+    assert (found.joints["left_hip"].position, found.joints["left_knee"].position) == expected
 
 
 @pytest.mark.parametrize(("spacing", "unit"), [(0.01, "s"), (10.0, "ms"), (1e4, "us"), (1e7, "ns")])

@@ -53,6 +53,10 @@ def test_a_plan_is_played_and_judged_together_with_the_first_recording(adr_here,
         (["--next", "next.npz", "--reach", "elbow=1:-1"], "the lower bound comes first"),
         (["--next", "next.npz", "--limit", "sholder=-1:1"], "did you mean 'shoulder'"),
         (["--next", "next.npz", "--limit", "shoulder=1"], "is not NAME=LOW:HIGH"),
+        (["--next", "next.npz", "--start", "shoulder"], "is not NAME=POSITION"),
+        (["--next", "next.npz", "--start", "elbo=1"], "did you mean 'elbow'"),
+        (["--next", "next.npz", "--start", "elbow=nan"], "elbow may be at"),
+        (["--next", "next.npz", "--start", "elbow=50"], "elbow may be at"),
     ],
 )
 def test_wrong_limits_are_refused_before_the_work(adr_here, first, arguments, message):

@@ -10,11 +10,11 @@ from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.plans import read_plan
 from adr_service.criticism.simulator import Simulator
 from adr_service.errors import InvalidInput
-from adr_service.npz import write_arrays
+from adr_service.npz import read_arrays, write_arrays
 from adr_service.simulation.batch import control_period
 from adr_service.tasks.catalogue import get_task, source_of
 from api.robot.limits import Limits
-from api.robot.playback import check_commands, farthest_start, play
+from api.robot.playback import check_commands, play
 
 TASK = get_task("arm")
 PERIOD = control_period(TASK)
@@ -104,8 +104,17 @@ def test_a_plan_of_another_robot_is_refused(content, message):
         read_plan(content, 2, PERIOD)[0]
 
 
-def test_the_distance_from_the_pose_of_the_plan_is_told(robot):
-    played = play(robot, TASK, Limits(), read_plan(plan(), 2, PERIOD)[0]).measurement
-    firsts = np.array([played.qpos[first] for first, _ in played.spans()])
-    assert farthest_start(played, np.array([1.0, 0.0])) == np.abs(firsts - [1.0, 0.0]).max()
-    assert farthest_start(played, None) is None
+def test_nothing_is_sent_from_another_pose_than_the_plans(robot):
+    commands = read_plan(plan(), 2, PERIOD)[0]
+    firsts = play(robot, TASK, Limits(), commands).measurement
+    pose = np.median([firsts.qpos[first] for first, _ in firsts.spans()], axis=0)
+    assert len(play(robot, TASK, Limits(), commands, pose).measurement.spans()) > 1
+    with pytest.raises(InvalidInput, match=r"the plan begins at .* and the robot is at"):
+        play(robot, TASK, Limits(), commands, pose + np.array([1.0, 0.0]))
+
+
+@pytest.mark.parametrize("pose", [[0.0, np.nan], [[0.0, 0.0]], ["a", "b"]])
+def test_a_pose_that_is_none_is_refused(pose):
+    arrays = read_arrays(plan(), ["time", "ctrl", "episode"])
+    with pytest.raises(InvalidInput, match="qpos0"):
+        read_plan(write_arrays({**arrays, "qpos0": np.array(pose)}), 2, PERIOD)
