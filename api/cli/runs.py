@@ -162,12 +162,14 @@ def _day(listed: Json) -> str:
 
 
 def _runs_table(runs: list[Json]) -> Table:
-    headings = ("id", "task", "variant", "method", "seed", "preset", "state", "submitted (UTC)")
-    table = Table(*headings, box=None)
+    table = Table(box=None)
+    for heading in ("id", "task", "variant", "method", "seed", "state", "submitted"):
+        is_whole = heading in ("id", "state", "submitted")  # to be copied, or read at a glance
+        table.add_column(heading, no_wrap=is_whole, overflow="fold")
     for run in runs:
         spec = run["spec"]
         cells = (spec["task"], spec["variant"], label(spec), str(spec["seed"]))
-        table.add_row(run["id"], *cells, spec.get("preset", ""), run["state"], _day(run))
+        table.add_row(run["id"], *cells, run["state"], _day(run)[5:])  # no year
     return table
 
 

@@ -43,6 +43,7 @@ def planned(tied, seed=0, **settings):
     return next_recording(tied[2], LIMITS, rng, threads=1, **settings)
 
 
+@pytest.mark.slow
 def test_the_next_recording_separates_what_it_promised_to():
     """A gain of the shoulder is tied with seven effects; the plan promises to tell it from them."""
     found = tried(1)
@@ -91,6 +92,7 @@ def test_episodes_start_where_they_are_told_to_at_rest(tied):
         mujoco.mj_step(model, data, nstep=steps)
 
 
+@pytest.mark.slow
 def test_pieces_of_a_longer_recording_are_no_starts(clean):
     """Their first rows are in the middle of a motion, in which no robot can be put."""
     whole = Measurement(**clean)
@@ -132,6 +134,7 @@ def test_without_a_tie_motions_are_chosen_that_show_many_effects(clean):
     assert np.all(plan.reach[:, 0] < plan.reach[:, 1])
 
 
+@pytest.mark.slow
 def test_a_plan_says_what_it_could_show_that_the_recording_cannot():
     rng = np.random.default_rng(5)
     data = hide(*arm(), rng, [], commands=held(rng) * [1.0, 0.0])

@@ -20,6 +20,6 @@ def test_a_benchmark_has_no_single_policy(adr_here, arguments, message):
 @pytest.mark.parametrize("command", ["results", "claims"])
 def test_an_unknown_benchmark_is_refused(adr, command):
     status, shown = adr(command, "bench_x")
-    assert status == 2
+    assert status == 3
     assert "there is no benchmark 'bench_x'" in shown
     assert "Traceback" not in shown

@@ -27,7 +27,9 @@ def test_a_run_is_submitted_watched_listed_and_its_files_are_written(adr, tmp_pa
     assert adr("results", id, "--policy", "policy.safetensors") == (0, "policy.safetensors\n")
     assert (tmp_path / "returns.svg").read_bytes().startswith(b"<?xml")
     assert (tmp_path / "policy.safetensors").stat().st_size > 0
-    assert id in adr("list")[1]
+    listed = adr("list", "--task", "arm", "--state", "succeeded")[1]
+    assert id in listed
+    assert "no such runs" in adr("list", "--task", "humanoid")[1]
 
 
 def test_a_dry_run_of_a_file_prints_its_expected_cost(adr, tmp_path):
