@@ -9,7 +9,7 @@ import typer
 from adr_service.errors import InvalidInput
 from api.cli.follow import follow
 from api.cli.options import Url
-from api.cli.steps import told
+from api.cli.steps import progress_on
 from api.cli.terminal import console, errors
 from api.cli.verdict_table import verdict_table
 from api.client import AdrClient, connect
@@ -114,7 +114,7 @@ def _criticise_here(
         limits = criticism_files.limits_of(planned.limit, nominal)
         allowed = criticism_files.reach_of(planned.reach, nominal)
         start = criticism_files.start_of(planned.start, nominal)
-    with told(errors) as progress:
+    with progress_on(errors) as progress:
         criticism = criticism_files.criticise_files(nominal, name, data, out, seed, progress)
     console.print(verdict_table(criticism.verdict.to_json()))
     files = criticism_files.FILES[: 4 if criticism.extension else 2]

@@ -1,4 +1,4 @@
-"""What a long computation in this process is doing, told as it goes on."""
+"""Progress of a long computation in this process, line by line."""
 
 import time
 from collections.abc import Generator
@@ -13,7 +13,7 @@ _AGAIN_S = 60.0  # after which the same step is told again, where the output is 
 
 
 @contextmanager
-def told(console: Console) -> Generator[Progress]:
+def progress_on(console: Console) -> Generator[Progress]:
     """A progress callback that shows the fact `doing` with the seconds since the beginning.
 
     A terminal has it in its last line; elsewhere each step is a line of its own.
