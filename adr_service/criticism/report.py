@@ -11,7 +11,8 @@ from adr_service.criticism.page import page, table
 from adr_service.criticism.pipeline import Criticism
 from adr_service.criticism.verdict import Conclusion, Gain, NamedCause, Residual, Verdict, sure
 
-FILES = ("verdict.json", "report.html", "extended.xml", "effects.json")
+EXTENDED = "extended.xml"
+FILES = ("verdict.json", "report.html", EXTENDED, "effects.json")
 
 
 def report_page(criticism: Criticism, name: str) -> str:

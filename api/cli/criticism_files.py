@@ -1,5 +1,7 @@
 """A criticism from files to files, without a service."""
 
+import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,7 @@ from adr_service.criticism.next_recording import next_recording, recorded_limits
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import Criticism, criticise
 from adr_service.criticism.plans import Plan, Separation
-from adr_service.criticism.report import FILES, files_of
+from adr_service.criticism.report import EXTENDED, FILES, files_of
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.progress import Progress
@@ -74,8 +76,20 @@ def criticise_files(
     """Write verdict.json, report.html and, if effects are named, the extended model."""
     whole = Measurement.joined([_measurement(path) for path in data])
     criticism = criticise(nominal, whole, np.random.default_rng(seed), progress)
-    write(out, files_of(criticism, name))
+    files = files_of(criticism, name)
+    if EXTENDED in files:
+        files[EXTENDED] = portable(files[EXTENDED].decode(), out).encode()
+    write(out, files)
     return criticism
+
+
+def portable(xml: str, folder: Path) -> str:
+    """MJCF for a folder whose meshes and textures are found by paths relative to that."""
+
+    def relative(found: re.Match[str]) -> str:
+        return f'{found[1]}="{Path(os.path.relpath(found[2], folder)).as_posix()}"'
+
+    return re.sub(r'\b(meshdir|texturedir)="(/[^"]*)"', relative, xml)
 
 
 def plan_file(

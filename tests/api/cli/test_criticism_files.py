@@ -2,13 +2,15 @@
 
 from pathlib import Path
 
+import mujoco
 import pytest
 
+from adr_service.criticism.extension import extend
 from adr_service.criticism.report import FILES
 from adr_service.errors import InvalidInput
 from adr_service.progress import silent
 from adr_service.tasks.catalogue import get_task
-from api.cli.criticism_files import criticise_files, nominal_of, write
+from api.cli.criticism_files import criticise_files, nominal_of, portable, write
 
 MASS = "body:upper.mass=0.5:2"
 
@@ -74,3 +76,36 @@ def test_a_measurement_that_cannot_be_read_is_refused_by_its_path(tmp_path, name
     nominal, _ = nominal_of("arm", None, None, [])
     with pytest.raises(InvalidInput, match=f"{name} cannot be read"):
         criticise_files(nominal, "arm", [Path(name)], tmp_path, 0, silent)
+
+
+def test_an_extended_model_finds_its_meshes_by_a_relative_path(tmp_path):
+    """A folder that is moved or shared as a whole keeps working."""
+    robot = tmp_path / "robot"
+    (robot / "meshes").mkdir(parents=True)
+    corners = [
+        "v 0 0 0",
+        "v 1 0 0",
+        "v 0 1 0",
+        "v 0 0 1",
+        "f 1 3 2",
+        "f 1 2 4",
+        "f 1 4 3",
+        "f 2 3 4",
+    ]
+    (robot / "meshes" / "part.obj").write_text("\n".join(corners))
+    (robot / "robot.xml").write_text(
+        """<mujoco><compiler meshdir="meshes"/><asset><mesh name="part" file="part.obj"/></asset>
+        <worldbody><body name="link"><joint name="hinge"/><geom type="mesh" mesh="part"/></body>
+        </worldbody></mujoco>"""
+    )
+    nominal, _ = nominal_of(None, None, robot / "robot.xml", [])
+    extended = extend(nominal, nominal.start, []).xml
+    assert str(tmp_path) in extended
+    found = tmp_path / "found"
+    found.mkdir()
+    (found / "extended.xml").write_text(portable(extended, found))
+    assert str(tmp_path) not in (found / "extended.xml").read_text()
+    moved = tmp_path.with_name("moved")
+    tmp_path.rename(moved)
+    assert mujoco.MjModel.from_xml_path(str(moved / "found" / "extended.xml")).nmesh == 1
+    moved.rename(tmp_path)
