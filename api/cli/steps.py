@@ -9,7 +9,7 @@ from rich.console import Console
 
 from adr_service.progress import Checkpoint, Progress
 
-_AGAIN_S = 60.0  # after which the same step is told again, where the output is not a terminal
+_AGAIN_S = 60.0  # after which a step that lasts has another line, where the output is no terminal
 
 
 @contextmanager

@@ -26,13 +26,13 @@ class Problems:
         shown = _Shown(scope, receive, send)
         try:
             await self._app(scope, receive, shown.send)
-        except Exception:
+        except Exception:  # any defect; a browser gets a page, and the log the error
             if not shown.has_begun:
                 defect = {"status": 500, "title": "internal", "detail": DEFECT}
                 page = problem_page(scope, defect, "/")
                 protect(page.headers)
                 await page(scope, receive, send)
-            raise  # for the log
+            raise
 
 
 class _Shown:

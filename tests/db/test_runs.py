@@ -29,6 +29,8 @@ def test_pages_follow_the_order_of_submission(database):
     first = runs.list_runs(database, limit=2)
     rest = runs.list_runs(database, after=first[-1].number)
     assert [r.id for r in first + rest] == ids
+    newest = runs.list_runs(database, limit=2, newest_first=True)
+    assert [r.id for r in newest] == [ids[4], ids[3]]
 
 
 def test_unknown_run_is_named_in_the_error(database):

@@ -1,4 +1,4 @@
-"""What the page of a run makes of its events and stages."""
+"""The words and bars in which a page shows the events and stages of a run."""
 
 import pytest
 
