@@ -16,8 +16,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from adr_service.benchmark.archive import ArchiveReader, Manifest
 from adr_service.benchmark.figures import FIGURES
 from adr_service.benchmark.improvements import improvement_matrices
+from adr_service.client import AdrClient, check_benchmark
 from adr_service.errors import InvalidInput
-from api.client import AdrClient, check_benchmark
 
 _PAGE = Path(__file__).parent / "page"  # without the service, which imports Ray
 

@@ -17,7 +17,6 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from adr_service.errors import InvalidInput
 from api.logs import LogFormat
 
-DEFAULT_URL = "http://127.0.0.1:8000"
 _SHORTEST_TOKEN = 16
 
 

@@ -34,6 +34,7 @@ from typing import Any
 import httpx2
 import numpy as np
 
+from adr_service.client import AdrClient, Unreachable
 from adr_service.distributions import Gaussian, Uniform
 from adr_service.events import (
     IterationFinished,
@@ -48,7 +49,6 @@ from adr_service.json_values import sha256
 from adr_service.programs.references import truth_of
 from adr_service.specs import BenchmarkSpec, RunSpec
 from adr_service.tasks.catalogue import source_of
-from api.client import AdrClient, Unreachable
 from db.session import open_database
 
 FOLDER = Path("build/bench")

@@ -18,8 +18,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from adr_service.client import AdrClient, Json, is_finished
 from api.cli.own_service import free_port, own_service
-from api.client import AdrClient, Json, is_finished
 from api.report import write_report
 
 _EXPORT_S, _LOOK_S = 1800.0, 5.0

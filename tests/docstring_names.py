@@ -15,6 +15,7 @@ from sqlalchemy import create_engine
 
 from adr_service.benchmark.comparison import Outcome
 from adr_service.blind_test.planting import hide
+from adr_service.client import AdrClient
 from adr_service.distributions import Gaussian
 from adr_service.effects.base import Effect
 from adr_service.events import IterationFinished
@@ -25,7 +26,6 @@ from adr_service.search.trust_region import Bounds
 from adr_service.simulation.replay import Replay
 from adr_service.specs import BenchmarkSpec, RunSpec
 from adr_service.tasks.catalogue import catalogue, get_task, source_of
-from api.client import AdrClient
 from api.settings import Settings
 from tests.hidden import arm as arm_and_nominal
 from tests.hidden import recorded
@@ -258,7 +258,7 @@ def client(service: Any) -> Names:
             smoke = {**spec, "preset": "smoke", "seeds": [0]}
             return super().submit_benchmark(smoke, dry_run=dry_run)
 
-    return {"AdrClient": lambda: SmokeClient(service.client.url)}
+    return {"connect": lambda: SmokeClient(service.client.url)}
 
 
 def drive(program: Generator[Any, Any, Any]) -> None:

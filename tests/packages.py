@@ -1,6 +1,7 @@
 """Packages of others, installed into folders of their own and imported from there."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,25 @@ def install(source, folder):
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps"]
     command += ["--no-build-isolation", "--target", str(folder), str(source)]
     subprocess.run(command, check=True, timeout=200)
+
+
+def committed():
+    """Files that are committed or about to be."""
+    tracked = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(tracked, cwd=ROOT, capture_output=True, text=True, check=True)
+    return [name for name in listed.stdout.splitlines() if (ROOT / name).is_file()]
+
+
+def build_wheel(folder):
+    """The project's wheel, built from a copy that has only what is `committed`."""
+    for name in committed():
+        (folder / "source" / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, folder / "source" / name)
+    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-index"]
+    build += ["--no-build-isolation", "--wheel-dir"]
+    subprocess.run([*build, str(folder), str(folder / "source")], check=True)
+    (wheel,) = folder.glob("*.whl")
+    return wheel
 
 
 def add_entry_point(folder, group, value, name="broken"):

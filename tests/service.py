@@ -15,7 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from api.client import AdrClient, Unreachable
+from adr_service.client import AdrClient, Unreachable
 
 START_TIMEOUT_S = 120
 T = TypeVar("T")
@@ -75,22 +75,26 @@ def start_service(
     environment: Mapping[str, str] | None = None,
     dashboard: bool = False,
     wrapper: Sequence[str] = (),
+    adr: Sequence[str] = (sys.executable, "-m", "api"),
+    cwd: Path | None = None,
 ) -> Generator[RunningService]:
     """A service on a free port; terminated by pid when the block ends.
 
     Ray's dashboard costs as much as a small test. `wrapper` is a command that runs another in its
-    own place.
+    own place, `adr` the command line of an installation.
     """
     port = free_port()
     log = data_dir / f"service-{port}.log"
-    command = [*wrapper, sys.executable, "-m", "api", "serve", "--port", str(port)]
+    command = [*wrapper, *adr, "serve", "--port", str(port)]
     command += ["--data-dir", str(data_dir)]
     command += [] if cpus is None else ["--cpus", str(cpus)]  # None: of a cluster that is there
     command += ["--dashboard" if dashboard else "--no-dashboard"]
     # Ray's default folder is shared by everyone on the machine; ours must be short for sockets
     its_own = {**os.environ, "HOME": str(data_dir), **(environment or {})}
     with log.open("wb") as output:
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=its_own)
+        process = subprocess.Popen(
+            command, stdout=output, stderr=subprocess.STDOUT, env=its_own, cwd=cwd
+        )
     try:
         with AdrClient(f"http://127.0.0.1:{port}", its_own.get("ADR_TOKEN", "")) as client:
             _wait(client, process, log)

@@ -18,6 +18,7 @@ import pytest
 from tests import docstring_names as names
 
 ROOT = Path(__file__).parent.parent
+CLIENT = "adr_service.client"
 PACKAGES = ("adr_service", "workers", "db", "api")
 BLOCK = re.compile(r"(?:^|\n\n)((?:    .*\n?|\n(?=    ))+)")
 TABLES = {"adr_service.simulation.model", "adr_service.criticism.noise", "db.visits"}
@@ -133,7 +134,7 @@ def execute(program: str, values: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("module", "program"),
     [
-        pytest.param(module, program, id=module, marks=[pytest.mark.ray] * (module == "api.client"))
+        pytest.param(module, program, id=module, marks=[pytest.mark.ray] * (module == CLIENT))
         for module, program in modules()
     ],
 )
@@ -144,7 +145,7 @@ def test_a_program_in_a_docstring_runs(module, program, tmp_path, request, monke
     if module in COMPILED:
         compile(program, module, "exec")
         return
-    if module == "api.client":
+    if module == CLIENT:
         values |= names.client(request.getfixturevalue("service"))
     elif module in NAMES:
         values |= NAMES[module](tmp_path)

@@ -5,7 +5,6 @@ import importlib.metadata
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -15,6 +14,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+
+from tests.packages import build_wheel, committed
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("adr_service", "workers", "db", "api")
@@ -127,19 +128,8 @@ def test_every_library_that_is_imported_is_declared():
 
 
 def test_an_installed_service_has_its_pages_migrations_and_models(tmp_path):
-    """A wheel, built from a copy that has only what is committed or about to be."""
-    tracked = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
-    listed = subprocess.run(tracked, cwd=ROOT, capture_output=True, text=True, check=True)
-    files = [name for name in listed.stdout.splitlines() if (ROOT / name).is_file()]
-    for name in files:
-        (tmp_path / "source" / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / name, tmp_path / "source" / name)
-    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-index"]
-    build += ["--no-build-isolation", "--wheel-dir"]
-    subprocess.run([*build, str(tmp_path), str(tmp_path / "source")], check=True)
-    (wheel,) = tmp_path.glob("*.whl")
-    held = set(zipfile.ZipFile(wheel).namelist())
-    needed = {name for name in files if name.split("/")[0] in PACKAGES}
+    held = set(zipfile.ZipFile(build_wheel(tmp_path)).namelist())
+    needed = {name for name in committed() if name.split("/")[0] in PACKAGES}
     assert needed - held == set()
 
 

@@ -10,6 +10,7 @@ import os
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import psutil
@@ -63,13 +64,18 @@ class Cluster:
             arguments["_temp_dir"] = str(self._sessions.path)
             # they would be without our environment, so never used
             arguments["_system_config"] = {"prestart_worker_first_driver": False}
-        environment = {"env_vars": worker_environment(options.compile_cache)}
-        try:
-            context = ray.init(
-                address=options.address, namespace="adr", runtime_env=environment, **arguments
-            )
-        except Exception as error:  # whatever Ray raises
-            raise ClusterUnavailable(f"Ray did not start: {error}") from error
+        # by default, actors import from the folder in which the service was started, first of all
+        with TemporaryDirectory() as empty:
+            environment = {
+                "env_vars": worker_environment(options.compile_cache),
+                "working_dir": empty,
+            }
+            try:
+                context = ray.init(
+                    address=options.address, namespace="adr", runtime_env=environment, **arguments
+                )
+            except Exception as error:  # whatever Ray raises
+                raise ClusterUnavailable(f"Ray did not start: {error}") from error
         self.dashboard_url = f"http://{url}" if (url := context.dashboard_url) else None
         if self.is_local:
             self._processes = _processes_of_ray()

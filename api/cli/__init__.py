@@ -11,6 +11,7 @@ import typer
 from rich.markup import escape
 
 import adr_service
+from adr_service.client import Refused
 from adr_service.errors import AdrError
 from api.cli import (
     archive,
@@ -29,7 +30,6 @@ from api.cli import (
     upkeep,
 )
 from api.cli.terminal import console, errors
-from api.client import Refused
 
 _USAGE, _NOT_FOUND, _REFUSED, _UNREACHABLE = 2, 3, 4, 5
 _STATUS = {"not_found": _NOT_FOUND, "unreachable": _UNREACHABLE}  # by an error's code

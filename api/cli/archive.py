@@ -8,11 +8,10 @@ from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
+from adr_service.client import DEFAULT_URL, Json, check_benchmark, connect
 from adr_service.errors import AdrError, InvalidInput
 from api.cli.options import AsJson, Url
 from api.cli.terminal import console
-from api.client import Json, check_benchmark, connect
-from api.settings import DEFAULT_URL
 
 if TYPE_CHECKING:
     from adr_service.benchmark.replay import Replay

@@ -6,14 +6,13 @@ from typing import Annotated
 
 import typer
 
+from adr_service.client import DEFAULT_URL, AdrClient, connect
 from adr_service.errors import InvalidInput
 from api.cli.follow import follow
 from api.cli.options import Url
 from api.cli.steps import progress_on
 from api.cli.terminal import console, errors
 from api.cli.verdict_table import verdict_table
-from api.client import AdrClient, connect
-from api.settings import DEFAULT_URL
 
 app = typer.Typer()
 

@@ -6,11 +6,10 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
+from adr_service.client import DEFAULT_URL, Json, connect
 from adr_service.errors import InvalidInput
 from api.cli.options import AsJson, Url
 from api.cli.terminal import console
-from api.client import Json, connect
-from api.settings import DEFAULT_URL
 
 app = typer.Typer()
 

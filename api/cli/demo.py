@@ -6,11 +6,11 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from adr_service.client import AdrClient, Json
 from api.cli.own_service import free_port, own_service
 from api.cli.progress import live
 from api.cli.tables import results_table
 from api.cli.terminal import console
-from api.client import AdrClient, Json
 
 app = typer.Typer()
 BENCHMARK = {

@@ -13,11 +13,11 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from adr_service.client import DEFAULT_URL, Refused, Unreachable, connect
 from adr_service.errors import InvalidInput
 from api.cli.options import Url
 from api.cli.terminal import console
-from api.client import Refused, Unreachable, connect
-from api.settings import DEFAULT_URL, Settings, read_settings
+from api.settings import Settings, read_settings
 
 app = typer.Typer()
 _LEAST_DISK_GB = 2.0

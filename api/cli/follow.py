@@ -3,11 +3,11 @@
 import typer
 from rich.markup import escape
 
+from adr_service.client import AdrClient, Json
 from api.cli.progress import failures, live
 from api.cli.tables import results_table
 from api.cli.terminal import console, errors
 from api.cli.verdict_table import verdict_table
-from api.client import AdrClient, Json
 
 
 def follow(client: AdrClient, id: str, as_json: bool = False) -> None:

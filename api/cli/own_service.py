@@ -8,8 +8,8 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
+from adr_service.client import AdrClient, Unreachable, connect
 from adr_service.errors import AdrError
-from api.client import AdrClient, Unreachable, connect
 
 _START_TIMEOUT_S = 120.0
 
@@ -25,7 +25,7 @@ def own_service(data_dir: Path, port: int) -> Generator[AdrClient]:
     """A client of a service that runs in another process until the block ends."""
     data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     log_path = data_dir / "service.log"
-    command = [sys.executable, "-m", "api", "serve"]
+    command = [sys.executable, "-P", "-m", "api", "serve"]  # -P: not an api of this folder
     command += ["--port", str(port), "--data-dir", str(data_dir)]
     with log_path.open("w") as log:
         # a Ctrl-C is ours to handle: the service may still be asked for what it has

@@ -6,13 +6,12 @@ from typing import Annotated
 
 import typer
 
+from adr_service.client import DEFAULT_URL, AdrClient, connect
 from adr_service.errors import InvalidInput
 from api.cli.follow import show_results
 from api.cli.options import AsJson, Id, Url
 from api.cli.tables import claims_table, comparisons_table, cost_table
 from api.cli.terminal import console
-from api.client import AdrClient, connect
-from api.settings import DEFAULT_URL
 
 app = typer.Typer()
 

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from adr_service.client import DEFAULT_URL, connect
 from adr_service.errors import InvalidInput
 from api.cli.options import Url
 from api.cli.terminal import console
-from api.client import connect
-from api.settings import DEFAULT_URL
 
 if TYPE_CHECKING:
-    from api.robot import Limits
+    from adr_service.client.robot import Limits
 
 app = typer.Typer()
 
@@ -51,7 +50,7 @@ def robot(
 
     With --play, send the commands of a plan instead, without a service.
     """
-    from api.robot import Limits, Robot  # imports Gymnasium
+    from adr_service.client.robot import Limits, Robot  # imports Gymnasium
 
     limits = Limits(max_seconds, max_reset_seconds, tuple(max_action or ()))
     if (play is None) != (out is None):
@@ -66,11 +65,11 @@ def robot(
 
 
 def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
+    from adr_service.client.robot.environment import check_environment, load_environment
+    from adr_service.client.robot.playback import about, check_commands, play
     from adr_service.criticism.plans import read_plan
     from adr_service.simulation.batch import control_period
     from adr_service.tasks.catalogue import get_task
-    from api.robot.environment import check_environment, load_environment
-    from api.robot.playback import about, check_commands, play
 
     robot, known = load_environment(env), get_task(task)
     check_environment(robot, about(known), limits)

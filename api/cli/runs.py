@@ -6,14 +6,13 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from adr_service.client import DEFAULT_URL, AdrClient, Json, connect, is_finished
+from adr_service.client.progress import label
 from adr_service.errors import InvalidInput
 from api.cli.follow import follow
 from api.cli.options import AsJson, Id, Url, Watch
-from api.cli.progress import label
 from api.cli.tables import plan_table
 from api.cli.terminal import console
-from api.client import AdrClient, Json, connect, is_finished
-from api.settings import DEFAULT_URL
 from api.specs import assign, read_effects, read_spec
 
 app = typer.Typer()

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from api.client import Json
+from adr_service.client import Json
 from api.durations import in_words
 
 if TYPE_CHECKING:  # imports Ray

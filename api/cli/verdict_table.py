@@ -5,8 +5,8 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from adr_service.client import Json
 from adr_service.criticism.verdict import Rest, interval_text, sure
-from api.client import Json
 
 
 def verdict_table(verdict: Json) -> RenderableType:

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from api.client import Refused
+from adr_service.client import Refused
 from tests.acceptance.test_faults import committed
 from tests.acceptance.test_kills import BENCHMARK, WORK, undisturbed, working
 from tests.service import start_service, until, wait_until_finished

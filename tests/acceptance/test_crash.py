@@ -5,9 +5,9 @@ import time
 import pytest
 
 from adr_service.benchmark.comparison import Outcome, table, to_csv
+from adr_service.client import AdrClient
 from adr_service.specs import BenchmarkSpec
 from adr_service.stages.local import LocalStages
-from api.client import AdrClient
 from tests.programs.smoke import iterations
 from tests.service import RunningService, start_service, wait_until_finished
 

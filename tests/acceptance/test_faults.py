@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from api.client import AdrClient, Unreachable
+from adr_service.client import AdrClient, Unreachable
 from tests.recordings import recording
 from tests.service import NotStarted, start_service, wait_until_finished
 

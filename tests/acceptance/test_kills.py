@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from api.client import AdrClient
+from adr_service.client import AdrClient
 from tests.acceptance.test_faults import committed, finished
 from tests.service import RunningService, free_port, start_service, until, wait_until_finished
 

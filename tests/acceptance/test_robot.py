@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adr_service.client import AdrClient, Refused
+from adr_service.client.robot import Limits, Robot
 from adr_service.errors import InvalidInput
 from adr_service.transitions import TransitionDataset
-from api.client import AdrClient, Refused
-from api.robot import Limits, Robot
 from tests.service import start_service, until, wait_until_finished
 
 pytestmark = pytest.mark.ray

@@ -5,9 +5,9 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from sqlalchemy import update
 
+from adr_service.client import Refused
 from adr_service.events import RunSucceeded
 from adr_service.specs import RunSpec
-from api.client import Refused
 from db import events, runs
 from db.models import RunRow
 from db.session import open_database

@@ -9,10 +9,10 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
 from adr_service.blind_test.planting import draw_case
+from tests.api.page.addresses import LISTS
 from tests.hidden import arm, recorded
 
 pytestmark = [pytest.mark.slow, pytest.mark.ray, pytest.mark.browser]
-LISTS = ["/", "/submit", "/compare", "/criticisms", "/robots", "/datasets", "/claims", "/docs"]
 SERIOUS = {"serious", "critical"}
 
 

@@ -7,9 +7,9 @@ import pytest
 from typer.main import get_command
 
 import adr_service
+from adr_service.client import Refused, Unreachable
 from adr_service.errors import InvalidInput
 from api.cli import app, status_of
-from api.client import Refused, Unreachable
 from db.errors import NotFound
 
 COMMANDS = {

@@ -5,7 +5,7 @@ import zipfile
 
 import pytest
 
-from api.client import Refused
+from adr_service.client import Refused
 
 pytestmark = pytest.mark.ray
 OCTETS = {"Content-Type": "application/octet-stream"}

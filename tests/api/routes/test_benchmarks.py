@@ -2,7 +2,7 @@
 
 import pytest
 
-from api.client import Refused
+from adr_service.client import Refused
 from tests.service import wait_until_finished
 
 pytestmark = pytest.mark.ray

@@ -10,6 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from adr_service.blind_test.planting import hide
+from adr_service.client import Refused
 from adr_service.criticism.report import FILES
 from adr_service.effects.base import Effect
 from adr_service.events import CriticismFinished
@@ -17,7 +18,6 @@ from adr_service.programs import run
 from adr_service.specs import CriticismSpec
 from adr_service.stages.local import LocalStages
 from api.cli import app
-from api.client import Refused
 from tests.hidden import arm, recorded
 from tests.recordings import recording
 from tests.service import RunningService, wait_until_finished

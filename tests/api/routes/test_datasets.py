@@ -2,8 +2,8 @@
 
 import pytest
 
+from adr_service.client import Refused
 from adr_service.training.policy import Policy
-from api.client import Refused
 from tests.api.smoke import SMOKE
 from tests.recordings import recording
 from tests.service import RunningService, wait_until_finished

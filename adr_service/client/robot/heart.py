@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
-from api.client import AdrClient, Json, Refused, Unreachable
+from adr_service.client.connection import AdrClient, Json, Refused, Unreachable
 
 STOP_S = 10.0  # in which a step returns once the episode should stop, else the environment hangs
 _LONGEST_HEARTBEAT_S = 1.0  # between two

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 import adr_service  # noqa: F401, as it registers the environments
+from adr_service.client.robot.limits import Limits
+from adr_service.client.robot.playback import check_commands, play
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.plans import read_plan
@@ -13,8 +15,6 @@ from adr_service.errors import InvalidInput
 from adr_service.npz import read_arrays, write_arrays
 from adr_service.simulation.batch import control_period
 from adr_service.tasks.catalogue import get_task, source_of
-from api.robot.limits import Limits
-from api.robot.playback import check_commands, play
 
 TASK = get_task("arm")
 PERIOD = control_period(TASK)

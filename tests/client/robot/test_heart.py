@@ -4,8 +4,8 @@ import threading
 
 import pytest
 
-from api.client import Refused, Unreachable
-from api.robot.heart import Heart
+from adr_service.client.connection import Refused, Unreachable
+from adr_service.client.robot.heart import Heart
 
 # a third of the lease lies between two heartbeats, which a busy machine may send half a second late
 CLAIMED = {"task": {"id": "task_a"}, "lease": "lease_a", "lease_s": 1.5}

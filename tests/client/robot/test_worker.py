@@ -2,12 +2,12 @@
 
 import pytest
 
+from adr_service.client.connection import Refused
+from adr_service.client.robot.limits import Limits
+from adr_service.client.robot.worker import Robot
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.stages.target_episode import read_episode
-from api.client import Refused
-from api.robot.limits import Limits
-from api.robot.worker import Robot
-from tests.api.robot.test_episode import ABOUT
+from tests.client.robot.test_episode import ABOUT
 
 TASK = {
     "id": "task_a",

@@ -5,12 +5,12 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from adr_service.client.robot.episode import Machine, random_actions, run_episode, seed_of, to_npz
+from adr_service.client.robot.limits import Limits
 from adr_service.npz import read_arrays
 from adr_service.simulation.batch import control_period
 from adr_service.tasks.catalogue import get_task
 from adr_service.transitions import TransitionDataset
-from api.robot.episode import Machine, random_actions, run_episode, seed_of, to_npz
-from api.robot.limits import Limits
 from tests.robots import blind_arm, fast_arm
 
 ARM = get_task("arm")

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
+from adr_service.client.robot.environment import Env
+from adr_service.client.robot.limits import Limits
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.smoothing import is_measured, measurement_of
 from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import control_period
 from adr_service.tasks.base import Task
 from adr_service.transitions import TransitionDataset
-from api.robot.environment import Env
-from api.robot.limits import Limits
 
 _AWAY = 0.2  # [rad or m] from the pose to start from
 

@@ -1,11 +1,4 @@
-"""The Python client of the service.
-
-with AdrClient() as client:
-    benchmark = client.submit_benchmark({"tasks": ["arm"], "methods": ["simopt"]})
-    for seen in client.watch(benchmark["id"]):
-        print(seen["states"])
-    client.results(benchmark["id"])["rows"]
-"""
+"""A connection to a running service, request by request."""
 
 import os
 import time
@@ -16,10 +9,11 @@ from typing import IO, Any, Self
 
 import httpx2
 
+from adr_service.client.progress import headline, runs_of, succeeded
+from adr_service.client.tables import Json, Results, Rows
 from adr_service.errors import AdrError, InvalidInput
-from api.settings import DEFAULT_URL
 
-Json = dict[str, Any]
+DEFAULT_URL = "http://127.0.0.1:8000"
 _POLL_S = 1.0
 _LONG_S = 3600.0  # for an archive to be written or read
 _OF_A_PROXY = (502, 503, 504)  # our own 503 has a Retry-After
@@ -42,7 +36,11 @@ class Unreachable(AdrError):
 
 
 class AdrClient:
-    """A connection to a running service. It returns the service's JSON."""
+    """A connection to the service at `url`; a context manager, which closes it.
+
+    `token` is the service's ADR_TOKEN, if it has one. Requests end after `timeout_s` seconds, those
+    that write or read an archive after an hour.
+    """
 
     def __init__(self, url: str = DEFAULT_URL, token: str = "", timeout_s: float = 60.0):
         headers = {"Authorization": f"Bearer {token}"} if token else {}
@@ -61,9 +59,11 @@ class AdrClient:
         self._http.close()
 
     def submit_run(self, spec: Json, *, dry_run: bool = False) -> Json:
+        """Submit a run; `dry_run` starts nothing, and its answer has the expected cost, `plan`."""
         return self._json("POST", "/v1/runs", json=spec, params=_dry(dry_run))
 
     def submit_benchmark(self, spec: Json, *, dry_run: bool = False) -> Json:
+        """Submit a benchmark; `dry_run` as in `submit_run`."""
         return self._json("POST", "/v1/benchmarks", json=spec, params=_dry(dry_run))
 
     def submit_criticism(self, spec: Json) -> Json:
@@ -95,12 +95,20 @@ class AdrClient:
             params={} if task is None else {"task": task},
         )
 
+    def recording(self, dataset_id: str) -> bytes:
+        """An uploaded recording as `.npz`, for `TransitionDataset.from_npz`."""
+        return self.content(f"{_path(dataset_id)}/content")
+
     def get(self, id: str) -> Json:
-        """A run or a benchmark, by its id."""
+        """A run, a benchmark or a recording, by its id."""
         return self._json("GET", _path(id))
 
-    def list_all(self, collection: str, **filters: str) -> list[Json]:
-        """All members of "runs", "benchmarks", "datasets" or "target_tasks", page after page."""
+    def list_all(self, collection: str, **filters: str) -> Rows:
+        """All "runs", "benchmarks", "datasets" or "target_tasks", page after page.
+
+        Runs can be filtered by `task`, `method`, `state` and `benchmark_id`, the tasks of robots by
+        `state` and `run_id`.
+        """
         return self._pages(f"/v1/{collection}", "page_token", **filters)
 
     def export_archive(self, benchmark_id: str, file: IO[bytes]) -> None:
@@ -122,24 +130,28 @@ class AdrClient:
         """Cost of a run or a benchmark so far."""
         return self._json("GET", f"{_path(id)}/cost")
 
-    def get_events(self, run_id: str) -> list[Json]:
+    def get_events(self, run_id: str) -> Rows:
         """All events of a run so far."""
         return self._pages(f"{_path(run_id)}/events", "after")
 
     def cancel(self, id: str) -> Json:
+        """Ask a run, or all live runs of a benchmark, to stop; finished stages are kept."""
         return self._json("POST", f"{_path(id)}/cancel")
 
     def resume(self, id: str) -> Json:
+        """Continue a failed or cancelled run, or all of a benchmark."""
         return self._json("POST", f"{_path(id)}/resume")
 
     def delete(self, id: str) -> None:
         """Delete a dataset, or a finished run or benchmark and what only that refers to."""
         self._request("DELETE", _path(id))
 
-    def results(self, id: str) -> Json:
-        return self._json("GET", f"{_path(id)}/results")
+    def results(self, id: str) -> Results:
+        """Tables of a run's or a benchmark's results, as far as there are any yet."""
+        return Results(self._json("GET", f"{_path(id)}/results"))
 
     def results_csv(self, id: str) -> str:
+        """The table of returns as CSV."""
         return self.content(f"{_path(id)}/results?format=csv").decode()
 
     def figure(self, id: str, name: str) -> bytes:
@@ -149,6 +161,26 @@ class AdrClient:
     def figures(self, id: str) -> list[str]:
         """Names of the figures that can be drawn by now."""
         return list(self._json("GET", f"{_path(id)}/figures"))
+
+    def trainings(self, run_id: str) -> Rows:
+        """A run's trainings with their learning curves, also those that go on."""
+        return Rows(self._json("GET", f"{_path(run_id)}/trainings"))
+
+    def curves(self, run_id: str) -> Rows:
+        """The learning curves of a run, a row for each evaluation of each training.
+
+        `training` counts from 0, `steps` are of the environment, `mean_return` and its
+        `standard_error` over episodes in simulation.
+        """
+        return Rows(
+            {"training": number, "digest": training["digest"], **point}
+            for number, training in enumerate(self.trainings(run_id))
+            for point in training["curve"]
+        )
+
+    def policy_of_training(self, run_id: str, digest: str) -> bytes:
+        """Policy of one of a run's trainings; while it goes on, the best so far."""
+        return self.content(f"{_path(run_id)}/trainings/{digest}/policy")
 
     def claims(self, benchmark_id: str | None = None) -> list[Json]:
         """The paper's claims, compared with a benchmark or with all runs."""
@@ -162,7 +194,7 @@ class AdrClient:
         return self._json("GET", f"{_path(run_id)}/distribution")
 
     def policy(self, run_id: str) -> bytes:
-        """The run's latest policy as safetensors."""
+        """The run's latest policy as safetensors, for `Policy.from_bytes`."""
         return self.content(f"{_path(run_id)}/policy")
 
     def claim_task(self, worker: str, tasks: Sequence[str], wait_s: float = 20.0) -> Json | None:
@@ -186,6 +218,7 @@ class AdrClient:
         )
 
     def release_task(self, task_id: str, lease: str) -> Json:
+        """Give an episode back, for other robots."""
         return self._json("POST", f"/v1/target_tasks/{task_id}/release", json={"lease": lease})
 
     def fail_task(self, task_id: str, lease: str, message: str) -> Json:
@@ -197,7 +230,16 @@ class AdrClient:
         """All tasks, with columns, bounds and control periods."""
         return list(self._json("GET", "/v1/tasks"))
 
+    def methods(self) -> Json:
+        """JSON Schema of the methods, with their settings."""
+        return self._json("GET", "/v1/methods")
+
+    def presets(self) -> Json:
+        """The presets, and the fields of specs that each sets."""
+        return self._json("GET", "/v1/presets")
+
     def ready(self) -> Json:
+        """Whether the service can compute: database, cores, disk."""
         return self._json("GET", "/readyz")
 
     def watch(self, id: str) -> Iterator[Json]:
@@ -209,11 +251,28 @@ class AdrClient:
                 return
             time.sleep(_POLL_S)
 
+    def wait(self, id: str, *, progress: bool = True) -> Json:
+        """Wait until a run or a benchmark has finished, and return its last state.
+
+        `progress` shows a bar, in a notebook (with ipywidgets) or on a terminal. Runs that failed
+        do not raise: the answer's `state`, or each of its `runs`, says so.
+        """
+        from tqdm.auto import tqdm  # asks whether this is a notebook
+
+        seen: Json = {}
+        with tqdm(bar_format="{l_bar}{bar}{postfix}", disable=not progress) as bar:
+            for seen in self.watch(id):
+                runs = runs_of(seen)
+                bar.total, bar.n = len(runs), succeeded(runs)
+                bar.set_postfix_str(headline(seen))
+        return seen
+
     def content(self, path: str) -> bytes:
+        """The answer to a GET request, as it is."""
         return self._request("GET", path).content
 
-    def _pages(self, path: str, token_name: str, **params: str) -> list[Json]:
-        items: list[Json] = []
+    def _pages(self, path: str, token_name: str, **params: str) -> Rows:
+        items = Rows()
         while True:
             page = self._json("GET", path, params=params)
             items += page["items"]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api.robot.limits import Limits
+from adr_service.client.robot.limits import Limits
 
 numbers = st.floats(-1e6, 1e6)
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
+from adr_service.client.connection import Json
+from adr_service.client.robot.environment import Env
+from adr_service.client.robot.heart import Heart
+from adr_service.client.robot.limits import Limits
 from adr_service.npz import write_arrays
 from adr_service.randomness import stream
 from adr_service.transitions import TransitionDataset
-from api.client import Json
-from api.robot.environment import Env
-from api.robot.heart import Heart
-from api.robot.limits import Limits
 
 
 @dataclass(frozen=True)

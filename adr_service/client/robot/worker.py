@@ -8,14 +8,14 @@ from functools import partial
 from typing import Any
 
 from adr_service.arrays import Matrix
+from adr_service.client.connection import AdrClient, Json, Refused, Unreachable
+from adr_service.client.robot.environment import check_environment, load_environment
+from adr_service.client.robot.episode import Episode, Machine, random_actions, run_episode, to_npz
+from adr_service.client.robot.heart import STOP_S, Heart
+from adr_service.client.robot.limits import Limits
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.json_values import printable
 from adr_service.training.policy import Policy
-from api.client import AdrClient, Json, Refused, Unreachable
-from api.robot.environment import check_environment, load_environment
-from api.robot.episode import Episode, Machine, random_actions, run_episode, to_npz
-from api.robot.heart import STOP_S, Heart
-from api.robot.limits import Limits
 
 _RETRY_S = 2.0
 _REQUEST_S = 60.0  # longest request, but for heartbeats

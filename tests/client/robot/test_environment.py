@@ -2,9 +2,9 @@
 
 import pytest
 
+from adr_service.client.robot.environment import check_environment, load_environment
+from adr_service.client.robot.limits import Limits
 from adr_service.errors import InvalidInput
-from api.robot.environment import check_environment, load_environment
-from api.robot.limits import Limits
 
 ARM = {"name": "arm", "observation_columns": ["a"] * 4, "actions": 2}
 

@@ -6,8 +6,8 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
+from adr_service.client.connection import AdrClient, Refused, Unreachable, check_benchmark
 from adr_service.errors import InvalidInput
-from api.client import AdrClient, Refused, Unreachable, check_benchmark
 from tests.api.smoke import SMOKE
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from adr_service.client.robot.limits import Limits
 from adr_service.errors import InvalidInput
-from api.robot.limits import Limits
 
 Env = gymnasium.Env[Any, Any]
 

@@ -1,0 +1,60 @@
+"""What a run or a benchmark does now, in a line."""
+
+from collections.abc import Iterable
+
+from adr_service.client.tables import Json
+
+
+def headline(seen: Json) -> str:
+    """One line on the runs that are done, the stages in work, and those that wait."""
+    runs = runs_of(seen)
+    broken = sorted({run["state"] for run in runs} & {"failed", "cancelled"})
+    others = [f", others {' and '.join(broken)}"] if broken else []
+    done = f"{succeeded(runs)}/{len(runs)} runs done"
+    return "".join([done, *others, *_in_work(stages_of(runs))])
+
+
+def label(spec: Json) -> str:
+    """One word for a run: its method, or its kind."""
+    return spec["method"]["name"] if "method" in spec else spec["kind"]
+
+
+def runs_of(seen: Json) -> list[Json]:
+    """The runs of a benchmark, or the run itself."""
+    return seen.get("runs", [seen])
+
+
+def succeeded(runs: Iterable[Json]) -> int:
+    return sum(run["state"] == "succeeded" for run in runs)
+
+
+def stages_of(runs: Iterable[Json]) -> list[tuple[Json, Json]]:
+    """(run, stage) of every stage that runs or waits; a stage that runs share appears once."""
+    first: dict[str, tuple[Json, Json]] = {}
+    for run in runs:
+        for stage in run["progress"]:
+            first.setdefault(stage["digest"], (run, stage))
+    return list(first.values())
+
+
+def _in_work(stages: Iterable[tuple[Json, Json]]) -> list[str]:
+    """Parts of the headline on stages that run or wait."""
+    running: list[str] = []
+    robots: list[str] = []
+    cores = 0
+    for run, stage in stages:
+        spec, kind = run["spec"], stage["kind"]
+        if stage["state"] == "running":
+            running.append(f"{label(spec)}/{spec['seed']} {kind} {stage['fraction']:.0%}")
+        elif stage["state"] == "waiting" and kind == "target_episode":
+            robots.append(spec["task"])
+        elif stage["state"] == "waiting":
+            cores += 1
+    parts = [f"; now {', '.join(running)}"] if running else []
+    parts += [f"; {_waiting(cores)} for a core"] if cores else []
+    tasks = ", ".join(sorted(set(robots)))
+    return parts + ([f"; {len(robots)} episodes wait for a robot of {tasks}"] if robots else [])
+
+
+def _waiting(stages: int) -> str:
+    return "1 stage waits" if stages == 1 else f"{stages} stages wait"
