@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-budgets bench-coverage study bench-criticism bench-arms bench-extension bench-separation bench-baselines bench-api clean
+.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-budgets bench-coverage study bench-criticism bench-arms bench-extension bench-separation bench-baselines bench-api docs clean
 
 setup: $(STAMP)
 
@@ -93,6 +93,11 @@ bench-baselines: setup
 # three minutes
 bench-api: setup
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/load.py
+
+# the site, in build/docs
+docs: setup
+	$(BIN)/python docs/generate.py
+	$(BIN)/zensical build --config-file .zensical.toml --strict
 
 clean:
 	rm -rf $(VENV) build *.egg-info

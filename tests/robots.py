@@ -6,6 +6,9 @@ import numpy as np
 
 from adr_service.simulation.gym_env import RandomizedEnv
 
+# a user's own module `my_robot`, for `my_robot:make`
+MODULE = "import adr_service, gymnasium\nmake = lambda: gymnasium.make('adr/RandomArmNoisy-v0')\n"
+
 
 class SlowArm(RandomizedEnv):
     """The arm of the noisy variant, at its own pace."""

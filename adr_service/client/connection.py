@@ -306,9 +306,10 @@ class AdrClient:
             ) from error
 
 
-def connect(url: str = DEFAULT_URL, timeout_s: float = 60.0) -> AdrClient:
-    """Return a client with the token in ADR_TOKEN, if there is one."""
-    return AdrClient(url, os.environ.get("ADR_TOKEN", ""), timeout_s)
+def connect(url: str | None = None, timeout_s: float = 60.0) -> AdrClient:
+    """Return a client of `url` (default: ADR_URL, else this machine) with the token ADR_TOKEN."""
+    found = url or os.environ.get("ADR_URL", DEFAULT_URL)
+    return AdrClient(found, os.environ.get("ADR_TOKEN", ""), timeout_s)
 
 
 def is_finished(seen: Json) -> bool:

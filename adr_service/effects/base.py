@@ -40,7 +40,7 @@ class Effect:
     # the constructor checks nothing, because a fit may try strengths that make no sense; a field of
     # a pydantic model checks its JSON
 
-    kind: _Text
+    kind: Annotated[_Text, Field(description="one of docs/criticism.md")]
     location: Annotated[_Text, Field(description="as joint:elbow, or global")]
     values: Annotated[
         tuple[_Number, ...],

@@ -33,29 +33,37 @@ Members = Annotated[list[T], Field(max_length=MAX_RUNS)]
 class BenchmarkExtension(Wire):
     """Members to add to a benchmark."""
 
-    tasks: Members[TaskName] = Field([])
-    variants: Members[Name] = Field([])
-    methods: Members[NameOrSettings] = Field([])
-    collectors: Members[Collector] = Field([])
-    seeds: Members[Seed] = Field([])
+    tasks: Members[TaskName] = Field([], description="to add")
+    variants: Members[Name] = Field([], description="to add")
+    methods: Members[NameOrSettings] = Field([], description="to add")
+    collectors: Members[Collector] = Field([], description="to add")
+    seeds: Members[Seed] = Field([], description="to add")
 
 
 class BenchmarkSpec(Wire):
     """Tasks x variants x methods x seeds under one budget."""
 
-    tasks: Members[TaskName] = Field(min_length=1)
-    variants: Members[VariantName] = Field(default=["vanilla"], min_length=1)
-    methods: Members[NameOrSettings] = Field(min_length=1)
+    tasks: Members[TaskName] = Field(min_length=1, description="each with every variant")
+    variants: Members[VariantName] = Field(
+        default=["vanilla"], min_length=1, description="each with every method"
+    )
+    methods: Members[NameOrSettings] = Field(
+        min_length=1, description="names, or settings with `name`"
+    )
     collectors: Members[Collector] = Field(
         default=["simopt"], min_length=1, description="for offline methods; others run once"
     )
-    seeds: Members[Seed] = Field(default=[0, 1, 2], min_length=1)
+    seeds: Members[Seed] = Field(
+        default=[0, 1, 2], min_length=1, description="a run each; intervals need three"
+    )
     references: bool = Field(True, description="also run the prior and the oracle policy")
     preset: PresetName = "quick"
-    iterations: Budget | None = None
-    transitions: Budget | None = None
-    evaluation_episodes: Budget | None = None
-    training: dict[Name, Any] | None = Field(None, max_length=100)
+    iterations: Budget | None = Field(None, description="as in a run; null: the preset's")
+    transitions: Budget | None = Field(None, description="as in a run; null: the preset's")
+    evaluation_episodes: Budget | None = Field(None, description="as in a run; null: the preset's")
+    training: dict[Name, Any] | None = Field(
+        None, max_length=100, description="as in a run; null: the preset's"
+    )
     resolution: Resolution | None = Field(None, description="as in a run")
 
     @model_validator(mode="after")

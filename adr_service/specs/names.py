@@ -45,10 +45,22 @@ def known_method(given: Any) -> Any:
 
 # pydantic refuses half characters (lone surrogates) where a text has a length
 Name = Annotated[str, Field(max_length=1000)]
-TaskName = Annotated[Name, AfterValidator(lambda name: _known("task", name, catalogue()))]
-VariantName = Annotated[Name, AfterValidator(_known_variant)]
-PresetName = Annotated[Name, AfterValidator(lambda name: _known("preset", name, PRESETS))]
-Seed = Annotated[int, Field(ge=0, lt=2**31)]
+TaskName = Annotated[
+    Name,
+    AfterValidator(lambda name: _known("task", name, catalogue())),
+    Field(description="arm, hopper, half_cheetah, walker2d, humanoid, or a task of your own"),
+]
+VariantName = Annotated[
+    Name,
+    AfterValidator(_known_variant),
+    Field(description="vanilla, noisy (sensors' noise) or unmodeled (wrong frozen parameters)"),
+]
+PresetName = Annotated[
+    Name,
+    AfterValidator(lambda name: _known("preset", name, PRESETS)),
+    Field(description="what fills the fields that are not given"),
+]
+Seed = Annotated[int, Field(ge=0, lt=2**31, description="of every random draw")]
 Resolution = Annotated[float, Field(gt=0, le=1)]  # of beliefs, in [0, 4] coordinates
 NameOrSettings = Annotated[
     Annotated[Name, Tag("name")] | Annotated[AnyMethod, Tag("settings")],

@@ -35,8 +35,12 @@ class RunSpec(Wire):
     kind: Literal["transfer"] = "transfer"
     task: TaskName
     variant: VariantName = Field("vanilla", validate_default=True)
-    method: Annotated[AnyMethod, BeforeValidator(known_method)]
-    target: AnyTarget = SimulatedTarget()
+    method: Annotated[AnyMethod, BeforeValidator(known_method)] = Field(
+        description="a method's name, or its settings with `name`"
+    )
+    target: AnyTarget = Field(
+        SimulatedTarget(), description="where the trajectories of the target come from"
+    )
     extension: list[Effect] = Field(
         default=[],
         max_length=100,
@@ -56,7 +60,7 @@ class RunSpec(Wire):
     iterations: int = Field(ge=1, le=100, description="target rollouts a method may use")
     transitions: int = Field(ge=1, le=100_000, description="per target rollout, at most")
     evaluation_episodes: int = Field(ge=2, le=10_000, description="final, seen by no method")
-    training: TrainingSettings
+    training: TrainingSettings = Field(description="how every policy is trained")
     resolution: Resolution | None = Field(
         None,
         description="beliefs that are narrower than this in [0, 4] are trained as points on a grid "

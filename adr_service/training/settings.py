@@ -37,13 +37,15 @@ class _Settings(Wire):
     max_steps: int = Field(
         5_000_000, ge=100, le=10**10, description="environment steps, of all environments"
     )
-    environments: int = Field(12, ge=1, le=1024)
+    environments: int = Field(12, ge=1, le=1024, description="that are stepped together")
     hidden: Widths = Field([128, 128], description="units per hidden layer of the actor")
-    activation: Literal["relu", "tanh"] = "tanh"
-    batch_size: int = Field(256, ge=1, le=65_536)
-    gamma: float = Field(0.99, gt=0, lt=1)
+    activation: Literal["relu", "tanh"] = Field("tanh", description="between hidden layers")
+    batch_size: int = Field(256, ge=1, le=65_536, description="transitions per update")
+    gamma: float = Field(0.99, gt=0, lt=1, description="discount of a step")
     evaluate_every: int = Field(40_000, ge=100, le=10**9, description="environment steps")
-    evaluation_episodes: int = Field(50, ge=1, le=10_000)
+    evaluation_episodes: int = Field(
+        50, ge=1, le=10_000, description="by which the best policy is chosen"
+    )
     averaged_steps: int = Field(
         0,
         ge=0,
@@ -51,7 +53,9 @@ class _Settings(Wire):
         description="environment steps after which a policy counts 1/e in the mean of weights "
         "that is kept; 0: the last weights are kept",
     )
-    stop_at_threshold: bool = True
+    stop_at_threshold: bool = Field(
+        True, description="end as soon as an evaluation earns the task's reward threshold"
+    )
     start: Literal["scratch", "previous"] = Field(
         "scratch",
         description="previous: where policies of a run follow one another, each starts from the "
@@ -125,7 +129,7 @@ class _OffPolicy(_Settings):
     gradient_steps: int = Field(
         1, ge=1, le=10_000, description="updates per step of all environments"
     )
-    buffer_size: int = Field(1_000_000, ge=1000, le=10**8)
+    buffer_size: int = Field(1_000_000, ge=1000, le=10**8, description="transitions kept")
     learning_starts: int = Field(
         100, ge=0, le=10**9, description="steps of uniformly random actions"
     )
@@ -160,7 +164,9 @@ class SacSettings(_OffPolicy):
 
     algorithm: Literal["sac"] = DEFAULT_ALGORITHM
     learning_rate: float | None = Field(None, gt=0, description="null: the task's own")
-    tau: float = Field(0.005, gt=0, le=1)
+    tau: float = Field(
+        0.005, gt=0, le=1, description="share of a target network renewed per update"
+    )
 
     @property
     def confirmation(self) -> int | None:
@@ -177,13 +183,13 @@ class CrossQSettings(_Confirmed, _OffPolicy):
     update_seconds: ClassVar = {"sbx": (0.0012, 0.0015), "sb3": (0.0110, 0.0008)}
 
     algorithm: Literal["crossq"]
-    learning_rate: float = Field(0.001, gt=0)
+    learning_rate: float = Field(0.001, gt=0, description="of Adam")
     learning_starts: int = Field(
         1000, ge=0, le=10**9, description="steps of uniformly random actions"
     )
     critic_hidden: Widths = Field([128, 128], description="units per hidden layer of the critics")
     policy_delay: int = Field(3, ge=1, le=100, description="critic updates per actor update")
-    activation: Literal["relu", "tanh"] = "relu"
+    activation: Literal["relu", "tanh"] = Field("relu", description="between hidden layers")
 
     def critic_weights(self, inputs: int) -> int:
         return inputs * self.critic_hidden[0] + _between(self.critic_hidden)
@@ -197,18 +203,18 @@ class PpoSettings(_Confirmed):
     sample_seconds: ClassVar[Mapping[str, float]] = {"sbx": 0.0000005, "sb3": 0.0000025}
 
     algorithm: Literal["ppo"]
-    environments: int = Field(32, ge=1, le=1024)
+    environments: int = Field(32, ge=1, le=1024, description="that are stepped together")
     hidden: Widths = Field([128, 128], description="units per hidden layer of the actor and critic")
-    batch_size: int = Field(512, ge=2, le=65_536)
-    learning_rate: float = Field(0.0005, gt=0)
+    batch_size: int = Field(512, ge=2, le=65_536, description="transitions per update")
+    learning_rate: float = Field(0.0005, gt=0, description="of Adam")
     learning_rate_schedule: Literal["constant", "linear"] = Field(
         "constant", description="linear: the rate falls to 0, which it reaches at max_steps"
     )
     rollout_steps: int = Field(128, ge=1, le=65_536, description="of each environment")
     epochs: int = Field(10, ge=1, le=1000, description="over the transitions of each rollout")
-    gae_lambda: float = Field(0.95, ge=0, le=1)
-    clip_range: float = Field(0.2, gt=0)
-    entropy_coefficient: float = Field(0.0, ge=0)
+    gae_lambda: float = Field(0.95, ge=0, le=1, description="of generalised advantage estimation")
+    clip_range: float = Field(0.2, gt=0, description="of the ratio of probabilities")
+    entropy_coefficient: float = Field(0.0, ge=0, description="weight of the entropy bonus")
     log_deviation: float = Field(
         0.0, ge=-10, le=2, description="initial log standard deviation of actions in [-1, 1]"
     )

@@ -6,13 +6,13 @@ import sys
 
 import pytest
 
+from tests import robots
 from tests.api.page.addresses import LISTS
 from tests.packages import ROOT, build_wheel
 from tests.service import start_service, wait_until_finished
 
 pytestmark = [pytest.mark.slow, pytest.mark.ray]
 NEIGHBOURS = ("api/__init__.py", "db.py", "workers.py")
-ROBOT = "import adr_service, gymnasium\nmake = lambda: gymnasium.make('adr/RandomArmNoisy-v0')\n"
 ALONE = {"PYTHONPATH": ""}  # nothing leads to the checkout
 EXTERNAL = {"task": "arm", "method": "simopt", "preset": "smoke", "target": {"kind": "external"}}
 
@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
     for name in NEIGHBOURS:
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text("raise RuntimeError('a neighbour was imported')\n")
-    (folder / "my_robot.py").write_text(ROBOT)
+    (folder / "my_robot.py").write_text(robots.MODULE)
     return folder
 
 

@@ -1,0 +1,207 @@
+"""Write the pages of docs/reference that say what the code says: `python docs/generate.py`."""
+
+import inspect
+import json
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from adr_service.errors import FailureCode
+from adr_service.methods.base import MethodSettings
+from adr_service.methods.catalogue import methods
+from adr_service.presets import PRESETS
+from adr_service.specs import BenchmarkExtension, BenchmarkSpec, CriticismSpec, RunSpec
+from api.app import create_app
+from api.settings import Settings
+
+Json = dict[str, Any]
+FOLDER = Path(__file__).parent / "reference"
+_BOUNDS = {
+    "minimum": "≥ {}",
+    "exclusiveMinimum": "> {}",
+    "maximum": "≤ {}",
+    "exclusiveMaximum": "< {}",
+    "minItems": "{} or more",
+    "maxItems": "{} at most",
+}
+_SPECS = (RunSpec, BenchmarkSpec, BenchmarkExtension, CriticismSpec)
+_GENERATED = "<!-- written by docs/generate.py -->\n"
+
+
+def pages() -> dict[str, str]:
+    """Return the text of each page by its file's name."""
+    return {
+        "methods.md": methods_page(),
+        "specs.md": specs_page(),
+        "rest.md": rest_page(create_app(Settings()).openapi()),
+        "command-line.md": command_line_page(),
+    }
+
+
+def methods_page() -> str:
+    """What each method learns from, its settings, and what its module says of it."""
+    known = methods()
+    rows = (
+        (f"`{name}`", _learns(each), f"[{each.__name__}](specs.md#{each.__name__.lower()})")
+        for name, each in known.items()
+    )
+    lines = [
+        "# Methods",
+        _GENERATED,
+        "How well each finds the truth on every task is measured in "
+        "[recovery of the truth](../recovery.md).",
+        _table(("method", "learns from", "settings"), rows),
+    ]
+    for module in dict.fromkeys(each.__module__ for each in known.values()):
+        names = ", ".join(f"`{name}`" for name, each in known.items() if each.__module__ == module)
+        lines += [f"## {names}", inspect.cleandoc(sys.modules[module].__doc__ or "")]
+    return "\n\n".join(lines) + "\n"
+
+
+def _learns(method: type[MethodSettings]) -> str:
+    if method.is_reference:
+        return "the hidden truth" if method.needs_truth else "nothing"
+    kinds = {
+        "nothing": "nothing",
+        "returns": "returns of its own policies on the target",
+        "visits": "visits of its own policies to the target (online)",
+        "recordings": "recorded transitions (offline)",
+    }
+    return kinds[method.learns_from]
+
+
+def specs_page() -> str:
+    """Every field of what can be submitted, and every object within them."""
+    lines = [
+        "# Specs",
+        _GENERATED,
+        "What a run, a benchmark and a criticism are made of. A field without a default must be "
+        "given, but for those that the [preset](#presets) gives; what you give wins over the "
+        "preset, field by field. Anything else is refused, with what is accepted.",
+    ]
+    definitions: dict[str, Json] = {}
+    for model in _SPECS:
+        schema = model.model_json_schema()
+        definitions |= schema.pop("$defs", {})
+        lines += [f"## {model.__name__}", *_about(schema), *_fields(schema)]
+    lines += ["## Presets", *_presets()]
+    for name, schema in sorted(definitions.items()):
+        if name not in {model.__name__ for model in _SPECS}:
+            lines += [f"## {name}", *_about(schema), *_fields(schema)]
+    return "\n\n".join(lines) + "\n"
+
+
+def _presets() -> Iterator[str]:
+    for name, preset in PRESETS.items():
+        yield f"### `{name}`"
+        yield "\n".join(["```json", json.dumps(preset, indent=1), "```"])
+
+
+def rest_page(api: Json) -> str:
+    """Every route with its parameters, body and answer, and every object that they have."""
+    schemas = api["components"]["schemas"]
+    lines = [
+        "# REST",
+        _GENERATED,
+        "The service describes itself as OpenAPI at `/openapi.json`, and as a page at `/docs`. "
+        "Bodies are JSON but for uploads, which are bytes.",
+        "## Errors",
+        "A refusal has the media type `application/problem+json` (RFC 9457): `type`, `title`, "
+        "`status`, `detail`, and `errors` with `pointer`, `detail` and `given` for each invalid "
+        "field. A run that fails has one of these codes in its `error`:",
+        _table(
+            ("code", "meaning", "remedy"),
+            ((f"`{code}`", code.meaning, code.remedy) for code in FailureCode),
+        ),
+    ]
+    for path, routes in sorted(api["paths"].items()):
+        for method, about in routes.items():
+            lines += [f"## `{method.upper()} {path}`", *_route(about)]
+    for name, schema in sorted(schemas.items()):
+        lines += [f"## {name}", *_about(schema), *_fields(schema)]
+    return "\n\n".join(lines) + "\n"
+
+
+def _route(about: Json) -> Iterator[str]:
+    yield about["description"]
+    if parameters := about.get("parameters"):
+        cells = (
+            (f"`{p['name']}`", p["in"], *_cells(p["schema"], p["required"])) for p in parameters
+        )
+        yield _table(("parameter", "in", "accepted", "default", "meaning"), cells)
+    for media, given in about.get("requestBody", {}).get("content", {}).items():
+        yield f"Body, `{media}`: {_type(given.get('schema', {}))}."
+    for status, answer in about["responses"].items():
+        found = [_type(each.get("schema", {})) for each in answer.get("content", {}).values()]
+        if status != "default":
+            yield f"Answer {status}: {', '.join(found) or 'no JSON'}."
+
+
+def _about(schema: Json) -> Iterator[str]:
+    if text := schema.get("description", ""):
+        yield " ".join(text.split())
+
+
+def _fields(schema: Json) -> Iterator[str]:
+    if "enum" in schema:
+        yield f"One of {_type(schema)}."
+    elif properties := schema.get("properties"):
+        required = schema.get("required", ())
+        cells = ((f"`{k}`", *_cells(v, k in required)) for k, v in properties.items())
+        yield _table(("field", "accepted", "default", "meaning"), cells)
+
+
+def _cells(schema: Json, is_required: bool) -> tuple[str, str, str]:
+    """What a field accepts, its default and its meaning."""
+    has_default = not is_required and "default" in schema
+    default = f"`{json.dumps(schema['default'])}`" if has_default else ""
+    return _type(schema), default, _meaning(schema)
+
+
+def _meaning(schema: Json) -> str:
+    """The description of a field, or of the choice that has one."""
+    choices = (each.get("description", "") for each in (schema, *schema.get("anyOf", ())))
+    return next(filter(None, choices), "")
+
+
+def _type(schema: Json) -> str:
+    """What a schema accepts, in words; objects as links to their sections."""
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return f"[{name}](#{name.lower()})"
+    if "const" in schema:
+        return f"`{json.dumps(schema['const'])}`"
+    if "enum" in schema:
+        return ", ".join(f"`{json.dumps(each)}`" for each in schema["enum"])
+    if choices := schema.get("oneOf") or schema.get("anyOf") or schema.get("allOf"):
+        return " or ".join(dict.fromkeys(_type(each) for each in choices))
+    name = schema.get("type", "any JSON")
+    if name == "array":
+        name = f"list of {_type(schema.get('items', {}))}"
+    bounds = [text.format(schema[key]) for key, text in _BOUNDS.items() if key in schema]
+    return ", ".join([name, *bounds])
+
+
+def command_line_page() -> str:
+    """The help of every command."""
+    command = [sys.executable, "-m", "typer", "api.cli", "utils", "docs", "--name", "adr"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    heading, _, rest = done.stdout.partition("\n")
+    return f"{heading.replace('`adr`', 'Command line')}\n\n{_GENERATED}{rest.rstrip()}\n"
+
+
+def _table(headings: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    headings = list(headings)
+    lines = [headings, ["---"] * len(headings), *rows]
+    return "\n".join(f"| {' | '.join(_cell(cell) for cell in line)} |" for line in lines)
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+if __name__ == "__main__":
+    for name, text in pages().items():
+        (FOLDER / name).write_text(text)
