@@ -11,7 +11,6 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from adr_service.criticism.smoothing import check_chained
 from adr_service.errors import BudgetExceeded, InvalidInput
 from adr_service.events import RunEvent
 from adr_service.simulation.replay import check_recorded
@@ -206,7 +205,7 @@ class Recording:
                 )
             data = data.first_episodes(asked.episodes)
         if spec.method.replay_from == "smoothed":
-            check_chained(data)
+            data.check_chained("states can be smoothed")
         self.data = data.to_npz()
         self.rollouts, self.transitions = data.episode_count, len(data)
 

@@ -26,6 +26,7 @@ from adr_service.search.trust_region import Bounds
 from adr_service.simulation.replay import Replay
 from adr_service.specs import BenchmarkSpec, RunSpec
 from adr_service.tasks.catalogue import catalogue, get_task, source_of
+from adr_service.training.policy import Policy
 from api.settings import Settings
 from tests.hidden import arm as arm_and_nominal
 from tests.hidden import recorded
@@ -259,6 +260,24 @@ def client(service: Any) -> Names:
             return super().submit_benchmark(smoke, dry_run=dry_run)
 
     return {"connect": lambda: SmokeClient(service.client.url)}
+
+
+def exported_run(folder: Path) -> Names:
+    """What `adr export` has of a run on Hopper."""
+    task = get_task("hopper")
+    layer = np.zeros((3, 11), dtype=np.float32), np.zeros(3, dtype=np.float32)
+    point = {"training": 0, "steps": 100, "mean_return": 1.0, "standard_error": 0.1}
+    row = {"iteration": 0, "normalised_return": 0.5, "target_transitions": 0, "episodes": 50}
+    budget = {"variant": "vanilla", "seed": 0, "iterations": 1, "transitions": 200}
+    return {
+        "policy": Policy((layer,), "tanh", task.action_low, task.action_high),
+        "get_task": get_task,
+        "path": folder / "policy.onnx",
+        "spec": {"method": {"name": "dropo"}, **budget},
+        "rows": [row],
+        "curve": [point],
+        "client": SimpleNamespace(curves=lambda _: [point]),
+    }
 
 
 def drive(program: Generator[Any, Any, Any]) -> None:

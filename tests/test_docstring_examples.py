@@ -25,6 +25,7 @@ TABLES = {"adr_service.simulation.model", "adr_service.criticism.noise", "db.vis
 # these take a database's, a cluster's or an inner step's values: they are compiled and not run
 COMPILED = {
     "api.report",
+    "adr_service.interchange.minari_datasets",
     "adr_service.criticism.linear",
     "adr_service.criticism.linearisation",
     "adr_service.criticism.naming",
@@ -66,6 +67,10 @@ NAMES: dict[str, Callable[..., dict[str, Any]]] = {
     "adr_service.criticism.smoothing": names.arm_recording,
     "adr_service.criticism.simulator": names.simulated,
     "adr_service.distributions": names.arm,
+    "adr_service.interchange.hugging_face": names.exported_run,
+    "adr_service.interchange.onnx_policies": names.exported_run,
+    "adr_service.interchange.rl_zoo": names.exported_run,
+    "adr_service.interchange.tensorboard": names.exported_run,
     "adr_service.logs": names.robot_log,
     "adr_service.logs.base": names.robot_log,
     "adr_service.effects.models": names.hopper_model,

@@ -169,14 +169,17 @@ class AdrClient:
     def curves(self, run_id: str) -> Rows:
         """The learning curves of a run, a row for each evaluation of each training.
 
-        `training` counts from 0, `steps` are of the environment, `mean_return` and its
-        `standard_error` over episodes in simulation.
+        `training` counts from 0, `digest` names it, `steps` are of its environments, `mean_return`
+        and its `standard_error` are over episodes in simulation, `time` is when it was stored.
         """
-        return Rows(
-            {"training": number, "digest": training["digest"], **point}
-            for number, training in enumerate(self.trainings(run_id))
-            for point in training["curve"]
-        )
+        found = [
+            {"time": record["created_at"], **record["event"]}
+            for record in self.get_events(run_id)
+            if record["event"]["type"] == "training_evaluated"
+        ]
+        digests = list(dict.fromkeys(point["digest"] for point in found))
+        rows = ({"training": digests.index(point["digest"]), **point} for point in found)
+        return Rows(sorted(rows, key=lambda point: (point["training"], point["steps"])))
 
     def policy_of_training(self, run_id: str, digest: str) -> bytes:
         """Policy of one of a run's trainings; while it goes on, the best so far."""

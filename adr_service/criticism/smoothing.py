@@ -19,7 +19,6 @@ from adr_service.criticism.evidence import fit, smoothed
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator
-from adr_service.errors import InvalidInput
 from adr_service.progress import Progress, silent
 from adr_service.simulation.batch import Simulations
 from adr_service.simulation.model import compiled
@@ -48,8 +47,8 @@ def smooth(
     """Estimate the noise in a recording, and take it out of the states.
 
     The strengths of a source's effects are estimated again, for the states alone. Raises
-    InvalidInput for what `check_smoothable` and `check_chained` refuse, and for data that are not
-    of this robot.
+    InvalidInput for what `check_smoothable` and `data.check_chained` refuse, and for data that are
+    not of this robot.
     """
     check_recorded(task, data)
     nominal, measurement = _nominal(task, source), measurement_of(task, data)
@@ -75,19 +74,6 @@ def check_smoothable(task: Task) -> None:
     check_state(compiled(task.xml))
 
 
-def check_chained(data: TransitionDataset) -> None:
-    """Raises InvalidInput unless each next observation is the observation of the next row."""
-    for episode in data.split():
-        differ = np.any(episode.next_observations[:-1] != episode.observations[1:], axis=1)
-        if differ.any():
-            row = int(np.argmax(differ))
-            raise InvalidInput(
-                "states can be smoothed where each next observation is the observation of the row "
-                f"after; in episode {int(episode.episodes[0])}, rows {row} and {row + 1} differ "
-                "(next observations with noise of their own leave nothing to smooth)"
-            )
-
-
 def planned_steps(task: Task, parameters: int, transitions: int) -> int:
     """Control steps that `smooth` simulates, about."""
     derivatives = 2 * (task.measured + 1) + parameters
@@ -102,7 +88,7 @@ def _nominal(task: Task, source: Source) -> Nominal:
 
 def measurement_of(task: Task, data: TransitionDataset) -> Measurement:
     """A recording as a measurement: one row for each state, the last with the command before."""
-    check_chained(data)
+    data.check_chained("states can be smoothed")
     parts = data.split()
     states = task.state(np.concatenate([_readings(part) for part in parts]))
     lengths = [len(part) + 1 for part in parts]

@@ -39,6 +39,15 @@ def compiled(xml: str) -> mujoco.MjModel:
         raise InvalidInput(f"MuJoCo cannot compile the model: {error}") from error
 
 
+def action_names(xml: str) -> list[str]:
+    """The names of a model's actuators, or of their joints where they have none."""
+    model = compiled(xml)
+    return [
+        model.actuator(i).name or model.joint(model.actuator_trnid[i, 0]).name
+        for i in range(model.nu)
+    ]
+
+
 @dataclass(frozen=True)
 class Slot:
     """The elements of one model field that take a parameter's value, in every simulation."""

@@ -13,8 +13,22 @@ from importlib.abc import Loader
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
+from adr_service.errors import UnknownName
+
 _GYMNASIUM = "gymnasium"
 _SUFFIXES = {"vanilla": "", "noisy": "Noisy", "unmodeled": "Unmodeled"}
+
+
+def gymnasium_id(task: str, variant: str) -> str:
+    """The id of a built-in task's variant. Raises UnknownName for others, which have none."""
+    from adr_service.tasks.catalogue import BUILT_IN
+
+    if task not in BUILT_IN:
+        raise UnknownName("task with a Gymnasium id", task, BUILT_IN)
+    if variant not in _SUFFIXES:
+        raise UnknownName("variant with a Gymnasium id", variant, _SUFFIXES)
+    robot = "".join(word.capitalize() for word in task.split("_"))
+    return f"adr/Random{robot}{_SUFFIXES[variant]}-v0"
 
 
 def register_with_gymnasium() -> None:
@@ -66,10 +80,9 @@ def _register() -> None:
     from adr_service.tasks.catalogue import BUILT_IN
 
     for name, entry in BUILT_IN.items():
-        robot = "".join(word.capitalize() for word in name.split("_"))
         for variant in entry.variants:
             gymnasium.register(
-                id=f"adr/Random{robot}{_SUFFIXES[variant]}-v0",
+                id=gymnasium_id(name, variant),
                 entry_point="adr_service.simulation.gym_env:RandomizedEnv",
                 max_episode_steps=entry.task.horizon,
                 kwargs={"task": name, "variant": variant},

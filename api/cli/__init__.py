@@ -20,6 +20,7 @@ from api.cli import (
     data,
     demo,
     doctor,
+    export,
     measure,
     render,
     results,
@@ -47,6 +48,7 @@ app = typer.Typer(
 for family in (serve, runs, results, data, measure, criticise, tune, render, robot, demo, doctor):
     app.add_typer(family.app)
 app.add_typer(archive.app, name="archive")
+app.add_typer(export.app, name="export")
 app.add_typer(criticise_bench.app, name="criticise-bench")
 app.add_typer(upkeep.app, name="db")
 

@@ -12,18 +12,21 @@ from api.cli.options import AsJson, Url
 from api.cli.terminal import console
 
 app = typer.Typer()
+_MINARI = "minari"
 
 
 @app.command()
 def upload(
-    file: Annotated[Path, typer.Argument(help="An .npz, or PREFIX of DROPO's PREFIX_*.npy.")],
+    file: Annotated[
+        str, typer.Argument(help="An .npz, PREFIX of DROPO's PREFIX_*.npy, or minari:NAME.")
+    ],
     task: Annotated[str, typer.Option(help="Task that was recorded: hopper, …")],
     url: Url = DEFAULT_URL,
     as_json: AsJson = False,
 ) -> None:
     """Store a recording of a real machine for later runs; print its id."""
     with connect(url) as client:
-        stored = client.upload(read_recording(file, task), task)
+        stored = client.upload(_read(file, task), task)
     if as_json:
         console.print_json(data=stored)
     else:
@@ -48,6 +51,17 @@ def _datasets_table(stored: list[Json]) -> Table:
         counts = (str(data["transitions"]), str(data["episodes"]), f"{data['dt']:g} s")
         table.add_row(data["id"], *counts, data["origin"])
     return table
+
+
+def _read(name: str, task_name: str) -> bytes:
+    """Return the `.npz` of a recording in a file or a local data set of Minari."""
+    kind, _, rest = name.partition(":")
+    if kind != _MINARI:
+        return read_recording(Path(name), task_name)
+    from adr_service.interchange.minari_datasets import from_minari
+    from adr_service.tasks.catalogue import get_task
+
+    return from_minari(rest, get_task(task_name)).to_npz()
 
 
 def read_recording(file: Path, task_name: str) -> bytes:

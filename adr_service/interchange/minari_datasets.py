@@ -1,0 +1,106 @@
+"""Recordings as Minari's data sets, and back.
+
+    to_minari(data, get_task("hopper"), "adr/hopper-v0")    # in the folder MINARI_DATASETS_PATH
+    data = from_minari("adr/hopper-v0", get_task("hopper"))
+
+A recording has no rewards, and a data set of Minari must have some: they are NaN. What Minari has
+no place for is in the metadata: `adr_columns`, with units, `adr_dt` [s] and `adr_origin`.
+"""
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from adr_service.errors import InvalidInput
+from adr_service.interchange.libraries import library
+from adr_service.simulation.batch import control_period
+from adr_service.tasks.base import Task
+from adr_service.transitions import TransitionDataset
+
+
+def to_minari(data: TransitionDataset, task: Task, name: str) -> Any:
+    """Store a recording of a task under a name of Minari, and return the `MinariDataset`.
+
+    Raises InvalidInput for a name that Minari refuses or has, for observations that are not the
+    task's, and for rows that do not follow one another.
+    """
+    minari, spaces = library("minari"), library("gymnasium").spaces
+    data.check_chained("a recording becomes a data set of Minari")
+    if data.observations.shape[1] != task.measured:
+        raise InvalidInput(
+            f"the recording has {data.observations.shape[1]} columns; {task.name} measures "
+            f"{task.measured}"
+        )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # authors and code are for publishing
+            stored = minari.create_dataset_from_buffers(
+                name,
+                [_buffer(episode) for episode in data.split()],
+                observation_space=spaces.Box(-np.inf, np.inf, (task.measured,), np.float64),
+                action_space=spaces.Box(task.action_low, task.action_high, dtype=np.float64),
+                algorithm_name="unknown",
+                description=data.origin,
+                data_format="arrow",
+            )
+    except ValueError as error:
+        raise InvalidInput(f"Minari refuses the name {name!r}: {error}") from error
+    stored.storage.update_metadata(
+        {"adr_columns": list(data.columns), "adr_dt": data.dt, "adr_origin": data.origin}
+    )
+    return stored
+
+
+def _buffer(episode: TransitionDataset) -> Any:
+    from minari.data_collector.episode_buffer import EpisodeBuffer
+
+    rows = len(episode)
+    return EpisodeBuffer(
+        observations=[*episode.observations, episode.next_observations[-1]],
+        actions=list(episode.actions),
+        rewards=[np.nan] * rows,
+        terminations=[False] * rows,
+        truncations=[False] * (rows - 1) + [True],
+    )
+
+
+def from_minari(name: str, task: Task) -> TransitionDataset:
+    """The transitions of a local data set of Minari, as recordings of a task.
+
+    Observations have the task's measured columns first, and rows its control period, unless the
+    metadata say otherwise. Raises InvalidInput for an absent data set, and for one that does not
+    fit.
+    """
+    minari = library("minari")
+    try:
+        stored = minari.load_dataset(name)
+        episodes = list(stored.iterate_episodes())
+        metadata: dict[str, Any] = stored.storage.metadata
+    except Exception as error:  # whatever Minari and its storages raise
+        raise InvalidInput(f"Minari cannot read {name!r}: {error}") from error
+    for episode in episodes:
+        _check(name, episode, task)
+    seen = [episode.observations[:, : task.measured] for episode in episodes]
+    lengths = [len(episode.actions) for episode in episodes]
+    return TransitionDataset(
+        observations=np.concatenate([each[:-1] for each in seen]),
+        actions=np.concatenate([episode.actions for episode in episodes]),
+        next_observations=np.concatenate([each[1:] for each in seen]),
+        episodes=np.repeat(np.arange(len(episodes)), lengths),
+        dt=float(metadata.get("adr_dt", control_period(task))),
+        columns=tuple(metadata.get("adr_columns", task.columns[: task.measured])),
+        origin=str(metadata.get("adr_origin", f"Minari: {name}")),
+    )
+
+
+def _check(name: str, episode: Any, task: Task) -> None:
+    """Raises InvalidInput unless an episode has a task's observations and actions."""
+    shapes = [np.shape(each) for each in (episode.observations, episode.actions)]
+    width = len(task.action_low)
+    (_, seen), (_, sent) = [shape if len(shape) == 2 else (0, 0) for shape in shapes]
+    if seen < task.measured or sent != width:
+        raise InvalidInput(
+            f"episode {episode.id} of {name!r} has observations {shapes[0]} and actions "
+            f"{shapes[1]}; {task.name} needs (T + 1, {task.measured} or more) and (T, {width})"
+        )

@@ -1,0 +1,105 @@
+"""`adr export`: policies, learning curves and recordings as files of other tools."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from adr_service.client import DEFAULT_URL, AdrClient, Json, connect
+from adr_service.errors import InvalidInput
+from api.cli.options import Id, Url
+from api.cli.terminal import console
+
+app = typer.Typer(
+    help="Write policies, learning curves and recordings for other tools.", no_args_is_help=True
+)
+Run = Annotated[str, typer.Argument(help="Id of a run.")]
+Folder = Annotated[Path, typer.Argument(help="The folder to write.")]
+
+
+@app.command()
+def onnx(
+    run: Run,
+    file: Annotated[Path, typer.Argument(help="The file to write, .onnx.")],
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Write a run's policy as ONNX, with the names of its columns."""
+    from adr_service.interchange.onnx_policies import to_onnx
+    from adr_service.tasks.catalogue import get_task
+    from adr_service.training.policy import Policy
+
+    with connect(url) as client:
+        spec, policy = _spec(client, run), Policy.from_bytes(client.policy(run))
+    file.write_bytes(to_onnx(policy, get_task(spec["task"]), {"run": run}))
+    console.print(str(file))
+
+
+@app.command("hugging-face")
+def hugging_face(run: Run, folder: Folder, url: Url = DEFAULT_URL) -> None:
+    """Write a run's policy as a folder for the Hugging Face Hub, with a model card."""
+    from adr_service.interchange.hugging_face import write_model_folder
+    from adr_service.tasks.catalogue import get_task
+    from adr_service.training.policy import Policy
+
+    with connect(url) as client:
+        spec, policy = _spec(client, run), Policy.from_bytes(client.policy(run))
+        rows = client.results(run)["rows"]
+    write_model_folder(folder, policy, get_task(spec["task"]), spec, rows)
+    console.print(str(folder))
+
+
+@app.command("rl-zoo")
+def rl_zoo(
+    run: Run,
+    logs: Annotated[Path, typer.Argument(help="The Zoo's folder of logs.")],
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Write a run's policy and its learning curve as a folder of RL Baselines3 Zoo."""
+    from adr_service.interchange.rl_zoo import write_zoo_folder
+    from adr_service.training.policy import Policy
+
+    with connect(url) as client:
+        spec, policy = _spec(client, run), Policy.from_bytes(client.policy(run))
+        curves = client.curves(run)
+    last = [point for point in curves if point["training"] == curves[-1]["training"]]
+    console.print(str(write_zoo_folder(logs, policy, spec["task"], spec["variant"], last)))
+
+
+@app.command()
+def tensorboard(id: Id, folder: Folder, url: Url = DEFAULT_URL) -> None:
+    """Write the learning curves of a run, or of all runs of a benchmark, for TensorBoard."""
+    from adr_service.interchange.tensorboard import write_events
+
+    with connect(url) as client:
+        runs = [run["id"] for run in client.get(id).get("runs", [{"id": id}])]
+        for run in runs:
+            write_events(folder / run, client.curves(run))
+    console.print(f"tensorboard --logdir {folder}")
+
+
+@app.command()
+def minari(
+    dataset: Annotated[str, typer.Argument(help="Id of an uploaded recording.")],
+    name: Annotated[str, typer.Argument(help="Name for Minari, as adr/hopper-v0.")],
+    task: Annotated[str, typer.Option(help="Task that was recorded: hopper, …")],
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Store an uploaded recording as a data set of Minari on this machine."""
+    from adr_service.interchange.minari_datasets import to_minari
+    from adr_service.tasks.catalogue import get_task
+    from adr_service.transitions import TransitionDataset
+
+    with connect(url) as client:
+        data = TransitionDataset.from_npz(client.recording(dataset))
+    to_minari(data, get_task(task), name)
+    console.print(f"minari show {name}")
+
+
+def _spec(client: AdrClient, run: str) -> Json:
+    """The spec of a run that has policies."""
+    if not run.startswith("run_"):
+        raise InvalidInput(f"{run} is no run, and has no single policy; adr list")
+    spec: Json = client.get(run)["spec"]
+    if spec["kind"] != "transfer":
+        raise InvalidInput(f"{run} is a {spec['kind']}, and has no policy")
+    return spec
