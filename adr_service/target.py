@@ -205,7 +205,7 @@ class Recording:
                 )
             data = data.first_episodes(asked.episodes)
         if spec.method.replay_from == "smoothed":
-            data.check_chained("states can be smoothed")
+            data.check_chained("smoothing")
         self.data = data.to_npz()
         self.rollouts, self.transitions = data.episode_count, len(data)
 

@@ -93,19 +93,19 @@ class TransitionDataset:
         ]
         return np.array(starts, dtype=np.int64)
 
-    def check_chained(self, possible: str) -> None:
-        """Raises InvalidInput unless each next observation is the observation of the next row.
+    def check_chained(self, purpose: str) -> None:
+        """Raise InvalidInput unless each next observation is the observation of the next row.
 
-        `possible` says what needs it, as "states can be smoothed".
+        The message names the purpose that needs it: "smoothing".
         """
         for episode in self.split():
             differ = np.any(episode.next_observations[:-1] != episode.observations[1:], axis=1)
             if differ.any():
                 row = int(np.argmax(differ))
                 raise InvalidInput(
-                    f"{possible} where each next observation is the observation of the row after; "
-                    f"in episode {int(episode.episodes[0])}, rows {row} and {row + 1} differ, as "
-                    "where next observations have noise of their own"
+                    f"{purpose} needs each next observation to be the observation of the row "
+                    f"after; in episode {int(episode.episodes[0])}, rows {row} and {row + 1} "
+                    "differ (next observations may have noise of their own)"
                 )
 
     def split(self) -> list["TransitionDataset"]:

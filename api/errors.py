@@ -27,6 +27,7 @@ _STATUS = {
     "database_in_use": 503,
     "database_gone": 503,
     "disk_full": 507,
+    "no_film": 503,
 }
 DEFECT = "the service has a defect; its log says more"
 _RETRY_AFTER_S = 5

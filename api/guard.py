@@ -33,7 +33,7 @@ _EVERY_ADDRESS = {"0.0.0.0", "::"}  # noqa: S104 - known, not used
 _HEADERS = {
     # pages have our own files and nothing from elsewhere; reports have styles inside
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; connect-src 'self'; "
-    "img-src 'self' data:; style-src 'self' 'unsafe-inline'; base-uri 'none'; "
+    "img-src 'self' data:; media-src 'self'; style-src 'self' 'unsafe-inline'; base-uri 'none'; "
     "form-action 'self'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "same-origin",  # without it, our own forms would have no origin

@@ -5,7 +5,7 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +14,7 @@ from fastapi import Depends, Request
 
 from adr_service.errors import AdrError, InvalidInput
 from adr_service.specs import AnyRun
+from api.filming import Films
 from api.settings import Settings
 from api.uploads import check_dataset
 from db import benchmarks as benchmark_store
@@ -40,6 +41,7 @@ class Service:
     settings: Settings
     database: Database
     orchestrator: Orchestrator
+    films: Films = field(default_factory=Films)
 
     def check_dataset(self, spec: AnyRun) -> None:
         """Refuse a run whose dataset is unknown, or not of its task."""

@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
@@ -35,7 +36,7 @@ def pages() -> dict[str, str]:
     return {
         "methods.md": methods_page(),
         "specs.md": specs_page(),
-        "rest.md": rest_page(create_app(Settings()).openapi()),
+        "rest.md": rest_page(create_app(Settings.model_construct()).openapi()),
         "command-line.md": command_line_page(),
     }
 
@@ -56,7 +57,9 @@ def methods_page() -> str:
     ]
     for module in dict.fromkeys(each.__module__ for each in known.values()):
         names = ", ".join(f"`{name}`" for name, each in known.items() if each.__module__ == module)
-        lines += [f"## {names}", inspect.cleandoc(sys.modules[module].__doc__ or "")]
+        text = inspect.cleandoc(sys.modules[module].__doc__ or "")
+        # a list needs an empty line before it, here but not on GitHub
+        lines += [f"## {names}", re.sub(r"(:\n)(?=- )", r"\1\n", text)]
     return "\n\n".join(lines) + "\n"
 
 

@@ -267,7 +267,8 @@ def exported_run(folder: Path) -> Names:
     task = get_task("hopper")
     layer = np.zeros((3, 11), dtype=np.float32), np.zeros(3, dtype=np.float32)
     point = {"training": 0, "steps": 100, "mean_return": 1.0, "standard_error": 0.1}
-    row = {"iteration": 0, "normalised_return": 0.5, "target_transitions": 0, "episodes": 50}
+    row = {"iteration": 0, "normalised_return": 0.5, "policies": 1}
+    row |= {"target_transitions": 0, "episodes": 50}
     budget = {"variant": "vanilla", "seed": 0, "iterations": 1, "transitions": 200}
     return {
         "policy": Policy((layer,), "tanh", task.action_low, task.action_high),

@@ -24,6 +24,7 @@ BLOCK = re.compile(r"(?:^|\n\n)((?:    .*\n?|\n(?=    ))+)")
 TABLES = {"adr_service.simulation.model", "adr_service.criticism.noise", "db.visits"}
 # these take a database's, a cluster's or an inner step's values: they are compiled and not run
 COMPILED = {
+    "api.filming",
     "api.report",
     "adr_service.interchange.minari_datasets",
     "adr_service.criticism.linear",

@@ -169,17 +169,15 @@ class AdrClient:
     def curves(self, run_id: str) -> Rows:
         """The learning curves of a run, a row for each evaluation of each training.
 
-        `training` counts from 0, `digest` names it, `steps` are of its environments, `mean_return`
-        and its `standard_error` are over episodes in simulation, `time` is when it was stored.
+        `training` counts from 0, in the order of first evaluations, and `digest` names it; `steps`
+        are of its environments, `mean_return` and its `standard_error` are over episodes in
+        simulation, `time` is when the point was stored.
         """
-        found = [
-            {"time": record["created_at"], **record["event"]}
-            for record in self.get_events(run_id)
-            if record["event"]["type"] == "training_evaluated"
-        ]
-        digests = list(dict.fromkeys(point["digest"] for point in found))
-        rows = ({"training": digests.index(point["digest"]), **point} for point in found)
-        return Rows(sorted(rows, key=lambda point: (point["training"], point["steps"])))
+        return Rows(
+            {"training": number, "digest": training["digest"], **point}
+            for number, training in enumerate(self.trainings(run_id))
+            for point in training["curve"]
+        )
 
     def policy_of_training(self, run_id: str, digest: str) -> bytes:
         """Policy of one of a run's trainings; while it goes on, the best so far."""
@@ -266,7 +264,9 @@ class AdrClient:
         with tqdm(bar_format="{l_bar}{bar}{postfix}", disable=not progress) as bar:
             for seen in self.watch(id):
                 runs = runs_of(seen)
-                bar.total, bar.n = len(runs), succeeded(runs)
+                if bar.total != len(runs):
+                    bar.reset(total=len(runs))  # a notebook's widget takes its width from it
+                bar.n = succeeded(runs)
                 bar.set_postfix_str(headline(seen))
         return seen
 

@@ -1,4 +1,4 @@
-"""What a run or a benchmark does now, in a line."""
+"""A line on the progress of a run or a benchmark."""
 
 from collections.abc import Iterable
 

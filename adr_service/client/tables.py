@@ -1,6 +1,6 @@
 """Answers of the service that are tables."""
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from adr_service.errors import UnknownName
 
@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     import pandas
 
 Json = dict[str, Any]
+Table = Literal["rows", "aggregates", "comparisons", "estimates", "costs"]
 
 
 class Rows(list[Json]):
@@ -25,7 +26,7 @@ class Results(Json):
 
     def to_pandas(
         self,
-        table: Literal["rows", "aggregates", "comparisons", "estimates", "costs"] = "rows",
+        table: Table = "rows",
     ) -> "pandas.DataFrame":
         """Return one of the tables as a frame.
 
@@ -37,6 +38,6 @@ class Results(Json):
 
         Raises UnknownName for another table.
         """
-        if table not in self:
-            raise UnknownName("table", table, self)
+        if table not in get_args(Table):
+            raise UnknownName("table", table, get_args(Table))
         return Rows(self[table]).to_pandas()

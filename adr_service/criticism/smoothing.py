@@ -88,7 +88,7 @@ def _nominal(task: Task, source: Source) -> Nominal:
 
 def measurement_of(task: Task, data: TransitionDataset) -> Measurement:
     """A recording as a measurement: one row for each state, the last with the command before."""
-    data.check_chained("states can be smoothed")
+    data.check_chained("smoothing")
     parts = data.split()
     states = task.state(np.concatenate([_readings(part) for part in parts]))
     lengths = [len(part) + 1 for part in parts]

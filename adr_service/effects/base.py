@@ -40,7 +40,10 @@ class Effect:
     # the constructor checks nothing, because a fit may try strengths that make no sense; a field of
     # a pydantic model checks its JSON
 
-    kind: Annotated[_Text, Field(description="one of docs/criticism.md")]
+    kind: Annotated[
+        _Text,
+        Field(description="mechanism, as joint_coulomb_friction; docs/criticism.md lists all"),
+    ]
     location: Annotated[_Text, Field(description="as joint:elbow, or global")]
     values: Annotated[
         tuple[_Number, ...],

@@ -1,4 +1,4 @@
-"""Files of other tools, a module each: what they hold is ours, what they look like is theirs.
+"""Converters to and from files of other tools, one module for each format.
 
-Each module needs the library of its format, which `pip install 'adr-service[interchange]'` brings.
+Each needs the library of its format, which `pip install 'adr-service[interchange]'` brings.
 """

@@ -15,6 +15,7 @@ from typing import Any
 from adr_service.errors import InvalidInput
 from adr_service.interchange.libraries import library
 from adr_service.interchange.onnx_policies import to_onnx
+from adr_service.methods.catalogue import methods
 from adr_service.tasks.base import Task
 from adr_service.training.policy import Policy
 
@@ -24,19 +25,17 @@ _TEXT = """---
 
 # {title}
 
-A policy for `{task}`, trained in simulation on dynamics that {method} inferred from data of the
-target (variant `{variant}`, seed {seed}, {iterations} iterations of {transitions} transitions at
-most).
+A policy for `{task}`, trained in simulation on {dynamics} (variant `{variant}`, seed {seed},
+{iterations} iterations of {transitions} transitions of the target at most).
 
 {scores}
 
-Return is the undiscounted return on the target, divided by the task's reward threshold,
-{threshold:g}. One seed has no interval: its episodes say nothing of other seeds.
 
 - `policy.onnx`: input `observation` (n, {observations}), output `action` (n, {actions}); its
   metadata name the columns.
 - `policy.safetensors`: the same network, for `adr_service.training.policy.Policy`.
-- `spec.json`: what was submitted, from which the ADR benchmark service computes the same policy.
+- `spec.json`: the run's spec, with its preset filled in. The ADR benchmark service computes the
+  same policy from it on the same type of CPU, if it has the recording that the run learned from.
 """
 
 
@@ -49,68 +48,90 @@ def write_model_folder(
 ) -> None:
     """Write the folder of a run's latest policy, new or empty.
 
-    `spec` is the run's, `rows` its results: a row for each iteration. Raises InvalidInput if
-    something is in the folder.
+    `spec` is the run's, `rows` its results: a row for each iteration, none for a run on a
+    recording. Raises InvalidInput if something is in the folder.
     """
     cards = library("huggingface_hub")
-    folder.mkdir(parents=True, exist_ok=True)
-    if any(folder.iterdir()):
-        raise InvalidInput(f"{folder} is not empty; name a new folder")
-    about = {"spec": json.dumps(spec)}
-    (folder / "policy.safetensors").write_bytes(policy.to_bytes())
-    (folder / "policy.onnx").write_bytes(to_onnx(policy, task, about))
-    (folder / "spec.json").write_text(json.dumps(spec, indent=1) + "\n")
-    method, title = spec["method"]["name"], f"{task.name}, {spec['method']['name']}"
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InvalidInput(f"{folder} is there already, and not empty; name a new folder")
+    spec_text = json.dumps(spec, indent=1) + "\n"
     text = _TEXT.format(
-        metadata=_metadata(cards, title, task, spec, rows).to_yaml(),
-        title=title,
+        metadata=_metadata(cards, task, spec, rows).to_yaml(),
+        title=_title(task, spec),
         task=task.name,
-        method=f"`{method}`",
+        dynamics=_dynamics(spec["method"]["name"]),
         variant=spec["variant"],
         seed=spec["seed"],
         iterations=spec["iterations"],
         transitions=spec["transitions"],
-        scores=_scores(rows),
-        threshold=task.reward_threshold,
+        scores=_scores(task, rows),
         observations=policy.layers[0][0].shape[1],
         actions=len(policy.action_low),
     )
-    cards.ModelCard(text).save(folder / "README.md")
+    files = {
+        "README.md": text.encode(),
+        "policy.safetensors": policy.to_bytes(),
+        "policy.onnx": to_onnx(policy, task, {"spec": json.dumps(spec)}),
+        "spec.json": spec_text.encode(),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+
+
+def _title(task: Task, spec: Mapping[str, Any]) -> str:
+    return f"{task.name}, {spec['method']['name']}"
+
+
+def _dynamics(method: str) -> str:
+    """What a method's policies are trained on, in words."""
+    known = methods()[method]
+    if known.needs_truth:
+        return "the target's own dynamics"
+    if known.learns_from == "nothing":
+        return f"dynamics that know nothing of the target (`{method}`)"
+    return f"dynamics that `{method}` inferred from data of the target"
 
 
 def _metadata(
-    cards: Any,
-    title: str,
-    task: Task,
-    spec: Mapping[str, Any],
-    rows: Sequence[Mapping[str, Any]],
+    cards: Any, task: Task, spec: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]
 ) -> Any:
+    """The Hub's metadata; the return stands there if it is of this policy alone."""
     results = [
         cards.EvalResult(
             task_type="reinforcement-learning",
             dataset_type=task.name,
             dataset_name=f"{task.name}, {spec['variant']}",
             metric_type="mean_reward",
-            metric_value=rows[-1]["normalised_return"] * task.reward_threshold,
+            metric_value=row["normalised_return"] * task.reward_threshold,
         )
-    ] * bool(rows)
+        for row in rows[-1:]
+        if row["policies"] == 1
+    ]
     return cards.ModelCardData(
         library_name="adr-benchmark-service",
         pipeline_tag="reinforcement-learning",
         tags=["reinforcement-learning", "domain-randomization", "sim-to-real", "mujoco", "onnx"],
-        model_name=title,
+        model_name=_title(task, spec),
         eval_results=results or None,
     )
 
 
-def _scores(rows: Sequence[Mapping[str, Any]]) -> str:
-    lines = [
-        "| iteration | return / threshold | target transitions | episodes |",
-        "|---|---|---|---|",
+def _scores(task: Task, rows: Sequence[Mapping[str, Any]]) -> str:
+    if not rows:
+        return "It was evaluated on no target: the run learned from a recording."
+    headings = "| iteration | return / threshold | policies | target transitions | episodes |"
+    lines = [headings, "|---|---|---|---|---|"]
+    lines += [
+        f"| {row['iteration']} | {row['normalised_return']:.3f} | {row['policies']} "
+        f"| {row['target_transitions']:.0f} | {row['episodes']} |"
+        for row in rows
     ]
     lines += [
-        f"| {row['iteration']} | {row['normalised_return']:.3f} | {row['target_transitions']:.0f} "
-        f"| {row['episodes']} |"
-        for row in rows
+        "",
+        "Return is the undiscounted return on the target, divided by the task's reward threshold, "
+        f"{task.reward_threshold:g}. One seed has no interval: its episodes say nothing of other "
+        "seeds. Where an iteration has several policies, the return is their mean, and this is the "
+        "first of them.",
     ]
     return "\n".join(lines)

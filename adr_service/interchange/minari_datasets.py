@@ -15,23 +15,22 @@ import numpy as np
 from adr_service.errors import InvalidInput
 from adr_service.interchange.libraries import library
 from adr_service.simulation.batch import control_period
+from adr_service.simulation.replay import check_recorded
 from adr_service.tasks.base import Task
 from adr_service.transitions import TransitionDataset
+
+_MOST_NUMBERS = 2**27  # 1 GB
 
 
 def to_minari(data: TransitionDataset, task: Task, name: str) -> Any:
     """Store a recording of a task under a name of Minari, and return the `MinariDataset`.
 
-    Raises InvalidInput for a name that Minari refuses or has, for observations that are not the
-    task's, and for rows that do not follow one another.
+    Raises InvalidInput for a name that Minari refuses or has, for data that are not of the task's
+    robot, and for rows that do not follow one another.
     """
     minari, spaces = library("minari"), library("gymnasium").spaces
-    data.check_chained("a recording becomes a data set of Minari")
-    if data.observations.shape[1] != task.measured:
-        raise InvalidInput(
-            f"the recording has {data.observations.shape[1]} columns; {task.name} measures "
-            f"{task.measured}"
-        )
+    check_recorded(task, data)
+    data.check_chained("a data set of Minari")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # authors and code are for publishing
@@ -74,9 +73,16 @@ def from_minari(name: str, task: Task) -> TransitionDataset:
     """
     minari = library("minari")
     try:
+        _check_spaces(name)
         stored = minari.load_dataset(name)
+        _check_size(name, stored)
         episodes = list(stored.iterate_episodes())
         metadata: dict[str, Any] = stored.storage.metadata
+        dt = float(metadata.get("adr_dt", control_period(task)))
+        columns = tuple(map(str, metadata.get("adr_columns", task.columns[: task.measured])))
+        origin = str(metadata.get("adr_origin", f"Minari: {name}"))
+    except InvalidInput:
+        raise
     except Exception as error:  # whatever Minari and its storages raise
         raise InvalidInput(f"Minari cannot read {name!r}: {error}") from error
     for episode in episodes:
@@ -88,18 +94,44 @@ def from_minari(name: str, task: Task) -> TransitionDataset:
         actions=np.concatenate([episode.actions for episode in episodes]),
         next_observations=np.concatenate([each[1:] for each in seen]),
         episodes=np.repeat(np.arange(len(episodes)), lengths),
-        dt=float(metadata.get("adr_dt", control_period(task))),
-        columns=tuple(metadata.get("adr_columns", task.columns[: task.measured])),
-        origin=str(metadata.get("adr_origin", f"Minari: {name}")),
+        dt=dt,
+        columns=columns,
+        origin=origin,
     )
 
 
+def _check_spaces(name: str) -> None:
+    """Raise InvalidInput unless the metadata have spaces.
+
+    Without them Minari makes the environment that the metadata name, and so runs any code.
+    """
+    from minari.dataset.minari_storage import MinariStorage
+    from minari.storage import get_dataset_path
+
+    metadata = MinariStorage.read_raw_metadata(get_dataset_path(name) / "data")
+    if missing := {"observation_space", "action_space"} - set(metadata):
+        raise InvalidInput(f"{name!r} has no {' and no '.join(sorted(missing))}")
+
+
+def _check_size(name: str, stored: Any) -> None:
+    """Raise InvalidInput unless steps are rows of numbers, and not too many."""
+    rows, spaces = int(stored.total_steps), (stored.observation_space, stored.action_space)
+    widths = [shape[0] for space in spaces if len(shape := space.shape or ()) == 1]
+    if not rows or len(widths) != len(spaces):
+        raise InvalidInput(
+            f"{name!r} has {rows} steps, with observations {spaces[0]} and actions {spaces[1]}; "
+            "needed are some steps, and a row of numbers for each"
+        )
+    if rows * sum(widths) > _MOST_NUMBERS:
+        raise InvalidInput(f"{name!r} has {rows:,} steps; accepted are {_MOST_NUMBERS:,} numbers")
+
+
 def _check(name: str, episode: Any, task: Task) -> None:
-    """Raises InvalidInput unless an episode has a task's observations and actions."""
+    """Raise InvalidInput unless an episode has a task's observations and actions."""
     shapes = [np.shape(each) for each in (episode.observations, episode.actions)]
     width = len(task.action_low)
-    (_, seen), (_, sent) = [shape if len(shape) == 2 else (0, 0) for shape in shapes]
-    if seen < task.measured or sent != width:
+    (states, seen), (steps, sent) = [shape if len(shape) == 2 else (0, 0) for shape in shapes]
+    if seen < task.measured or sent != width or states != steps + 1:
         raise InvalidInput(
             f"episode {episode.id} of {name!r} has observations {shapes[0]} and actions "
             f"{shapes[1]}; {task.name} needs (T + 1, {task.measured} or more) and (T, {width})"

@@ -27,8 +27,8 @@ def write_zoo_folder(
 ) -> Path:
     """Write the folder of the next number under `logs`, and return it.
 
-    `curve` has the `steps` and the `mean_return` of each evaluation. Raises InvalidInput for a
-    policy of bins, which SB3 has not.
+    `curve` has the environment `steps` and the undiscounted `mean_return` of each evaluation of
+    the policy's training. Raises InvalidInput for a policy of bins, which SB3 does not have.
     """
     if policy.squash not in _ALGORITHMS:
         raise InvalidInput("a policy of action bins has no counterpart in Stable-Baselines3")
@@ -43,14 +43,15 @@ def write_zoo_folder(
         timesteps=np.array([point["steps"] for point in curve], dtype=np.int64),
         results=np.array([[point["mean_return"]] for point in curve]),
     )
-    about = {"args.yml": {"algo": algorithm, "env": env}, "config.yml": {"policy": "MlpPolicy"}}
+    args = {"algo": algorithm, "env": env, "env_kwargs": None}
+    about = {"args.yml": args, "config.yml": {"policy": "MlpPolicy"}}
     for file, values in about.items():
         (folder / name / file).write_text(json.dumps(values) + "\n")  # JSON is YAML
     return folder
 
 
 def as_sb3(policy: Policy, task: str, variant: str) -> Any:
-    """A model of SB3 (SAC or PPO) that predicts the policy's actions."""
+    """A model of SB3 (SAC or PPO) that predicts the policy's actions, (n, a) from (n, s)."""
     from stable_baselines3 import PPO, SAC  # seconds
     from torch import nn
 
@@ -84,7 +85,7 @@ def _in_bounds(policy: Policy) -> Layer:
 
 
 def _load(modules: Sequence[Any], layers: Sequence[Layer]) -> None:
-    """Put weights into the linear modules among `modules`."""
+    """Put weights (out, in) and biases (out,) into the linear modules among `modules`."""
     import torch
 
     linear = [module for module in modules if isinstance(module, torch.nn.Linear)]

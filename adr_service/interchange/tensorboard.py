@@ -12,14 +12,21 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from adr_service.errors import InvalidInput
 from adr_service.interchange.libraries import library
 
 _SCALARS = {"eval/mean_reward": "mean_return", "eval/standard_error": "standard_error"}
 
 
 def write_events(folder: Path, curves: Sequence[Mapping[str, Any]]) -> None:
-    """Write points (`training`, `steps`, `mean_return`, `standard_error`) below a folder."""
+    """Write points (`training`, `steps`, `mean_return`, `standard_error`) into a new folder.
+
+    Returns are undiscounted, steps of the environments. Raises InvalidInput if the folder exists:
+    a second file beside the first would show every point twice.
+    """
     writers = library("tensorboardX")
+    if folder.exists():
+        raise InvalidInput(f"{folder} is there already; name another folder")
     for training in sorted({point["training"] for point in curves}):
         with writers.SummaryWriter(str(folder / f"training_{training}")) as writer:
             for point in curves:

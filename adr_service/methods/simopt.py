@@ -60,10 +60,10 @@ class _Settings(OnlineSettings):
         description="0: the covariance is that of the weighted samples; above 0 (guided policy "
         "search: 2), it keeps its shape and changes by the damped scale alone",
     )
-    min_temperature: float = Field(1e-3, gt=0, description="of the weights of samples")
+    min_temperature: float = Field(1e-3, gt=0, description="lowest temperature of an update")
     # SimuRLacra's discrepancy
-    l1_weight: float = Field(0.5, ge=0, description="of the L1 part of the discrepancy")
-    l2_weight: float = Field(1.0, ge=0, description="of its squared L2 part")
+    l1_weight: float = Field(0.5, ge=0, description="weight of the L1 norm in the discrepancy")
+    l2_weight: float = Field(1.0, ge=0, description="weight of the squared L2 norm in it")
     filter_std: float = Field(5.0, ge=0, description="Gaussian filter over time [steps]")
 
     def create(self) -> "SimOpt":

@@ -40,12 +40,17 @@ def compiled(xml: str) -> mujoco.MjModel:
 
 
 def action_names(xml: str) -> list[str]:
-    """The names of a model's actuators, or of their joints where they have none."""
+    """Names of a model's actuators: their own, else their joint's, else `actuator_<number>`."""
     model = compiled(xml)
-    return [
-        model.actuator(i).name or model.joint(model.actuator_trnid[i, 0]).name
-        for i in range(model.nu)
-    ]
+    return [_action_name(model, i) for i in range(model.nu)]
+
+
+def _action_name(model: mujoco.MjModel, actuator: int) -> str:
+    if name := model.actuator(actuator).name:
+        return name
+    if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT:
+        return model.joint(model.actuator_trnid[actuator, 0]).name
+    return f"actuator_{actuator}"
 
 
 @dataclass(frozen=True)

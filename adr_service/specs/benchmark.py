@@ -33,19 +33,19 @@ Members = Annotated[list[T], Field(max_length=MAX_RUNS)]
 class BenchmarkExtension(Wire):
     """Members to add to a benchmark."""
 
-    tasks: Members[TaskName] = Field([], description="to add")
-    variants: Members[Name] = Field([], description="to add")
-    methods: Members[NameOrSettings] = Field([], description="to add")
-    collectors: Members[Collector] = Field([], description="to add")
-    seeds: Members[Seed] = Field([], description="to add")
+    tasks: Members[TaskName] = Field([], description="tasks to add")
+    variants: Members[Name] = Field([], description="variants to add")
+    methods: Members[NameOrSettings] = Field([], description="methods to add, as in a benchmark")
+    collectors: Members[Collector] = Field([], description="collectors to add")
+    seeds: Members[Seed] = Field([], description="seeds to add")
 
 
 class BenchmarkSpec(Wire):
     """Tasks x variants x methods x seeds under one budget."""
 
-    tasks: Members[TaskName] = Field(min_length=1, description="each with every variant")
+    tasks: Members[TaskName] = Field(min_length=1, description="each runs in every variant")
     variants: Members[VariantName] = Field(
-        default=["vanilla"], min_length=1, description="each with every method"
+        default=["vanilla"], min_length=1, description="each runs with every method"
     )
     methods: Members[NameOrSettings] = Field(
         min_length=1, description="names, or settings with `name`"
@@ -54,7 +54,7 @@ class BenchmarkSpec(Wire):
         default=["simopt"], min_length=1, description="for offline methods; others run once"
     )
     seeds: Members[Seed] = Field(
-        default=[0, 1, 2], min_length=1, description="a run each; intervals need three"
+        default=[0, 1, 2], min_length=1, description="one run each; an interval needs three"
     )
     references: bool = Field(True, description="also run the prior and the oracle policy")
     preset: PresetName = "quick"

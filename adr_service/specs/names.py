@@ -60,7 +60,7 @@ PresetName = Annotated[
     AfterValidator(lambda name: _known("preset", name, PRESETS)),
     Field(description="what fills the fields that are not given"),
 ]
-Seed = Annotated[int, Field(ge=0, lt=2**31, description="of every random draw")]
+Seed = Annotated[int, Field(ge=0, lt=2**31, description="seed of every random draw")]
 Resolution = Annotated[float, Field(gt=0, le=1)]  # of beliefs, in [0, 4] coordinates
 NameOrSettings = Annotated[
     Annotated[Name, Tag("name")] | Annotated[AnyMethod, Tag("settings")],

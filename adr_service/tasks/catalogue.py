@@ -84,6 +84,16 @@ def first_like(task: str, variant: str) -> str:
     return next(name for name, other in variants_of(task).items() if other.source == source)
 
 
+def target_like(task: str, variant: str) -> str:
+    """The first variant whose simulator and noise are those of the variant's target."""
+    hidden = variant_of(task, variant).hidden
+    return next(
+        name
+        for name, other in variants_of(task).items()
+        if other.source == hidden.source and other.hidden.noise_variance == hidden.noise_variance
+    )
+
+
 def source_of(task: str, domain: str) -> Source:
     """The simulator that methods may use: the variant's source with the domain's effects."""
     variant, effects = parse_domain(domain)

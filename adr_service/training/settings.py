@@ -37,14 +37,21 @@ class _Settings(Wire):
     max_steps: int = Field(
         5_000_000, ge=100, le=10**10, description="environment steps, of all environments"
     )
-    environments: int = Field(12, ge=1, le=1024, description="that are stepped together")
+    environments: int = Field(
+        12, ge=1, le=1024, description="number of environments stepped together"
+    )
     hidden: Widths = Field([128, 128], description="units per hidden layer of the actor")
-    activation: Literal["relu", "tanh"] = Field("tanh", description="between hidden layers")
+    activation: Literal["relu", "tanh"] = Field(
+        "tanh", description="activation function between hidden layers"
+    )
     batch_size: int = Field(256, ge=1, le=65_536, description="transitions per update")
-    gamma: float = Field(0.99, gt=0, lt=1, description="discount of a step")
+    gamma: float = Field(0.99, gt=0, lt=1, description="discount factor per step")
     evaluate_every: int = Field(40_000, ge=100, le=10**9, description="environment steps")
     evaluation_episodes: int = Field(
-        50, ge=1, le=10_000, description="by which the best policy is chosen"
+        50,
+        ge=1,
+        le=10_000,
+        description="episodes of each evaluation, which chooses the best policy",
     )
     averaged_steps: int = Field(
         0,
@@ -129,7 +136,9 @@ class _OffPolicy(_Settings):
     gradient_steps: int = Field(
         1, ge=1, le=10_000, description="updates per step of all environments"
     )
-    buffer_size: int = Field(1_000_000, ge=1000, le=10**8, description="transitions kept")
+    buffer_size: int = Field(
+        1_000_000, ge=1000, le=10**8, description="transitions that the replay buffer holds"
+    )
     learning_starts: int = Field(
         100, ge=0, le=10**9, description="steps of uniformly random actions"
     )
@@ -165,7 +174,7 @@ class SacSettings(_OffPolicy):
     algorithm: Literal["sac"] = DEFAULT_ALGORITHM
     learning_rate: float | None = Field(None, gt=0, description="null: the task's own")
     tau: float = Field(
-        0.005, gt=0, le=1, description="share of a target network renewed per update"
+        0.005, gt=0, le=1, description="share of the target networks that an update replaces"
     )
 
     @property
@@ -183,13 +192,15 @@ class CrossQSettings(_Confirmed, _OffPolicy):
     update_seconds: ClassVar = {"sbx": (0.0012, 0.0015), "sb3": (0.0110, 0.0008)}
 
     algorithm: Literal["crossq"]
-    learning_rate: float = Field(0.001, gt=0, description="of Adam")
+    learning_rate: float = Field(0.001, gt=0, description="learning rate of Adam")
     learning_starts: int = Field(
         1000, ge=0, le=10**9, description="steps of uniformly random actions"
     )
     critic_hidden: Widths = Field([128, 128], description="units per hidden layer of the critics")
     policy_delay: int = Field(3, ge=1, le=100, description="critic updates per actor update")
-    activation: Literal["relu", "tanh"] = Field("relu", description="between hidden layers")
+    activation: Literal["relu", "tanh"] = Field(
+        "relu", description="activation function between hidden layers"
+    )
 
     def critic_weights(self, inputs: int) -> int:
         return inputs * self.critic_hidden[0] + _between(self.critic_hidden)
@@ -203,17 +214,23 @@ class PpoSettings(_Confirmed):
     sample_seconds: ClassVar[Mapping[str, float]] = {"sbx": 0.0000005, "sb3": 0.0000025}
 
     algorithm: Literal["ppo"]
-    environments: int = Field(32, ge=1, le=1024, description="that are stepped together")
+    environments: int = Field(
+        32, ge=1, le=1024, description="number of environments stepped together"
+    )
     hidden: Widths = Field([128, 128], description="units per hidden layer of the actor and critic")
     batch_size: int = Field(512, ge=2, le=65_536, description="transitions per update")
-    learning_rate: float = Field(0.0005, gt=0, description="of Adam")
+    learning_rate: float = Field(0.0005, gt=0, description="learning rate of Adam")
     learning_rate_schedule: Literal["constant", "linear"] = Field(
         "constant", description="linear: the rate falls to 0, which it reaches at max_steps"
     )
     rollout_steps: int = Field(128, ge=1, le=65_536, description="of each environment")
     epochs: int = Field(10, ge=1, le=1000, description="over the transitions of each rollout")
-    gae_lambda: float = Field(0.95, ge=0, le=1, description="of generalised advantage estimation")
-    clip_range: float = Field(0.2, gt=0, description="of the ratio of probabilities")
+    gae_lambda: float = Field(
+        0.95, ge=0, le=1, description="lambda of generalised advantage estimation"
+    )
+    clip_range: float = Field(
+        0.2, gt=0, description="range to which the ratio of probabilities is clipped"
+    )
     entropy_coefficient: float = Field(0.0, ge=0, description="weight of the entropy bonus")
     log_deviation: float = Field(
         0.0, ge=-10, le=2, description="initial log standard deviation of actions in [-1, 1]"

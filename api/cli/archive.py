@@ -10,6 +10,7 @@ import typer
 
 from adr_service.client import DEFAULT_URL, Json, check_benchmark, connect
 from adr_service.errors import AdrError, InvalidInput
+from api.cli.files import check_new
 from api.cli.options import AsJson, Url
 from api.cli.terminal import console
 
@@ -37,10 +38,7 @@ def export_(
 ) -> None:
     """Write a benchmark with all its results and policies to one file."""
     check_benchmark(benchmark, "an archive is")
-    if file.exists():
-        raise InvalidInput(f"{file} is there already; an export overwrites nothing")
-    if not file.parent.is_dir():
-        raise InvalidInput(f"there is no folder {file.parent} to write {file.name} into")
+    check_new(file)
     part = file.with_name(f"{file.name}.part")
     try:
         with connect(url) as client, part.open("wb") as written:

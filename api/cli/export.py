@@ -7,8 +7,8 @@ import typer
 
 from adr_service.client import DEFAULT_URL, AdrClient, Json, connect
 from adr_service.errors import InvalidInput
+from api.cli.files import check_new
 from api.cli.options import Id, Url
-from api.cli.terminal import console
 
 app = typer.Typer(
     help="Write policies, learning curves and recordings for other tools.", no_args_is_help=True
@@ -28,10 +28,11 @@ def onnx(
     from adr_service.tasks.catalogue import get_task
     from adr_service.training.policy import Policy
 
+    check_new(file)
     with connect(url) as client:
         spec, policy = _spec(client, run), Policy.from_bytes(client.policy(run))
     file.write_bytes(to_onnx(policy, get_task(spec["task"]), {"run": run}))
-    console.print(str(file))
+    typer.echo(file)
 
 
 @app.command("hugging-face")
@@ -45,7 +46,7 @@ def hugging_face(run: Run, folder: Folder, url: Url = DEFAULT_URL) -> None:
         spec, policy = _spec(client, run), Policy.from_bytes(client.policy(run))
         rows = client.results(run)["rows"]
     write_model_folder(folder, policy, get_task(spec["task"]), spec, rows)
-    console.print(str(folder))
+    typer.echo(folder)
 
 
 @app.command("rl-zoo")
@@ -59,10 +60,10 @@ def rl_zoo(
     from adr_service.training.policy import Policy
 
     with connect(url) as client:
-        spec, policy = _spec(client, run), Policy.from_bytes(client.policy(run))
-        curves = client.curves(run)
-    last = [point for point in curves if point["training"] == curves[-1]["training"]]
-    console.print(str(write_zoo_folder(logs, policy, spec["task"], spec["variant"], last)))
+        spec, content = _spec(client, run), client.policy(run)
+        curve = _curve_of(client, run, content)
+    policy = Policy.from_bytes(content)
+    typer.echo(write_zoo_folder(logs, policy, spec["task"], spec["variant"], curve))
 
 
 @app.command()
@@ -70,11 +71,16 @@ def tensorboard(id: Id, folder: Folder, url: Url = DEFAULT_URL) -> None:
     """Write the learning curves of a run, or of all runs of a benchmark, for TensorBoard."""
     from adr_service.interchange.tensorboard import write_events
 
+    if not id.startswith(("run_", "bench_")):
+        raise InvalidInput(f"learning curves are of a run or a benchmark; given {id}")
     with connect(url) as client:
         runs = [run["id"] for run in client.get(id).get("runs", [{"id": id}])]
-        for run in runs:
-            write_events(folder / run, client.curves(run))
-    console.print(f"tensorboard --logdir {folder}")
+        curves = {run: found for run in runs if (found := client.curves(run))}
+    if not curves:
+        raise InvalidInput(f"no training of {id} has been evaluated yet")
+    for run, found in curves.items():
+        write_events(folder / run, found)
+    typer.echo(f"tensorboard --logdir {folder}")
 
 
 @app.command()
@@ -92,7 +98,7 @@ def minari(
     with connect(url) as client:
         data = TransitionDataset.from_npz(client.recording(dataset))
     to_minari(data, get_task(task), name)
-    console.print(f"minari show {name}")
+    typer.echo(f"minari show {name}")
 
 
 def _spec(client: AdrClient, run: str) -> Json:
@@ -103,3 +109,11 @@ def _spec(client: AdrClient, run: str) -> Json:
     if spec["kind"] != "transfer":
         raise InvalidInput(f"{run} is a {spec['kind']}, and has no policy")
     return spec
+
+
+def _curve_of(client: AdrClient, run: str, policy: bytes) -> list[Json]:
+    """The learning curve of the training that made a run's policy."""
+    for training in reversed(client.trainings(run)):
+        if client.policy_of_training(run, training["digest"]) == policy:
+            return training["curve"]
+    raise InvalidInput(f"the training of {run}'s policy has no learning curve")

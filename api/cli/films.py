@@ -1,7 +1,9 @@
 """Films of policies and recordings in files."""
 
-from contextlib import closing
-from dataclasses import dataclass
+import json
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +13,16 @@ from adr_service.arrays import Vector
 from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import control_period
 from adr_service.simulation.gym_env import RandomizedEnv
-from adr_service.simulation.rendering import of_policy, of_recording, save, stride_of
+from adr_service.simulation.rendering import (
+    Picture,
+    beside,
+    of_policy,
+    of_recording,
+    save,
+    stride_of,
+)
 from adr_service.tasks.base import Task
-from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.tasks.catalogue import first_like, get_task, source_of, target_like, variant_of
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
 
@@ -27,19 +36,53 @@ class Scene:
     dynamics: dict[str, Any]
     steps: int | None  # at most; None: an episode's length
     seed: int
+    most_fps: float | None = None  # of an .mp4; None: a picture for every step
 
 
 def film_policy(scene: Scene, file: Path, out: Path) -> int:
     """Write a film of one episode; return the number of pictures."""
-    task, policy = get_task(scene.task), Policy.from_bytes(_read(file))
+    return _film(file, out, [scene])
+
+
+def film_beside_target(scene: Scene, file: Path, distribution: Path, out: Path) -> int:
+    """Write a film of an episode in the source beside one on the target.
+
+    The source has the mean of a run's training distribution, a file as `adr results --distribution`
+    writes it. Both episodes begin alike.
+    """
+    mean, target = _mean(distribution), target_like(scene.task, scene.variant)
+    known = variant_of(scene.task, scene.variant).source.space.names
+    # the oracle is trained on the target's own parameters
+    source = first_like(scene.task, scene.variant) if mean.keys() <= set(known) else target
+    left = replace(scene, variant=source, dynamics=mean)
+    return _film(file, out, [left, replace(scene, variant=target)])
+
+
+def _mean(distribution: Path) -> dict[str, Any]:
+    """Means of a distribution's parameters, by name; of the first, if there are several."""
+    try:
+        parameters = json.loads(_read(distribution))["parameters"]
+        return {each["name"]: each["mean"][0] for each in parameters}
+    except (ValueError, LookupError, TypeError) as error:
+        raise InvalidInput(f"{distribution} is no file of adr results --distribution") from error
+
+
+def _film(file: Path, out: Path, scenes: Sequence[Scene]) -> int:
+    """Write a film of a policy's episode in each scene, side by side."""
+    task, policy = get_task(scenes[0].task), Policy.from_bytes(_read(file))
     _check_policy(policy, task, file)
     period_s = control_period(task)
-    every = stride_of(out, period_s)
-    env = RandomizedEnv(scene.task, scene.variant, render_mode="rgb_array")
-    options, steps = {"dynamics": scene.dynamics}, scene.steps or task.horizon
-    pictures = of_policy(env, policy.act, steps, every=every, seed=scene.seed, options=options)
-    with closing(env):
-        return save(pictures, out, every * period_s)
+    every = stride_of(out, period_s, scenes[0].most_fps)
+    with ExitStack() as opened:
+        films: list[Iterable[Picture]] = []
+        for scene in scenes:
+            env = RandomizedEnv(scene.task, scene.variant, render_mode="rgb_array")
+            opened.enter_context(closing(env))
+            steps, options = scene.steps or task.horizon, {"dynamics": scene.dynamics}
+            films.append(
+                of_policy(env, policy.act, steps, every=every, seed=scene.seed, options=options)
+            )
+        return save(beside(*films) if len(films) > 1 else films[0], out, every * period_s)
 
 
 def _check_policy(policy: Policy, task: Task, file: Path) -> None:
@@ -59,7 +102,7 @@ def film_recording(scene: Scene, file: Path, episode: int, out: Path) -> int:
         raise InvalidInput(f"{file} has episodes 0 to {len(episodes) - 1}; given {episode}")
     dynamics, source = _dynamics(scene), source_of(task.name, scene.variant)
     period_s = control_period(task)
-    every = stride_of(out, period_s)
+    every = stride_of(out, period_s, scene.most_fps)
     shown = episodes[episode].first(scene.steps or task.horizon)
     return save(of_recording(task, source, dynamics, shown, every), out, every * period_s)
 

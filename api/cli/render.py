@@ -13,6 +13,13 @@ app = typer.Typer()
 
 Out = Annotated[Path, typer.Argument(help="The film to write, .gif or .mp4.")]
 Policy = Annotated[Path | None, typer.Option(help="Film an episode of this policy.")]
+Distribution = Annotated[
+    Path | None,
+    typer.Option(
+        help="With --policy: the source with the mean of this distribution, as `adr results "
+        "--distribution` writes it, beside the target."
+    ),
+]
 Data = Annotated[Path | None, typer.Option(help="Film a recorded episode (.npz) and its replay.")]
 Parameters = Annotated[
     list[str] | None,
@@ -25,20 +32,28 @@ def render(
     out: Out,
     task: Annotated[str, typer.Option(help="arm, hopper, half_cheetah, …")],
     policy: Policy = None,
+    distribution: Distribution = None,
     data: Data = None,
     variant: Annotated[str, typer.Option(help="vanilla, noisy or unmodeled.")] = "vanilla",
     setting: Parameters = None,
     episode: Annotated[int, typer.Option(help="Episode of the recording, from 0.")] = 0,
     steps: Annotated[int | None, typer.Option(help="Steps at most; default: all.", min=1)] = None,
     seed: Annotated[int, typer.Option(help="Seed of the initial state and the noise.")] = 0,
+    fps: Annotated[
+        float | None, typer.Option(help="Pictures a second of an .mp4, at most.", min=1)
+    ] = None,
 ) -> None:
     """Film a policy, or a recording beside its simulation; needs no service and no display."""
     from api.cli import films  # imports the simulator
 
     dynamics: dict[str, Any] = {}
     assign(dynamics, setting)
-    scene = films.Scene(task, variant, dynamics, steps, seed)
-    if policy is not None and data is None:
+    scene = films.Scene(task, variant, dynamics, steps, seed, fps)
+    if distribution is not None and (policy is None or setting):
+        raise InvalidInput("--distribution goes with --policy, and without --set")
+    if policy is not None and data is None and distribution is not None:
+        count = films.film_beside_target(scene, policy, distribution, out)
+    elif policy is not None and data is None:
         count = films.film_policy(scene, policy, out)
     elif data is not None and policy is None:
         count = films.film_recording(scene, data, episode, out)

@@ -11,6 +11,7 @@ from api.results import CostView, ResultsView, cost_of, outcomes_of, results_jso
 from api.routes.downloads import CSV, artifact_response, csv_response, figure_response
 from api.service import Service, ServiceDependency
 from db import runs as run_store
+from db import stages as stage_store
 from db.errors import NotFound
 
 router = APIRouter(prefix="/v1/runs", tags=["runs"])
@@ -105,6 +106,24 @@ def policy(run_id: str, service: ServiceDependency) -> Response:
         raise NotFound("evaluated policy of run", run_id)
     digest = outcomes[-1].iteration.policies[0]
     return artifact_response(service, digest, f"{run_id}.safetensors")
+
+
+@router.get("/{run_id}/film.mp4", response_class=Response)
+def film(run_id: str, service: ServiceDependency) -> Response:
+    """An episode of the latest policy in the mean of its training distribution.
+
+    Beside it is one on the target, where that is simulated. It takes seconds to a minute.
+    """
+    outcomes = _outcomes(service, run_id)
+    if not outcomes:
+        raise NotFound("evaluated policy of run", run_id)
+    latest = outcomes[-1]
+    digest = latest.iteration.policies[0]
+    policy = stage_store.artifact(service.database, digest)
+    if policy is None:
+        raise NotFound("artifact", digest)
+    about = distribution_view(latest).model_dump()
+    return Response(service.films.of(latest.spec, policy, about), media_type="video/mp4")
 
 
 def _outcomes(service: Service, run_id: str) -> list[Outcome]:

@@ -1,6 +1,7 @@
 """/v1/runs/{id}/trainings: the learning curves and policies of a run's trainings."""
 
 from collections.abc import Sequence
+from datetime import datetime
 
 from fastapi import APIRouter, Response
 from pydantic import BaseModel
@@ -17,23 +18,31 @@ from db.events import EventRecord
 router = APIRouter(prefix="/v1/runs", tags=["runs"])
 
 
+class CurvePoint(Evaluation):
+    """A point of a learning curve, and when it was stored."""
+
+    time: datetime
+
+
 class TrainingView(BaseModel):
     """A policy's training, finished or not."""
 
     digest: str
     is_finished: bool
-    curve: list[Evaluation]
+    curve: list[CurvePoint]
     links: dict[str, str]
 
 
 def training_views(run_id: str, records: Sequence[EventRecord]) -> list[TrainingView]:
     """Return the trainings of a run, in the order of their first evaluation."""
-    curves: dict[str, list[Evaluation]] = {}
+    curves: dict[str, list[CurvePoint]] = {}
     finished: set[str] = set()
-    for event in (record.event for record in records):
+    for record in records:
+        event = record.event
         if isinstance(event, TrainingEvaluated):
             point = event.model_dump(include=set(Evaluation.model_fields))
-            curves.setdefault(event.digest, []).append(Evaluation(**point))
+            stored = CurvePoint(**point, time=record.created_at)
+            curves.setdefault(event.digest, []).append(stored)
         elif isinstance(event, StageFinished):
             finished.add(event.digest)
     return [

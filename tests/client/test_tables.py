@@ -24,3 +24,5 @@ def test_results_have_a_frame_for_each_table():
     assert results.to_pandas("costs").empty
     with pytest.raises(UnknownName, match="nothing"):
         results.to_pandas("nothing")
+    with pytest.raises(UnknownName, match="note"):
+        results.to_pandas("note")

@@ -7,24 +7,30 @@ from huggingface_hub import ModelCard
 
 from adr_service.errors import InvalidInput
 from adr_service.interchange.hugging_face import write_model_folder
-from adr_service.training.policy import Policy
+from adr_service.interchange.onnx_policies import to_onnx
 
 ROWS = [
-    {"iteration": i, "normalised_return": 0.5 * i, "target_transitions": 200 * i, "episodes": 50}
+    {
+        "iteration": i,
+        "normalised_return": 0.5 * i,
+        "policies": 1,
+        "target_transitions": 200 * i,
+        "episodes": 50,
+    }
     for i in range(2)
 ]
+SPEC = {
+    "method": {"name": "dropo"},
+    "variant": "vanilla",
+    "seed": 3,
+    "iterations": 1,
+    "transitions": 200,
+}
 
 
 @pytest.fixture
 def folder(policy, task, tmp_path):
-    spec = {
-        "method": {"name": "dropo"},
-        "variant": "vanilla",
-        "seed": 3,
-        "iterations": 1,
-        "transitions": 200,
-    }
-    write_model_folder(tmp_path / "model", policy, task, spec, ROWS)
+    write_model_folder(tmp_path / "model", policy, task, SPEC, ROWS)
     return tmp_path / "model"
 
 
@@ -33,15 +39,32 @@ def test_the_card_has_the_hubs_metadata_and_the_return(folder, task):
     (result,) = card.data.eval_results
     assert result.metric_value == pytest.approx(0.5 * task.reward_threshold)
     assert card.data.pipeline_tag == "reinforcement-learning"
-    assert "| 1 | 0.500 | 200 | 50 |" in card.text
+    assert "| 1 | 0.500 | 1 | 200 | 50 |" in card.text
 
 
-def test_the_files_hold_the_same_policy(folder, policy):
-    assert Policy.from_bytes((folder / "policy.safetensors").read_bytes()) is not policy
+def test_the_files_hold_the_same_policy(folder, policy, task):
+    assert (folder / "policy.onnx").read_bytes() == to_onnx(
+        policy, task, {"spec": json.dumps(SPEC)}
+    )
     assert (folder / "policy.safetensors").read_bytes() == policy.to_bytes()
     assert json.loads((folder / "spec.json").read_text())["seed"] == 3
 
 
 def test_a_folder_with_something_in_it_is_refused(folder, policy, task):
-    with pytest.raises(InvalidInput, match="is not empty"):
-        write_model_folder(folder, policy, task, {}, ROWS)
+    with pytest.raises(InvalidInput, match="not empty; name a new folder"):
+        write_model_folder(folder, policy, task, SPEC, ROWS)
+
+
+def test_a_run_on_a_recording_has_no_return(policy, task, tmp_path):
+    write_model_folder(tmp_path / "model", policy, task, SPEC, [])
+    card = ModelCard.load(tmp_path / "model/README.md")
+    assert card.data.eval_results is None
+    assert "evaluated on no target" in card.text
+
+
+def test_a_mean_over_policies_is_not_given_as_the_return_of_one(policy, task, tmp_path):
+    spec = SPEC | {"method": {"name": "udr"}}
+    write_model_folder(tmp_path / "model", policy, task, spec, [ROWS[0] | {"policies": 10}])
+    card = ModelCard.load(tmp_path / "model/README.md")
+    assert card.data.eval_results is None
+    assert "know nothing of the target" in card.text

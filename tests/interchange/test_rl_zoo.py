@@ -34,6 +34,7 @@ def test_the_zoo_finds_environment_and_evaluations(policy, task, tmp_path):
     (args,) = first.glob("*/args.yml")
     about = yaml.safe_load(args.read_text())
     assert about["env"].startswith("adr/Random")
+    assert about["env_kwargs"] is None  # `enjoy` reads it
     assert about["env"].replace("/", "-") == args.parent.name == first.name[:-2]
     assert first.parent.name == about["algo"]
     evaluations = np.load(first / "evaluations.npz")

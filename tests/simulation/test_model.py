@@ -7,6 +7,7 @@ import pytest
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.simulation.model import (
     FIELDS,
+    action_names,
     addresses_of,
     compiled,
     differs,
@@ -118,3 +119,12 @@ def test_a_model_is_compiled_once_and_a_broken_one_is_explained():
     assert compiled(XML) is compiled(XML)
     with pytest.raises(InvalidInput, match="MuJoCo cannot compile the model"):
         compiled("<mujoco><nothing/></mujoco>")
+
+
+def test_actions_have_the_names_of_actuators_or_of_their_joints():
+    xml = """<mujoco><worldbody><body><joint name="hinge"/><geom size=".1"/>
+      <site name="tip"/></body></worldbody>
+      <actuator><motor joint="hinge"/><motor name="push" joint="hinge"/>
+      <general site="tip" gear="1 0 0 0 0 0"/></actuator></mujoco>"""
+    assert action_names(xml) == ["hinge", "push", "actuator_2"]
+    assert action_names(get_task("hopper").xml) == ["thigh", "leg", "foot"]

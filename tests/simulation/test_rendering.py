@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from adr_service.simulation.model import compiled
-from adr_service.simulation.rendering import Camera, of_policy, of_recording, save, stride_of
+from adr_service.simulation.rendering import (
+    Camera,
+    beside,
+    of_policy,
+    of_recording,
+    save,
+    stride_of,
+)
 from adr_service.tasks.catalogue import BUILT_IN, get_task, hidden_of
 from tests.drawing import drawing
 from tests.recordings import recording
@@ -82,3 +89,13 @@ class TestDrawing:
 def test_a_gif_leaves_out_pictures_until_hundredths_of_seconds_fit(tmp_path, period_s, stride):
     assert stride_of(tmp_path / "film.gif", period_s) == stride
     assert stride_of(tmp_path / "film.mp4", period_s) == 1
+    every = stride_of(tmp_path / "film.mp4", period_s, most_fps=25)
+    assert 1 / 25 <= every * period_s < 1 / 25 + period_s
+
+
+def test_of_two_films_the_shorter_one_shows_its_last_picture_until_the_other_ends():
+    short = [np.full((2, 3, 3), value, np.uint8) for value in (1, 2)]
+    long = [np.full((2, 3, 3), value, np.uint8) for value in (7, 8, 9)]
+    both = list(beside(short, long))
+    assert [(int(p[0, 0, 0]), int(p[0, -1, 0])) for p in both] == [(1, 7), (2, 8), (2, 9)]
+    assert both[0].shape == (2, 6, 3)

@@ -1,0 +1,67 @@
+"""Films of runs' policies."""
+
+import threading
+
+import imageio_ffmpeg
+import pytest
+
+from adr_service.errors import InvalidInput
+from adr_service.specs import RunSpec
+from api.filming import Films, NoFilm
+from tests.recordings import recording
+
+SPEC = {"task": "arm", "method": "simopt", "preset": "smoke"}
+FRICTION = {"kind": "joint_coulomb_friction", "location": "joint:elbow", "values": [0.1]}
+
+
+def test_a_run_with_effects_beyond_the_tasks_simulator_has_no_film():
+    for more in (
+        {"extension": [FRICTION]},
+        {"target": {"kind": "simulated", "effects": [FRICTION]}},
+    ):
+        with pytest.raises(InvalidInput, match="effects beyond it"):
+            Films().of(RunSpec.model_validate({**SPEC, **more}), b"", {})
+
+
+def test_one_film_is_made_at_a_time(monkeypatch):
+    begun, may_end = threading.Event(), threading.Event()
+
+    def slowly(*_):
+        begun.set()
+        assert may_end.wait(30)
+        return b"a film"
+
+    monkeypatch.setattr("api.filming._film", slowly)
+    films, spec = Films(), RunSpec.model_validate(SPEC)
+    first = threading.Thread(target=films.of, args=(spec, b"one", {}))
+    first.start()
+    assert begun.wait(30)
+    with pytest.raises(NoFilm, match="ask again"):
+        films.of(spec, b"another", {})
+    may_end.set()
+    first.join(30)
+    assert films.of(spec, b"one", {}) == b"a film"  # it was kept
+
+
+def test_what_cannot_be_drawn_is_refused_with_the_reason():
+    with pytest.raises(InvalidInput, match="not the bytes of a policy"):
+        Films().of(RunSpec.model_validate(SPEC), b"nonsense", {"parameters": []})
+
+
+@pytest.mark.slow
+@pytest.mark.ray
+@pytest.mark.parametrize("target", ["simulated", "recorded"])
+def test_the_latest_policy_is_filmed_beside_the_target_if_that_is_simulated(
+    service, target, tmp_path
+):
+    spec = SPEC | {"method": "dropo"}
+    if target == "recorded":
+        dataset = service.client.upload(recording("arm", 30).to_npz(), "arm")["id"]
+        spec["target"] = {"kind": "recorded", "dataset": dataset}
+    run = service.client.submit_run(spec)
+    assert service.client.wait(run["id"], progress=False)["state"] == "succeeded"
+    file = tmp_path / "film.mp4"
+    file.write_bytes(service.client.content(f"/v1/runs/{run['id']}/film.mp4"))
+    about = imageio_ffmpeg.read_frames(file)
+    assert next(about)["size"][0] == {"simulated": 960, "recorded": 480}[target]
+    about.close()
