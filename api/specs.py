@@ -21,13 +21,17 @@ def read_spec(file: Path) -> dict[str, Any]:
 
 def read_effects(file: Path) -> list[dict[str, Any]]:
     """Return the effects in `effects.json` of a criticism, as a spec's `extension` takes them."""
-    content = read_spec(file)
+    return effects_of(read_spec(file), str(file))
+
+
+def effects_of(content: dict[str, Any], name: str) -> list[dict[str, Any]]:
+    """Return the effects in the content of an `effects.json`; errors call it `name`."""
     effects: Any = content.get("effects")
     version = content.get("version")
     is_list = isinstance(effects, list) and all(isinstance(each, dict) for each in effects)
     if version != 1 or not is_list:
         raise InvalidInput(
-            f"{file} is no list of effects, version 1; give effects.json of `adr criticise`"
+            f"{name} is no list of effects, version 1; give effects.json of `adr criticise`"
         )
     return [{k: v for k, v in effect.items() if k != "in_mjcf"} for effect in effects]
 

@@ -1,15 +1,19 @@
 """The page of one run."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Form, Request, Response
 from fastapi.responses import RedirectResponse
+from pydantic import BaseModel, ValidationError
 
 from adr_service.benchmark.comparison import estimates, table
 from adr_service.benchmark.cost import Execution
 from adr_service.benchmark.figures import FIGURES, drawable
-from adr_service.errors import remedy_of
+from adr_service.criticism.verdict import interval_text
+from adr_service.errors import InvalidInput, remedy_of
 from adr_service.events import (
     CriticismFinished,
     IterationFinished,
@@ -18,16 +22,22 @@ from adr_service.events import (
     StageFinished,
     TrainingEvaluated,
 )
-from adr_service.specs import CriticismSpec
+from adr_service.methods.catalogue import methods
+from adr_service.presets import PRESETS
+from adr_service.specs import CriticismSpec, RunSpec
 from api.durations import in_words
 from api.page.names import title_of
 from api.page.rendering import SEE_OTHER, show
 from api.results import outcomes_of
+from api.routes import criticisms
 from api.routes import runs as routes
 from api.routes.criticisms import criticism_view
+from api.routes.submissions import start_run
 from api.routes.target_tasks import task_view
 from api.routes.trainings import training_views
 from api.service import ServiceDependency
+from api.specs import effects_of
+from api.verdicts import told
 from api.views import run_view
 from db import events as event_store
 from db import runs as run_store
@@ -84,6 +94,10 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
         remedy=None if record.error_code is None else remedy_of(record.error_code),
         waiting=[task_view(visit) for visit in visits if visit.state in OPEN_VISIT],
         verdict=criticism.verdict if criticism else None,
+        told=told(criticism.verdict) if criticism and criticism.verdict else [],
+        interval_text=interval_text,
+        methods=[name for name, each in methods().items() if not each.is_reference],
+        presets=list(PRESETS),
         files={n: a for n, a in criticism.links.items() if "." in n} if criticism else {},
         rows=table(outcomes),
         figures=drawable(outcomes),
@@ -148,6 +162,29 @@ def timeline(executions: Sequence[tuple[str, Execution]], since: float) -> Timel
         for kind, e in shown
     ]
     return Timeline(bars, in_words(span / 3600), len(ordered) - len(shown))
+
+
+class Training(BaseModel):
+    """The fields of the form that trains on an extended simulator."""
+
+    method: str
+    preset: str
+    seed: int
+
+
+@router.post("/runs/{run_id}/train")
+def train(run_id: str, service: ServiceDependency, given: Annotated[Training, Form()]) -> Response:
+    """Submit a run whose source is extended by the effects that a criticism has named."""
+    spec = run_store.get_run(service.database, run_id).spec
+    effects = json.loads(bytes(criticisms.file(run_id, "effects.json", service).body))
+    named: dict[str, Any] = {"extension": effects_of(effects, "effects.json")}
+    try:
+        extended = RunSpec.model_validate(
+            {"task": spec.task, "variant": spec.variant, **named, **given.model_dump()}
+        )
+    except ValidationError as error:
+        raise InvalidInput("; ".join(each["msg"] for each in error.errors())) from error
+    return RedirectResponse(f"/runs/{start_run(service, extended, None).id}", SEE_OTHER)
 
 
 @router.post("/runs/{run_id}/cancel")

@@ -112,6 +112,13 @@ def test_a_criticism_from_upload_to_report(opened, tmp_path):
     page.get_by_label("Measurement").set_input_files(path)
     page.get_by_role("button", name="Criticise").click()
     expect(page.locator("h2", has_text="Verdict")).to_be_visible(timeout=240_000)
+    expect(page.get_by_role("cell", name=hidden.effects[0].kind)).to_be_visible()
+    criticism = page.url
+    page.get_by_label("Train on the extended simulator by").select_option("udr")
+    page.get_by_label("preset").select_option("smoke")
+    page.get_by_role("button", name="Submit the run").click()
+    expect(page.locator("#live")).to_contain_text("succeeded", timeout=120_000)
+    page.goto(criticism)
     page.get_by_role("link", name="report.html").click()
     expect(page.locator("svg").first).to_be_visible()
 
