@@ -1,5 +1,6 @@
 """Write the pages of docs/reference that say what the code says: `python docs/generate.py`."""
 
+import html
 import inspect
 import json
 import re
@@ -191,7 +192,7 @@ def command_line_page() -> str:
     """The help of every command."""
     command = [sys.executable, "-m", "typer", "api.cli", "utils", "docs", "--name", "adr"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
-    heading, _, rest = done.stdout.partition("\n")
+    heading, _, rest = html.unescape(done.stdout).partition("\n")
     return f"{heading.replace('`adr`', 'Command line')}\n\n{_GENERATED}{rest.rstrip()}\n"
 
 

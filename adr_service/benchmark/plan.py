@@ -45,8 +45,9 @@ class Plan:
     hours: float | None  # on these cores, with waiting for each other; None without cores
     policies_mb: float
     basis: str = (
-        "estimate, if every training uses all its steps; simulation speed measured on this "
-        "machine a moment ago, gradient steps as measured on one server core"
+        "estimate, if every training uses all its steps, without the start of processes and "
+        "compilation; simulation speed measured on this machine a moment ago, gradient steps as "
+        "measured on one server core"
     )
 
 

@@ -25,6 +25,11 @@ class Conclusion(StrEnum):
     UNKNOWN = "unknown"  # something is missing that is not in the catalogue
 
 
+def quantity_text(value: float, unit: str) -> str:
+    """A value with its unit; "1" is none."""
+    return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
+
+
 def interval_text(low: float | None, high: float | None) -> str:
     """An interval with as many digits as its ends need to differ; None: unbounded."""
     if high is None:

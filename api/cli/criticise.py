@@ -9,7 +9,7 @@ import typer
 from adr_service.client import DEFAULT_URL, AdrClient, connect
 from adr_service.errors import InvalidInput
 from api.cli.follow import follow
-from api.cli.options import Url
+from api.cli.options import AsJson, Url
 from api.cli.steps import progress_on
 from api.cli.terminal import console, errors
 from api.cli.verdict_table import verdict_table
@@ -75,6 +75,7 @@ def criticise(
     reach: Reach = None,
     start: Start = None,
     url: Url = DEFAULT_URL,
+    as_json: AsJson = False,
 ) -> None:
     """Name what a simulator gets wrong, given measured data; with --data, without a service."""
     if (not data) == (dataset is None):
@@ -86,7 +87,7 @@ def criticise(
     if data:
         given = (task, variant, model, free or [])
         planned = _Planned(next_, limit or [], reach or [], start or []) if next_ else None
-        _criticise_here(data, out, given, seed, planned)
+        _criticise_here(data, out, given, seed, planned, as_json)
         return
     if next_ is not None:
         raise InvalidInput("--next goes with --data")
@@ -94,7 +95,7 @@ def criticise(
         raise InvalidInput("--dataset goes with --task; the service takes no --model or --free")
     spec = {"task": task, "variant": variant or "vanilla", "dataset": dataset, "seed": seed}
     with connect(url) as client:
-        _follow_criticism(client, client.submit_criticism(spec)["run"]["id"], out)
+        _follow_criticism(client, client.submit_criticism(spec)["run"]["id"], out, as_json)
 
 
 def _criticise_here(
@@ -103,6 +104,7 @@ def _criticise_here(
     given: tuple[str | None, str | None, Path | None, list[str]],
     seed: int,
     planned: _Planned | None,
+    as_json: bool,
 ) -> None:
     """Criticise in this process; `given` is task, variant, model and free parameters."""
     from api.cli import criticism_files  # imports the simulator
@@ -115,22 +117,27 @@ def _criticise_here(
         start = criticism_files.start_of(planned.start, nominal)
     with progress_on(errors) as progress:
         criticism = criticism_files.criticise_files(nominal, name, data, out, seed, progress)
-    console.print(verdict_table(criticism.verdict.to_json()))
+    verdict, told = criticism.verdict.to_json(), errors if as_json else console
+    if as_json:
+        console.print_json(data=verdict)
+    else:
+        console.print(verdict_table(verdict))
     files = criticism_files.FILES[: 4 if criticism.extension else 2]
-    console.print(f"{out}: {', '.join(files)}")
+    told.print(f"{out}: {', '.join(files)}")
     if planned is not None:
-        with console.status("planning"):
+        with told.status("planning"):
             lines = criticism_files.plan_file(criticism, planned.file, limits, allowed, start, seed)
-        console.print("\n".join(lines), highlight=False)
+        told.print("\n".join(lines), highlight=False)
 
 
-def _follow_criticism(client: AdrClient, id: str, out: Path) -> None:
+def _follow_criticism(client: AdrClient, id: str, out: Path, as_json: bool) -> None:
     """Follow a criticism to its end, and write its files."""
     from api.cli import criticism_files  # imports the simulator
 
-    console.print(id, highlight=False)
-    follow(client, id)
+    told = errors if as_json else console
+    told.print(id, highlight=False)
+    follow(client, id, as_json)
     links = client.criticism(id)["links"]
     names = [name for name in criticism_files.FILES if name in links]
     criticism_files.write(out, {name: client.criticism_file(id, name) for name in names})
-    console.print(f"{out}: {', '.join(names)}")
+    told.print(f"{out}: {', '.join(names)}")

@@ -7,10 +7,11 @@ import typer
 from rich.console import Console
 
 from adr_service.client import AdrClient, Json
+from api.cli.options import AsJson
 from api.cli.own_service import free_port, own_service
 from api.cli.progress import live
 from api.cli.tables import results_table
-from api.cli.terminal import console
+from api.cli.terminal import console, errors
 
 app = typer.Typer()
 BENCHMARK = {
@@ -30,13 +31,18 @@ _STORY = (
 def demo(
     data_dir: Annotated[Path, typer.Option(help="Folder for results.")] = Path("data/demo"),
     port: Annotated[int, typer.Option(help="0: any free port.")] = 0,
+    as_json: AsJson = False,
 ) -> None:
     """Run a small benchmark from nothing to its figures, in minutes."""
-    raise typer.Exit(0 if show(console, data_dir, port or free_port()) else 1)
+    shown = errors if as_json else console
+    results = show(shown, data_dir, port or free_port())
+    if as_json and results is not None:
+        console.print_json(data=results)
+    raise typer.Exit(0 if results is not None else 1)
 
 
-def show(output: Console, data_dir: Path, port: int) -> bool:
-    """Run `BENCHMARK` over REST on a service of its own; True if all runs succeeded."""
+def show(output: Console, data_dir: Path, port: int) -> Json | None:
+    """Run `BENCHMARK` over REST on a service of its own; its results if all runs succeeded."""
     output.print(f"Starting the service on http://127.0.0.1:{port} (data in {data_dir}) …")
     with own_service(data_dir, port) as client:
         benchmark = client.submit_benchmark(BENCHMARK)
@@ -44,15 +50,16 @@ def show(output: Console, data_dir: Path, port: int) -> bool:
         output.print(f"Watch it in a browser: {client.url}{page}")
         output.print(_STORY)
         final = live(output, client, benchmark["id"])
-        output.print(results_table(client.results(benchmark["id"])))
+        results = client.results(benchmark["id"])
+        output.print(results_table(results))
         if not _all_succeeded(output, final):
-            return False
+            return None
         _write_files(output, client, benchmark["id"], data_dir)
     output.print(
         f"The results stay in {data_dir}. To look at them again: adr serve --data-dir {data_dir}, "
         f"then http://127.0.0.1:8000{page}"
     )
-    return True
+    return results
 
 
 def _all_succeeded(output: Console, final: Json) -> bool:

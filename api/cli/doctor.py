@@ -6,7 +6,7 @@ import resource
 import shutil
 import sys
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import typer
@@ -15,7 +15,7 @@ from rich.markup import escape
 
 from adr_service.client import DEFAULT_URL, Refused, Unreachable, connect
 from adr_service.errors import InvalidInput
-from api.cli.options import Url
+from api.cli.options import AsJson, Url
 from api.cli.terminal import console
 from api.settings import Settings, read_settings
 
@@ -32,11 +32,21 @@ class Check:
     text: str
     is_needed: bool = True  # else the service works without it
 
+    @property
+    def is_fine(self) -> bool:
+        return self.is_good or not self.is_needed
+
 
 @app.command()
-def doctor(url: Url = DEFAULT_URL) -> None:
+def doctor(url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
     """Check what the service needs on this machine."""
-    raise typer.Exit(0 if report(console, checks(url)) else 1)
+    if as_json:
+        found = list(checks(url))
+        console.print_json(data=[asdict(check) for check in found])
+        is_fit = all(check.is_fine for check in found)
+    else:
+        is_fit = report(console, checks(url))
+    raise typer.Exit(0 if is_fit else 1)
 
 
 def report(output: Console, results: Iterable[Check]) -> bool:
@@ -44,7 +54,7 @@ def report(output: Console, results: Iterable[Check]) -> bool:
     is_fit = True
     for check in results:
         output.print(f"{_mark(check)} {escape(check.text)}", highlight=False)
-        is_fit = is_fit and (check.is_good or not check.is_needed)
+        is_fit = is_fit and check.is_fine
     return is_fit
 
 

@@ -87,8 +87,12 @@ def comparisons_table(results: Json) -> RenderableType:
     for pair in results["comparisons"]:
         names = (pair["task"], pair["variant"], pair["method"], pair["other"])
         difference = f"{pair['difference']:+.2f}", _interval(pair, "difference_")
-        table.add_row(*names, *difference, f"{pair['probability']:.2f}", str(pair["seeds"]))
-    note = "after each method's last iteration, seed by seed; ties count half"
+        probability = "–" if pair["low"] is None else f"{pair['probability']:.2f}"
+        table.add_row(*names, *difference, probability, str(pair["seeds"]))
+    note = (
+        "after each method's last iteration, seed by seed; ties count half; fewer than three "
+        "seeds tell nothing"
+    )
     return Group(table, Text(note, style="dim"))
 
 

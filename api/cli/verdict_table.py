@@ -6,7 +6,7 @@ from rich.table import Table
 from rich.text import Text
 
 from adr_service.client import Json
-from adr_service.criticism.verdict import interval_text
+from adr_service.criticism.verdict import interval_text, quantity_text
 from api.verdicts import told
 
 
@@ -37,7 +37,7 @@ def _add_cause(table: Table, prefix: str, cause: Json) -> None:
     for strength, estimate in cause["parameters"].items():
         table.add_row(
             *map(escape, (prefix + cause["kind"], cause["location"], strength)),
-            escape(f"{estimate['value']:.4g} {estimate['unit']}"),
+            escape(quantity_text(estimate["value"], estimate["unit"])),
             escape(interval_text(estimate["low"], estimate["high"])),
             f"{cause['gain_nats']:.0f}",
         )

@@ -72,7 +72,7 @@ def _tables(
     return {
         "rows": rows,
         "final": final,
-        "best": _best(final),
+        "best": best_of(final),
         "aggregates": sorted(aggregates, key=lambda each: -each["interquartile_mean"]),
         "matrices": matrices,
         "claims": claims,
@@ -92,12 +92,21 @@ def last_iterations(rows: Sequence[Json]) -> list[Json]:
     )
 
 
-def _best(final: Sequence[Json]) -> list[Json]:
-    """The best row of each task's variant, references left out."""
+def best_of(final: Sequence[Json]) -> list[Json]:
+    """The best row of each task's variant, of those that can be compared.
+
+    These are methods with an interval that have reached the last iteration; not the references.
+    """
+    last: dict[tuple[str, str], int] = {}
+    for row in final:
+        place = (row["task"], row["variant"])
+        last[place] = max(row["iteration"], last.get(place, 0))
     best: dict[tuple[str, str], Json] = {}
     for row in final:
-        if not methods()[row["method"]].is_reference:
-            best.setdefault((row["task"], row["variant"]), row)
+        place, method = (row["task"], row["variant"]), methods()[row["method"]]
+        has_ended = method.is_level or row["iteration"] == last[place]
+        if has_ended and row["low"] is not None and not method.is_reference:
+            best.setdefault(place, row)
     return list(best.values())
 
 

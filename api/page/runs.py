@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from adr_service.benchmark.comparison import estimates, table
 from adr_service.benchmark.cost import Execution
 from adr_service.benchmark.figures import FIGURES, drawable
-from adr_service.criticism.verdict import interval_text
+from adr_service.criticism.verdict import interval_text, quantity_text
 from adr_service.errors import InvalidInput, remedy_of
 from adr_service.events import (
     CriticismFinished,
@@ -96,6 +96,7 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
         verdict=criticism.verdict if criticism else None,
         told=told(criticism.verdict) if criticism and criticism.verdict else [],
         interval_text=interval_text,
+        quantity_text=quantity_text,
         methods=[name for name, each in methods().items() if not each.is_reference],
         presets=list(PRESETS),
         files={n: a for n, a in criticism.links.items() if "." in n} if criticism else {},

@@ -1,6 +1,7 @@
 """The checks of a machine."""
 
 import io
+import json
 
 import pytest
 from rich.console import Console
@@ -45,3 +46,10 @@ def test_a_service_is_looked_for_where_the_other_commands_do(adr, service):
     status, text = adr("doctor")
     assert status == 0
     assert f"a service answers at {service.client.url}" in text
+
+
+def test_as_json_a_program_can_read_every_check(adr_here):
+    status, out, _ = adr_here("doctor", "--json", "--url", "http://127.0.0.1:9")
+    found = json.loads(out)
+    assert {"is_good", "text", "is_needed"} == set(found[0])
+    assert status == (0 if all(each["is_good"] or not each["is_needed"] for each in found) else 1)

@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from api.page.benchmarks import best_of
 from tests.api.smoke import SMOKE
 from tests.service import until
 
@@ -117,3 +118,16 @@ def test_a_running_stage_links_to_its_actor_in_rays_dashboard(service, http):
     found = until(lambda: link.search(http.get(f"/runs/{run}").text))
     assert found.group(1) == http.get("/readyz").json()["dashboard"]
     http.post(f"/v1/runs/{run}/cancel")
+
+
+def test_only_methods_that_can_be_compared_are_marked_as_best():
+    def row(method, iteration, value, low=0.0):
+        place = {"task": "arm", "variant": "vanilla", "method": method, "iteration": iteration}
+        return {**place, "normalised_return": value, "low": low}
+
+    ahead, behind = row("dropo", 2, 1.0), row("simopt", 1, 1.2)
+    oracle, few = row("oracle", 0, 1.3), row("droid", 2, 1.1, low=None)
+    assert best_of([oracle, behind, few, ahead]) == [ahead]
+    level = row("udr", 0, 1.05)
+    assert best_of([level, ahead]) == [level]
+    assert best_of([oracle, few]) == []
