@@ -10,13 +10,12 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections import OrderedDict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from adr_service.errors import AdrError, InvalidInput
-from adr_service.json_values import sha256
+from adr_service.json_values import canonical_json, sha256
 from adr_service.specs import RunSpec
 
 _MOST_KEPT = 32
@@ -34,7 +33,7 @@ class Films:
     """Makes films, and keeps the latest."""
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[str, bytes] = OrderedDict()
+        self._kept: dict[str, bytes] = {}
         self._free = threading.Lock()
 
     def of(self, spec: RunSpec, policy: bytes, distribution: dict[str, Any]) -> bytes:
@@ -45,18 +44,18 @@ class Films:
         """
         if spec.extension or getattr(spec.target, "effects", ()):
             raise InvalidInput("films show a task's own simulator; this run has effects beyond it")
-        key = sha256(policy + json.dumps(distribution, sort_keys=True).encode())
+        key = sha256(policy + canonical_json([spec.target.kind, distribution]).encode())
         if key in self._kept:
             return self._kept[key]
         if not self._free.acquire(blocking=False):
             raise NoFilm("another film is being made; ask again in some seconds")
         try:
-            self._kept[key] = _film(spec, policy, distribution)
+            film = self._kept[key] = _film(spec, policy, distribution)
+            if len(self._kept) > _MOST_KEPT:
+                del self._kept[next(iter(self._kept))]  # the oldest
         finally:
             self._free.release()
-        while len(self._kept) > _MOST_KEPT:
-            self._kept.popitem(last=False)
-        return self._kept[key]
+        return film
 
 
 def _film(spec: RunSpec, policy: bytes, distribution: dict[str, Any]) -> bytes:

@@ -1,10 +1,7 @@
 """A criticism's verdict in sentences, for the terminal and the page."""
 
-from typing import Any
-
+from adr_service.client import Json
 from adr_service.criticism.verdict import Rest, sure
-
-Json = dict[str, Any]
 
 
 def told(verdict: Json) -> list[str]:
@@ -32,7 +29,7 @@ def _warnings(verdict: Json) -> list[str]:
 
 
 def _rest(verdict: Json) -> list[str]:
-    """What the named causes do not explain, and at which joint."""
+    """Lines on what the named causes leave unexplained, and at which joint."""
     lines: list[str] = []
     if verdict["causes"]:
         lines.append("something else is missing that is none of the effects we know")

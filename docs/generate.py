@@ -43,7 +43,7 @@ def pages() -> dict[str, str]:
 
 
 def methods_page() -> str:
-    """What each method learns from, its settings, and what its module says of it."""
+    """Every method with its data, its settings and the docstring of its module."""
     known = methods()
     rows = (
         (f"`{name}`", _learns(each), f"[{each.__name__}](specs.md#{each.__name__.lower()})")
@@ -158,7 +158,7 @@ def _fields(schema: Json) -> Iterator[str]:
 
 
 def _cells(schema: Json, is_required: bool) -> tuple[str, str, str]:
-    """What a field accepts, its default and its meaning."""
+    """The accepted values, the default and the meaning of a field."""
     has_default = not is_required and "default" in schema
     default = f"`{json.dumps(schema['default'])}`" if has_default else ""
     return _type(schema), default, _meaning(schema)
@@ -171,7 +171,7 @@ def _meaning(schema: Json) -> str:
 
 
 def _type(schema: Json) -> str:
-    """What a schema accepts, in words; objects as links to their sections."""
+    """The values that a schema accepts; objects are links to their sections."""
     if "$ref" in schema:
         name = schema["$ref"].rpartition("/")[2]
         return f"[{name}](#{name.lower()})"

@@ -263,7 +263,7 @@ def client(service: Any) -> Names:
 
 
 def exported_run(folder: Path) -> Names:
-    """What `adr export` has of a run on Hopper."""
+    """Values that `adr export` has read of a run on Hopper."""
     task = get_task("hopper")
     layer = np.zeros((3, 11), dtype=np.float32), np.zeros(3, dtype=np.float32)
     point = {"training": 0, "steps": 100, "mean_return": 1.0, "standard_error": 0.1}

@@ -40,7 +40,6 @@ def test_every_field_of_a_spec_says_what_it_means(model):
 
 
 def test_the_site_is_built_without_a_warning():
-    """Of links, pages and headings."""
     page = ROOT / "build/docs/reference/client"
     shutil.rmtree(page, ignore_errors=True)
     build = [sys.executable, "-m", "zensical", "build", "--config-file", ".zensical.toml"]

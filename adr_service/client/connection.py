@@ -240,7 +240,7 @@ class AdrClient:
         return self._json("GET", "/v1/presets")
 
     def ready(self) -> Json:
-        """Whether the service can compute: database, cores, disk."""
+        """State of the service's database, cores and disk; refused while it cannot compute."""
         return self._json("GET", "/readyz")
 
     def watch(self, id: str) -> Iterator[Json]:

@@ -84,7 +84,7 @@ def _title(task: Task, spec: Mapping[str, Any]) -> str:
 
 
 def _dynamics(method: str) -> str:
-    """What a method's policies are trained on, in words."""
+    """Words for the dynamics that a method's policies are trained on."""
     known = methods()[method]
     if known.needs_truth:
         return "the target's own dynamics"

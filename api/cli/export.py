@@ -113,7 +113,8 @@ def _spec(client: AdrClient, run: str) -> Json:
 
 def _curve_of(client: AdrClient, run: str, policy: bytes) -> list[Json]:
     """The learning curve of the training that made a run's policy."""
-    for training in reversed(client.trainings(run)):
+    finished = (each for each in reversed(client.trainings(run)) if each["is_finished"])
+    for training in finished:
         if client.policy_of_training(run, training["digest"]) == policy:
             return training["curve"]
     raise InvalidInput(f"the training of {run}'s policy has no learning curve")

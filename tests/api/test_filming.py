@@ -43,6 +43,14 @@ def test_one_film_is_made_at_a_time(monkeypatch):
     assert films.of(spec, b"one", {}) == b"a film"  # it was kept
 
 
+def test_the_same_policy_on_another_kind_of_target_is_another_film(monkeypatch):
+    monkeypatch.setattr("api.filming._film", lambda spec, *_: spec.target.kind.encode())
+    films, simulated = Films(), RunSpec.model_validate(SPEC)
+    external = RunSpec.model_validate({**SPEC, "target": {"kind": "external"}})
+    assert films.of(simulated, b"one", {}) == b"simulated"
+    assert films.of(external, b"one", {}) == b"external"
+
+
 def test_what_cannot_be_drawn_is_refused_with_the_reason():
     with pytest.raises(InvalidInput, match="not the bytes of a policy"):
         Films().of(RunSpec.model_validate(SPEC), b"nonsense", {"parameters": []})
