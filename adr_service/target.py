@@ -11,9 +11,9 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from adr_service.criticism.recordings import read_recording
 from adr_service.errors import BudgetExceeded, InvalidInput
 from adr_service.events import RunEvent
-from adr_service.simulation.replay import check_recorded
 from adr_service.specs import ExternalTarget, RecordedTarget, RunSpec
 from adr_service.stages.base import Stage, Stages
 from adr_service.stages.evaluate import Evaluate, TargetEvaluation
@@ -195,8 +195,7 @@ class Recording:
         if content is None or dataset_id(content) != asked.dataset:
             given = "nothing" if content is None else dataset_id(content)
             raise InvalidInput(f"the run learns from the recording {asked.dataset}; given {given}")
-        data = TransitionDataset.from_npz(content)
-        check_recorded(get_task(spec.task), data)
+        data = read_recording(get_task(spec.task), content)
         episodes = data.episode_count
         if asked.episodes is not None:
             if asked.episodes > episodes:

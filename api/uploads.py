@@ -14,7 +14,7 @@ from fastapi import Header, HTTPException, status
 from adr_service.criticism.compatibility import check_measurement
 from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.criticism.nominal import Nominal
-from adr_service.errors import InvalidInput
+from adr_service.criticism.recordings import read_measurement
 from adr_service.simulation.replay import check_recorded
 from adr_service.specs import AnyRun, CriticismSpec
 from adr_service.target import Recording
@@ -50,15 +50,10 @@ class Upload:
 
 def check_dataset(spec: AnyRun, content: bytes) -> None:
     """Raise InvalidInput unless a run can learn from these bytes, or criticise with them."""
-    if is_measurement(content) != isinstance(spec, CriticismSpec):
-        given = "not a" if isinstance(spec, CriticismSpec) else "a"
-        raise InvalidInput(
-            f"{spec.dataset} is {given} measurement of states and commands; `adr criticise` "
-            "reads those (docs/criticism.md), methods learn from recordings of transitions "
-            "(docs/recordings.md)"
-        )
     if isinstance(spec, CriticismSpec):
-        Upload(content, Measurement.from_npz(content)).check_task(spec.task, spec.variant)
+        task = get_task(spec.task)
+        nominal = Nominal.of_task(task, source_of(spec.task, spec.variant))
+        check_measurement(nominal, read_measurement(task, content))
     else:
         Recording(spec, content)
 

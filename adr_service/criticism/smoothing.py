@@ -13,17 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from adr_service.arrays import Mask, Matrix, Vector, frozen
+from adr_service.arrays import Vector, frozen
 from adr_service.criticism.compatibility import check_size, check_state
 from adr_service.criticism.evidence import fit, smoothed
-from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.recordings import is_measured, measurement_of, observed
 from adr_service.criticism.simulator import Simulator
 from adr_service.progress import Progress, silent
-from adr_service.simulation.batch import Simulations
 from adr_service.simulation.model import compiled
 from adr_service.simulation.replay import check_recorded
-from adr_service.tasks.base import Source, State, Task
+from adr_service.tasks.base import Source, Task
 from adr_service.transitions import TransitionDataset
 
 _ROUNDS = 4  # of smoothing, after which the parameters of the noisy tasks have settled
@@ -62,7 +61,7 @@ def smooth(
             current = smoothed(current)
         states = current.states[simulator.starts]
     return Smoothing(
-        replace(data, observations=_observed(task, source, states)),
+        replace(data, observations=observed(task, source, states)),
         frozen(current.parameters),
         frozen(np.where(is_measured(task), np.sqrt(current.noise.sensor), np.nan)),
         simulator.simulated_steps,
@@ -84,39 +83,3 @@ def _nominal(task: Task, source: Source) -> Nominal:
     """The source, from the middle of the prior: what its file has may be the truth."""
     middle = (source.space.low + source.space.high) / 2
     return Nominal(task.xml, source.space, middle, source.fixed, task)
-
-
-def measurement_of(task: Task, data: TransitionDataset) -> Measurement:
-    """A recording as a measurement: one row for each state, the last with the command before."""
-    data.check_chained("smoothing")
-    parts = data.split()
-    states = task.state(np.concatenate([_readings(part) for part in parts]))
-    lengths = [len(part) + 1 for part in parts]
-    return Measurement(
-        time=np.concatenate([data.dt * np.arange(length, dtype=np.float64) for length in lengths]),
-        qpos=states.qpos,
-        qvel=states.qvel,
-        ctrl=np.concatenate([part.actions[[*range(len(part)), -1]] for part in parts]),
-        episode=np.repeat(np.arange(len(parts)), lengths),
-    )
-
-
-def is_measured(task: Task) -> Mask:
-    """(nq + nv,) true for the positions and velocities that depend on what sensors show."""
-    one, other = (task.state(np.full((1, task.measured), value)) for value in (0.1, 0.2))
-    pairs = zip(one[:2], other[:2], strict=True)
-    return np.concatenate([(first != second)[0] for first, second in pairs])
-
-
-def _readings(episode: TransitionDataset) -> Matrix:
-    return np.concatenate([episode.observations, episode.next_observations[-1:]])
-
-
-def _observed(task: Task, source: Source, states: Matrix) -> Matrix:
-    """The measured columns (N, s) of states (N, nq + nv)."""
-    simulation = Simulations(task, source, 1)
-    rows: list[Vector] = []
-    for qpos, qvel in zip(*np.split(states, 2, axis=1), strict=True):
-        simulation.set_state(State(qpos, qvel))
-        rows.append(task.observe(simulation.state)[0, : task.measured])
-    return np.array(rows)

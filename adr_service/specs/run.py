@@ -193,13 +193,13 @@ class RunSpec(Wire):
 
 
 class CriticismSpec(Wire):
-    """Criticism of a task's simulator by a stored measurement."""
+    """Criticism of a task's simulator by what its robot did."""
 
     kind: Literal["criticism"] = "criticism"
     program: ClassVar[str] = "adr_service.programs.criticism"
     task: TaskName
     variant: VariantName = Field("vanilla", validate_default=True)
-    dataset: Name = Field(description="id of an uploaded measurement")
+    dataset: Name = Field(description="id of an uploaded measurement or recording")
     seed: Seed = Field(0, description="of the bootstraps")
 
     @property

@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.recordings import read_measurement
 from adr_service.events import RunEvent
 from adr_service.progress import Progress
 from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage
@@ -51,15 +51,16 @@ class Criticise(Stage[Criticised]):
 
     variant: str
     seed: int
-    data: bytes  # a Measurement as .npz
+    data: bytes  # a Measurement or a TransitionDataset as .npz
 
     def compute(self, rng: np.random.Generator, progress: Progress) -> Criticised:
         with preparing():  # matplotlib and SciPy
             from adr_service.criticism.pipeline import criticise
             from adr_service.criticism.report import files_of
 
-        nominal = Nominal.of_task(get_task(self.task), source_of(self.task, self.variant))
-        data = Measurement.from_npz(self.data)
+        task = get_task(self.task)
+        nominal = Nominal.of_task(task, source_of(self.task, self.variant))
+        data = read_measurement(task, self.data)
         criticism = criticise(nominal, data, rng, progress, threads=1)  # a stage has one core
         # a result must not depend on the clock
         criticism = replace(criticism, verdict=replace(criticism.verdict, seconds=None))

@@ -19,7 +19,9 @@ app = typer.Typer()
 Out = Annotated[Path, typer.Option(help="Folder for verdict, report and extended model.")]
 Data = Annotated[
     list[Path] | None,
-    typer.Option(help="The measurement, .npz or .csv; several are judged together."),
+    typer.Option(
+        help="A measurement, .npz or .csv, or a --task's recording; several are judged together."
+    ),
 ]
 Dataset = Annotated[
     str | None, typer.Option(help="Or an uploaded one, that the service criticises with.")

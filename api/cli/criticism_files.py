@@ -11,15 +11,17 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.extension import written_out
-from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.criticism.next_recording import next_recording, recorded_limits
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import Criticism, criticise
 from adr_service.criticism.plans import Plan, Separation
+from adr_service.criticism.recordings import read_measurement
 from adr_service.criticism.report import EXTENDED, FILES, files_of
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.progress import Progress
+from adr_service.tasks.base import Task
 from adr_service.tasks.catalogue import get_task, variant_of
 
 Bounds = Mapping[int, tuple[float, float]]  # by number of an actuator or a joint
@@ -74,7 +76,7 @@ def criticise_files(
     nominal: Nominal, name: str, data: Sequence[Path], out: Path, seed: int, progress: Progress
 ) -> Criticism:
     """Write verdict.json, report.html and, if effects are named, the extended model."""
-    whole = Measurement.joined([_measurement(path) for path in data])
+    whole = Measurement.joined([_measurement(path, nominal.task) for path in data])
     criticism = criticise(nominal, whole, np.random.default_rng(seed), progress)
     files = files_of(criticism, name)
     if EXTENDED in files:
@@ -208,10 +210,19 @@ def write(out: Path, files: Mapping[str, bytes]) -> None:
             (out / name).write_bytes(files[name])
 
 
-def _measurement(path: Path) -> Measurement:
+def _measurement(path: Path, task: Task | None) -> Measurement:
+    """The measurement in a file, or a task's recording as one."""
     try:
         if path.suffix == ".csv":
             return Measurement.from_csv(path.read_text())
-        return Measurement.from_npz(path.read_bytes())
+        content = path.read_bytes()
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInput(f"{path} cannot be read: {error}") from error
+    if task is not None:
+        return read_measurement(task, content)
+    if not is_measurement(content):
+        raise InvalidInput(
+            f"{path} is no measurement of states and commands, which a --model needs "
+            "(docs/criticism.md); recordings of transitions go with a --task"
+        )
+    return Measurement.from_npz(content)

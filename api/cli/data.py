@@ -1,4 +1,4 @@
-"""Upload recordings of a real machine, and list them."""
+"""Upload recordings and measurements of a real machine, and list them."""
 
 from pathlib import Path
 from typing import Annotated
@@ -24,7 +24,7 @@ def upload(
     url: Url = DEFAULT_URL,
     as_json: AsJson = False,
 ) -> None:
-    """Store a recording of a real machine for later runs; print its id."""
+    """Store a recording or measurement of a real machine for later runs; print its id."""
     with connect(url) as client:
         stored = client.upload(_read(file, task), task)
     if as_json:
@@ -35,7 +35,7 @@ def upload(
 
 @app.command()
 def datasets(url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
-    """List uploaded recordings."""
+    """List uploaded recordings and measurements."""
     with connect(url) as client:
         stored = client.list_all("datasets")
     if as_json:

@@ -250,14 +250,17 @@ def test_an_upload_is_of_one_robot_alone(measured):
             upload.check_task("amr")
 
 
-def test_a_run_learns_from_recordings_and_a_criticism_from_measurements(measured):
+def test_runs_and_criticisms_read_recordings_and_measurements_alike(measured):
     learn = {"task": "arm", "method": "droid", "preset": "smoke"}
-    recording_of = {"kind": "recorded", "dataset": dataset_id(GOOD_NPZ)}
-    run = RunSpec.model_validate({**learn, "target": recording_of})
-    criticism = CriticismSpec(task="arm", dataset=dataset_id(measured))
-    check_dataset(run, GOOD_NPZ)
-    check_dataset(criticism, measured)
-    with pytest.raises(InvalidInput, match="is a measurement of states and commands"):
-        check_dataset(run, measured)
-    with pytest.raises(InvalidInput, match="is not a measurement of states and commands"):
+    enough = TransitionDataset.concatenate([recording("arm", 40)] * 8).to_npz()
+    for content in (measured, enough):
+        data = dataset_id(content)
+        target = {"kind": "recorded", "dataset": data}
+        check_dataset(RunSpec.model_validate({**learn, "target": target}), content)
+        check_dataset(CriticismSpec(task="arm", dataset=data), content)
+
+
+def test_a_criticism_needs_more_than_a_method(measured):
+    criticism = CriticismSpec(task="arm", dataset=dataset_id(GOOD_NPZ))
+    with pytest.raises(InvalidInput, match="are too few to tell effects from noise"):
         check_dataset(criticism, GOOD_NPZ)

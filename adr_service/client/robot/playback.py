@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.client.robot.environment import Env
 from adr_service.client.robot.limits import Limits
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.smoothing import is_measured, measurement_of
+from adr_service.criticism.recordings import as_measurement, is_measured
 from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import control_period
 from adr_service.tasks.base import Task
@@ -67,13 +67,7 @@ def play(
     episodes = list(_episodes(env, task, limits, plan, start))
     if not episodes:
         raise InvalidInput("no episode of the plan has a single transition")
-    whole = measurement_of(task, TransitionDataset.concatenate([each.data for each in episodes]))
-    position, velocity = np.split(np.where(is_measured(task), np.nan, np.inf), 2)
-    whole = replace(
-        whole,
-        qpos_std=None if np.isnan(position).all() else position,
-        qvel_std=None if np.isnan(velocity).all() else velocity,
-    )
+    whole = as_measurement(task, TransitionDataset.concatenate([each.data for each in episodes]))
     shortened = tuple(each.why_short for each in episodes if each.why_short)
     missing = len(plan) - len(episodes)
     return Playback(
