@@ -21,6 +21,7 @@ from adr_service.benchmark.comparison import (
     table,
 )
 from adr_service.benchmark.cost import Execution, Utilisation, utilisation
+from adr_service.events import IterationFinished
 from adr_service.json_values import canonical_json, sha256
 from adr_service.specs import RecordedTarget, RunSpec
 from api.service import Service
@@ -33,9 +34,9 @@ from db.runs import RunRecord
 log = logging.getLogger(__name__)
 _TABLES = 2  # counts the times that tables of the same outcomes changed
 _COST_NOTE = (
-    "core seconds of everything the service computed while there was work for all cores; useful = "
-    "computing / (computing + waiting + orchestration), overhead = orchestration / all; known when "
-    "the runs have finished"
+    "the use of the cores counts all that the service computed while there was work for all of "
+    "them, other runs' stages too, and no more; useful = computing / (computing + waiting + "
+    "orchestration), overhead = orchestration / all; known when the runs have finished"
 )
 
 
@@ -75,7 +76,7 @@ def outcomes_of(service: Service, records: Sequence[RunRecord]) -> list[Outcome]
     specs = {record.id: record.spec for record in records}
     iterations = [
         (spec, event)
-        for run_id, event in event_store.iterations_of(service.database, list(specs))
+        for run_id, event in event_store.all_of(service.database, list(specs), IterationFinished)
         if isinstance(spec := specs[run_id], RunSpec)
     ]
     digests = [digest for _, event in iterations for digest in event.inferences]

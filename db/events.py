@@ -6,11 +6,13 @@ events_of(database, run_id, after=3)
 
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
+from typing import TypeVar
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from adr_service.events import (
+    CriticismFinished,
     IterationFinished,
     RunEvent,
     RunFailed,
@@ -24,6 +26,7 @@ from db.errors import NotFound
 from db.models import EventRow, RunRow
 from db.session import CHUNK, Database
 
+E = TypeVar("E", IterationFinished, CriticismFinished)
 _ITERATION = EventRow.type == "iteration_finished"
 
 
@@ -88,17 +91,10 @@ def append_to_all(session: Session, run_ids: Sequence[str], events: Sequence[Run
 
 
 def events_of(
-    database: Database,
-    run_id: str,
-    *,
-    after: int = 0,
-    limit: int | None = None,
-    type: str | None = None,
+    database: Database, run_id: str, *, after: int = 0, limit: int | None = None
 ) -> list[EventRecord]:
     """Events of a run with `seq` above `after`, in order. Raises NotFound without the run."""
     query = select(EventRow).where(EventRow.run_id == run_id, EventRow.seq > after)
-    if type is not None:
-        query = query.where(EventRow.type == type)
     with database.read() as session:
         run_row(session, run_id)
         rows = session.scalars(query.order_by(EventRow.seq).limit(limit))
@@ -119,16 +115,15 @@ def count_iterations(database: Database, run_ids: Sequence[str]) -> list[tuple[s
     return list(counts.items())
 
 
-def iterations_of(
-    database: Database, run_ids: Sequence[str]
-) -> list[tuple[str, IterationFinished]]:
-    """Pairs (run id, event) of all iterations of the runs, in the order of `run_ids`."""
-    events: dict[str, list[IterationFinished]] = {id: [] for id in run_ids}
-    query = select(EventRow.run_id, EventRow.body).where(_ITERATION).order_by(EventRow.seq)
+def all_of(database: Database, run_ids: Sequence[str], kind: type[E]) -> list[tuple[str, E]]:
+    """Pairs (run id, event) of all events of a kind, in the order of `run_ids`."""
+    events: dict[str, list[E]] = {id: [] for id in run_ids}
+    mine = EventRow.type == kind.model_fields["type"].default
+    query = select(EventRow.run_id, EventRow.body).where(mine).order_by(EventRow.seq)
     with database.read() as session:
         for chunk in _chunks(run_ids):
             for run_id, body in session.execute(query.where(EventRow.run_id.in_(chunk))):
-                events[run_id].append(IterationFinished.model_validate_json(body))
+                events[run_id].append(kind.model_validate_json(body))
     return [(run_id, event) for run_id, own in events.items() for event in own]
 
 

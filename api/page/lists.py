@@ -6,11 +6,14 @@ from typing import Annotated
 
 from fastapi import APIRouter, File, Form, Request, Response, UploadFile
 from fastapi.responses import RedirectResponse
+from pydantic import ValidationError
 
 from adr_service.benchmark.claims import reports
 from adr_service.errors import InvalidInput
+from adr_service.json_values import explain
 from adr_service.specs import CriticismSpec
 from adr_service.tasks.catalogue import catalogue
+from adr_service.transitions import dataset_id
 from api.page.rendering import SEE_OTHER, UNPROCESSABLE, show
 from api.results import outcomes_of
 from api.routes import criticisms as routes
@@ -18,7 +21,7 @@ from api.routes.datasets import dataset_view
 from api.routes.submissions import start_run
 from api.routes.target_tasks import task_view
 from api.service import Service, ServiceDependency
-from api.uploads import LARGEST, Upload
+from api.uploads import LARGEST, Upload, check_dataset
 from db import datasets as dataset_store
 from db import runs as run_store
 from db import visits as visit_store
@@ -73,17 +76,18 @@ def submit_criticism(
     task: Annotated[str, Form(max_length=100)],
     variant: Annotated[str, Form(max_length=100)],
 ) -> Response:
-    """Store a measurement, and start a criticism by it."""
+    """Store what a robot did, and start a criticism by it."""
     try:
         upload = Upload.parse(measurement.file.read())
-        upload.check_task(task, variant)
-        service.check_disk()
-        dataset, _ = dataset_store.store_dataset(service.database, upload.content, upload.data)
         spec = CriticismSpec.model_validate(
-            {"task": task, "variant": variant, "dataset": dataset.id}
+            {"task": task, "variant": variant, "dataset": dataset_id(upload.content)}
         )
-        service.check_dataset(spec)
+        check_dataset(spec, upload.content)  # before anything is stored
+        service.check_disk()
+        dataset_store.store_dataset(service.database, upload.content, upload.data)
         record = start_run(service, spec, None)
+    except ValidationError as error:
+        return _criticisms(request, service, task, variant, [explain(error, "the form")])
     except InvalidInput as error:
         return _criticisms(request, service, task, variant, [str(error)])
     return RedirectResponse(f"/runs/{record.id}", SEE_OTHER)
@@ -103,13 +107,13 @@ def _criticisms(
         live=any(not run.is_finished for run in runs) and not errors,
         status_code=UNPROCESSABLE if errors else 200,
         heading="Criticisms",
-        explanation="What measurements say that a simulator gets wrong: its cause, and the "
+        explanation="What data of a robot say that its simulator gets wrong: its cause, and the "
         "simulator extended by it.",
         errors=errors,
         given={"task": task, "variant": variant},
         tasks=list(catalogue()),
         variants=list(variants),
-        items=[routes.get_criticism(run.id, service) for run in runs],
+        items=routes.criticism_views(service, runs),
         more=len(runs) == _MOST_CRITICISMS,
     )
 

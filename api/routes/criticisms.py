@@ -3,6 +3,7 @@
 A criticism is a run: `/v1/runs/{id}` watches, cancels, resumes and deletes it.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 from fastapi import APIRouter, Response, status
@@ -45,6 +46,13 @@ def criticism_view(run: RunView, finished: CriticismFinished | None) -> Criticis
     )
 
 
+def criticism_views(service: Service, records: Sequence[RunRecord]) -> list[CriticismView]:
+    """Return criticisms; one query finds the verdicts of all."""
+    ids = [record.id for record in records]
+    finished = dict(event_store.all_of(service.database, ids, CriticismFinished))
+    return [criticism_view(run_view(service, run), finished.get(run.id)) for run in records]
+
+
 @router.post("", status_code=status.HTTP_202_ACCEPTED)
 def submit(
     spec: CriticismBody,
@@ -62,8 +70,8 @@ def submit(
 @router.get("/{run_id}")
 def get_criticism(run_id: str, service: ServiceDependency) -> CriticismView:
     """State of a criticism, and its verdict once there is one."""
-    record = _criticism(service, run_id)
-    return criticism_view(run_view(service, record), _finished(service, run_id))
+    (view,) = criticism_views(service, [_criticism(service, run_id)])
+    return view
 
 
 @router.get("/{run_id}/{name}", response_class=Response)
@@ -90,7 +98,5 @@ def _criticism(service: Service, run_id: str) -> RunRecord:
 
 
 def _finished(service: Service, run_id: str) -> CriticismFinished | None:
-    for record in event_store.events_of(service.database, run_id, type="criticism_finished"):
-        if isinstance(record.event, CriticismFinished):
-            return record.event
-    return None
+    found = dict(event_store.all_of(service.database, [run_id], CriticismFinished))
+    return found.get(run_id)

@@ -55,7 +55,9 @@ def test_iterations_come_in_the_order_of_the_runs(database):
         events.append_event(database, run_id, an_iteration(iteration))
     ids = [second, first]
     assert events.count_iterations(database, ids) == [(second, 1), (first, 2)]
-    assert [(id, event.iteration) for id, event in events.iterations_of(database, ids)] == [
+    assert [
+        (id, event.iteration) for id, event in events.all_of(database, ids, IterationFinished)
+    ] == [
         (second, 0),
         (first, 0),
         (first, 1),

@@ -1,11 +1,13 @@
 """The pages for browsers."""
 
+import html
 import re
 
 import pytest
 
 from api.page.benchmarks import best_of
 from tests.api.smoke import SMOKE
+from tests.recordings import recording
 from tests.service import until
 
 pytestmark = pytest.mark.ray
@@ -57,6 +59,26 @@ def test_a_benchmark_has_its_best_first_its_runs_and_how_to_repeat_it(http, benc
     assert f"/v1/benchmarks/{benchmark}/archive" in page
     compared = http.get("/compare", params={"id": [benchmark, benchmark]}).text
     assert compared.count(">dropo<") == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"task": "hopper"}, "the data have 4 observations and 2 actions; hopper measures 11"),
+        ({"task": "arm"}, "40 transitions in 1 episodes are too few"),
+        ({"task": "amr"}, "did you mean"),
+        ({"variant": "loud"}, "variant"),
+    ],
+)
+def test_data_that_do_not_fit_are_refused_beside_the_form_and_not_stored(http, given, said):
+    before = http.get("/v1/datasets").json()
+    files = {"measurement": recording("arm", 40).to_npz()}
+    answer = http.post(
+        "/criticisms", data={"task": "arm", "variant": "vanilla", **given}, files=files
+    )
+    assert answer.status_code == 422
+    assert said in html.unescape(answer.text)
+    assert http.get("/v1/datasets").json() == before
 
 
 def test_a_form_submits_what_it_priced(http):
