@@ -17,6 +17,15 @@ if TYPE_CHECKING:  # imports Ray
     from workers.tuning import Candidate
 
 
+_USES = {
+    "computing": "CPU time of stages",
+    "preparing": "CPU time of stages for imports and compilations",
+    "waiting": "within stages, without a CPU: other processes had it, or the disk",
+    "starting": "new processes",
+    "orchestration": "a core was free, or its stage was on the way to it",
+}
+
+
 def results_table(results: Json) -> RenderableType:
     """The result table with its intervals."""
     if results["rows"]:
@@ -134,12 +143,13 @@ def plan_table(plan: Json) -> RenderableType:
 def cost_table(cost: Json) -> RenderableType:
     """The cost of each kind of stage, and the utilisation of the cores."""
     table = Table("stages", box=None, padding=(0, 2, 0, 0))
-    for heading in ("number", "seconds on a core", "CPU seconds", "preparing"):
+    for heading in ("number", "seconds on a core", "CPU seconds\nof these", "preparing\nof these"):
         table.add_column(heading, justify="right")
-    for kind in cost["kinds"]:
-        numbers = (kind["seconds"], kind["cpu_seconds"], kind["preparing_seconds"])
-        cells = (f"{number:.1f}" for number in numbers)
-        table.add_row(kind["kind"], str(kind["stages"]), *cells)
+    columns = ("stages", "seconds", "cpu_seconds", "preparing_seconds")
+    total = {name: sum(kind[name] for kind in cost["kinds"]) for name in columns}
+    for kind in (*cost["kinds"], {"kind": "all", **total}):
+        count, *seconds = (kind[name] for name in columns)
+        table.add_row(kind["kind"], str(count), *(f"{number:.1f}" for number in seconds))
     return Group(table, *_utilisation(cost["utilisation"], cost["note"]))
 
 
@@ -147,9 +157,12 @@ def _utilisation(used: Json | None, note: str) -> list[RenderableType]:
     if used is None:
         text = "utilisation: known once all runs have finished, unless the cores never all had work"
         return [Text(text, style="dim")]
-    shares = Table("core seconds", "", box=None, padding=(0, 2, 0, 0))
-    for name in ("computing", "waiting", "orchestration", "starting", "preparing"):
-        shares.add_row(name, f"{used[name]:.1f}")
+    shares = Table("use of the cores", box=None, padding=(0, 2, 0, 0))
+    shares.add_column("core seconds", justify="right")
+    shares.add_column("")
+    for name, meaning in _USES.items():
+        shares.add_row(name, f"{used[name]:.1f}", Text(meaning, style="dim"))
+    shares.add_row("all", f"{sum(used[name] for name in _USES):.1f}")
     headline = (
         f"useful work {used['useful']:.1%}, orchestration {used['overhead']:.1%} "
         f"of {used['cores']} cores in {used['seconds']:.0f} s"

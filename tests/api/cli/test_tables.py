@@ -1,6 +1,7 @@
 """Results, costs and plans as tables on a terminal."""
 
 import io
+import re
 from dataclasses import replace
 
 import pytest
@@ -123,6 +124,14 @@ def test_utilisation_is_shown_once_it_is_known():
     used |= {"useful": 0.9, "overhead": 0.02, "cores": 4, "seconds": 10}
     text = shown(cost_table({**COST, "utilisation": used}))
     assert "useful work 90.0%, orchestration 2.0% of 4 cores in 10 s" in text
+    assert re.search(r"all +10\.0", text)
+
+
+def test_kinds_of_stages_are_added_up():
+    kind = {"kind": "train", "stages": 2, "seconds": 3.0, "cpu_seconds": 2.5}
+    kinds = [{**kind, "preparing_seconds": 0.5}, {**kind, "preparing_seconds": 1.0}]
+    text = shown(cost_table({**COST, "kinds": kinds}))
+    assert re.search(r"all +4 +6\.0 +5\.0 +1\.5", text)
 
 
 def test_a_candidate_has_the_median_and_range_of_its_trials():
