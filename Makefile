@@ -98,6 +98,7 @@ bench-api: setup
 docs: setup
 	$(BIN)/python docs/generate.py
 	$(BIN)/zensical build --config-file .zensical.toml --strict
+	rm build/docs/generate.py
 
 clean:
 	rm -rf $(VENV) build *.egg-info

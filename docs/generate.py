@@ -94,7 +94,7 @@ def specs_page() -> str:
     for name, schema in sorted(definitions.items()):
         if name not in {model.__name__ for model in _SPECS}:
             lines += [f"## {name}", *_about(schema), *_fields(schema)]
-    return "\n\n".join(lines) + "\n"
+    return _as_written("\n\n".join(lines), definitions)
 
 
 def _presets() -> Iterator[str]:
@@ -125,7 +125,21 @@ def rest_page(api: Json) -> str:
             lines += [f"## `{method.upper()} {path}`", *_route(about)]
     for name, schema in sorted(schemas.items()):
         lines += [f"## {name}", *_about(schema), *_fields(schema)]
-    return "\n\n".join(lines) + "\n"
+    return _as_written("\n\n".join(lines), schemas)
+
+
+def _as_written(page: str, schemas: Json) -> str:
+    """A page whose choices between objects show the value that tells one from another: `simopt_1`
+    rather than the name of its class."""
+    for name, schema in schemas.items():
+        values = [
+            each["const"] for each in schema.get("properties", {}).values() if "const" in each
+        ]
+        if len(values) == 1:
+            link = re.escape(f"[{name}](") + r"(#[^)]*\))"
+            for choice in (rf"(?<= or ){link}", rf"{link}(?= or )"):
+                page = re.sub(choice, rf"[`{values[0]}`](\1", page)
+    return page + "\n"
 
 
 def _route(about: Json) -> Iterator[str]:
