@@ -81,7 +81,7 @@ def main(names: list[str]) -> None:
         seconds = time.process_time() - started
         folder = FOLDER / name
         folder.mkdir(parents=True, exist_ok=True)
-        for file, content in files_of(criticism, name).items():
+        for file, content in files_of(criticism, name, name).items():
             (folder / file).write_bytes(content)
         print(f"| `{name}` | {' | '.join(_cells(criticism.verdict))} | {seconds:.0f} |", flush=True)
 

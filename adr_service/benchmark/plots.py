@@ -25,6 +25,7 @@ _COLLECTOR_LABELS = {
 }
 _MOST_NAMED = 8  # parameters in a legend
 _SIDES = ("low", "high")  # of an interval
+_SEEN = 2  # digits of a return that a reader can tell apart
 _SHIFT = 0.12  # iterations between the points of two methods
 _AXIS_LABELS = {
     "inference_steps": "simulated control steps",
@@ -138,6 +139,20 @@ def _returns_panel(axis: Axes, rows: Sequence[Row]) -> None:
         _band(axis, x, chosen, style, _colour(method), _label(method))
     axis.axhline(1.0, color="black", linewidth=0.5)
     _iteration_axis(axis, last)
+    for names in _coinciding(rows):
+        axis.set_xlabel(f"{axis.get_xlabel()}\none line: {', '.join(names)}")
+
+
+def _coinciding(rows: Sequence[Row]) -> list[list[str]]:
+    """Labels of methods whose lines hide each other, group by group."""
+    lines: dict[str, list[tuple[int, float]]] = {}
+    for row in rows:
+        point = (row.iteration, round(row.normalised_return, _SEEN))
+        lines.setdefault(row.method, []).append(point)
+    groups: dict[tuple[tuple[int, float], ...], list[str]] = {}
+    for method, points in lines.items():
+        groups.setdefault(tuple(points), []).append(_label(method))
+    return [names for names in groups.values() if len(names) > 1]
 
 
 def _collection_panel(axis: Axes, rows: Sequence[Row]) -> None:

@@ -54,7 +54,13 @@ def _ranking(figure: Figure, criticism: Criticism) -> None:
     errors = [np.sqrt(len(c.gains)) * c.gains.std(ddof=1) for c in best]
     gains = [c.gain for c in best]
     axes.barh(range(len(best)), gains, xerr=errors, color=_AFTER, ecolor="#555555")
-    axes.set_yticks(range(len(best)), names)
+    refined = {f"{c.kind}, {c.location}": c.gain for c in criticism.verdict.causes}
+    names += [name for name in refined if name not in names]
+    if refined:
+        rows = [names.index(name) for name in refined]
+        label = "named, and refined"
+        axes.plot([*refined.values()], rows, "D", color=_BEFORE, markersize=5, label=label)
+    axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
     chance = "what chance can reach"
     axes.axvline(THRESHOLD, color="black", linestyle="--", linewidth=0.8, label=chance)

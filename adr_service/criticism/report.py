@@ -4,10 +4,13 @@ import json
 from html import escape
 from typing import Any
 
+import mujoco
+
+import adr_service
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.extension import Extension
 from adr_service.criticism.figures import draw_all
-from adr_service.criticism.page import page, table
+from adr_service.criticism.page import page, table, wide
 from adr_service.criticism.pipeline import Criticism
 from adr_service.criticism.verdict import Conclusion, Gain, NamedCause, Residual, Verdict, sure
 
@@ -15,10 +18,13 @@ EXTENDED = "extended.xml"
 FILES = ("verdict.json", "report.html", EXTENDED, "effects.json")
 
 
-def report_page(criticism: Criticism, name: str) -> str:
-    """HTML with its figures inside; `name` is what was criticised."""
-    verdict, pictures = criticism.verdict, draw_all(criticism)
-    parts = [f'<p class="finding">{_finding(verdict)}</p>', _bounds(verdict)]
+def report_page(criticism: Criticism, name: str, origin: str) -> str:
+    """HTML with its figures inside; `name` is what was criticised, and `origin` by what and when:
+    "measured.npz, seed 0, 2026-11-26"."""
+    verdict = criticism.verdict
+    pictures = {figure: wide(svg) for figure, svg in draw_all(criticism).items()}
+    parts = [f'<p class="finding">{_finding(verdict)}</p>', _origin(criticism, origin)]
+    parts.append(_bounds(verdict))
     parts += [f"<p>{escape(remark)}</p>" for remark in verdict.remarks]
     if verdict.causes:
         parts.append(_causes(verdict))
@@ -36,10 +42,14 @@ def report_page(criticism: Criticism, name: str) -> str:
     return page(f"What {name} gets wrong", parts)
 
 
-def files_of(criticism: Criticism, name: str) -> dict[str, bytes]:
-    """The verdict, the page and, where something was named, the extended model, by file name."""
+def files_of(criticism: Criticism, name: str, origin: str) -> dict[str, bytes]:
+    """The verdict, the page and, where something was named, the extended model, by file name.
+
+    `name` and `origin` are those of `report_page`.
+    """
     extension = criticism.extension
-    texts = [json.dumps(criticism.verdict.to_json(), indent=1), report_page(criticism, name)]
+    verdict = json.dumps(criticism.verdict.to_json(), indent=1)
+    texts = [verdict, report_page(criticism, name, origin)]
     if extension is not None:
         texts += [extension.xml, json.dumps(extension.to_json(), indent=1)]
     return {file: text.encode() for file, text in zip(FILES, texts, strict=False)}
@@ -48,8 +58,9 @@ def files_of(criticism: Criticism, name: str) -> dict[str, bytes]:
 _EVIDENCE = (
     "<p>Evidence is how much better episodes are predicted that the fit has not seen, as the "
     "logarithm of a probability: 4.6 nats mean a hundred times more probable. Below "
-    f"{THRESHOLD:g} nats we call it chance. The figure has the first look, to first order and with "
-    "the noise that the simulator had without a cause; the table above the refined evidence.</p>"
+    f"{THRESHOLD:g} nats we call it chance. Bars are a first look, to first order and with the "
+    "noise that the simulator had without a cause. Diamonds are the refined evidence of the "
+    "causes in the table above.</p>"
 )
 
 
@@ -80,6 +91,17 @@ def _finding(verdict: Verdict) -> str:
                     f"{_flexible(verdict.residual)} than these alone."
                 )
             return f"The simulator lacks {names} ({how_sure}).{tie}{rest}"
+
+
+def _origin(criticism: Criticism, origin: str) -> str:
+    """What the verdict was made of, and by what."""
+    residual, data = criticism.verdict.residual, criticism.baseline.simulator.data
+    diverged = f" ({residual.diverged} more diverged)" if residual.diverged else ""
+    return (
+        f"<p>From {escape(origin)}. Fitted to {residual.used} transitions{diverged} in "
+        f"{len(data.spans())} episodes; the others were set aside. "
+        f"ADR benchmark {adr_service.__version__}, MuJoCo {mujoco.__version__}.</p>"
+    )
 
 
 def _flexible(residual: Residual) -> str:

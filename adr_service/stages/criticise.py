@@ -13,6 +13,7 @@ from adr_service.progress import Progress
 from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage
 from adr_service.startup_time import preparing
 from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.transitions import dataset_id
 
 _CRITICISM_S = 60.0  # in the median of the planted cases, docs/criticism.md
 
@@ -44,8 +45,8 @@ class Criticise(Stage[Criticised]):
     # 2: many effects at once, 3: when they are, 4: named ones asked again, 5: misfit that persists,
     # strengths that are confused, an interval for what is explained, 6: errors after steps from
     # inferred velocities have a unit of their own, lines to change in one's MJCF, null for noise of
-    # sensors that are not there
-    version: ClassVar = 6
+    # sensors that are not there, 7: the report has data, seed, versions, and evidence refined
+    version: ClassVar = 7
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 
@@ -64,7 +65,8 @@ class Criticise(Stage[Criticised]):
         criticism = criticise(nominal, data, rng, progress, threads=1)  # a stage has one core
         # a result must not depend on the clock
         criticism = replace(criticism, verdict=replace(criticism.verdict, seconds=None))
-        files = files_of(criticism, f"{self.task}, {self.variant}")
+        origin = f"{dataset_id(self.data)}, seed {self.seed}"  # no date, for the same reason
+        files = files_of(criticism, f"{self.task}, {self.variant}", origin)
         return Criticised.model_validate({"verdict": criticism.verdict.to_json(), **files})
 
     def events(self, result: Criticised) -> list[RunEvent]:

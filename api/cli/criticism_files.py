@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,9 @@ def criticise_files(
     """Write verdict.json, report.html and, if effects are named, the extended model."""
     whole = Measurement.joined([_measurement(path, nominal.task) for path in data])
     criticism = criticise(nominal, whole, np.random.default_rng(seed), progress)
-    files = files_of(criticism, name)
+    made = f"{datetime.now().astimezone():%Y-%m-%d}"
+    names = ", ".join(path.name for path in data)
+    files = files_of(criticism, name, f"{names}, seed {seed}, {made}")
     if EXTENDED in files:
         files[EXTENDED] = portable(files[EXTENDED].decode(), out).encode()
     write(out, files)

@@ -59,6 +59,15 @@ def test_returns_have_a_panel_per_task_and_variant_and_a_line_per_method():
     assert line.get_ydata() == pytest.approx([0.3, 0.4, 0.5])
 
 
+def test_lines_that_hide_each_other_are_named():
+    rows = [row(method=m, iteration=i) for m in ("dropo", "sysid", "droid") for i in (0, 1)]
+    apart = [
+        dataclasses.replace(r, normalised_return=0.5) if r.method == "droid" else r for r in rows
+    ]
+    assert "one line: DROPO, sysid" in plot_returns(apart).axes[0].get_xlabel()
+    assert "one line" not in plot_returns(apart[2:]).axes[0].get_xlabel()
+
+
 def test_a_reference_without_iterations_is_a_level_over_all_of_them():
     rows = [row(iteration=i) for i in range(3)]
     axis = plot_returns([*rows, row(method="oracle", normalised_return=1.2)]).axes[0]

@@ -4,12 +4,15 @@ import json
 from dataclasses import replace
 from xml.etree import ElementTree
 
+import adr_service
 from adr_service.criticism.report import FILES, files_of, report_page
 from adr_service.criticism.verdict import Conclusion, Rest
 
+ORIGIN = "measured <1>.npz, seed 7"
+
 
 def test_a_named_cause_has_all_files(criticism):
-    files = files_of(criticism, "arm")
+    files = files_of(criticism, "arm", ORIGIN)
     assert tuple(files) == FILES
     verdict = json.loads(files["verdict.json"])
     assert verdict["version"] == 1
@@ -19,17 +22,26 @@ def test_a_named_cause_has_all_files(criticism):
 
 
 def test_the_same_criticism_gives_the_same_bytes(criticism):
-    assert files_of(criticism, "arm") == files_of(criticism, "arm")
+    assert files_of(criticism, "arm", ORIGIN) == files_of(criticism, "arm", ORIGIN)
+
+
+def test_the_page_says_what_it_was_made_of(criticism):
+    data = criticism.baseline.simulator.data
+    page = report_page(criticism, "arm", ORIGIN)
+    assert "From measured &lt;1&gt;.npz, seed 7." in page
+    assert f"Fitted to {criticism.verdict.residual.used} transitions" in page
+    assert f"in {len(data.spans())} episodes" in page
+    assert adr_service.__version__ in page
 
 
 def test_a_name_on_the_page_is_escaped(criticism):
-    page = report_page(criticism, "<script>alert(1)</script>")
+    page = report_page(criticism, "<script>alert(1)</script>", ORIGIN)
     assert "<script>" not in page
     assert "&lt;script&gt;" in page
 
 
 def test_the_page_names_each_cause_and_its_alternatives(criticism):
-    page = report_page(criticism, "arm")
+    page = report_page(criticism, "arm", ORIGIN)
     for cause, tied in zip(criticism.verdict.causes, criticism.verdict.tied, strict=True):
         for each in (cause, *tied):
             assert each.kind.replace("_", " ") in page
@@ -42,7 +54,9 @@ def test_the_page_lists_what_the_data_cannot_tell_apart(criticism):
     verdict = criticism.verdict
     for confused, is_listed in (((names,), True), ((), False)):
         residual = replace(verdict.residual, confused=confused)
-        page = report_page(replace(criticism, verdict=replace(verdict, residual=residual)), "arm")
+        page = report_page(
+            replace(criticism, verdict=replace(verdict, residual=residual)), "arm", ORIGIN
+        )
         assert ("body_mass body:fore, or body_inertia body:fore" in page) == is_listed
         assert ("cannot tell apart" in page) == is_listed
 
@@ -51,7 +65,9 @@ def test_the_page_gives_the_share_of_what_is_not_noise_with_its_interval(critici
     gain = replace(
         criticism.verdict.gain, explainable_fraction=0.8, explainable_interval=(0.6, 0.9)
     )
-    page = report_page(replace(criticism, verdict=replace(criticism.verdict, gain=gain)), "arm")
+    page = report_page(
+        replace(criticism, verdict=replace(criticism.verdict, gain=gain)), "arm", ORIGIN
+    )
     assert "80 % [60, 90] of what is not noise" in page
 
 
@@ -61,5 +77,5 @@ def test_the_page_says_where_something_unknown_is_left(criticism):
         criticism.verdict.residual, rest="unknown", unexplained_nats=30.0, where=where
     )
     verdict = replace(criticism.verdict, conclusion=Conclusion.UNKNOWN, residual=residual)
-    page = report_page(replace(criticism, verdict=verdict), "arm")
+    page = report_page(replace(criticism, verdict=verdict), "arm", ORIGIN)
     assert "a force at joint:elbow that depends on time, at 2.7 Hz predicts 30 nats better" in page
