@@ -78,8 +78,16 @@ def main() -> None:
     try:
         app()
     except (AdrError, OSError) as error:
-        errors.print(f"[red]error:[/red] {escape(str(error))}", highlight=False, soft_wrap=True)
+        said = escape(_told(error))
+        errors.print(f"[red]error:[/red] {said}", highlight=False, soft_wrap=True)
         raise SystemExit(status_of(error)) from error
+
+
+def _told(error: AdrError | OSError) -> str:
+    """The message; of a file that the system refuses, its name and the reason without a number."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror.lower()}"
+    return str(error)
 
 
 def status_of(error: AdrError | OSError) -> int:

@@ -23,7 +23,8 @@ class ServiceDidNotStart(AdrError):
 @contextmanager
 def own_service(data_dir: Path, port: int) -> Generator[AdrClient]:
     """A client of a service that runs in another process until the block ends."""
-    data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+    for folder in (*reversed(data_dir.parents), data_dir):  # each for nobody else to read
+        folder.mkdir(exist_ok=True, mode=0o700)
     log_path = data_dir / "service.log"
     command = [sys.executable, "-P", "-m", "api", "serve"]  # -P: not an api of this folder
     command += ["--port", str(port), "--data-dir", str(data_dir)]

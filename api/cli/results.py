@@ -44,6 +44,10 @@ def results(
     as_json: AsJson = False,
 ) -> None:
     """Show the result table, or write figures, the distribution or the policy."""
+    asked = {"--figure": figure, "--figures": figures, "--distribution": distribution}
+    asked |= {"--policy": policy, "--cost": cost, "--compare": compare, "--csv": csv}
+    if len(given := [name for name, value in asked.items() if value]) > 1:
+        raise InvalidInput(f"give one of {', '.join(given)}; --json has all tables")
     if (policy or distribution) and not id.startswith("run_"):
         raise InvalidInput(f"{id} is no run, and has no single policy or distribution; adr list")
     with connect(url) as client:

@@ -46,6 +46,13 @@ def test_an_expected_error_is_one_message_and_a_status_of_its_kind(adr_here):
     assert "Traceback" not in errors
 
 
+def test_a_file_that_the_system_refuses_is_told_without_its_number(adr_here, tmp_path):
+    (file := tmp_path / "taken").write_text("")
+    status, _, errors = adr_here("results", "bench_x", "--figures", str(file))
+    assert status == 2
+    assert errors.rstrip().endswith("taken: file exists")
+
+
 @pytest.mark.parametrize(
     ("error", "status"),
     [

@@ -8,9 +8,10 @@ import pytest
     [
         (["results", "bench_x", "--policy", "p"], "bench_x is no run, and has no single policy"),
         (["results", "bench_x", "--distribution", "d"], "no single policy or distribution"),
+        (["results", "bench_x", "--compare", "--csv"], "give one of --compare, --csv; --json has"),
     ],
 )
-def test_a_benchmark_has_no_single_policy(adr_here, arguments, message):
+def test_what_results_cannot_do_is_refused(adr_here, arguments, message):
     status, _, errors = adr_here(*arguments)
     assert status == 2
     assert message in errors
