@@ -104,6 +104,19 @@ def test_learning_curves_grow_while_a_policy_is_trained(opened, service):
     expect(page.locator("#curves canvas")).to_be_visible()  # the refreshes have left it
 
 
+def test_a_ticked_benchmark_stays_ticked_when_another_one_comes(opened, service, benchmark):
+    spec = {"tasks": ["arm"], "methods": ["udr"], "seeds": [92], "preset": "demo"}
+    first = service.client.submit_benchmark(spec)["id"]
+    page = opened("/")
+    page.get_by_label(f"compare {benchmark}").check()
+    second = service.client.submit_benchmark({**spec, "seeds": [93]})["id"]
+    expect(page.get_by_label(f"compare {second}")).to_be_visible(timeout=30_000)
+    for id in (first, second):
+        expect(page.get_by_label(f"compare {id}")).not_to_be_checked()
+        service.client.cancel(id)
+    expect(page.get_by_label(f"compare {benchmark}")).to_be_checked()
+
+
 def test_a_criticism_from_upload_to_report(opened, tmp_path):
     hidden = draw_case(*arm(), np.random.default_rng(100), 0.3)
     path = tmp_path / "arm.npz"
