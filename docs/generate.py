@@ -207,6 +207,14 @@ def command_line_page() -> str:
     command = [sys.executable, "-m", "typer", "api.cli", "utils", "docs", "--name", "adr"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
     heading, _, rest = html.unescape(done.stdout).partition("\n")
+    for place in re.finditer(r"^#+ `adr (?:.* )?(\S+)`\n\n(.+)$", rest, re.MULTILINE):
+        name, said = place.groups()  # typer cuts it off in the lists of commands
+        rest = re.sub(
+            rf"^\* `{name}`: {re.escape(said[:9])}.*\.\.\.$",
+            f"* `{name}`: {said}",
+            rest,
+            flags=re.MULTILINE,
+        )
     return f"{heading.replace('`adr`', 'Command line')}\n\n{_GENERATED}{rest.rstrip()}\n"
 
 
