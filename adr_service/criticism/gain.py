@@ -90,14 +90,17 @@ def _interval(shares: Vector) -> tuple[float, float]:
 def _horizons(simulator: Simulator, before: Fit, after: Fit) -> dict[int, tuple[float, float]]:
     """Root mean square errors without and with, by control steps, in expected errors of a step.
 
-    Where velocities are not measured, the unit is the extended simulator's own error of a step: it
-    starts from inferred velocities, whose errors nobody knows.
+    What is not measured has no errors. Where there is such a column, the unit is the extended
+    simulator's own error of a step: it starts from inferred states, whose errors nobody knows.
     """
     scale = expected_errors(after)
     if not (measured := simulator.data.is_measured()).all():
         (step,) = _errors(simulator, after, 1, np.ones(len(scale)))
         scale[measured] = np.sqrt(np.nanmean(step[:, measured], axis=0))
-    without, extended = (_errors(simulator, fit, max(_HORIZONS), scale) for fit in (before, after))
+    without, extended = (
+        [error[:, measured] for error in _errors(simulator, fit, max(_HORIZONS), scale)]
+        for fit in (before, after)
+    )
     for one, other in zip(without, extended, strict=True):  # compare what both can predict
         one[np.isnan(other)], other[np.isnan(one)] = np.nan, np.nan
     return {

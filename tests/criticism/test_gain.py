@@ -1,6 +1,7 @@
 """The worth of an effect on episodes that nothing was fitted to."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -73,6 +74,14 @@ def test_the_trace_starts_where_the_robot_was(gain):
         np.testing.assert_array_equal(simulated[0], trace.measured[0])
     errors = [np.abs(each - trace.measured).mean() for each in (trace.without, trace.extended)]
     assert errors[1] < errors[0]
+
+
+def test_what_is_not_measured_has_no_errors(baseline, refined, sealed):
+    """The unit is the extended simulator's error of one step, in what is measured alone."""
+    blind = replace(sealed, qvel_std=np.full(2, np.inf))
+    without, extended = gained(baseline, refined, blind).horizons[1]
+    assert extended == pytest.approx(1.0)
+    assert without > 1.0
 
 
 def test_short_episodes_have_no_far_horizon(baseline, refined, sealed):
