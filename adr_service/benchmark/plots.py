@@ -25,8 +25,8 @@ _COLLECTOR_LABELS = {
 }
 _MOST_NAMED = 8  # parameters in a legend
 _SIDES = ("low", "high")  # of an interval
-_SEEN = 2  # digits of a return that a reader can tell apart
 _SHIFT = 0.12  # iterations between the points of two methods
+_BESIDE = 0.06  # the same in a figure of returns
 _AXIS_LABELS = {
     "inference_steps": "simulated control steps",
     "inference_seconds": "seconds on one core",
@@ -94,7 +94,7 @@ def plot_parameters(estimates: Sequence[ParameterEstimate]) -> Figure:
         key = (task, variant, parameter)
         _parameter_panel(axis, [e for e in estimates if (e.task, e.variant, e.parameter) == key])
         axis.set_title(f"{parameter} [{unit}], {task} {variant}", fontsize=8)
-    axes[0].legend(frameon=False, fontsize=7)
+    figure.legend(*axes[0].get_legend_handles_labels(), frameon=False, loc="outside right upper")
     figure.supxlabel("one point per seed; bars: inferred standard deviation", fontsize=7)
     return figure
 
@@ -130,36 +130,22 @@ def plot_cost(rows: Sequence[InferenceCost]) -> Figure:
 
 def _returns_panel(axis: Axes, rows: Sequence[Row]) -> None:
     last = max(row.iteration for row in rows)
-    for method in dict.fromkeys(row.method for row in rows):
-        chosen = [row for row in rows if row.method == method]
-        if methods()[method].is_level:
-            chosen, x, style = [chosen[0]] * 2, [0.0, max(last, 1)], "--"
-        else:
-            x, style = [float(row.iteration) for row in chosen], "o-"
-        _band(axis, x, chosen, style, _colour(method), _label(method))
+    groups = {name: [row for row in rows if row.method == name] for name in _names(rows)}
+    levels = [name for name in groups if methods()[name].is_level]
+    for method in levels:
+        _band(axis, [0.0, max(last, 1)], groups[method][0], _colour(method), _label(method))
+    moving = {name: chosen for name, chosen in groups.items() if name not in levels}
+    for shift, (method, chosen) in zip(_shifts(len(moving)), moving.items(), strict=True):
+        _bars(axis, shift, chosen, _colour(method), _label(method))
     axis.axhline(1.0, color="black", linewidth=0.5)
     _iteration_axis(axis, last)
-    for names in _coinciding(rows):
-        axis.set_xlabel(f"{axis.get_xlabel()}\none line: {', '.join(names)}")
-
-
-def _coinciding(rows: Sequence[Row]) -> list[list[str]]:
-    """Labels of methods whose lines hide each other, group by group."""
-    lines: dict[str, list[tuple[int, float]]] = {}
-    for row in rows:
-        point = (row.iteration, round(row.normalised_return, _SEEN))
-        lines.setdefault(row.method, []).append(point)
-    groups: dict[tuple[tuple[int, float], ...], list[str]] = {}
-    for method, points in lines.items():
-        groups.setdefault(tuple(points), []).append(_label(method))
-    return [names for names in groups.values() if len(names) > 1]
 
 
 def _collection_panel(axis: Axes, rows: Sequence[Row]) -> None:
-    for collector in dict.fromkeys(row.collector for row in rows):
+    collectors = list(dict.fromkeys(row.collector for row in rows))
+    for shift, collector in zip(_shifts(len(collectors)), collectors, strict=True):
         chosen = [row for row in rows if row.collector == collector]
-        x, colour = [row.iteration for row in chosen], _COLLECTOR_COLOURS[collector]
-        _band(axis, x, chosen, "o-", colour, _COLLECTOR_LABELS[collector])
+        _bars(axis, shift, chosen, _COLLECTOR_COLOURS[collector], _COLLECTOR_LABELS[collector])
     axis.axhline(1.0, color="black", linewidth=0.5)
     _iteration_axis(axis, max((row.iteration for row in rows), default=0))
 
@@ -219,23 +205,38 @@ def _cost_panel(axis: Axes, rows: Sequence[InferenceCost], measure: str) -> None
     _iteration_axis(axis, max(row.iteration for row in rows))
 
 
-def _band(
-    axis: Axes, x: Sequence[float], rows: Sequence[Row], style: str, colour: str, label: str
-) -> None:
-    # fewer than three seeds have no interval, and no band
+def _names(rows: Sequence[Row]) -> list[str]:
+    return list(dict.fromkeys(row.method for row in rows))
+
+
+def _shifts(count: int) -> list[float]:
+    """Distances of methods' points from an iteration, so that no interval hides another."""
+    return [_BESIDE * (number - (count - 1) / 2) for number in range(count)]
+
+
+def _bars(axis: Axes, shift: float, rows: Sequence[Row], colour: str, label: str) -> None:
+    """A line of means with their intervals; fewer than three seeds have none."""
+    x = [row.iteration + shift for row in rows]
     low, high = (np.array([getattr(row, side) for row in rows], float) for side in _SIDES)
-    axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
+    axis.vlines(x, low, high, color=colour, linewidth=1)
     means = [row.normalised_return for row in rows]
-    axis.plot(x, means, style, color=colour, label=label, markersize=4)
+    axis.plot(x, means, "o-", color=colour, label=label, markersize=4, linewidth=1.2)
+
+
+def _band(axis: Axes, x: Sequence[float], row: Row, colour: str, label: str) -> None:
+    """A level with its interval."""
+    axis.plot(x, [row.normalised_return] * 2, "--", color=colour, label=label)
+    if row.low is not None and row.high is not None:
+        axis.fill_between(x, row.low, row.high, color=colour, alpha=0.12, linewidth=0)
 
 
 def _label_returns(figure: Figure, axes: np.ndarray, rows: Sequence[Row]) -> None:
-    """Axis label, legend and note of a figure of returns with their bands."""
+    """Axis label, legend and note of a figure of returns with their intervals."""
     for row_axes in axes:
         row_axes[0].set_ylabel("target return / reward threshold")
     _legend(axes[0, -1])
     seeds = "–".join(map(str, sorted({row.seeds for row in rows})))
-    figure.supxlabel(f"bands: 95 % intervals over seeds (here {seeds})", fontsize=7)
+    figure.supxlabel(f"bars, bands: 95 % intervals over seeds (here {seeds})", fontsize=7)
 
 
 def _grid(rows: int, columns: int, **options: Any) -> tuple[Figure, np.ndarray]:
