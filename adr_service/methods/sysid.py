@@ -9,7 +9,13 @@ Residuals are divided by the standard deviation of their column.
 
 Standard deviations that follow from the Jacobian and the residuals (White: "A
 Heteroskedasticity-Consistent Covariance Matrix Estimator", Econometrica 48, 1980) are reported as
-`std`. The policy does not train on them, because they are honest only where the model is right.
+`std`. The policy of `sysid` does not train on them, because they are honest only where the model is
+right.
+
+Two extensions are the ensembles that practitioners train on, and baselines for methods that infer a
+spread. `sysid_wide` is uniform within a share of the point. `sysid_laplace` is the Gaussian of
+Laplace's method: the width of the benchmark's prior, N(2, I) in [0, 4], with the information of the
+residuals at the point, as if they were independent and of one deviation in each column.
 """
 
 from typing import ClassVar, Literal
@@ -20,7 +26,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import qmc
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.distributions import Uniform
+from adr_service.distributions import Distribution, Gaussian, Uniform
 from adr_service.errors import InvalidInput
 from adr_service.methods.base import Estimate, OfflineSettings, Problem, ReplayFrom
 from adr_service.parameters import ParameterSpace
@@ -32,6 +38,8 @@ _STEP = 1e-4  # of the finite differences, in [0, 4] coordinates
 _POINT_TOLERANCE = 1e-10  # a search ends at a smaller relative change of the point
 _COST_TOLERANCE = 1e-12  # or of the cost
 _GRADIENT_TOLERANCE = 1e-12  # or at a smaller scaled gradient
+_ROUNDING = 1e-15  # error of a prediction without noise, in standard deviations of its column
+_LEAST = 1e-6  # deviation in [0, 4], below which a covariance with others of 1 is rounding
 _MOST_CONDITION = 1e15  # of the information matrix, beyond which float64 cannot invert it
 
 
@@ -45,6 +53,13 @@ class _Settings(OfflineSettings):
 
     def planned_steps(self, parameters: int, transitions: int) -> int:
         return self.starts * self.iterations * (parameters + 2) * transitions
+
+    def distribution(
+        self, space: ParameterSpace, best: OptimizeResult, columns: int
+    ) -> Distribution:
+        """The distribution to train on, by the end of the best search in [0, 4], whose residuals
+        are those of so many columns, window by window."""
+        return Uniform.point(space, _values(space, best))
 
 
 class SysidSettings(_Settings):
@@ -61,6 +76,44 @@ class SysidSmoothedSettings(_Settings):
     replay_from: ClassVar[ReplayFrom] = "smoothed"
     label: ClassVar[str] = "sysid, smoothed states"
     colour: ClassVar[str] = "#525252"
+
+
+class SysidWideSettings(_Settings):
+    """Our extension: a box around the point."""
+
+    name: Literal["sysid_wide"] = "sysid_wide"
+    width: float = Field(0.1, gt=0, lt=1, description="half of the box, as a share of the point")
+
+    label: ClassVar[str] = "sysid, box around it"
+    colour: ClassVar[str] = "#8C8C8C"
+
+    def distribution(
+        self, space: ParameterSpace, best: OptimizeResult, columns: int
+    ) -> Distribution:
+        values = _values(space, best)
+        low = np.maximum(values - self.width * np.abs(values), space.feasible_low)
+        return Uniform(space, low, values + self.width * np.abs(values))
+
+
+class SysidLaplaceSettings(_Settings):
+    """Our extension: the Gaussian of Laplace's method."""
+
+    name: Literal["sysid_laplace"] = "sysid_laplace"
+
+    label: ClassVar[str] = "sysid, Laplace"
+    colour: ClassVar[str] = "#44546A"
+
+    def distribution(
+        self, space: ParameterSpace, best: OptimizeResult, columns: int
+    ) -> Distribution:
+        residuals = np.asarray(best.fun).reshape(-1, columns)
+        deviations = np.maximum(residuals.std(axis=0), _ROUNDING)
+        weights = np.tile(1 / deviations, len(residuals))
+        # by singular values: squares of those without noise would drown the prior in rounding
+        rows = np.vstack([np.asarray(best.jac) * weights[:, None], np.eye(len(space))])
+        _, information, axes = np.linalg.svd(rows, full_matrices=False)
+        variances = np.maximum(1 / information, _LEAST) ** 2
+        return Gaussian(space, best.x, (axes.T * variances) @ axes)
 
 
 class Sysid:
@@ -82,10 +135,10 @@ class Sysid:
         residuals = _Residuals(replay, problem)
         ends = self._search(residuals, len(space), rng, progress)
         best = min(ends, key=lambda end: float(end.cost))
-        values = np.clip(space.denormalise(best.x), space.low, space.high)
+        values = _values(space, best)
         ranges = (space.high - space.low) / space.WIDTH
         return Estimate(
-            Uniform.point(space, values),
+            self._settings.distribution(space, best, replay.targets.shape[1]),
             simulated_steps=residuals.replayed * len(replay.targets) * steps,
             diagnostics={
                 "costs": sorted(float(end.cost) for end in ends),
@@ -147,6 +200,11 @@ class _Residuals:
         if not np.all(np.isfinite(predictions)):
             raise InvalidInput("a replay diverged; the least-squares search cannot go on")
         return ((predictions - self._replay.targets) / self._scale).reshape(len(points), -1)
+
+
+def _values(space: ParameterSpace, best: OptimizeResult) -> Vector:
+    """The point (d,) in SI units."""
+    return np.clip(space.denormalise(best.x), space.low, space.high)
 
 
 def _deviations(best: OptimizeResult) -> Vector:

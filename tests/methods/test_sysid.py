@@ -4,17 +4,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import OptimizeResult
 
-from adr_service.distributions import Uniform
+from adr_service.distributions import Uniform, normalised_std
 from adr_service.errors import InvalidInput
-from adr_service.methods.sysid import Sysid, SysidSettings
+from adr_service.methods.sysid import (
+    Sysid,
+    SysidLaplaceSettings,
+    SysidSettings,
+    SysidWideSettings,
+)
 from adr_service.progress import silent
 from adr_service.randomness import stream
 from tests.planted import PLANTED, PROBLEM, SPACE, recorded, waving_policy
 
 
+def fitted(settings, data):
+    return settings.create().fit(PROBLEM, data, stream("s"), silent)
+
+
 def fit(data, **settings):
-    return Sysid(SysidSettings(**settings)).fit(PROBLEM, data, stream("s"), silent)
+    return fitted(SysidSettings(**settings), data)
 
 
 def test_the_answer_is_one_point():
@@ -35,6 +45,49 @@ def test_standard_deviations_are_those_of_repeated_recordings():
         reported.append(estimate.diagnostics["std"])
     ratio = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(np.square(reported), axis=0))
     assert np.all((ratio > 0.5) & (ratio < 2))
+
+
+def test_a_box_lies_around_the_point_and_keeps_what_is_feasible():
+    data = recorded(waving_policy(), steps=20)
+    point = fit(data, starts=1).distribution.mean
+    box = fitted(SysidWideSettings(starts=1, width=0.2), data).distribution
+    np.testing.assert_allclose(box.low, 0.8 * point)
+    np.testing.assert_allclose(box.high, 1.2 * point)
+    barely = np.array([SPACE.feasible_low[0], *point[1:]])
+    end = OptimizeResult(x=SPACE.normalise(barely))
+    assert SysidWideSettings().distribution(SPACE, end, 4).low[0] >= SPACE.feasible_low[0]
+
+
+def test_laplaces_deviations_are_those_of_the_residuals_where_data_tell():
+    clean = recorded(waving_policy())
+    noise = 0.003 * np.random.default_rng(0).standard_normal((len(clean), 4))
+    estimate = fitted(
+        SysidLaplaceSettings(starts=1),
+        replace(clean, next_observations=clean.next_observations + noise),
+    )
+    ratio = estimate.distribution.std / estimate.diagnostics["std"]
+    assert np.all((ratio > 0.5) & (ratio < 2))
+
+
+def test_laplaces_deviations_are_the_priors_where_data_say_nothing():
+    rng = np.random.default_rng(0)
+    end = OptimizeResult(x=np.full(4, 2.0), jac=np.zeros((30, 4)), fun=rng.standard_normal(30))
+    np.testing.assert_allclose(
+        SysidLaplaceSettings().distribution(SPACE, end, 3).covariance, np.eye(4)
+    )
+
+
+def test_laplaces_deviations_are_next_to_nothing_without_noise():
+    estimate = fitted(SysidLaplaceSettings(starts=1), recorded(waving_policy()))
+    assert normalised_std(estimate.distribution) == pytest.approx([1e-6] * 4)
+
+
+def test_laplaces_deviations_are_finite_where_data_tell_one_parameter_alone():
+    jacobian = np.zeros((30, 4))
+    jacobian[:, 0] = 1.0
+    end = OptimizeResult(x=np.full(4, 2.0), jac=jacobian, fun=np.zeros(30))
+    covariance = SysidLaplaceSettings().distribution(SPACE, end, 3).covariance
+    np.testing.assert_allclose(np.diag(covariance), [1e-12, 1, 1, 1])
 
 
 def test_more_starts_never_end_at_a_higher_cost():
