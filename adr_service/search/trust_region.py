@@ -41,7 +41,7 @@ class Evaluation:
 
     mean: Vector  # (d,)
     std: Vector  # (d,)
-    loss: float  # negative log likelihood [nat]; infinite if a draw diverged
+    loss: float  # negative log likelihood [nat], less a bonus; infinite if a draw diverged
     draws: Matrix  # (k, d)
     predictions: Array3  # (k, w, s)
 
@@ -81,6 +81,7 @@ class TrustRegion:
     measured: Matrix  # (w, s)
     epsilon: float
     bounds: Bounds
+    entropy: float = 0.0  # nats that `evaluate` takes off its loss per logarithm of each deviation
 
     def minimise(
         self, mean: Vector, std: Vector, *, budget: int, progress: Progress
@@ -113,7 +114,7 @@ class TrustRegion:
         return best, Path(steps, "rough")
 
     def _model(self, at: Evaluation) -> "CorrectedModel":
-        return CorrectedModel(Linearisation.around(at, self.measured, self.epsilon))
+        return CorrectedModel(Linearisation.around(at, self.measured, self.epsilon, self.entropy))
 
     def _start(
         self, mean: Vector, std: Vector, budget: int, progress: Progress
@@ -179,9 +180,12 @@ class Linearisation:
     centre: Vector  # (d,) c, mean of the draws; not 0 where a feasible bound cuts them
     spread: Matrix  # (d, d) V, their covariance
     residual: Array3  # (w, s, s) R_w, covariance of what the slopes leave, and epsilon
+    entropy: float  # nats that growth is worth
 
     @classmethod
-    def around(cls, at: Evaluation, measured: Matrix, epsilon: float) -> "Linearisation":
+    def around(
+        cls, at: Evaluation, measured: Matrix, epsilon: float, entropy: float = 0.0
+    ) -> "Linearisation":
         """The regression of the predictions on the draws."""
         k, w, s = at.predictions.shape
         middle = at.predictions.mean(axis=0)
@@ -195,7 +199,7 @@ class Linearisation:
         residual = left @ left.transpose(0, 2, 1) / (k - 1) + epsilon * np.eye(s)
         spread = draws.T @ draws / (k - 1)
         slopes = slopes.reshape(-1, w, s).transpose(1, 2, 0)
-        return cls(measured - middle, slopes, centre, spread, residual)
+        return cls(measured - middle, slopes, centre, spread, residual, entropy)
 
     @cached_property
     def notable(self) -> Vector:
@@ -224,7 +228,8 @@ class Linearisation:
         curvature -= pulls.T @ pulls
         pull = pulls.sum(axis=0)
         growing = np.sum(curvature * spread, axis=1) - pull * scale * self.centre
-        return float(value) / 2, np.concatenate([-pull, growing])
+        loss = float(value) / 2 - self.entropy * float(growth.sum())
+        return loss, np.concatenate([-pull, growing - self.entropy])
 
 
 @dataclass(frozen=True)

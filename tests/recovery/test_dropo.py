@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 
-from adr_service.distributions import TruncatedGaussian
-from adr_service.methods.dropo import Dropo, DropoSettings
+from adr_service.distributions import TruncatedGaussian, normalised_std
+from adr_service.methods.dropo import Dropo, DropoSettings, EDropoSettings
 from adr_service.progress import silent
 from adr_service.randomness import stream
 from tests.planted import PLANTED, PROBLEM, SPACE, distance, recorded, waving_policy
 from tests.recovery import hopper
+
+
+def e_dropo(entropy):
+    return EDropoSettings(epsilon=1e-4, entropy=entropy)
 
 
 @pytest.mark.parametrize(
@@ -32,6 +36,25 @@ def test_dropo_recovers_a_planted_spread():
     assert estimate.std[1] == pytest.approx(float(np.std(dynamics[:, 1])), rel=0.5)
     assert estimate.mean[1] == pytest.approx(PLANTED[1], rel=0.2)
     assert estimate.std[0] < 0.25
+
+
+def test_a_bonus_keeps_the_deviations_from_collapsing_and_the_means_in_place():
+    """Tolerance: with noise, twice DROPO's distance. Deviations grow with the bonus, as its root:
+    .006 to .03 of [0, 4] for a tenth of a nat and an epsilon of 1e-5."""
+    data = recorded(waving_policy(), noise=0.003)
+    stds, distances = [], []
+    for settings in (DropoSettings(epsilon=1e-4), e_dropo(0.01), e_dropo(0.1)):
+        found = settings.create().fit(PROBLEM, data, stream("entropy"), silent).distribution
+        stds.append(normalised_std(found))
+        distances.append(distance(found.mean))
+    assert np.all(stds[0] < 1e-3)
+    assert stds[2] / stds[1] == pytest.approx([np.sqrt(10)] * 4, rel=0.4)
+    assert max(distances) < 2 * distances[0]
+
+
+def test_a_bonus_above_what_data_can_lose_takes_all_the_width_there_is():
+    found = e_dropo(10.0).create().fit(PROBLEM, recorded(waving_policy()), stream("e"), silent)
+    assert found.diagnostics["widest"] == list(SPACE.names)
 
 
 def test_dropo_recovers_the_published_hopper_masses(hopper_clean):

@@ -87,6 +87,13 @@ def test_the_models_gradient_is_that_of_finite_differences(levels):
     np.testing.assert_allclose(model.loss(move)[1], numerical, rtol=1e-4, atol=1e-4)
 
 
+def test_a_bonus_on_entropy_is_in_the_models_loss_and_its_gradient():
+    at, move = evaluation(bent)(TRUTH, 2 * SPREAD), np.array([0.3, -0.2, 0.5, -0.4])
+    plain, bonus = (Linearisation.around(at, MEASURED, EPSILON, e).loss(move) for e in (0.0, 3.0))
+    assert plain[0] - bonus[0] == pytest.approx(3.0 * 0.1)
+    np.testing.assert_allclose(plain[1] - bonus[1], [0, 0, 3, 3])
+
+
 def test_a_corrected_model_has_the_loss_of_every_move_that_failed():
     at = evaluation(bent)(TRUTH, 2 * SPREAD)
     model = CorrectedModel(Linearisation.around(at, MEASURED, EPSILON))
