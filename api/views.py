@@ -6,7 +6,7 @@ from datetime import datetime
 from pydantic import BaseModel, SkipValidation
 
 from adr_service.events import FINISHED, RunState
-from adr_service.specs import BenchmarkSpec, CriticismSpec, RunSpec
+from adr_service.specs import BenchmarkSpec, CriticismSpec, LostBenchmark, LostRun, RunSpec
 from api.service import Service
 from db import benchmarks as benchmark_store
 from db.benchmarks import BenchmarkRecord
@@ -30,7 +30,7 @@ class RunView(BaseModel):
     error: RunError | None
     progress: list[Activity]
     # it is valid, and checking a benchmark takes a while
-    spec: SkipValidation[RunSpec | CriticismSpec]
+    spec: SkipValidation[RunSpec | CriticismSpec | LostRun]
     links: dict[str, str]
 
 
@@ -41,7 +41,7 @@ class BenchmarkSummary(BaseModel):
     created_at: datetime
     states: dict[str, int]
     is_finished: bool
-    spec: SkipValidation[BenchmarkSpec]
+    spec: SkipValidation[BenchmarkSpec | LostBenchmark]
     links: dict[str, str]
 
 

@@ -32,8 +32,9 @@ from adr_service.events import (
     state_after,
 )
 from adr_service.json_values import explain, sha256
-from adr_service.specs import RunSpec
-from db.benchmarks import cell_of, list_benchmarks
+from adr_service.specs import LostRun, RunSpec
+from adr_service.specs.lost import Lost
+from db.benchmarks import cell_of, list_benchmarks, readable
 from db.errors import DatabaseDamaged
 from db.models import EventRow, RunRow, StageRow
 from db.runs import list_runs, new_run
@@ -59,13 +60,16 @@ def replays(archived: Staged) -> Iterator[CheckedRun]:
     database, id = archived.database, archived.manifest.benchmark
     try:
         benchmarks, records = list_benchmarks(database), list_runs(database, limit=None)
-    except DatabaseDamaged as error:
+        cells = {cell_of(run) for each in benchmarks for run in readable(each).runs()}
+        lost = [record.spec.reason for record in records if isinstance(record.spec, LostRun)]
+        if lost:
+            raise Lost(lost[0])
+    except (DatabaseDamaged, Lost) as error:
         raise InvalidInput(f"the archive cannot be used here: {error}") from error
     if [record.id for record in benchmarks] != [id] or not _BENCHMARK_ID.fullmatch(id):
         raise InvalidInput("an archive has one benchmark, the one that its manifest names")
     if not records:
         raise InvalidInput("the archive has no run")
-    cells = {cell_of(run) for run in benchmarks[0].spec.runs()}
     with database.read() as session:
         _check_stages(session)
         for record in records:

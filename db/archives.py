@@ -24,7 +24,7 @@ from adr_service.events import RunState, RunStopped
 from adr_service.json_values import Wire
 from adr_service.specs import BenchmarkSpec, RunSpec
 from db.archive_checks import replays
-from db.benchmarks import cell_of, get_benchmark, runs_of
+from db.benchmarks import cell_of, get_benchmark, readable, runs_of
 from db.errors import NotPossible
 from db.events import append, run_row
 from db.models import (
@@ -197,7 +197,7 @@ def _add_benchmark(database: Database, source: Database, id: str) -> None:
         if row is None:
             session.add(copy_of(theirs))
         elif row.spec != theirs.spec:
-            ours, new = _cells(get_benchmark(database, id).spec), _cells(archived.spec)
+            ours, new = (_cells(readable(each)) for each in (get_benchmark(database, id), archived))
             if ours < new:
                 row.spec = theirs.spec
             elif not new < ours:

@@ -9,12 +9,15 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
 
+from pydantic import ValidationError
 from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
 
 from adr_service.events import FINISHED, RunState
-from adr_service.specs import BenchmarkExtension, BenchmarkSpec, RunSpec
-from db.errors import NotFound, NotPossible
+from adr_service.json_values import explain
+from adr_service.specs import BenchmarkExtension, BenchmarkSpec, LostBenchmark, RunSpec
+from adr_service.specs.lost import Lost
+from db.errors import DatabaseDamaged, NotFound, NotPossible
 from db.events import run_row
 from db.models import BenchmarkRow, RunRow
 from db.references import delete_unreferenced
@@ -26,12 +29,12 @@ from db.runs import (
     batches,
     check_live,
     delete_run,
+    document_of,
     insert_runs,
     list_runs,
     new_id,
     new_run,
     queue_again,
-    readable,
     record_of,
 )
 from db.session import Database
@@ -44,7 +47,7 @@ class BenchmarkRecord:
     number: int  # order of submission
     id: str
     created_at: datetime
-    spec: BenchmarkSpec  # as it was submitted, and extended since
+    spec: BenchmarkSpec | LostBenchmark  # as it was submitted, and extended since
 
 
 def create_benchmark(
@@ -125,7 +128,7 @@ def extend_benchmark(
     would not compare with the old ones or another request was faster, and what `accept` raises.
     """
     now = get_benchmark(database, benchmark_id)
-    spec = now.spec.extended(extension)
+    spec = readable(now).extended(extension)
     specs = _missing(spec, runs_of(database, benchmark_id), benchmark_id)
     new = [new_run(run, benchmark_id) for run in specs]  # before the lock
     with database.write("extend_benchmark") as session:
@@ -142,7 +145,7 @@ def planned_extension(
     database: Database, benchmark_id: str, extension: BenchmarkExtension
 ) -> tuple[BenchmarkSpec, list[RunSpec]]:
     """The spec of a benchmark with an extension, and its new runs. Raises as `extend_benchmark`."""
-    spec = get_benchmark(database, benchmark_id).spec.extended(extension)
+    spec = readable(get_benchmark(database, benchmark_id)).extended(extension)
     return spec, _missing(spec, runs_of(database, benchmark_id), benchmark_id)
 
 
@@ -249,6 +252,19 @@ def _record(row: BenchmarkRow) -> BenchmarkRecord:
 
 
 @lru_cache(maxsize=256)
-def _spec(text: str) -> BenchmarkSpec:
-    with readable("benchmark"):
+def _spec(text: str) -> BenchmarkSpec | LostBenchmark:
+    try:
         return BenchmarkSpec.model_validate_json(text)
+    except ValidationError as error:
+        document = document_of(text, "benchmark")
+        try:
+            return LostBenchmark.of(document, error)
+        except ValidationError:
+            raise DatabaseDamaged(f"a stored benchmark is none: {explain(error, 'it')}") from error
+
+
+def readable(benchmark: BenchmarkRecord) -> BenchmarkSpec:
+    """The spec of a benchmark; raises Lost if it cannot be read any more."""
+    if isinstance(benchmark.spec, LostBenchmark):
+        raise Lost(benchmark.spec.reason)
+    return benchmark.spec

@@ -5,9 +5,9 @@ request_cancel(database, run.id)          # a flag, which the run's thread reads
 resubmit(database, run.id)                # its finished stages answer at once
 """
 
+import json
 import secrets
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -18,8 +18,8 @@ from sqlalchemy import delete, func, insert, select
 from sqlalchemy.orm import Session
 
 from adr_service.events import FINISHED, RunQueued, RunState
-from adr_service.json_values import explain
-from adr_service.specs import MAX_RUNS, AnyRun
+from adr_service.specs import MAX_RUNS, AnyRun, LostRun
+from adr_service.specs.lost import reason_of
 from db.datasets import dataset_row
 from db.errors import DatabaseDamaged, NotPossible
 from db.events import append, run_row
@@ -44,7 +44,7 @@ class RunRecord:
     benchmark_id: str | None  # None: it was submitted by itself
     created_at: datetime
     updated_at: datetime  # when its last event was written
-    spec: AnyRun
+    spec: AnyRun | LostRun
     state: RunState
     submission: int  # how often it was submitted: 1 + resumes
     cancel_requested: bool  # it stops at its next stage
@@ -223,7 +223,7 @@ def record_of(row: RunRow) -> RunRecord:
         row.benchmark_id,
         row.created_at,
         row.updated_at,
-        _spec(row.spec),
+        _spec_of(row),
         RunState(row.state),
         row.submission,
         row.cancel_requested,
@@ -237,19 +237,30 @@ def new_id(prefix: str) -> str:
     return f"{prefix}_{secrets.token_hex(8)}"
 
 
-@contextmanager
-def readable(kind: str) -> Generator[None]:
-    """Raise DatabaseDamaged if a stored spec is invalid by now."""
+def document_of(text: str, kind: str) -> dict[str, Any]:
+    """The JSON object of a stored spec; raises DatabaseDamaged if that is none."""
     try:
-        yield
-    except ValidationError as error:
+        return dict(json.loads(text))
+    except ValueError as error:
         raise DatabaseDamaged(
-            f"a stored {kind} cannot be read ({explain(error, kind)}): a package is missing whose "
-            "task or method it names, or the database is damaged (`adr db check` says where)"
+            f"the database is damaged: a stored {kind} is no JSON object ({error}); `adr db check` "
+            "says where"
         ) from error
 
 
 @lru_cache(maxsize=2 * MAX_RUNS)  # parsing costs more than reading, and they never change
-def _spec(text: str) -> AnyRun:
-    with readable("run"):
+def _spec(text: str) -> AnyRun | str:
+    """The spec, or the reason why it cannot be read any more."""
+    try:
         return _ANY_RUN.validate_json(text)
+    except ValidationError as error:
+        return reason_of(document_of(text, "run"), error)
+
+
+def _spec_of(row: RunRow) -> AnyRun | LostRun:
+    """The spec of a row, or what is known of it."""
+    spec = _spec(row.spec)
+    if not isinstance(spec, str):
+        return spec
+    own = {name: getattr(row, name) for name in ("task", "variant", "method", "seed")}
+    return LostRun(**own, dataset=row.dataset_id, reason=spec)

@@ -27,7 +27,7 @@ from adr_service.events import (
     StageFinished,
 )
 from adr_service.programs import run
-from adr_service.specs import AnyRun, RunSpec
+from adr_service.specs import AnyRun, LostRun, RunSpec
 from adr_service.stages.base import Stages
 from adr_service.stages.target_episode import read_episode
 from db import datasets as dataset_store
@@ -55,7 +55,7 @@ class Program(Protocol):
     """The events of a run, computed by `stages`; `recording` is the `.npz` that it learns from."""
 
     def __call__(
-        self, spec: AnyRun, stages: Stages, recording: bytes | None, /
+        self, spec: AnyRun | LostRun, stages: Stages, recording: bytes | None, /
     ) -> Iterator[RunEvent]: ...
 
 

@@ -16,13 +16,13 @@ from importlib import import_module
 
 from adr_service.errors import InvalidInput
 from adr_service.events import RunEvent
-from adr_service.specs import AnyRun
+from adr_service.specs import AnyRun, LostRun
 from adr_service.stages.base import Stages
 
 Program = Generator[RunEvent, None, None]
 
 
-def run(spec: AnyRun, stages: Stages, recording: bytes | None = None) -> Program:
+def run(spec: AnyRun | LostRun, stages: Stages, recording: bytes | None = None) -> Program:
     """Everything that happens in a run, in order; ends when the run has succeeded.
 
     `recording` is the `.npz` of the dataset that a spec names. Raises InvalidInput if the settings

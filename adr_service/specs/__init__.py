@@ -7,6 +7,7 @@ means the same when presets change. Given fields win over the preset, one by one
 """
 
 from adr_service.specs.benchmark import MAX_RUNS, BenchmarkExtension, BenchmarkSpec
+from adr_service.specs.lost import LostBenchmark, LostRun
 from adr_service.specs.run import AnyRun, CriticismSpec, RunSpec
 from adr_service.specs.target import (
     EXTERNAL_EPISODES,
@@ -25,6 +26,8 @@ __all__ = [
     "BenchmarkSpec",
     "CriticismSpec",
     "ExternalTarget",
+    "LostBenchmark",
+    "LostRun",
     "RecordedTarget",
     "RunSpec",
     "SimulatedTarget",

@@ -146,10 +146,10 @@ def cost_table(cost: Json) -> RenderableType:
     for heading in ("number", "seconds on a core", "CPU seconds\nof these", "preparing\nof these"):
         table.add_column(heading, justify="right")
     columns = ("stages", "seconds", "cpu_seconds", "preparing_seconds")
-    total = {name: sum(kind[name] for kind in cost["kinds"]) for name in columns}
+    total: Json = {name: sum(kind[name] for kind in cost["kinds"]) for name in columns}
     for kind in (*cost["kinds"], {"kind": "all", **total}):
-        count, *seconds = (kind[name] for name in columns)
-        table.add_row(kind["kind"], str(count), *(f"{number:.1f}" for number in seconds))
+        seconds = (f"{kind[name]:.1f}" for name in columns[1:])
+        table.add_row(str(kind["kind"]), str(kind["stages"]), *seconds)
     return Group(table, *_utilisation(cost["utilisation"], cost["note"]))
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 
 from adr_service.errors import InvalidInput
-from adr_service.specs import AnyRun, CriticismSpec
+from adr_service.specs import AnyRun, CriticismSpec, LostRun
 from api.service import Service
 from db import runs as run_store
 from db.errors import NotFound
@@ -12,7 +12,7 @@ from db.errors import NotFound
 _LONGEST = 10  # digits of a seed
 
 
-def title_of(spec: AnyRun) -> str:
+def title_of(spec: AnyRun | LostRun) -> str:
     """A run in a few words."""
     if isinstance(spec, CriticismSpec):
         return f"Criticism of {spec.task}, {spec.variant}"

@@ -24,7 +24,7 @@ from adr_service.events import (
 )
 from adr_service.methods.catalogue import methods
 from adr_service.presets import PRESETS
-from adr_service.specs import CriticismSpec, RunSpec
+from adr_service.specs import RunSpec
 from api.durations import in_words
 from api.page.names import title_of
 from api.page.rendering import SEE_OTHER, show
@@ -106,7 +106,7 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
         estimates=estimates(outcomes),
         inferences=[each.iteration for each in outcomes if each.iteration.diagnostics],
         trainings=trainings,
-        has_curves=not isinstance(record.spec, CriticismSpec),
+        has_curves=isinstance(record.spec, RunSpec),
         timeline=timeline(
             stage_store.executions_of(service.database, [run_id]), record.created_at.timestamp()
         ),

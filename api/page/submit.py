@@ -57,7 +57,7 @@ def form(request: Request, service: ServiceDependency, like: str | None = None) 
     """The form, filled in as a benchmark was."""
     if like is None:
         return _form(request, _FIRST)
-    spec = benchmark_store.get_benchmark(service.database, like).spec
+    spec = benchmark_store.readable(benchmark_store.get_benchmark(service.database, like))
     own = [f"the settings of {each.name}" for each in spec.methods if not isinstance(each, str)]
     names = [each if isinstance(each, str) else each.name for each in spec.methods]
     references = [name for name in names if methods()[name].is_reference]

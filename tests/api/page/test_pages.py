@@ -2,6 +2,8 @@
 
 import html
 import re
+import sqlite3
+from contextlib import closing
 
 import pytest
 
@@ -129,6 +131,19 @@ def test_the_page_of_a_run_shows_how_its_inference_ended(http, benchmark):
     assert f"{facts['loss_per_window']:.3f}" in page
     inference = page.split("<h2>Inference</h2>")[1].split("<h2>Events</h2>")[0]
     assert all(name in inference for name in facts["at_bound"] + facts["widest"])
+
+
+def test_what_cannot_be_read_any_more_is_shown_beside_the_rest(service, http):
+    spec = {"task": "arm", "method": "udr", "preset": "smoke", "seed": 95}
+    run = http.post("/v1/runs", json=spec).json()["id"]
+    until(lambda: http.get(f"/v1/runs/{run}").json()["state"] == "succeeded")
+    with closing(sqlite3.connect(service.data_dir / "adr.sqlite")) as file, file:
+        change = "UPDATE runs SET spec = replace(spec, ?, ?) WHERE id = ?"
+        file.execute(change, ['"udr"', '"median_best"', run])
+    for address in ("/", "/claims", f"/runs/{run}", "/v1/runs", f"/compare?id={run}"):
+        assert http.get(address).status_code == 200, address
+    assert "is not installed here" in html.unescape(http.get(f"/runs/{run}").text)
+    assert http.delete(f"/v1/runs/{run}").status_code == 204
 
 
 def test_a_running_stage_links_to_its_actor_in_rays_dashboard(service, http):

@@ -1,0 +1,89 @@
+"""Stored specs that cannot be read any more: a package was uninstalled, or has other settings now.
+
+They are listed beside all others with what is known of them, and nothing can be computed of them.
+"""
+
+from typing import Any, ClassVar, Literal, cast
+
+from pydantic import ValidationError
+
+from adr_service.errors import UnknownName
+from adr_service.json_values import Wire, explain
+from adr_service.methods.catalogue import methods
+from adr_service.tasks.catalogue import catalogue
+
+
+class LostRun(Wire):
+    """A stored run whose spec cannot be read any more."""
+
+    kind: Literal["lost"] = "lost"
+    program: ClassVar[str] = "adr_service.programs.lost"
+    task: str
+    variant: str
+    method: str
+    seed: int
+    dataset: str | None
+    reason: str
+
+    @property
+    def label(self) -> str:
+        """The kind of run, for lists of runs."""
+        return self.method
+
+    @property
+    def column(self) -> str:
+        """The method."""
+        return self.method
+
+
+class LostBenchmark(Wire):
+    """A stored benchmark whose spec cannot be read any more."""
+
+    kind: Literal["lost"] = "lost"
+    tasks: list[str]
+    variants: list[str]
+    methods: list[str]
+    seeds: list[int]
+    preset: str
+    reason: str
+
+    @classmethod
+    def of(cls, document: dict[str, Any], error: ValidationError) -> "LostBenchmark":
+        """What is known of a stored benchmark; raises ValidationError if that is none at all."""
+        usual: dict[str, Any] = {"variants": ["vanilla"], "seeds": [0, 1, 2], "preset": "quick"}
+        known = {name: document.get(name, usual.get(name)) for name in ("tasks", *usual)}
+        names = [_name(each) for each in _listed(document, "method")]
+        reason = reason_of(document, error)
+        return cls.model_validate({**known, "methods": names, "reason": reason})
+
+
+def reason_of(document: dict[str, Any], error: ValidationError) -> str:
+    """Why a stored run's or benchmark's spec is lost, and what helps."""
+    named, tasks = (map(_name, _listed(document, kind)) for kind in ("method", "task"))
+    lacking = [f"the method {name!r}" for name in named if name not in methods()]
+    lacking += [f"the task {name!r}" for name in tasks if name not in catalogue()]
+    if not lacking:
+        return f"its spec is of another version: {explain(error, 'spec')}"
+    verb, them = ("is", "it") if len(lacking) == 1 else ("are", "them")
+    return (
+        f"{' and '.join(lacking)} {verb} not installed here: install the package that has {them}, "
+        "and start the service again"
+    )
+
+
+class Lost(UnknownName):
+    """A stored spec cannot be used before its package is installed again."""
+
+    def __init__(self, reason: str):
+        Exception.__init__(self, reason)
+
+
+def _listed(document: dict[str, Any], kind: str) -> list[Any]:
+    """The method or task of a run, or those of a benchmark."""
+    given = document.get(f"{kind}s", [document[kind]] if kind in document else [])
+    return cast(list[Any], given) if isinstance(given, list) else []
+
+
+def _name(given: Any) -> str:
+    """The name of what is given by name, or by settings."""
+    return str(cast(dict[str, Any], given).get("name") if isinstance(given, dict) else given)
