@@ -163,7 +163,7 @@ def costs_more(task: str, dear: str, cheap: str) -> Check:
         if not pairs:
             return _nothing([])
         steps = [_range([float(pair[side]) for pair in pairs]) for side in (0, 1)]
-        line = f"{task}: {dear} simulates {steps[0]} steps, {cheap} {steps[1]}"
+        line = f"{task} vanilla after 1: {dear} simulates {steps[0]} steps, {cheap} {steps[1]}"
         return _for_every([a > b for a, b in pairs], f"{line}, {_seeds(len(pairs))}")
 
     return check

@@ -64,9 +64,9 @@ def _ranking(figure: Figure, criticism: Criticism) -> None:
     axes.invert_yaxis()
     chance = "what chance can reach"
     axes.axvline(THRESHOLD, color="black", linestyle="--", linewidth=0.8, label=chance)
-    axes.legend(loc="lower right", frameon=False)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False)
     axes.set_xlabel("evidence [nats, ± standard error]")
-    axes.set_title("Candidates, each added alone")
+    axes.set_title("Candidates, each added alone, and what is named of them")
 
 
 def _residual(figure: Figure, criticism: Criticism) -> None:
@@ -81,7 +81,7 @@ def _residual(figure: Figure, criticism: Criticism) -> None:
     shown = rng.permutation(len(error))[:_MOST_POINTS]
     for ax, (name, known) in zip(axes, _against(before, dof).items(), strict=True):
         values = known[both]
-        ax.plot(values[shown], error[shown], ".", color=_BEFORE, markersize=2, alpha=0.4)
+        ax.plot(values[shown], error[shown], ".", color=_BEFORE, markersize=5, alpha=0.4)
         ax.plot(values[shown], share[shown], ".", color=_AFTER, markersize=2)
         ax.set_xlabel(name)
         ax.locator_params(axis="x", nbins=4)

@@ -223,7 +223,7 @@ class Measurement:
                 raise InvalidInput(
                     f"time advances by {self.time[row + 1] - self.time[row]:g} s from row {row} "
                     f"to {row + 1}, elsewhere by {period:g} s; rows must be evenly spaced within "
-                    "an episode (start another episode at a gap)"
+                    "an episode (start another at a gap; `adr measure` resamples uneven stamps)"
                 )
         return period
 

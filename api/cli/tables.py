@@ -95,7 +95,7 @@ def comparisons_table(results: Json) -> RenderableType:
         table.add_column(heading, justify="right")
     for pair in results["comparisons"]:
         names = (pair["task"], pair["variant"], pair["method"], pair["other"])
-        difference = f"{pair['difference']:+.2f}", _interval(pair, "difference_")
+        difference = f"{round(pair['difference'], 2) + 0.0:+.2f}", _interval(pair, "difference_")
         probability = "–" if pair["low"] is None else f"{pair['probability']:.2f}"
         table.add_row(*names, *difference, probability, str(pair["seeds"]))
     note = (

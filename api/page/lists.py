@@ -89,7 +89,8 @@ def submit_criticism(
     except ValidationError as error:
         return _criticisms(request, service, task, variant, [explain(error, "the form")])
     except InvalidInput as error:
-        return _criticisms(request, service, task, variant, [str(error)])
+        name = measurement.filename or "the file"
+        return _criticisms(request, service, task, variant, [f"{name}: {error}"])
     return RedirectResponse(f"/runs/{record.id}", SEE_OTHER)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 
 from adr_service.errors import InvalidInput
-from adr_service.specs import AnyRun, CriticismSpec, LostRun
+from adr_service.specs import AnyRun, CriticismSpec, LostRun, RunSpec
 from api.service import Service
 from db import runs as run_store
 from db.errors import NotFound
@@ -16,7 +16,21 @@ def title_of(spec: AnyRun | LostRun) -> str:
     """A run in a few words."""
     if isinstance(spec, CriticismSpec):
         return f"Criticism of {spec.task}, {spec.variant}"
-    return f"{spec.column} on {spec.task}, {spec.variant}, seed {spec.seed}"
+    return f"{spec.column} on {spec.task}, {spec.variant}, seed {spec.seed}{apart_of(spec)}"
+
+
+def apart_of(spec: AnyRun | LostRun) -> str:
+    """How a run differs from others of its method, task, variant and seed, if it does."""
+    if not isinstance(spec, RunSpec):
+        return ""
+    told = ""
+    if spec.extension:
+        told += ", extended by " + ", ".join(f"{e.kind} at {e.location}" for e in spec.extension)
+    if spec.target.kind != "simulated":
+        told += f", {spec.target.kind} target"
+    elif spec.target.effects:
+        told += ", with a target of other effects"
+    return told
 
 
 def titles(service: Service, ids: Iterable[str]) -> dict[str, str]:

@@ -8,6 +8,7 @@ from fastapi.templating import Jinja2Templates
 from jinja2 import StrictUndefined
 
 from api.guard import COOKIE
+from api.page.names import apart_of
 
 STATIC = Path(__file__).parent / "static"
 SEE_OTHER = 303  # the status that sends a browser from a form to the page that shows its effect
@@ -31,6 +32,7 @@ def _sentence(text: str) -> str:
 _templates = Jinja2Templates(Path(__file__).parent / "templates")
 _templates.env.undefined = StrictUndefined
 _templates.env.filters["sentence"] = _sentence
+_templates.env.filters["apart"] = apart_of
 
 
 def show(
