@@ -46,7 +46,9 @@ class FailureCode(StrEnum):
     INVALID_INPUT = (
         "invalid_input",
         "The run's spec, dataset or a robot's recording cannot be used.",
-        "Submit a new run with the input that the message accepts.",
+        "Submit a new run with the input that the message accepts. If your own method or task is "
+        "wrong: correct it, raise its version, install it, start the service again, and resume the "
+        "run.",
     )
     UNKNOWN_NAME = (
         "unknown_name",
@@ -77,8 +79,9 @@ class FailureCode(StrEnum):
     INTERNAL = (
         "internal",
         "A defect of the service, or of a user's own task or method.",
-        "Read the traceback in the message or in the service's log; correct or report the defect, "
-        "then resume the run.",
+        "Read the traceback in the service's log. Report a defect of the service. Correct one of "
+        "your own method or task, raise its version, install it, start the service again, and "
+        "resume the run.",
     )
 
 

@@ -39,7 +39,12 @@ def known_method(given: Any) -> Any:
         raise ValueError(
             f"give a method's name, or its settings with `name`; accepted: {', '.join(methods())}"
         )
-    _known("method", name, methods())
+    try:
+        _known("method", name, methods())
+    except ValueError as error:
+        raise ValueError(
+            f"{error} (one just installed counts once `adr serve` starts anew)"
+        ) from error
     return given
 
 
