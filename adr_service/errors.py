@@ -56,6 +56,12 @@ class FailureCode(StrEnum):
         "Install the package that has it where the service and its workers run, then resume "
         "the run.",
     )
+    LOST_SPEC = (
+        "lost_spec",
+        "The run's spec cannot be read: its method or task is not installed, or has other fields.",
+        "Install the package in the version of that time where the service and its workers run, "
+        "start the service again, and resume the run.",
+    )
     INFEASIBLE_DISTRIBUTION = (
         "infeasible_distribution",
         "No draw of an inferred distribution can be simulated.",

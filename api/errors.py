@@ -19,6 +19,7 @@ _STATUS = {
     "not_found": 404,
     "unknown_name": 404,
     "conflict": 409,
+    "lost_spec": 409,
     "lease_lost": 409,
     "invalid_input": 422,
     "cluster_unavailable": 503,

@@ -23,7 +23,7 @@ from adr_service.benchmark.comparison import (
 from adr_service.benchmark.cost import Execution, Utilisation, utilisation
 from adr_service.events import IterationFinished
 from adr_service.json_values import canonical_json, sha256
-from adr_service.specs import RecordedTarget, RunSpec
+from adr_service.specs import LostRun, RecordedTarget, RunSpec
 from api.service import Service
 from db import events as event_store
 from db import results as result_store
@@ -96,11 +96,17 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
     count = event_store.count_iterations(service.database, [record.id for record in records])
     tables = (Row, Aggregate, Comparison, ParameterEstimate, InferenceCost)
     columns = [field.name for each in tables for field in fields(each)]
-    version = sha256(canonical_json([adr_service.__version__, _TABLES, columns, count]).encode())
+    lost = [record.id for record in records if isinstance(record.spec, LostRun)]
+    known = [adr_service.__version__, _TABLES, columns, count, lost]
+    version = sha256(canonical_json(known).encode())
     stored = result_store.kept_results(service.database, id, version)
     if stored is not None:
         return stored
-    results = results_view(outcomes_of(service, records)).model_dump_json()
+    view = results_view(outcomes_of(service, records))
+    if lost:
+        left_out = f"{view.note}; {len(lost)} runs cannot be read here, and are left out"
+        view = view.model_copy(update={"note": left_out})
+    results = view.model_dump_json()
     try:
         result_store.keep_results(service.database, id, version, results)
     except DatabaseUnavailable as error:

@@ -11,10 +11,11 @@ from typing import Annotated
 
 from fastapi import Header, HTTPException, status
 
-from adr_service.criticism.compatibility import check_measurement
+from adr_service.criticism.compatibility import check_columns, check_measurement
 from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.recordings import read_measurement
+from adr_service.simulation.model import compiled
 from adr_service.simulation.replay import check_recorded
 from adr_service.specs import AnyRun, CriticismSpec
 from adr_service.target import Recording
@@ -39,11 +40,11 @@ class Upload:
             return cls(content, Measurement.from_npz(content))
         return cls(content, TransitionDataset.from_npz(content))
 
-    def check_task(self, task_name: str, variant: str = "vanilla") -> None:
-        """Raise InvalidInput unless the data are of this task's robot."""
+    def check_task(self, task_name: str) -> None:
+        """Raise InvalidInput unless the data are of this task's robot; a run asks for more."""
         task = get_task(task_name)
         if isinstance(self.data, Measurement):
-            check_measurement(Nominal.of_task(task, source_of(task_name, variant)), self.data)
+            check_columns(compiled(task.xml), self.data)
         else:
             check_recorded(task, self.data)
 

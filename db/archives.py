@@ -22,7 +22,7 @@ from adr_service.benchmark.archive import ArchiveWriter, Manifest
 from adr_service.errors import InvalidInput
 from adr_service.events import RunState, RunStopped
 from adr_service.json_values import Wire
-from adr_service.specs import BenchmarkSpec, RunSpec
+from adr_service.specs import BenchmarkSpec, CriticismSpec, RunSpec
 from db.archive_checks import replays
 from db.benchmarks import cell_of, get_benchmark, readable, runs_of
 from db.errors import NotPossible
@@ -263,7 +263,10 @@ def _run(session: Session, id: str) -> RunRow | None:
 
 
 def _place(record: RunRecord) -> tuple[str, str, str, int] | None:
-    return cell_of(record.spec) if isinstance(record.spec, RunSpec) else None
+    spec = record.spec
+    if isinstance(spec, CriticismSpec):
+        return None
+    return cell_of(spec) if isinstance(spec, RunSpec) else (*spec.place, spec.seed)
 
 
 def _cells(spec: BenchmarkSpec) -> set[tuple[str, str, str, int]]:

@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 
 from adr_service.events import FINISHED, RunState
 from adr_service.json_values import explain
-from adr_service.specs import BenchmarkExtension, BenchmarkSpec, LostBenchmark, RunSpec
+from adr_service.specs import BenchmarkExtension, BenchmarkSpec, LostBenchmark, LostRun, RunSpec
 from adr_service.specs.lost import Lost
 from db.errors import DatabaseDamaged, NotFound, NotPossible
 from db.events import run_row
@@ -219,6 +219,9 @@ def _missing(spec: BenchmarkSpec, present: Sequence[RunRecord], benchmark_id: st
 
     Raises NotPossible if a run of `present` differs from the one that `spec` has in its place.
     """
+    for run in present:
+        if isinstance(run.spec, LostRun):  # its place is taken, and nobody knows by what
+            raise Lost(run.spec.reason)
     known = {cell_of(run.spec): run.spec for run in present if isinstance(run.spec, RunSpec)}
     new: list[RunSpec] = []
     for run in spec.runs():
@@ -260,7 +263,9 @@ def _spec(text: str) -> BenchmarkSpec | LostBenchmark:
         try:
             return LostBenchmark.of(document, error)
         except ValidationError:
-            raise DatabaseDamaged(f"a stored benchmark is none: {explain(error, 'it')}") from error
+            raise DatabaseDamaged(
+                f"a stored benchmark cannot be read: {explain(error, 'benchmark')}"
+            ) from error
 
 
 def readable(benchmark: BenchmarkRecord) -> BenchmarkSpec:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from pydantic import TypeAdapter, ValidationError
 from sqlalchemy import delete, func, insert, select
@@ -240,12 +240,14 @@ def new_id(prefix: str) -> str:
 def document_of(text: str, kind: str) -> dict[str, Any]:
     """The JSON object of a stored spec; raises DatabaseDamaged if that is none."""
     try:
-        return dict(json.loads(text))
-    except ValueError as error:
+        document = json.loads(text)
+    except (ValueError, RecursionError):
+        document = None
+    if not isinstance(document, dict):
         raise DatabaseDamaged(
-            f"the database is damaged: a stored {kind} is no JSON object ({error}); `adr db check` "
-            "says where"
-        ) from error
+            f"the database is damaged: a stored {kind} is no JSON object; `adr db check` says where"
+        )
+    return cast(dict[str, Any], document)
 
 
 @lru_cache(maxsize=2 * MAX_RUNS)  # parsing costs more than reading, and they never change

@@ -13,7 +13,7 @@ be mistaken for failed methods. Checks of widths and costs must hold for every s
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from scipy.stats import t as student
@@ -31,8 +31,8 @@ _MOST_SEEDS = 1000
 # Least standard deviation over seeds: two trainings on one distribution differ by about as much
 # (docs/training.md, the oracle on Hopper). Seeds that share a policy, or a gait, have none at all.
 _LEAST_STD = 0.02
-Gap = Literal["not judged", "not measured"]  # why a statement has no verdict
-GAPS: tuple[Gap, ...] = ("not judged", "not measured")  # the first counts where there are several
+Gap = Literal["not judged", "measured in part", "not measured"]  # why a statement has no verdict
+GAPS: tuple[Gap, ...] = get_args(Gap)  # the first counts where there are several
 
 
 @dataclass(frozen=True)
@@ -260,6 +260,8 @@ def conjunction(answers: Sequence[Evidence]) -> Evidence:
     (Bonferroni). A check without a verdict leaves the support open, not the contradiction.
     """
     gaps: list[Gap] = [answer.gap for answer in answers if answer.gap is not None]
+    if 0 < len(gaps) < len(answers):
+        gaps.append("measured in part")
     lines = list(dict.fromkeys(line for answer in answers for line in answer.lines))
     against = [answer for answer in answers if not answer.leans_to_support]
     judged = max(1, sum(each.gap is None or each.contradicts < 1 for each in answers))

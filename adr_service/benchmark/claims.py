@@ -50,7 +50,7 @@ _HARD = ("half_cheetah", "walker2d", "humanoid")
 _TASKS = ("hopper", *_HARD)
 _VARIANTS = ("vanilla", "noisy", "unmodeled")
 _LEVEL = 0.05  # at which all verdicts hold together
-ClaimVerdict = Literal["supported", "contradicted", "undecided", "measured in part"] | Gap
+ClaimVerdict = Literal["supported", "contradicted", "undecided"] | Gap
 
 
 @dataclass(frozen=True)
@@ -163,8 +163,6 @@ def _judged(evidence: Sequence[Evidence], claims: Sequence["Claim"]) -> list[Cla
     found: list[ClaimReport] = []
     for index, (claim, each) in enumerate(zip(claims, evidence, strict=True)):
         verdict: ClaimVerdict = each.gap or "undecided"
-        if verdict == "not measured" and each.lines:
-            verdict = "measured in part"  # the lines say which part, or what lacks
         if index in settled:
             verdict = "supported" if each.leans_to_support else "contradicted"
         needed = each.needed(_LEVEL / max(1, len(measured)))

@@ -26,7 +26,7 @@ _COLLECTOR_LABELS = {
 _MOST_NAMED = 8  # parameters in a legend
 _SIDES = ("low", "high")  # of an interval
 _SHIFT = 0.12  # iterations between the points of two methods
-_BESIDE = 0.06  # the same in a figure of returns
+_BESIDE, _WIDTH = 0.06, 0.6  # iterations between methods in a figure of returns, and of all at most
 _AXIS_LABELS = {
     "inference_steps": "simulated control steps",
     "inference_seconds": "seconds on one core",
@@ -211,7 +211,8 @@ def _names(rows: Sequence[Row]) -> list[str]:
 
 def _shifts(count: int) -> list[float]:
     """Distances of methods' points from an iteration, so that no interval hides another."""
-    return [_BESIDE * (number - (count - 1) / 2) for number in range(count)]
+    beside = min(_BESIDE, _WIDTH / count)
+    return [beside * (number - (count - 1) / 2) for number in range(count)]
 
 
 def _bars(axis: Axes, shift: float, rows: Sequence[Row], colour: str, label: str) -> None:

@@ -16,7 +16,8 @@ def headline(seen: Json) -> str:
 
 def label(spec: Json) -> str:
     """One word for a run: its method, or its kind."""
-    return spec["method"]["name"] if "method" in spec else spec["kind"]
+    method = spec.get("method", spec["kind"])
+    return method if isinstance(method, str) else method["name"]
 
 
 def runs_of(seen: Json) -> list[Json]:

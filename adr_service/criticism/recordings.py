@@ -9,10 +9,11 @@ Each of the two is read as the other where that loses nothing.
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector
-from adr_service.criticism.compatibility import check_columns
+from adr_service.criticism.compatibility import check_columns, check_state
 from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.errors import InvalidInput
 from adr_service.parameters import ParameterSpace
@@ -45,18 +46,23 @@ def read_recording(task: Task, content: bytes) -> TransitionDataset:
 def as_measurement(task: Task, data: TransitionDataset) -> Measurement:
     """A recording as a measurement that a criticism can read.
 
-    What no sensor shows is marked as not measured; positions among it are the integrals of their
-    velocities. Raises InvalidInput for the data of another robot, and for next observations that
+    What no sensor shows is marked as not measured. Such positions are the integrals of their
+    velocities, and such velocities the rates of their positions. Raises InvalidInput for the data
+    of another robot, a model with other joints than slides and hinges, and next observations that
     have noise of their own.
     """
+    check_state(compiled(task.xml))
     check_recorded(task, data)
     measurement = measurement_of(task, data)
     position, velocity = np.split(is_measured(task), 2)
-    episodes = [measurement.qvel[first:last] for first, last in measurement.spans()]
-    moved = np.concatenate([_integral(velocities, data.dt) for velocities in episodes])
+    qpos, qvel = measurement.qpos.copy(), measurement.qvel.copy()
+    for first, last in measurement.spans():
+        qvel[first:last, ~velocity] = np.gradient(qpos[first:last, ~velocity], data.dt, axis=0)
+        qpos[first:last, ~position] = _integral(qvel[first:last, ~position], data.dt)
     return replace(
         measurement,
-        qpos=np.where(position, measurement.qpos, moved),
+        qpos=qpos,
+        qvel=qvel,
         qpos_std=_deviations(position),
         qvel_std=_deviations(velocity),
     )
@@ -65,10 +71,13 @@ def as_measurement(task: Task, data: TransitionDataset) -> Measurement:
 def as_recording(task: Task, measurement: Measurement) -> TransitionDataset:
     """A measurement as a recording from which methods can learn.
 
-    Raises InvalidInput for the data of another robot, rows that are not one control step apart,
-    commands that change between rows, and a lack of what the task's sensors show.
+    The noise that the measurement gives of its sensors is left out: a recording has no place for
+    it. Raises InvalidInput for the data of another robot, rows that are not one control step apart
+    (to a thousandth), commands that change between rows, and a lack of what the task's sensors
+    show.
     """
-    check_columns(compiled(task.xml), measurement)
+    model = compiled(task.xml)
+    check_columns(model, measurement)
     period, given = control_period(task), measurement.period()
     if not np.isclose(given, period, rtol=_SAME_PERIOD):
         raise InvalidInput(
@@ -82,8 +91,7 @@ def as_recording(task: Task, measurement: Measurement) -> TransitionDataset:
         )
     if (lacking := is_measured(task) & ~measurement.is_measured()).any():
         raise InvalidInput(
-            f"the measurement lacks what sensors of {task.name} show: columns "
-            f"{np.flatnonzero(lacking).tolist()} of its positions and velocities side by side"
+            f"the measurement lacks what sensors of {task.name} show: {_named(model, lacking)}"
         )
     shown = observed(task, _AS_FILED, np.hstack([measurement.qpos, measurement.qvel]))
     rows = np.flatnonzero(np.diff(measurement.episode) == 0)
@@ -133,6 +141,13 @@ def observed(task: Task, source: Source, states: Matrix) -> Matrix:
         simulation.set_state(State(qpos, qvel))
         rows.append(task.observe(simulation.state)[0, : task.measured])
     return np.array(rows)
+
+
+def _named(model: mujoco.MjModel, chosen: Mask) -> str:
+    """The chosen ones (nq + nv,) of a model's positions and velocities, by their joints."""
+    names = [model.joint(number).name for number in range(model.njnt)]
+    kinds = [f"the {kind} of {name}" for kind in ("position", "velocity") for name in names]
+    return ", ".join(kinds[number] for number in np.flatnonzero(chosen))
 
 
 def _readings(episode: TransitionDataset) -> Matrix:

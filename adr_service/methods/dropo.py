@@ -101,12 +101,17 @@ class EDropoSettings(_Settings):
         sum_w log p(s'_w | phi) + entropy * windows * sum_i log sigma_i
 
     where the sum over i is the entropy of Gaussians that are cut at two deviations, but for a
-    constant. We have read the abstract alone, which has no formula and no weight: ours are
-    (docs/decisions.md)."""
+    constant; where the feasible bound cuts more, the bonus is for the width before. The losses in
+    the diagnostics have it taken off, so they do not compare with DROPO's. We
+    have read the abstract alone, which has no formula and no weight: ours are in
+    docs/decisions.md."""
 
     name: Literal["e_dropo"] = "e_dropo"
     entropy: float = Field(
-        0.1, gt=0, le=100, description="nats of log likelihood that a nat of entropy is worth"
+        0.1,
+        gt=0,
+        le=100,
+        description="nats of log likelihood per window that a nat of entropy is worth",
     )
 
     label: ClassVar[str] = "E-DROPO"

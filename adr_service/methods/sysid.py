@@ -38,7 +38,9 @@ _STEP = 1e-4  # of the finite differences, in [0, 4] coordinates
 _POINT_TOLERANCE = 1e-10  # a search ends at a smaller relative change of the point
 _COST_TOLERANCE = 1e-12  # or of the cost
 _GRADIENT_TOLERANCE = 1e-12  # or at a smaller scaled gradient
-_ROUNDING = 1e-15  # error of a prediction without noise, in standard deviations of its column
+# Least deviation of residuals, in standard deviations of their column: one-sided differences have
+# errors of their step times a curvature, which without noise would look like information
+_LEAST_NOISE = 1e-3
 _LEAST = 1e-6  # deviation in [0, 4], below which a covariance with others of 1 is rounding
 _MOST_CONDITION = 1e15  # of the information matrix, beyond which float64 cannot invert it
 
@@ -107,7 +109,7 @@ class SysidLaplaceSettings(_Settings):
         self, space: ParameterSpace, best: OptimizeResult, columns: int
     ) -> Distribution:
         residuals = np.asarray(best.fun).reshape(-1, columns)
-        deviations = np.maximum(residuals.std(axis=0), _ROUNDING)
+        deviations = np.maximum(np.sqrt(np.mean(residuals**2, axis=0)), _LEAST_NOISE)
         weights = np.tile(1 / deviations, len(residuals))
         # by singular values: squares of those without noise would drown the prior in rounding
         rows = np.vstack([np.asarray(best.jac) * weights[:, None], np.eye(len(space))])

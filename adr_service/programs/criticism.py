@@ -15,7 +15,7 @@ def run(
     spec: CriticismSpec, stages: Stages, recording: bytes | None
 ) -> Generator[RunEvent, None, None]:
     if recording is None:
-        raise InvalidInput(f"the measurement {spec.dataset} was not given")
+        raise InvalidInput(f"the data {spec.dataset} were not given")
     where = identity_of(spec.task)
     stage = Criticise(**where, variant=spec.variant, seed=spec.seed, data=recording)
     criticism = yield from stages.run(stage)

@@ -7,9 +7,10 @@ from typing import Any, ClassVar, Literal, cast
 
 from pydantic import ValidationError
 
-from adr_service.errors import UnknownName
+from adr_service.errors import AdrError, FailureCode
 from adr_service.json_values import Wire, explain
 from adr_service.methods.catalogue import methods
+from adr_service.specs.benchmark import BenchmarkSpec
 from adr_service.tasks.catalogue import catalogue
 
 
@@ -35,6 +36,11 @@ class LostRun(Wire):
         """The method."""
         return self.method
 
+    @property
+    def place(self) -> tuple[str, str, str]:
+        """Task, variant and method."""
+        return self.task, self.variant, self.method
+
 
 class LostBenchmark(Wire):
     """A stored benchmark whose spec cannot be read any more."""
@@ -50,11 +56,12 @@ class LostBenchmark(Wire):
     @classmethod
     def of(cls, document: dict[str, Any], error: ValidationError) -> "LostBenchmark":
         """What is known of a stored benchmark; raises ValidationError if that is none at all."""
-        usual: dict[str, Any] = {"variants": ["vanilla"], "seeds": [0, 1, 2], "preset": "quick"}
-        known = {name: document.get(name, usual.get(name)) for name in ("tasks", *usual)}
-        names = [_name(each) for each in _listed(document, "method")]
+        names = ("tasks", "variants", "seeds", "preset")
+        usual = {name: BenchmarkSpec.model_fields[name].get_default() for name in names[1:]}
+        known = {name: document.get(name, usual.get(name)) for name in names}
+        methods = [_name(each) for each in _listed(document, "method")]
         reason = reason_of(document, error)
-        return cls.model_validate({**known, "methods": names, "reason": reason})
+        return cls.model_validate({**known, "methods": methods, "reason": reason})
 
 
 def reason_of(document: dict[str, Any], error: ValidationError) -> str:
@@ -71,11 +78,10 @@ def reason_of(document: dict[str, Any], error: ValidationError) -> str:
     )
 
 
-class Lost(UnknownName):
+class Lost(AdrError):
     """A stored spec cannot be used before its package is installed again."""
 
-    def __init__(self, reason: str):
-        Exception.__init__(self, reason)
+    code = FailureCode.LOST_SPEC
 
 
 def _listed(document: dict[str, Any], kind: str) -> list[Any]:

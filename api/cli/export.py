@@ -106,6 +106,8 @@ def _spec(client: AdrClient, run: str) -> Json:
     if not run.startswith("run_"):
         raise InvalidInput(f"{run} is no run, and has no single policy; adr list")
     spec: Json = client.get(run)["spec"]
+    if spec["kind"] == "lost":
+        raise InvalidInput(f"{run} cannot be read: {spec['reason']}")
     if spec["kind"] != "transfer":
         raise InvalidInput(f"{run} is a {spec['kind']}, and has no policy")
     return spec

@@ -56,8 +56,8 @@ def datasets(request: Request, service: ServiceDependency) -> Response:
         request,
         "datasets.html",
         heading="Datasets",
-        explanation="Recordings of transitions, from which offline methods learn, and measurements "
-        "of states and commands, by which simulators are criticised.",
+        explanation="Recordings of transitions, and measurements of states and commands: methods "
+        "learn from them, and simulators are criticised by them.",
         items=[dataset_view(record) for record in records],
         more=len(records) == _SHOWN,
     )

@@ -29,7 +29,7 @@ def apart_of(spec: AnyRun | LostRun) -> str:
     if spec.target.kind != "simulated":
         told += f", {spec.target.kind} target"
     elif spec.target.effects:
-        told += ", with a target of other effects"
+        told += ", on a target with effects of its own"
     return told
 
 

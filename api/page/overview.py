@@ -56,6 +56,8 @@ def _leader(service: Service, benchmark: BenchmarkSummary) -> dict[str, Any] | N
             _leaders.clear()
         runs = benchmark_store.runs_of(service.database, benchmark.id)
         found = json.loads(results_json(service, benchmark.id, runs))["aggregates"]
-        ranked = [row for row in found if not methods()[row["method"]].is_reference]
+        # a stored table outlives the package of a method
+        kinds = ((row, methods().get(row["method"])) for row in found)
+        ranked = [row for row, kind in kinds if kind is not None and not kind.is_reference]
         _leaders[key] = max(ranked, key=lambda row: row["interquartile_mean"], default=None)
     return _leaders[key]

@@ -47,7 +47,7 @@ def test_a_contradiction_outweighs_everything_and_is_corrected_for_their_number(
 def test_a_conjunction_is_as_sure_as_its_weakest_part():
     assert numbers(conjunction([FOR, FOR])) == (SURE, 1.0, None)
     assert conjunction([FOR, OPEN]).supports == UNSURE
-    assert numbers(conjunction([FOR, MISSING])) == (1.0, 1 - SURE, "not measured")
+    assert numbers(conjunction([FOR, MISSING])) == (1.0, 1 - SURE, "measured in part")
 
 
 def test_none_of_is_the_opposite_of_any():

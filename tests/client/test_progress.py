@@ -38,3 +38,7 @@ def test_a_run_alone_is_as_a_benchmark_of_one():
 def test_a_criticism_has_no_method_and_is_labelled_by_its_kind():
     assert label(SPEC) == "simopt"
     assert label({"kind": "criticism"}) == "criticism"
+
+
+def test_a_run_that_cannot_be_read_is_labelled_by_its_methods_name():
+    assert label({"kind": "lost", "method": "median_best"}) == "median_best"

@@ -14,6 +14,7 @@ from adr_service.criticism.recordings import (
 from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import Simulations
 from adr_service.simulation.rollout import random_actions
+from adr_service.tasks.base import State
 from adr_service.tasks.catalogue import get_task, hidden_of
 from adr_service.transitions import TransitionDataset
 from tests.planted import ARM, recorded, waving_policy
@@ -87,7 +88,7 @@ def test_a_robot_that_no_sensor_shows_whole_still_has_a_recording(hopped):
         ),
         (
             {"qvel_std": np.array([np.inf, np.nan])},
-            r"lacks what sensors of arm show: columns \[2\]",
+            r"lacks what sensors of arm show: the velocity of \w+",
         ),
         ({"ctrl": 100 + MEASUREMENT.ctrl}, "actions lie outside the bounds of arm"),
         ({"qvel": MEASUREMENT.qvel[:, :1]}, "qvel has 1 columns; the model has 2"),
@@ -107,6 +108,35 @@ def test_noise_of_next_observations_alone_is_no_measurement():
 def test_a_recording_of_another_robot_is_refused(hopped):
     with pytest.raises(InvalidInput, match="11 observations and 3 actions; arm measures 4"):
         as_measurement(ARM, hopped[1])
+
+
+def test_a_robot_with_a_free_joint_is_refused_with_the_reason():
+    humanoid = get_task("humanoid")
+    width, commands = humanoid.measured, len(humanoid.action_low)
+    rest = np.zeros((3, width))
+    data = TransitionDataset(
+        rest, np.zeros((3, commands)), rest, np.zeros(3), 0.015, humanoid.columns[:width], "none"
+    )
+    with pytest.raises(InvalidInput, match="free and ball joints are not supported"):
+        as_measurement(humanoid, data)
+
+
+def test_velocities_that_no_sensor_shows_are_the_rates_of_positions():
+    class Encoders(type(ARM)):
+        def state(self, observations):
+            return State(observations[:, :2], np.zeros((len(observations), 2)))
+
+    data = replace(
+        CLEAN,
+        observations=CLEAN.observations[:, :2],
+        next_observations=CLEAN.next_observations[:, :2],
+        columns=ARM.columns[:2],
+    )
+    measurement = as_measurement(Encoders(columns=ARM.columns[:2], measured=2), data)
+    assert measurement.qvel_std is not None
+    assert np.all(np.isinf(measurement.qvel_std))
+    moved = measurement.qpos[2:21] - measurement.qpos[:19]
+    np.testing.assert_allclose(measurement.qvel[1:20], moved / 0.04)
 
 
 def test_either_kind_of_file_is_read():

@@ -5,8 +5,8 @@ import json
 import pytest
 from sqlalchemy import select, text
 
-from adr_service.errors import InvalidInput
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec, LostBenchmark, LostRun
+from adr_service.specs.lost import Lost
 from db import benchmarks, runs
 from db.errors import DatabaseDamaged
 from db.models import BenchmarkRow, RunRow
@@ -55,13 +55,23 @@ def test_a_benchmark_whose_method_is_gone_is_listed_and_cannot_be_extended(datab
     assert isinstance(found.spec, LostBenchmark)
     assert (found.spec.tasks, found.spec.methods) == (["arm"], ["udr", "median_best"])
     assert len(benchmarks.runs_of(database, id)) == 3
-    with pytest.raises(InvalidInput, match=GONE):
+    with pytest.raises(Lost, match=GONE):
         benchmarks.extend_benchmark(database, id, BenchmarkExtension(seeds=[1]))
 
 
-def test_a_spec_that_is_no_json_is_damage(database):
+def test_a_benchmark_is_not_extended_while_a_run_of_it_is_lost(database):
+    """Its place is taken: it would be computed a second time."""
+    id = benchmarks.create_benchmark(database, BenchmarkSpec.model_validate(GRID)).id
+    run = benchmarks.runs_of(database, id)[0].id
+    rewritten(database, RunRow, run, lambda spec: spec.update(no_such=1))
+    with pytest.raises(Lost, match="of another version"):
+        benchmarks.extend_benchmark(database, id, BenchmarkExtension(seeds=[1]))
+
+
+@pytest.mark.parametrize("damage", ["x", "3", "null", "[[1, 2]]", "[" * 100_000])
+def test_a_spec_that_is_no_object_is_damage(database, damage):
     run = runs.create_run(database, SPEC).id
     with database.write("test") as session:
-        session.execute(text("UPDATE runs SET spec = 'x'"))
+        session.execute(text("UPDATE runs SET spec = :damage"), {"damage": damage})
     with pytest.raises(DatabaseDamaged, match="a stored run is no JSON object"):
         runs.get_run(database, run)

@@ -61,9 +61,10 @@ def play(
 
     `start` (nq,) is the pose from which the plan begins: nothing is sent from another one. An
     episode ends early where the environment ends it, after the owner's `limits.seconds`, or at an
-    observation that is not finite. Raises InvalidInput if no episode has a transition, and if the
-    first begins in another pose.
+    observation that is not finite. Raises InvalidInput for commands beyond the task's bounds before
+    anything moves, if the first episode begins in another pose, and if none has a transition.
     """
+    check_commands(task, plan)
     episodes = list(_episodes(env, task, limits, plan, start))
     if not episodes:
         raise InvalidInput("no episode of the plan has a single transition")

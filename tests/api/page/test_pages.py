@@ -168,3 +168,5 @@ def test_only_methods_that_can_be_compared_are_marked_as_best():
     level = row("udr", 0, 1.05)
     assert best_of([level, ahead]) == [level]
     assert best_of([oracle, few]) == []
+    uninstalled = row("median_best", 2, 9.0)
+    assert best_of([uninstalled, ahead]) == [ahead]
