@@ -54,19 +54,21 @@ _FAST_TRAININGS: dict[str, dict[str, Any]] = {
 
 
 _EXTENDED = {  # methods by those whose searches they share
-    "simopt": "simopt_memory",
-    "droid": "droid_smoothed",
-    "dropo": "dropo_smoothed",
-    "sysid": "sysid_smoothed",
+    "simopt": ("simopt_memory",),
+    "droid": ("droid_smoothed",),
+    "dropo": ("dropo_smoothed", "e_dropo"),
+    "sysid": ("sysid_smoothed", "sysid_wide", "sysid_laplace"),
 }
 
 
 def _with_extensions(searches: dict[str, Any]) -> dict[str, Any]:
-    """Settings of methods, and the same for our extensions of them."""
-    return {
-        **searches,
-        **{_EXTENDED[name]: dict(searches[name]) for name in searches if name in _EXTENDED},
+    """Settings of methods, and the same for the extensions of them."""
+    extended = {
+        extension: dict(search)
+        for name, search in searches.items()
+        for extension in _EXTENDED.get(name, ())
     }
+    return {**searches, **extended}
 
 
 PRESETS: dict[str, dict[str, Any]] = {
