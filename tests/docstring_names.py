@@ -66,6 +66,10 @@ def arm(_: Path) -> Names:
     return {**names, "draws": draws, "actions": np.zeros((12, 2))}
 
 
+def arm_file(_: Path) -> Names:
+    return {"task": get_task("arm"), "content": recording("arm", 50).to_npz()}
+
+
 def arm_recording(folder: Path) -> Names:
     return {**arm(folder), "data": recording("arm", 20)}
 

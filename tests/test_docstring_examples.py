@@ -65,6 +65,7 @@ NAMES: dict[str, Callable[..., dict[str, Any]]] = {
     "adr_service.criticism.pipeline": names.arm_with_an_effect,
     "adr_service.criticism.responses": names.fitted,
     "adr_service.criticism.scan": names.fitted,
+    "adr_service.criticism.recordings": names.arm_file,
     "adr_service.criticism.smoothing": names.arm_recording,
     "adr_service.criticism.simulator": names.simulated,
     "adr_service.distributions": names.arm,

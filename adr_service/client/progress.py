@@ -16,7 +16,7 @@ def headline(seen: Json) -> str:
 
 def label(spec: Json) -> str:
     """One word for a run: its method, or its kind."""
-    method = spec.get("method", spec["kind"])
+    method = spec["method"] if "method" in spec else spec["kind"]
     return method if isinstance(method, str) else method["name"]
 
 

@@ -114,6 +114,7 @@ def test_positions_that_no_motion_keeps_to_are_refused(tied):
         planned(tied, allowed={0: (5.0, 6.0)})
 
 
+@pytest.mark.slow
 def test_a_plan_is_the_same_for_the_same_seed_and_a_file(tied):
     one, two, other = planned(tied), planned(tied), planned(tied, seed=1)
     np.testing.assert_array_equal(one.commands, two.commands)

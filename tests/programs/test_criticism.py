@@ -19,6 +19,6 @@ def test_a_criticism_is_one_stage_whose_files_are_named_by_their_hashes():
     assert finished.verdict == {"verdict": "none"}
 
 
-def test_a_criticism_needs_its_measurement():
-    with pytest.raises(InvalidInput, match="the measurement data_0 was not given"):
+def test_a_criticism_needs_its_data():
+    with pytest.raises(InvalidInput, match="the data data_0 were not given"):
         list(run(SPEC, LocalStages()))

@@ -20,6 +20,10 @@ VISIT = rollout()
 ROLLOUT = StageResult({"transitions": 10}, {"data": b"recorded"})
 
 
+def events_of(database, run_id, kind):
+    return [each for each in events.events_of(database, run_id) if each.event.type == kind]
+
+
 def raising(error):
     def action():
         raise error
@@ -34,7 +38,7 @@ def test_a_result_is_written_to_the_runs_that_waited_and_to_those_that_find_it(d
     store.commit(STAGE, RESULT, EXECUTION, None, [waited, "run_deleted_meanwhile"])
     assert store.find(STAGE, later) == RESULT
     for run_id in (waited, later):
-        (event,) = events.events_of(database, run_id, type="stage_finished")
+        (event,) = events_of(database, run_id, "stage_finished")
         assert event.event.digest == STAGE.digest
 
 
@@ -70,7 +74,7 @@ def test_a_checkpoint_has_its_learning_curve_on_the_runs_record(database):
     stage = training()
     point = TrainingEvaluated(digest=stage.digest, steps=10, mean_return=1.0, standard_error=0.1)
     store.note(stage, Checkpoint(10, b"so far", (point,)), [run_id])
-    (event,) = events.events_of(database, run_id, type="training_evaluated")
+    (event,) = events_of(database, run_id, "training_evaluated")
     assert event.event.steps == 10
     assert stages.policy_of_training(database, stage.digest) == b"so far"
 
