@@ -156,11 +156,10 @@ def _readings(episode: TransitionDataset) -> Matrix:
 
 def _integral(velocities: Matrix, period: float) -> Matrix:
     """Positions (N, nv), from 0, at these velocities."""
-    return (
-        np.cumsum(np.pad(velocities[:-1] + velocities[1:], ((1, 0), (0, 0))), axis=0) * period / 2
-    )
+    moved = period * (velocities[:-1] + velocities[1:]) / 2
+    return np.cumsum(np.pad(moved, ((1, 0), (0, 0))), axis=0)
 
 
 def _deviations(is_shown: Mask) -> Vector | None:
-    """Of sensors' noise: to be estimated, or infinite where nothing is shown."""
+    """The sensors' noise: NaN, to be estimated, and infinite where there is no sensor."""
     return None if is_shown.all() else np.where(is_shown, np.nan, np.inf)

@@ -94,7 +94,7 @@ def _finding(verdict: Verdict) -> str:
 
 
 def _origin(criticism: Criticism, origin: str) -> str:
-    """What the verdict was made of, and by what."""
+    """The data behind the verdict, and the versions that judged them."""
     residual, data = criticism.verdict.residual, criticism.baseline.simulator.data
     diverged = f" ({residual.diverged} more diverged)" if residual.diverged else ""
     return (

@@ -102,9 +102,11 @@ class EDropoSettings(_Settings):
 
     where the sum over i is the entropy of Gaussians that are cut at two deviations, but for a
     constant; where the feasible bound cuts more, the bonus is for the width before. The losses in
-    the diagnostics have it taken off, so they do not compare with DROPO's. We
-    have read the abstract alone, which has no formula and no weight: ours are in
-    docs/decisions.md."""
+    the diagnostics have it taken off, so they do not compare with DROPO's.
+
+    We have read the abstract alone, which has no formula and no weight. docs/decisions.md says how
+    we chose them.
+    """
 
     name: Literal["e_dropo"] = "e_dropo"
     entropy: float = Field(

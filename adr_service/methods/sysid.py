@@ -59,8 +59,11 @@ class _Settings(OfflineSettings):
     def distribution(
         self, space: ParameterSpace, best: OptimizeResult, columns: int
     ) -> Distribution:
-        """The distribution to train on, by the end of the best search in [0, 4], whose residuals
-        are those of so many columns, window by window."""
+        """The distribution to train on.
+
+        `best` is the end of the best search: a point (d,) in [0, 4], its residuals (windows x
+        columns,) and their Jacobian, as SciPy returns them.
+        """
         return Uniform.point(space, _values(space, best))
 
 

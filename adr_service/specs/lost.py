@@ -55,7 +55,7 @@ class LostBenchmark(Wire):
 
     @classmethod
     def of(cls, document: dict[str, Any], error: ValidationError) -> "LostBenchmark":
-        """What is known of a stored benchmark; raises ValidationError if that is none at all."""
+        """The fields that can still be read; raises ValidationError if it is no benchmark."""
         names = ("tasks", "variants", "seeds", "preset")
         usual = {name: BenchmarkSpec.model_fields[name].get_default() for name in names[1:]}
         known = {name: document.get(name, usual.get(name)) for name in names}

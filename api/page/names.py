@@ -20,7 +20,7 @@ def title_of(spec: AnyRun | LostRun) -> str:
 
 
 def apart_of(spec: AnyRun | LostRun) -> str:
-    """How a run differs from others of its method, task, variant and seed, if it does."""
+    """What a title adds for an extended simulator or an unusual target; else nothing."""
     if not isinstance(spec, RunSpec):
         return ""
     told = ""
