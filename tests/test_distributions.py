@@ -5,7 +5,10 @@ import pytest
 from scipy import stats
 
 from adr_service.distributions import (
+    Beta,
+    Empirical,
     Gaussian,
+    Mixture,
     TruncatedGaussian,
     Uniform,
     at_resolution,
@@ -44,6 +47,8 @@ def test_a_distribution_without_feasible_draws_is_refused():
         TruncatedGaussian(SPACE, np.array([-5.0, 2.0]), np.array([0.1, 0.1]))
     with pytest.raises(InfeasibleDistribution, match="feasible"):
         Uniform(SPACE, np.array([0.0, 1.0]), np.array([2.0, 2.0]))
+    with pytest.raises(InfeasibleDistribution, match="below the feasible"):
+        Empirical.equal(SPACE, np.zeros((2, 2)))
 
 
 @pytest.mark.parametrize("bad", [[1.0], [1.0, np.nan], [[1.0, 2.0]]])
@@ -60,7 +65,7 @@ def test_an_impossible_covariance_is_refused(covariance):
 
 def test_an_unknown_kind_is_refused():
     with pytest.raises(UnknownName, match="uniform, gaussian, truncated_gaussian"):
-        distribution_from_json(SPACE, {"kind": "beta"})
+        distribution_from_json(SPACE, {"kind": "cauchy"})
 
 
 def test_a_missing_field_is_named():
@@ -113,3 +118,54 @@ def test_a_belief_that_is_wide_anywhere_stays_as_it_is():
     assert at_resolution(wide, 0.01) is wide
     prior = Gaussian.prior(space)
     assert at_resolution(prior, 0.01) is prior
+
+
+def test_a_beta_with_both_shapes_one_is_the_whole_box():
+    box, belief = Uniform(SPACE, SPACE.low, SPACE.high), Beta(SPACE, np.ones(2), np.ones(2))
+    np.testing.assert_allclose(belief.mean, box.mean)
+    np.testing.assert_allclose(belief.std, box.std)
+    inside = np.array([[1.0, 1.5], [9.0, 2.9]])
+    np.testing.assert_allclose(belief.log_prob(inside), box.log_prob(inside))
+
+
+def test_a_mixture_of_one_gaussian_is_that_gaussian():
+    location, covariance = np.array([1.5, 2.0]), np.array([[0.2, 0.1], [0.1, 0.3]])
+    one = Gaussian(SPACE, location, covariance)
+    mixture = Mixture(SPACE, np.ones(1), location[None], covariance[None])
+    np.testing.assert_allclose(mixture.mean, one.mean)
+    np.testing.assert_allclose(mixture.std, one.std)
+    points = one.sample(20, np.random.default_rng(0)).values
+    np.testing.assert_allclose(mixture.log_prob(points), one.log_prob(points))
+
+
+def test_clipped_draws_of_a_mixture_are_counted():
+    covariances = np.array([0.01 * np.eye(2), 4.0 * np.eye(2)])
+    mixture = Mixture(SPACE, np.array([0.5, 0.5]), np.full((2, 2), 2.0), covariances)
+    draws = mixture.sample(4000, np.random.default_rng(0))
+    outside = (1 - (1 - 2 * stats.norm.cdf(-1)) ** 2) / 2  # of the wide one, drawn half the time
+    assert draws.adjusted / 4000 == pytest.approx(outside, abs=4 * np.sqrt(outside / 4000))
+
+
+def test_points_are_drawn_by_their_weights():
+    points = np.array([[1.0, 1.5], [2.0, 2.5]])
+    sample = Empirical(SPACE, points, np.array([0.2, 0.8]))
+    drawn = sample.sample(5000, np.random.default_rng(0)).values
+    assert np.mean(drawn[:, 0] == 2.0) == pytest.approx(0.8, abs=4 * np.sqrt(0.16 / 5000))
+    np.testing.assert_allclose(Empirical.equal(SPACE, points).mean, [1.5, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("create", "words"),
+    [
+        (lambda: Beta(SPACE, np.array([1.0, 0.0]), np.ones(2)), "shapes must be positive"),
+        (lambda: Mixture(SPACE, [0.5, 0.6], np.ones((2, 2)), [np.eye(2)] * 2), "of sum 1"),
+        (lambda: Mixture(SPACE, [1.0], np.ones((2, 2)), [np.eye(2)] * 2), "given .1,., .2, 2."),
+        (lambda: Mixture(SPACE, [1.0], np.ones((1, 2)), [-np.eye(2)]), "semi-definite"),
+        (lambda: Empirical(SPACE, np.ones((2, 3)), [0.5, 0.5]), "points .n, 2."),
+        (lambda: Empirical(SPACE, np.ones((2, 2)), [1.5, -0.5]), "of sum 1"),
+        (lambda: Empirical(SPACE, [[1.0, np.nan]], [1.0]), "finite"),
+    ],
+)
+def test_impossible_distributions_are_refused(create, words):
+    with pytest.raises(InvalidInput, match=words):
+        create()

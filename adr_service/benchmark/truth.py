@@ -4,7 +4,7 @@ import numpy as np
 from scipy.stats import norm
 
 from adr_service.arrays import Vector
-from adr_service.distributions import Distribution, Gaussian, Uniform
+from adr_service.distributions import Distribution, Empirical, Gaussian, Mixture, Uniform
 from adr_service.randomness import stream
 from adr_service.tasks.catalogue import hidden_of, variant_of
 
@@ -28,15 +28,15 @@ def true_values(task: str, variant: str) -> dict[str, float]:
 
 
 def log_score(task: str, variant: str, distribution: Distribution) -> float | None:
-    """Log density of the truth [nat, in SI units]; None for a box, which may be a point.
+    """Log density of the truth [nat, in SI units]; None for a box or a sample, which have points.
 
     DROPO's own density is 0 beyond two deviations, so that of the Gaussian with its mean and
     deviations is taken.
     """
     truth = variant_of(task, variant).truth
-    if isinstance(distribution, Uniform):
+    if isinstance(distribution, Uniform | Empirical):
         return None
-    if isinstance(distribution, Gaussian):
+    if isinstance(distribution, Gaussian | Mixture):
         return float(distribution.log_prob(truth[None])[0])
     return float(norm.logpdf(truth, distribution.mean, distribution.std).sum())
 
