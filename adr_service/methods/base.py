@@ -3,7 +3,8 @@
 A method never trains a policy and never touches the target. An `OfflineMethod` fits an estimate
 to recorded transitions. An `OnlineMethod` proposes a distribution (`ask`) and learns from the
 trajectories of a policy that was trained on it (`tell`). The caller keeps its state, a JSON value,
-so that a run can stop and go on.
+so that a run can stop and go on. A third kind has no target data: its answer is a `Curriculum`, a
+distribution that moves while the policy is trained on it.
 
 The settings of a method are its entry in the catalogue. They hold all that differs between
 methods: the program that runs the method, the data it learns from, the cost of an inference, and
@@ -22,6 +23,7 @@ from adr_service.errors import InvalidInput
 from adr_service.json_values import Wire
 from adr_service.progress import Progress
 from adr_service.tasks.base import Source, Task
+from adr_service.training.curriculum import Curriculum
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
 
@@ -202,4 +204,17 @@ class OnlineSettings(MethodSettings):
 
         The source has `parameters` unknowns; the evidence has `transitions`.
         """
+        ...
+
+
+class CurriculumSettings(MethodSettings):
+    """Settings of a method without target data, which moves the distribution of one training."""
+
+    program: ClassVar[str] = "adr_service.programs.curriculum"
+    learns_from: ClassVar[Data] = "nothing"
+    is_level: ClassVar[bool] = True
+
+    @abstractmethod
+    def create(self, problem: Problem) -> Curriculum:
+        """The curriculum of a training on the problem's source, at its start."""
         ...

@@ -16,7 +16,13 @@ from pydantic import Field
 
 import adr_service.methods
 from adr_service.errors import InvalidInput
-from adr_service.methods.base import Data, MethodSettings, OfflineSettings, OnlineSettings
+from adr_service.methods.base import (
+    CurriculumSettings,
+    Data,
+    MethodSettings,
+    OfflineSettings,
+    OnlineSettings,
+)
 from adr_service.plugins import installed, load, origin, package_of
 
 GROUP = "adr_service.methods"
@@ -61,10 +67,10 @@ def name_of(settings: type[MethodSettings]) -> str:
 def _settings_at(point: EntryPoint) -> type[MethodSettings]:
     """The settings class that an entry point names, if it is complete and has the point's name."""
     settings = load(point)
-    if not (isinstance(settings, type) and issubclass(settings, _INFERRING)):
+    if not (isinstance(settings, type) and issubclass(settings, _OPEN)):
         raise InvalidInput(
-            f"{origin(point)} must name a subclass of OfflineSettings or OnlineSettings "
-            f"(adr_service.methods.base); it is {settings!r}"
+            f"{origin(point)} must name a subclass of OfflineSettings, OnlineSettings or "
+            f"CurriculumSettings (adr_service.methods.base); it is {settings!r}"
         )
     if inspect.isabstract(settings):
         lacking = ", ".join(sorted(settings.__abstractmethods__))
@@ -87,7 +93,7 @@ def _rank(settings: type[MethodSettings]) -> int:
     return _ORDER.index(settings.learns_from)
 
 
-_INFERRING = (OfflineSettings, OnlineSettings)
+_OPEN = (OfflineSettings, OnlineSettings, CurriculumSettings)  # to installed packages
 
 if TYPE_CHECKING:
     AnyMethod = MethodSettings

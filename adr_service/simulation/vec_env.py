@@ -1,16 +1,25 @@
 """The training environment: an SB3 `VecEnv` over the batch, new dynamics each episode."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from adr_service.arrays import Indices, Matrix
-from adr_service.distributions import Distribution
+from adr_service.arrays import Indices, Matrix, Vector
+from adr_service.distributions import Draws
 from adr_service.simulation.batch import Simulations
 from adr_service.tasks.base import Source, State, Task
+
+# called with rows (k,), dynamics (k, d), returns (k,) and the steps of all environments so far
+Ended = Callable[[Indices, Matrix, Vector, int], None]
+
+
+class Sampler(Protocol):
+    """Something that draws dynamics: a distribution, or one that moves."""
+
+    def sample(self, n: int, rng: np.random.Generator) -> Draws: ...
 
 
 class RandomizedVecEnv(VecEnv):
@@ -18,6 +27,7 @@ class RandomizedVecEnv(VecEnv):
 
     `adjusted` counts the draws that were moved onto a bound of the space. `diverged` counts the
     episodes whose simulation diverged: their last observation is zeros and earns nothing.
+    `ended` hears of episodes that end, before the next ones draw their dynamics.
     """
 
     render_mode = None
@@ -26,10 +36,11 @@ class RandomizedVecEnv(VecEnv):
         self,
         task: Task,
         source: Source,
-        distribution: Distribution,
+        distribution: Sampler,
         n: int,
         rng: np.random.Generator,
         threads: int = 1,
+        ended: Ended | None = None,
     ):
         space = gymnasium.spaces
         super().__init__(
@@ -38,9 +49,12 @@ class RandomizedVecEnv(VecEnv):
             space.Box(task.action_low.astype(np.float32), task.action_high.astype(np.float32)),
         )
         self._task, self._distribution, self._rng = task, distribution, rng
+        self._ended = ended
         self._before = State(np.empty((0, 0)), np.empty((0, 0)))  # until the first reset
         self.simulations = Simulations(task, source, n, threads)
-        self._steps = np.zeros(n, dtype=np.int64)
+        self._steps = np.zeros(n, dtype=np.int64)  # of the episode in each environment
+        self._returns = np.zeros(n)  # of the same
+        self._taken = 0  # steps of all environments
         self.adjusted = 0
         self.diverged = 0
         self._actions = np.zeros((n, len(task.action_low)))
@@ -69,6 +83,8 @@ class RandomizedVecEnv(VecEnv):
         observations = task.observe(after).astype(np.float32)
         if broken.any():
             observations[broken], rewards[broken] = 0.0, 0.0
+        self._returns += rewards
+        self._taken += self.num_envs
         self._before = after
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if done.any():
@@ -78,6 +94,8 @@ class RandomizedVecEnv(VecEnv):
                     "terminal_observation": observations[row].copy(),
                     "TimeLimit.truncated": not terminated[row],
                 }
+            if self._ended is not None:
+                self._ended(rows, self.dynamics[rows], self._returns[rows], self._taken)
             observations[rows] = self._begin(rows)[rows]
         return observations, rewards, done, infos
 
@@ -88,7 +106,7 @@ class RandomizedVecEnv(VecEnv):
         self.simulations.set_dynamics(draws.values, rows)
         fresh: State = self._task.initial(len(rows), self._rng)
         self.simulations.set_state(fresh, rows)
-        self._steps[rows] = 0
+        self._steps[rows], self._returns[rows] = 0, 0.0
         self._before = self.simulations.state
         return self._task.observe(self._before).astype(np.float32)
 

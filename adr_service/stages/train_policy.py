@@ -8,10 +8,12 @@ import numpy as np
 
 from adr_service.distributions import Distribution
 from adr_service.events import RunEvent, TrainingEvaluated
+from adr_service.methods.base import CurriculumSettings, Problem
 from adr_service.progress import Checkpoint, Progress
 from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage
 from adr_service.startup_time import preparing
 from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.training.curriculum import Phase
 from adr_service.training.curve import Evaluation
 from adr_service.training.policy import Policy
 from adr_service.training.settings import TrainingSettings
@@ -29,11 +31,15 @@ class TrainedPolicy(Result):
     diverged_episodes: int
     confirmation: Evaluation | None = None  # of the policy, on fresh draws
     networks: bytes | None = None  # where the next training starts from them
+    phases: list[Phase] | None = None  # of a curriculum
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainPolicy(Stage[TrainedPolicy]):
-    """Training on a task's source, until its reward threshold or the last step."""
+    """Training on a task's source, until its reward threshold or the last step.
+
+    With a curriculum, the policy is judged on `distribution`, and trained on the curriculum's.
+    """
 
     kind: ClassVar = "train_policy"
     version: ClassVar = 3
@@ -46,6 +52,8 @@ class TrainPolicy(Stage[TrainedPolicy]):
     training: TrainingSettings
     start: bytes | None = None  # networks of the policy before; None: new ones
     repeat: int | None = None  # number of an independent repetition
+    curriculum: CurriculumSettings | None = None
+    curriculum_package: str | None = None
 
     def compute(self, rng: np.random.Generator, progress: Progress) -> TrainedPolicy:
         # importing PyTorch and JAX takes seconds: only trainers pay
@@ -64,6 +72,7 @@ class TrainPolicy(Stage[TrainedPolicy]):
             progress,
             self._checkpoint,
             None if self.start is None else networks.from_bytes(self.start),
+            None if self.curriculum is None else self.curriculum.create(Problem(task, source)),
         )
         return TrainedPolicy(
             policy=training.policy.to_bytes(),
@@ -75,6 +84,7 @@ class TrainPolicy(Stage[TrainedPolicy]):
             diverged_episodes=training.diverged_episodes,
             confirmation=None if self.training.confirmation is None else training.best,
             networks=networks.to_bytes(training.networks) if self._is_continued else None,
+            phases=None if self.curriculum is None else list(training.phases),
         )
 
     def events(self, result: TrainedPolicy) -> list[RunEvent]:
@@ -103,6 +113,9 @@ class TrainPolicy(Stage[TrainedPolicy]):
             adjusted_draws=0,
             diverged_episodes=0,
             networks=f"networks of {self.digest}".encode() if self._is_continued else None,
+            phases=None
+            if self.curriculum is None
+            else [Phase(steps=0, distribution=self.distribution.to_json())],
         )
 
     @property

@@ -25,6 +25,7 @@ from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.tasks.base import Source, Task
 from adr_service.training import crossq, ppo, sac
 from adr_service.training.average import Average
+from adr_service.training.curriculum import Course, Curriculum, Phase
 from adr_service.training.curve import Evaluation
 from adr_service.training.judge import Judge
 from adr_service.training.libraries import Library
@@ -53,6 +54,7 @@ class Training:
     adjusted_draws: int  # dynamics moved onto a bound, see `Draws`
     diverged_episodes: int  # ended because the simulation diverged
     networks: Networks  # of the last step, from which another training may start
+    phases: tuple[Phase, ...] = ()  # of the curriculum
 
 
 def train(
@@ -64,14 +66,22 @@ def train(
     progress: Progress = silent,
     keep: Keep | None = None,
     start: Networks | None = None,
+    curriculum: Curriculum | None = None,
 ) -> Training:
     """Train a policy for `distribution` on the task's source.
 
     After every evaluation, progress is reported with the checkpoint that `keep` makes. `start` has
-    the networks of an earlier training with the same settings.
+    the networks of an earlier training with the same settings. With a curriculum, the episodes of
+    the training are drawn from that, and those of the evaluations from `distribution`.
     """
     dynamics_rng, evaluation_rng, seed_rng = rng.spawn(3)
-    env = RandomizedVecEnv(task, source, distribution, settings.environments, dynamics_rng)
+    n = settings.environments
+    course = None if curriculum is None else Course(curriculum, n)
+    env = (
+        RandomizedVecEnv(task, source, distribution, n, dynamics_rng)
+        if course is None
+        else RandomizedVecEnv(task, source, course, n, dynamics_rng, ended=course.ended)
+    )
     assert settings.backend is not None, "validation has chosen one"
     library = LIBRARIES[settings.algorithm][settings.backend]
     model = library.build(env, task, settings, integer_seed(seed_rng))
@@ -92,6 +102,7 @@ def train(
         adjusted_draws=env.adjusted,
         diverged_episodes=env.diverged,
         networks=library.networks(model),
+        phases=() if course is None else tuple(course.phases),
     )
 
 

@@ -12,6 +12,7 @@ from pydantic import TypeAdapter
 
 from adr_service.errors import InvalidInput
 from adr_service.methods.base import (
+    CurriculumSettings,
     Evidence,
     MethodSettings,
     OfflineSettings,
@@ -27,11 +28,13 @@ from tests.recordings import recording
 NAMES = list(methods())
 OFFLINE = [name for name in NAMES if issubclass(methods()[name], OfflineSettings)]
 ONLINE = [name for name in NAMES if issubclass(methods()[name], OnlineSettings)]
+CURRICULA = [name for name in NAMES if issubclass(methods()[name], CurriculumSettings)]
 POLICY = waving_policy()
 DATA = recorded(POLICY, episodes=2, steps=15, noise=0.003)
 
 every_method = pytest.mark.parametrize("name", NAMES)
 every_inferring = pytest.mark.parametrize("name", OFFLINE + ONLINE)
+every_curriculum = pytest.mark.parametrize("name", CURRICULA)
 every_online = pytest.mark.parametrize("name", ONLINE)
 
 
@@ -213,3 +216,34 @@ def test_an_update_costs_at_most_what_was_planned(name):
     planned = settings_of(name).planned_steps(len(SPACE), len(DATA))
     _, steps, _ = answer(name, stream("planned"))
     assert steps <= planned
+
+
+def course_of(name, returns, rng):
+    """The distributions of a curriculum, JSON, that is moved by returns (moves, n)."""
+    curriculum = settings_of(name).create(PROBLEM)
+    kept = [curriculum.distribution.to_json()]
+    for earned in returns:
+        dynamics = curriculum.sample(len(earned), rng).values
+        assert np.all((dynamics >= SPACE.low) & (dynamics <= SPACE.high))
+        curriculum.move(dynamics, earned)
+        kept.append(curriculum.distribution.to_json())
+    return kept
+
+
+@every_curriculum
+def test_a_curriculum_stays_in_the_search_box_and_repeats_with_its_stream(name):
+    returns = PROBLEM.task.reward_threshold * stream("returns").uniform(0, 2, (6, 64))
+    kept = course_of(name, returns, stream("draws"))
+    assert kept == course_of(name, returns, stream("draws"))
+    assert kept == json.loads(json.dumps(kept))
+
+
+@every_curriculum
+def test_a_curriculum_never_moves_for_a_policy_that_earns_nothing(name):
+    first, *later = course_of(name, np.zeros((4, 64)), stream("draws"))
+    assert all(distribution == first for distribution in later)
+
+
+@every_curriculum
+def test_a_curriculum_says_after_how_many_episodes_it_moves(name):
+    assert settings_of(name).create(PROBLEM).episodes >= 1

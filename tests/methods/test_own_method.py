@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from adr_service.tasks.catalogue import source_of
 from tests.packages import ROOT, add_entry_point, install, python
 
 PAGE = (ROOT / "docs/add-a-method.md").read_text()
@@ -35,6 +36,27 @@ assert b"random_search" in draw("returns", outcomes, "svg")
 search, = (s for s in stages.executed if s.kind == "infer")
 print(search.inputs.get("method_package"))
 """
+# the same of a curriculum
+USE_RAMP = """
+from adr_service.benchmark.plan import plan
+from adr_service.methods.catalogue import identity_of, methods
+from adr_service.programs import run
+from adr_service.specs import RunSpec
+from adr_service.stages.local import LocalStages
+
+assert "ramp" in methods()
+spec = RunSpec.model_validate({
+    "task": "arm", "method": {"name": "ramp", "phases": 2, "episodes": 12}, "preset": "smoke",
+    "training": {"max_steps": 9600}})
+assert plan([spec], cores=2).trainings == 1
+stages = LocalStages()
+(finished,) = (e for e in run(spec, stages) if e.type == "iteration_finished")
+(training,) = (s for s in stages.executed if s.kind == "train_policy")
+assert training.inputs["curriculum_package"] == "adr-random-search 0.1.0", training.inputs
+(whole,) = finished.distributions
+assert whole["kind"] == "uniform"
+print(round(whole["high"][0] - whole["low"][0], 3))
+"""
 # the file beside ours, in a folder that the package is extended by
 ADD_FILE = """
 import adr_service.methods
@@ -53,7 +75,12 @@ def installed(tmp_path_factory):
     """A folder to import the page's package from."""
     folder, source = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("source")
     (source / "random_search.py").write_text(block("python", "class RandomSearch:"))
-    (source / "pyproject.toml").write_text(block("toml", "entry-points"))
+    (source / "ramp.py").write_text(block("python", "class Ramp:"))
+    project = block("toml", "entry-points").replace(
+        '["random_search"]', '["random_search", "ramp"]'
+    )
+    both = project.replace("\n\n[tool", '\nramp = "ramp:RampSettings"\n\n[tool')
+    (source / "pyproject.toml").write_text(both)
     install(source, folder)
     return folder
 
@@ -62,6 +89,13 @@ def test_an_installed_method_is_planned_run_and_reported(installed):
     done = python(USE, installed)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "adr-random-search 0.1.0"
+
+
+def test_an_installed_curriculum_is_planned_and_trained_on(installed):
+    done = python(USE_RAMP, installed)
+    assert done.returncode == 0, done.stderr
+    space = source_of("arm", "vanilla").space
+    assert float(done.stdout) == pytest.approx(space.high[0] - space.low[0], abs=1e-3)
 
 
 def test_one_file_in_the_package_is_planned_run_and_reported(tmp_path):
@@ -89,7 +123,7 @@ def test_a_method_that_takes_one_of_our_names_is_refused_with_the_names(tmp_path
     )
     add_entry_point(tmp_path, "adr_service.methods", "mine:RandomSearchSettings", name="dropo")
     done = python("import adr_service.specs", tmp_path)
-    assert "gives a method whose name is taken; the other methods are udr, bayrn" in done.stderr
+    assert "gives a method whose name is taken; the other methods are auto_dr, " in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -97,7 +131,7 @@ def test_a_method_that_takes_one_of_our_names_is_refused_with_the_names(tmp_path
     [
         ("adr_service.methods.base:OfflineSettings", "which lacks create, planned_steps"),
         ("nowhere:Settings", "cannot be loaded"),
-        ("adr_service.methods.udr:UdrSettings", "a subclass of OfflineSettings or OnlineSettings"),
+        ("adr_service.methods.udr:UdrSettings", "a subclass of OfflineSettings, "),
         ("random_search:RandomSearchSettings", "a method of another name, 'random_search'"),
     ],
 )
