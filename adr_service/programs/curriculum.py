@@ -11,21 +11,24 @@ from adr_service.methods.catalogue import identity_of
 from adr_service.programs.steps import evaluate_and_report, problem_of, training
 from adr_service.specs import RunSpec
 from adr_service.stages.base import Stages
+from adr_service.stages.train_policy import TrainPolicy
 from adr_service.target import open_target
 
 
 def run(spec: RunSpec, stages: Stages, recording: bytes | None) -> Generator[RunEvent, None, None]:
+    stage = curriculum_training(spec)
+    trained = yield from stages.run(stage)
+    assert trained.phases is not None, "a training with a curriculum has phases"
+    last = distribution_from_json(stage.distribution.space, trained.phases[-1].distribution)
+    yield from evaluate_and_report(open_target(spec, stages), 0, [last], [trained])
+
+
+def curriculum_training(spec: RunSpec) -> TrainPolicy:
+    """The training with a run's curriculum, whose policy is judged on the whole search box."""
     space = problem_of(spec).source.space
-    whole_box = Uniform(
-        space, space.low, space.high
-    )  # on which every curriculum's policy is judged
     known = identity_of(spec.method)
-    stage = replace(
-        training(spec, whole_box),
+    return replace(
+        training(spec, Uniform(space, space.low, space.high)),
         curriculum=cast(CurriculumSettings, known["method"]),
         curriculum_package=known["method_package"],
     )
-    trained = yield from stages.run(stage)
-    assert trained.phases is not None, "a training with a curriculum has phases"
-    last = distribution_from_json(space, trained.phases[-1].distribution)
-    yield from evaluate_and_report(open_target(spec, stages), 0, [last], [trained])
