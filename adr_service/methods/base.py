@@ -3,8 +3,9 @@
 A method never trains a policy and never touches the target. An `OfflineMethod` fits an estimate
 to recorded transitions. An `OnlineMethod` proposes a distribution (`ask`) and learns from the
 trajectories of a policy that was trained on it (`tell`). The caller keeps its state, a JSON value,
-so that a run can stop and go on. A third kind has no target data: its answer is a `Curriculum`, a
-distribution that moves while the policy is trained on it.
+so that a run can stop and go on. A `ReturnsMethod` sees what policies earned, and no transitions.
+Some methods have no target data at all: their answer is a `Curriculum`, a distribution that moves
+while the policy is trained on it.
 
 The settings of a method are its entry in the catalogue. They hold all that differs between
 methods: the program that runs the method, the data it learns from, the cost of an inference, and
@@ -17,7 +18,9 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, Protocol, Self, cast
 
 import numpy as np
+from pydantic import Field
 
+from adr_service.arrays import Vector
 from adr_service.distributions import Distribution
 from adr_service.errors import InvalidInput
 from adr_service.json_values import Wire
@@ -64,6 +67,15 @@ class Update:
     diagnostics: dict[str, Any] = field(default_factory=dict[str, Any])  # JSON
 
 
+@dataclass(frozen=True)
+class Proposal:
+    """The next distribution to try, the best one so far, and diagnostics for a reader."""
+
+    next: Distribution  # to train on next
+    best: int  # index of the distribution whose policy is believed best
+    diagnostics: dict[str, Any] = field(default_factory=dict[str, Any])  # JSON
+
+
 class OfflineMethod(Protocol):
     """A method that learns once, from recorded transitions."""
 
@@ -98,6 +110,20 @@ class OnlineMethod(Protocol):
         progress: Progress,
     ) -> Update:
         """The state after `evidence` of a policy trained on the distribution of `ask`."""
+        ...
+
+
+class ReturnsMethod(Protocol):
+    """A method that learns from what policies earn on the target, and sees no transitions."""
+
+    def propose(
+        self,
+        problem: Problem,
+        distributions: Sequence[Distribution],
+        returns: Vector,
+        rng: np.random.Generator,
+    ) -> Proposal:
+        """The proposal after policies trained on `distributions` earned `returns` (n,)."""
         ...
 
 
@@ -204,6 +230,29 @@ class OnlineSettings(MethodSettings):
 
         The source has `parameters` unknowns; the evidence has `transitions`.
         """
+        ...
+
+
+class ReturnsSettings(MethodSettings):
+    """Settings of a method that learns from target returns.
+
+    It starts from the returns of UDR's policies, and trains one more policy per iteration.
+    """
+
+    initial: int = Field(10, ge=2, le=1000, description="policies of UDR to start from")
+    report: Literal["retrained", "best"] = Field(
+        "retrained",
+        description="retrained: a new policy on the box that is believed best; best: the policy "
+        "whose return was measured there",
+    )
+
+    program: ClassVar[str] = "adr_service.programs.returns"
+    learns_from: ClassVar[Data] = "returns"
+    seconds: ClassVar[float] = 1.0  # of a proposal, about, on one core
+
+    @abstractmethod
+    def create(self) -> ReturnsMethod:
+        """The method with these settings."""
         ...
 
 

@@ -17,42 +17,38 @@ The benchmark does not state these choices:
   lucky in its training, and every other method trains once; `report: best` reports it all the same.
 """
 
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from collections.abc import Sequence
+from typing import ClassVar, Literal, cast
 
 import numpy as np
-from pydantic import Field
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.distributions import Uniform
-from adr_service.methods.base import Data, MethodSettings
+from adr_service.distributions import Distribution, Uniform
+from adr_service.methods.base import Problem, Proposal, ReturnsSettings
 from adr_service.parameters import ParameterSpace
 from adr_service.startup_time import preparing
 
 
-class BayRnSettings(MethodSettings):
+class BayRnSettings(ReturnsSettings):
     name: Literal["bayrn"] = "bayrn"
-    initial: int = Field(10, ge=2, le=1000, description="policies of UDR to start from")
 
-    report: Literal["retrained", "best"] = Field(
-        "retrained",
-        description="retrained: a new policy on the box that is believed best; best: the policy "
-        "whose return was measured there",
-    )
-
-    program: ClassVar[str] = "adr_service.programs.bayesian"
-    learns_from: ClassVar[Data] = "returns"
+    seconds: ClassVar[float] = 4.0  # with the import of BoTorch
     label: ClassVar[str] = "BayRn"
     colour: ClassVar[str] = "#999933"
 
+    def create(self) -> "BayRn":
+        return BayRn()
 
-@dataclass(frozen=True)
-class Proposal:
-    """The next distribution to try, and the best one so far."""
 
-    next: Uniform  # to train on next
-    best: int  # index of the distribution with the highest posterior mean
-    means: Vector  # (n,) posterior mean return of each distribution so far
+class BayRn:
+    def propose(
+        self,
+        problem: Problem,
+        distributions: Sequence[Distribution],
+        returns: Vector,
+        rng: np.random.Generator,
+    ) -> Proposal:
+        return propose([cast(Uniform, each) for each in distributions], returns, rng)
 
 
 def propose(boxes: list[Uniform], returns: Vector, rng: np.random.Generator) -> Proposal:
@@ -65,7 +61,8 @@ def propose(boxes: list[Uniform], returns: Vector, rng: np.random.Generator) -> 
     surrogate = Surrogate(points, returns, rng)  # J(phi) ~ GP, return over distribution (Sec. 3.2)
     means = surrogate.mean(points)
     following = decode(boxes[0].space, surrogate.propose())  # argmax of the acquisition
-    return Proposal(following, best=int(np.argmax(means)), means=means)
+    found = {"posterior_means": means.tolist()}
+    return Proposal(following, best=int(np.argmax(means)), diagnostics=found)
 
 
 def encode(box: Uniform) -> Vector:

@@ -22,6 +22,7 @@ from adr_service.methods.base import (
     MethodSettings,
     OfflineSettings,
     OnlineSettings,
+    ReturnsSettings,
 )
 from adr_service.plugins import installed, load, origin, package_of
 
@@ -69,8 +70,8 @@ def _settings_at(point: EntryPoint) -> type[MethodSettings]:
     settings = load(point)
     if not (isinstance(settings, type) and issubclass(settings, _OPEN)):
         raise InvalidInput(
-            f"{origin(point)} must name a subclass of OfflineSettings, OnlineSettings or "
-            f"CurriculumSettings (adr_service.methods.base); it is {settings!r}"
+            f"{origin(point)} must name a subclass of OfflineSettings, OnlineSettings, "
+            f"ReturnsSettings or CurriculumSettings (adr_service.methods.base); it is {settings!r}"
         )
     if inspect.isabstract(settings):
         lacking = ", ".join(sorted(settings.__abstractmethods__))
@@ -93,7 +94,8 @@ def _rank(settings: type[MethodSettings]) -> int:
     return _ORDER.index(settings.learns_from)
 
 
-_OPEN = (OfflineSettings, OnlineSettings, CurriculumSettings)  # to installed packages
+# what installed packages may bring
+_OPEN = (OfflineSettings, OnlineSettings, ReturnsSettings, CurriculumSettings)
 
 if TYPE_CHECKING:
     AnyMethod = MethodSettings

@@ -1,20 +1,19 @@
-"""Propose the next distribution to train on, from the target returns so far (BayRn)."""
+"""Propose the next distribution to train on, from the target returns so far."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from adr_service.distributions import Uniform
+from adr_service.distributions import Distribution, Uniform
 from adr_service.events import RunEvent
-from adr_service.methods.bayrn import propose
+from adr_service.methods.base import Problem, ReturnsSettings
+from adr_service.methods.catalogue import methods
 from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
 from adr_service.randomness import stream
 from adr_service.stages.base import Belief, CoreSpeed, Cost, Result, Role, Stage
-from adr_service.tasks.catalogue import source_of
-
-_FIT_S = 4.0  # of the Gaussian process and its acquisition, with the import of BoTorch
+from adr_service.tasks.catalogue import get_task, source_of
 
 
 class Proposed(Result):
@@ -28,7 +27,7 @@ class Proposed(Result):
 
 @dataclass(frozen=True, kw_only=True)
 class Propose(Stage[Proposed]):
-    """One step of Bayesian optimisation over uniform distributions."""
+    """One proposal of a method that learns from returns."""
 
     kind: ClassVar = "propose"
     version: ClassVar = 1
@@ -37,8 +36,9 @@ class Propose(Stage[Proposed]):
 
     variant: str  # a domain; the field's name is part of the digest
     seed: int
-    method: dict[str, Any]  # settings, JSON
-    distributions: list[Uniform]
+    method: dict[str, Any]  # settings, JSON, without those that change no proposal
+    method_package: str | None = None
+    distributions: list[Distribution]
     returns: list[float]  # of a policy of each distribution, on the target
 
     @property
@@ -47,14 +47,16 @@ class Propose(Stage[Proposed]):
         return source_of(self.task, self.variant).space
 
     def compute(self, rng: np.random.Generator, progress: Progress) -> Proposed:
-        proposal = propose(self.distributions, np.array(self.returns), rng)
+        problem = Problem(get_task(self.task), source_of(self.task, self.variant))
+        returns = np.array(self.returns)
+        proposal = self._settings.create().propose(problem, self.distributions, returns, rng)
         return Proposed(
             distribution=proposal.next,
             best=proposal.best,
             simulated_steps=0,
             diagnostics={
                 "returns_seen": self.returns,
-                "posterior_means": proposal.means.tolist(),
+                **proposal.diagnostics,
                 "reported": proposal.best,
             },
         )
@@ -63,7 +65,7 @@ class Propose(Stage[Proposed]):
         return []
 
     def cost(self, speed: CoreSpeed) -> Cost:
-        return Cost(_FIT_S)
+        return Cost(self._settings.seconds)
 
     def stand_in(self) -> Proposed:
         space = self.space
@@ -71,3 +73,8 @@ class Propose(Stage[Proposed]):
         box = Uniform(space, space.low + share * (space.high - space.low), space.high)
         latest = len(self.returns) - 1
         return Proposed(distribution=box, best=latest, simulated_steps=0, diagnostics={})
+
+    @property
+    def _settings(self) -> ReturnsSettings:
+        settings = methods()[self.method["name"]].model_validate(self.method)
+        return cast(ReturnsSettings, settings)

@@ -17,8 +17,10 @@ from adr_service.methods.base import (
     MethodSettings,
     OfflineSettings,
     OnlineSettings,
+    ReturnsSettings,
 )
 from adr_service.methods.catalogue import AnyMethod, methods, name_of
+from adr_service.methods.udr import UdrSettings, random_bounds
 from adr_service.presets import PRESETS
 from adr_service.progress import silent
 from adr_service.randomness import stream
@@ -29,6 +31,7 @@ NAMES = list(methods())
 OFFLINE = [name for name in NAMES if issubclass(methods()[name], OfflineSettings)]
 ONLINE = [name for name in NAMES if issubclass(methods()[name], OnlineSettings)]
 CURRICULA = [name for name in NAMES if issubclass(methods()[name], CurriculumSettings)]
+BY_RETURNS = [name for name in NAMES if issubclass(methods()[name], ReturnsSettings)]
 POLICY = waving_policy()
 DATA = recorded(POLICY, episodes=2, steps=15, noise=0.003)
 
@@ -247,3 +250,18 @@ def test_a_curriculum_never_moves_for_a_policy_that_earns_nothing(name):
 @every_curriculum
 def test_a_curriculum_says_after_how_many_episodes_it_moves(name):
     assert settings_of(name).create(PROBLEM).episodes >= 1
+
+
+@pytest.mark.parametrize("name", BY_RETURNS)
+def test_proposals_are_feasible_and_equal_streams_give_equal_ones(name):
+    settings = settings_of(name)
+    boxes = random_bounds(SPACE, UdrSettings(policies=settings.initial), stream("boxes"))
+    returns = stream("returns").normal(size=len(boxes))
+    one, other = (
+        settings.create().propose(PROBLEM, boxes, returns, stream("proposals")) for _ in range(2)
+    )
+    assert one.next.to_json() == other.next.to_json()
+    assert 0 <= one.best < len(boxes)
+    assert json.dumps(one.diagnostics) == json.dumps(other.diagnostics)
+    assert np.all(one.next.sample(100, stream("draws")).values >= SPACE.feasible_low)
+    assert settings.seconds > 0

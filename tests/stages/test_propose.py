@@ -19,7 +19,7 @@ STAGE = Propose(
     task="arm",
     variant="vanilla",
     seed=0,
-    method=BayRnSettings(initial=4),
+    method=BayRnSettings(initial=4).model_dump(exclude={"report"}),
     distributions=random_bounds(SPACE, UdrSettings(policies=4), stream("boxes")),
     returns=RETURNS,
 )
