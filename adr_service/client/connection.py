@@ -154,6 +154,10 @@ class AdrClient:
         """The table of returns as CSV."""
         return self.content(f"{_path(id)}/results?format=csv").decode()
 
+    def citations(self, id: str) -> str:
+        """The papers of what a run or a benchmark has run, as BibTeX."""
+        return self.content(f"{_path(id)}/citations").decode()
+
     def figure(self, id: str, name: str) -> bytes:
         """A figure by file name, "returns.svg", "parameters.png", "cost.csv"."""
         return self.content(f"{_path(id)}/figures/{name}")

@@ -18,8 +18,17 @@ import numpy as np
 from pydantic import Field
 
 from adr_service.arrays import Matrix, Vector, frozen
+from adr_service.citations import Paper
 from adr_service.distributions import Draws, Uniform
 from adr_service.methods.base import CurriculumSettings, Problem
+
+PAPER = Paper(
+    "openai2019rubik",
+    "Solving Rubik's Cube with a Robot Hand",
+    "{OpenAI}",
+    2019,
+    arxiv="1910.07113",
+)
 
 
 class AutoDrSettings(CurriculumSettings):
@@ -39,6 +48,7 @@ class AutoDrSettings(CurriculumSettings):
 
     label: ClassVar[str] = "AutoDR"
     colour: ClassVar[str] = "#117733"
+    papers: ClassVar[tuple[Paper, ...]] = (PAPER,)
 
     def create(self, problem: Problem) -> "AutoDr":
         return AutoDr(self, problem)

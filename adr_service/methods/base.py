@@ -21,6 +21,7 @@ import numpy as np
 from pydantic import Field
 
 from adr_service.arrays import Vector
+from adr_service.citations import Paper
 from adr_service.distributions import Distribution
 from adr_service.errors import InvalidInput
 from adr_service.json_values import Wire
@@ -150,6 +151,7 @@ class MethodSettings(Wire):
     # its visits are the data of offline methods by default; SimOpt's, which `RunSpec.simopt` holds
     collects: ClassVar[bool] = False
     label: ClassVar[str] = ""  # in figures; empty: the name
+    papers: ClassVar[tuple[Paper, ...]] = ()  # to cite for it
     # in figures; ours are Okabe and Ito's colours, which colour-blind readers can distinguish
     colour: ClassVar[str] = "#882255"
 

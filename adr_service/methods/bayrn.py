@@ -23,10 +23,20 @@ from typing import ClassVar, Literal, cast
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
+from adr_service.citations import Paper
 from adr_service.distributions import Distribution, Uniform
 from adr_service.methods.base import Problem, Proposal, ReturnsSettings
 from adr_service.parameters import ParameterSpace
 from adr_service.startup_time import preparing
+
+PAPER = Paper(
+    "muratore2021bayrn",
+    "Data-efficient Domain Randomization with Bayesian Optimization",
+    "Muratore, Fabio and Eilers, Christian and Gienger, Michael and Peters, Jan",
+    2021,
+    venue="IEEE Robotics and Automation Letters",
+    arxiv="2003.02471",
+)
 
 
 class BayRnSettings(ReturnsSettings):
@@ -35,6 +45,7 @@ class BayRnSettings(ReturnsSettings):
     seconds: ClassVar[float] = 4.0  # with the import of BoTorch
     label: ClassVar[str] = "BayRn"
     colour: ClassVar[str] = "#999933"
+    papers: ClassVar[tuple[Paper, ...]] = (PAPER,)
 
     def create(self) -> "BayRn":
         return BayRn()

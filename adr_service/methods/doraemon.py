@@ -25,11 +25,23 @@ from scipy.optimize import Bounds, NonlinearConstraint, minimize
 from scipy.special import betaln, polygamma, psi
 
 from adr_service.arrays import Mask, Matrix, Vector
+from adr_service.citations import Paper
 from adr_service.distributions import Beta, Draws
 from adr_service.methods.base import CurriculumSettings, Problem
 
 _TOLERANCE = 1e-6  # of constraints
 Value = tuple[float, Vector]  # of a function, and its gradient (2 d,)
+
+
+PAPER = Paper(
+    "tiboni2024doraemon",
+    "Domain Randomization via Entropy Maximization",
+    "Tiboni, Gabriele and Klink, Pascal and Peters, Jan and Tommasi, Tatiana and "
+    "D'Eramo, Carlo and Chalvatzaki, Georgia",
+    2024,
+    venue="International Conference on Learning Representations",
+    arxiv="2311.01885",
+)
 
 
 class DoraemonSettings(CurriculumSettings):
@@ -46,6 +58,7 @@ class DoraemonSettings(CurriculumSettings):
 
     label: ClassVar[str] = "DORAEMON"
     colour: ClassVar[str] = "#AA4499"
+    papers: ClassVar[tuple[Paper, ...]] = (PAPER,)
 
     def create(self, problem: Problem) -> "Doraemon":
         return Doraemon(self, problem)

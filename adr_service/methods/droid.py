@@ -25,6 +25,7 @@ import numpy as np
 from pydantic import Field
 
 from adr_service.arrays import Matrix, Vector
+from adr_service.citations import Paper
 from adr_service.distributions import Gaussian
 from adr_service.errors import InvalidInput
 from adr_service.methods.base import Estimate, OfflineSettings, Problem, ReplayFrom
@@ -42,6 +43,16 @@ _PER_PARAMETER = 300  # replays until the search has converged on all four tasks
 _DIVERGED = 10  # cost of a diverged replay, in worst finite costs; CMA-ES compares ranks only
 
 
+PAPER = Paper(
+    "tsai2021droid",
+    "DROID: Minimizing the Reality Gap Using Single-Shot Human Demonstration",
+    "Tsai, Ya-Yen and Xu, Hui and Ding, Zihan and Zhang, Chong and Johns, Edward and Huang, Bidan",
+    2021,
+    venue="IEEE Robotics and Automation Letters",
+    arxiv="2102.11003",
+)
+
+
 class _Settings(OfflineSettings):
     budget: int | None = Field(
         None,
@@ -50,6 +61,7 @@ class _Settings(OfflineSettings):
         description=f"simulated replays of the data; default: {_PER_PARAMETER} per parameter",
     )
     initial_std: float = Field(1.0, gt=0, description="of the search, in [0, 4] coordinates")
+    papers: ClassVar[tuple[Paper, ...]] = (PAPER,)
 
     def create(self) -> "Droid":
         return Droid(self)

@@ -26,6 +26,7 @@ from pydantic import Field, PositiveFloat
 from scipy.stats import qmc
 
 from adr_service.arrays import Array3, Matrix, Vector
+from adr_service.citations import Paper
 from adr_service.distributions import TruncatedGaussian, normalised_std
 from adr_service.errors import InvalidInput
 from adr_service.methods.base import Estimate, Grid, OfflineSettings, Problem, ReplayFrom
@@ -41,6 +42,23 @@ _TOGETHER = 16  # simulations at a time; changes no bit
 _EVALUATIONS = 20  # of one trust-region search; 6 to 35 on all tasks (docs/decisions.md)
 
 _Several = Annotated[list[PositiveFloat], Field(min_length=2, max_length=100)]
+
+
+PAPER = Paper(
+    "tiboni2023dropo",
+    "DROPO: Sim-to-Real Transfer with Offline Domain Randomization",
+    "Tiboni, Gabriele and Arndt, Karol and Kyrki, Ville",
+    2023,
+    venue="Robotics and Autonomous Systems",
+    arxiv="2201.08434",
+)
+E_DROPO_PAPER = Paper(
+    "fickinger2025provable",
+    "Provable Sim-to-Real Transfer via Offline Domain Randomization",
+    "Fickinger, Arnaud and Bendahi, Abderrahim and Russell, Stuart",
+    2025,
+    arxiv="2506.10133",
+)
 
 
 class _Settings(OfflineSettings):
@@ -60,6 +78,7 @@ class _Settings(OfflineSettings):
 
     # Sec. IV-A, `MSE_trajectories`: the error of one-step predictions by the estimate's mean
     grid: ClassVar[Grid | None] = Grid("epsilon", criterion="mean_squared_error")
+    papers: ClassVar[tuple[Paper, ...]] = (PAPER,)
 
     @property
     def bonus(self) -> float:
@@ -118,6 +137,7 @@ class EDropoSettings(_Settings):
 
     label: ClassVar[str] = "E-DROPO"
     colour: ClassVar[str] = "#7F3B08"
+    papers: ClassVar[tuple[Paper, ...]] = (PAPER, E_DROPO_PAPER)
 
     @property
     def bonus(self) -> float:

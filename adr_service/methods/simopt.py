@@ -32,6 +32,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 
 from adr_service.arrays import Array3, Matrix, Vector
+from adr_service.citations import Paper
 from adr_service.distributions import Gaussian
 from adr_service.errors import InvalidInput
 from adr_service.methods.base import Evidence, OnlineSettings, Problem, Update
@@ -45,6 +46,17 @@ _LEAST_RATIO = 1e-9  # of the new variance to the old, below which the fit is si
 _FIRST_TEMPERATURE = 1.0  # of the search for the best one
 _MOST_TEMPERATURE = 1e12  # beyond which weights are equal
 _SPREAD_PERCENTILE = 90  # of the costs, whose distance from the best is the unit
+
+
+PAPER = Paper(
+    "chebotar2019simopt",
+    "Closing the Sim-to-Real Loop: Adapting Simulation Randomization with Real World Experience",
+    "Chebotar, Yevgen and Handa, Ankur and Makoviychuk, Viktor and Macklin, Miles and "
+    "Issac, Jan and Ratliff, Nathan and Fox, Dieter",
+    2019,
+    venue="IEEE International Conference on Robotics and Automation",
+    arxiv="1810.05687",
+)
 
 
 class _Settings(OnlineSettings):
@@ -65,6 +77,7 @@ class _Settings(OnlineSettings):
     l1_weight: float = Field(0.5, ge=0, description="weight of the L1 norm in the discrepancy")
     l2_weight: float = Field(1.0, ge=0, description="weight of the squared L2 norm in it")
     filter_std: float = Field(5.0, ge=0, description="Gaussian filter over time [steps]")
+    papers: ClassVar[tuple[Paper, ...]] = (PAPER,)
 
     def create(self) -> "SimOpt":
         return SimOpt(self)

@@ -4,6 +4,10 @@ Tiboni et al., the benchmark's paper, Sec. 3.2: the mean over policies that are 
 bounds, drawn at random within the search space.
 
 The paper does not state how it draws the bounds. Here each parameter has two uniform draws, sorted.
+
+`fixed_dr` is what others call uniform domain randomization: one policy, trained on the whole search
+box from its first step to its last. It is the baseline of the methods that move their distribution
+(Tiboni et al., arXiv 2311.01885, Sec. 5).
 """
 
 from typing import ClassVar, Literal
@@ -11,9 +15,20 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from adr_service.distributions import Uniform
-from adr_service.methods.base import Data, MethodSettings
+from adr_service.arrays import Matrix, Vector
+from adr_service.citations import Paper
+from adr_service.distributions import Draws, Uniform
+from adr_service.methods.base import CurriculumSettings, Data, MethodSettings, Problem
 from adr_service.parameters import ParameterSpace
+
+PAPER = Paper(
+    "tobin2017domain",
+    "Domain Randomization for Transferring Deep Neural Networks from Simulation to the Real World",
+    "Tobin, Josh and Fong, Rachel and Ray, Alex and Schneider, Jonas and Zaremba, Wojciech and "
+    "Abbeel, Pieter",
+    2017,
+    arxiv="1703.06907",
+)
 
 
 class UdrSettings(MethodSettings):
@@ -25,6 +40,7 @@ class UdrSettings(MethodSettings):
     is_level: ClassVar[bool] = True
     label: ClassVar[str] = "UDR"
     colour: ClassVar[str] = "#E69F00"
+    papers: ClassVar[tuple[Paper, ...]] = (PAPER,)
 
 
 def random_bounds(
@@ -35,3 +51,32 @@ def random_bounds(
         rng.uniform(space.low, space.high, (settings.policies, 2, len(space))), axis=1
     )
     return [Uniform(space, low, high) for low, high in corners]
+
+
+class FixedDrSettings(CurriculumSettings):
+    name: Literal["fixed_dr"] = "fixed_dr"
+    episodes: int = Field(
+        64, ge=1, le=100_000, description="episodes of which each mean return is recorded"
+    )
+
+    label: ClassVar[str] = "fixed DR"
+    colour: ClassVar[str] = "#BBBB00"
+    papers: ClassVar[tuple[Paper, ...]] = (PAPER,)
+
+    def create(self, problem: Problem) -> "FixedDr":
+        return FixedDr(self, problem)
+
+
+class FixedDr:
+    """A curriculum that never moves."""
+
+    def __init__(self, settings: FixedDrSettings, problem: Problem):
+        space = problem.source.space
+        self.episodes = settings.episodes
+        self.distribution = Uniform(space, space.low, space.high)
+
+    def sample(self, n: int, rng: np.random.Generator) -> Draws:
+        return self.distribution.sample(n, rng)
+
+    def move(self, dynamics: Matrix, returns: Vector) -> None:
+        """Stay."""

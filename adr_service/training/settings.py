@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias, cast
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from adr_service.citations import Paper
 from adr_service.json_values import Wire
 
 Widths = Annotated[
@@ -30,6 +31,8 @@ _STEP_S = 0.0007  # acting and storing, per step of all environments
 
 class _Settings(Wire):
     """Settings that all algorithms have."""
+
+    paper: ClassVar[Paper]  # to cite for the algorithm
 
     backend: Literal["sbx", "sb3"] | None = Field(
         None, description="null: sbx where it is installed, else sb3"
@@ -169,6 +172,15 @@ class SacSettings(_OffPolicy):
     """Soft Actor-Critic (Haarnoja et al., arXiv 1812.05905); defaults are the paper's of the
     benchmark (Tiboni et al., Sec. 3.4), else SB3's."""
 
+    paper: ClassVar = Paper(
+        "haarnoja2018sac",
+        "Soft Actor-Critic Algorithms and Applications",
+        "Haarnoja, Tuomas and Zhou, Aurick and Hartikainen, Kristian and Tucker, George and "
+        "Ha, Sehoon and Tan, Jie and Kumar, Vikash and Zhu, Henry and Gupta, Abhishek and "
+        "Abbeel, Pieter and Levine, Sergey",
+        2018,
+        arxiv="1812.05905",
+    )
     update_seconds: ClassVar = {"sbx": (0.00005, 0.0030), "sb3": (0.0025, 0.0125)}
 
     algorithm: Literal["sac"] = DEFAULT_ALGORITHM
@@ -189,6 +201,16 @@ class CrossQSettings(_Confirmed, _OffPolicy):
     """CrossQ (Bhatt et al., arXiv 1902.05605): SAC with batch renormalisation in the place of
     target networks."""
 
+    paper: ClassVar = Paper(
+        "bhatt2024crossq",
+        "CrossQ: Batch Normalization in Deep Reinforcement Learning for Greater Sample Efficiency "
+        "and Simplicity",
+        "Bhatt, Aditya and Palenicek, Daniel and Belousov, Boris and Argus, Max and "
+        "Amiranashvili, Artemij and Brox, Thomas and Peters, Jan",
+        2024,
+        venue="International Conference on Learning Representations",
+        arxiv="1902.05605",
+    )
     update_seconds: ClassVar = {"sbx": (0.0012, 0.0015), "sb3": (0.0110, 0.0008)}
 
     algorithm: Literal["crossq"]
@@ -210,6 +232,14 @@ class PpoSettings(_Confirmed):
     """Proximal Policy Optimisation (Schulman et al., arXiv 1707.06347) on normalised observations
     and rewards."""
 
+    paper: ClassVar = Paper(
+        "schulman2017ppo",
+        "Proximal Policy Optimization Algorithms",
+        "Schulman, John and Wolski, Filip and Dhariwal, Prafulla and Radford, Alec and "
+        "Klimov, Oleg",
+        2017,
+        arxiv="1707.06347",
+    )
     # of an update on one server core, per transition and epoch, for layers of 64 units
     sample_seconds: ClassVar[Mapping[str, float]] = {"sbx": 0.0000005, "sb3": 0.0000025}
 

@@ -1,4 +1,4 @@
-"""Results of runs and benchmarks: tables, figures, files, and the paper's claims."""
+"""Tables and figures of results, files, papers to cite, and the claims of the paper."""
 
 import json
 from pathlib import Path
@@ -107,6 +107,13 @@ def report(
 
     with connect(url) as client:
         typer.echo(write_report(client, benchmark, out))
+
+
+@app.command()
+def cite(id: Id, url: Url = DEFAULT_URL) -> None:
+    """Print the papers of what was run, as BibTeX."""
+    with connect(url) as client:
+        typer.echo(client.citations(id), nl=False)
 
 
 @app.command()

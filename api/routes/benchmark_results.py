@@ -9,7 +9,7 @@ from adr_service.benchmark.claims import reports
 from adr_service.benchmark.comparison import Outcome
 from adr_service.benchmark.figures import Format, drawable
 from api.results import CostView, ResultsView, cost_of, outcomes_of, results_json
-from api.routes.downloads import CSV, csv_response, figure_response
+from api.routes.downloads import CSV, bibtex_response, csv_response, figure_response
 from api.service import Service, ServiceDependency
 from db import benchmarks as benchmark_store
 
@@ -37,6 +37,12 @@ def claims(benchmark_id: str, service: ServiceDependency) -> list[dict[str, Any]
 def cost(benchmark_id: str, service: ServiceDependency) -> CostView:
     """Cost of the stages, and utilisation of the cores."""
     return cost_of(service, benchmark_store.runs_of(service.database, benchmark_id))
+
+
+@router.get("/{benchmark_id}/citations", response_class=Response)
+def citations(benchmark_id: str, service: ServiceDependency) -> Response:
+    """The papers of what was run, as BibTeX."""
+    return bibtex_response(benchmark_store.runs_of(service.database, benchmark_id))
 
 
 @router.get("/{benchmark_id}/figures")

@@ -5,12 +5,14 @@ from typing import Any
 
 from fastapi import Response
 
+from adr_service.benchmark.citing import bibtex, papers_of
 from adr_service.benchmark.comparison import Outcome, table, to_csv
 from adr_service.benchmark.figures import Format, draw
 from adr_service.json_values import sha256
 from api.service import Service
 from db import stages as stage_store
 from db.errors import NotFound
+from db.runs import RunRecord
 
 CSV: dict[int | str, Any] = {200: {"content": {"text/csv": {"schema": {"type": "string"}}}}}
 _FIGURE_TYPES = {"svg": "image/svg+xml", "png": "image/png", "csv": "text/csv"}
@@ -48,3 +50,9 @@ def figure_response(name: str, outcomes: Sequence[Outcome], file_format: Format)
 def csv_response(outcomes: Sequence[Outcome]) -> Response:
     """The result table as CSV."""
     return Response(to_csv(table(outcomes)), media_type="text/csv")
+
+
+def bibtex_response(records: Sequence[RunRecord]) -> Response:
+    """The papers of what was run, as BibTeX."""
+    papers = papers_of(record.spec for record in records)
+    return Response(bibtex(papers), media_type="application/x-bibtex")

@@ -8,7 +8,13 @@ from pydantic import BaseModel
 from adr_service.benchmark.comparison import Outcome, decode
 from adr_service.benchmark.figures import Format, drawable
 from api.results import CostView, ResultsView, cost_of, outcomes_of, results_json
-from api.routes.downloads import CSV, artifact_response, csv_response, figure_response
+from api.routes.downloads import (
+    CSV,
+    artifact_response,
+    bibtex_response,
+    csv_response,
+    figure_response,
+)
 from api.service import Service, ServiceDependency
 from db import runs as run_store
 from db import stages as stage_store
@@ -75,6 +81,12 @@ def results(
 def cost(run_id: str, service: ServiceDependency) -> CostView:
     """Cost of the stages, and utilisation of the cores."""
     return cost_of(service, [run_store.get_run(service.database, run_id)])
+
+
+@router.get("/{run_id}/citations", response_class=Response)
+def citations(run_id: str, service: ServiceDependency) -> Response:
+    """The papers of what was run, as BibTeX."""
+    return bibtex_response([run_store.get_run(service.database, run_id)])
 
 
 @router.get("/{run_id}/figures")

@@ -15,7 +15,7 @@ from db.errors import NotFound
 COMMANDS = {
     *("serve", "submit", "extend", "list", "status", "watch", "cancel", "resume", "results"),
     *("claims", "upload", "datasets", "criticise", "tune", "render", "robot", "demo", "doctor"),
-    *("report", "archive", "db", "measure", "criticise-bench", "export"),
+    *("cite", "report", "archive", "db", "measure", "criticise-bench", "export"),
 }
 SLOW_TO_IMPORT = ("ray", "torch", "sqlalchemy", "fastapi", "uvicorn")
 

@@ -18,7 +18,7 @@ def test_what_results_cannot_do_is_refused(adr_here, arguments, message):
 
 
 @pytest.mark.ray
-@pytest.mark.parametrize("command", ["results", "claims"])
+@pytest.mark.parametrize("command", ["results", "claims", "cite"])
 def test_an_unknown_benchmark_is_refused(adr, command):
     status, shown = adr(command, "bench_x")
     assert status == 3

@@ -1,5 +1,7 @@
 """Results, costs and policies of a run."""
 
+import re
+
 import pytest
 
 from adr_service.training.policy import Policy
@@ -33,3 +35,12 @@ def test_an_unknown_figure_is_refused_with_the_list(http, finished):
     response = http.get(f"/v1/runs/{finished}/figures/curve.svg")
     assert response.status_code == 404
     assert "returns, profile, collection" in response.json()["detail"]
+
+
+def test_the_papers_of_what_was_run_are_bibtex(service, http, finished):
+    response = http.get(f"/v1/runs/{finished}/citations")
+    assert response.headers["content-type"].startswith("application/x-bibtex")
+    assert response.text == service.client.citations(finished)
+    keys = re.findall(r"^@\w+{(\w+),$", response.text, re.MULTILINE)
+    assert {"tiboni2022benchmark", "chebotar2019simopt", "haarnoja2018sac"} <= set(keys)
+    assert "tsai2021droid" not in keys
