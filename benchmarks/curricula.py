@@ -44,7 +44,7 @@ from benchmarks.recovery import TASKS, keep
 from workers.cluster import worker_environment
 
 FOLDER = Path("build/bench/curricula")
-METHODS = ("prior", "udr", "fixed_dr", "auto_dr", "doraemon")
+METHODS = ("prior", "udr", "fixed_dr", "auto_dr", "doraemon", "epopt")
 POLICIES = 2  # of UDR, per seed
 SUCCESS = 0.9  # of the reward threshold
 EPISODES = 1000

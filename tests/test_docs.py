@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from adr_service.logs.mapping import ActuatorMap, JointMap, LogMap, RowsMap
+from adr_service.methods.catalogue import methods
 from adr_service.simulation.batch import control_period
 from adr_service.specs import BenchmarkSpec
 from adr_service.tasks.catalogue import BUILT_IN
@@ -156,3 +157,10 @@ def test_the_loader_of_the_docs_acts_as_the_policy_does(tmp_path):
 @pytest.mark.parametrize("file", sorted((ROOT / "docs/examples").glob("*.json")), ids=str)
 def test_the_examples_are_valid_benchmarks(file):
     assert list(BenchmarkSpec.model_validate_json(file.read_text()).runs())
+
+
+def test_every_method_stands_in_the_page_that_compares_them():
+    page = (ROOT / "docs/methods.md").read_text()
+    (table,) = re.findall(r"\| method \| target data .*?\n\n", page, re.DOTALL)
+    named = re.findall(r"`(\w+)`", "".join(row.split("|")[1] for row in table.split("\n") if row))
+    assert sorted(named) == sorted(methods())

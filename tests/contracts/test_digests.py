@@ -24,7 +24,7 @@ from tests.recordings import recording
 GOLDEN = Path(__file__).parent / "digests.json"
 METHODS = (
     *("udr", "bayrn", "simopt", "simopt_1", "droid", "dropo", "sysid"),
-    *("fixed_dr", "auto_dr", "doraemon"),
+    *("fixed_dr", "auto_dr", "doraemon", "epopt"),
     *("prior", "oracle"),
 )
 OFFLINE = ("droid", "dropo", "sysid")

@@ -16,7 +16,7 @@ PPO = {
 }
 
 
-@pytest.mark.parametrize("name", ["fixed_dr", "auto_dr", "doraemon"])
+@pytest.mark.parametrize("name", ["fixed_dr", "auto_dr", "doraemon", "epopt"])
 def test_a_curriculum_trains_one_policy_and_visits_the_target_for_evaluation_alone(name):
     stages = LocalStages()
     spec = smoke({"name": name, "episodes": 12}, training=PPO)

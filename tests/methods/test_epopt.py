@@ -1,0 +1,43 @@
+"""EPOpt: which dynamics its phases draw."""
+
+import numpy as np
+
+from adr_service.methods.epopt import EpOptSettings
+from adr_service.randomness import stream
+from tests.planted import PROBLEM, SPACE
+
+
+def kinds_of(curriculum, moves, earned):
+    """The kinds of distributions of the phases, and the draws of each."""
+    rng, kept = stream("epopt"), []
+    for _ in range(moves):
+        dynamics = curriculum.sample(50, rng).values
+        kept.append((curriculum.distribution.to_json()["kind"], dynamics))
+        curriculum.move(dynamics, earned(dynamics))
+    return kept
+
+
+def test_after_the_first_phases_most_draw_from_the_worst_dynamics_of_one():
+    curriculum = EpOptSettings(skip=2, focus=3, epsilon=0.1).create(PROBLEM)
+    kept = kinds_of(curriculum, 11, lambda dynamics: -dynamics[:, 0])
+    kinds = [kind for kind, _ in kept]
+    assert kinds == ["uniform"] * 3 + ["empirical"] * 3 + ["uniform"] + ["empirical"] * 3 + [
+        "uniform"
+    ]
+    measured, focused = kept[2][1], kept[3][1]
+    assert len(np.unique(focused, axis=0)) == 5
+    worst = np.sort(measured[:, 0])[-5:]
+    np.testing.assert_array_equal(np.unique(focused[:, 0]), worst)
+
+
+def test_the_worst_are_measured_anew_in_each_turn():
+    curriculum = EpOptSettings(skip=0, focus=1).create(PROBLEM)
+    one, _, other = (draws for _, draws in kinds_of(curriculum, 4, lambda d: d[:, 1])[1:])
+    assert not np.any(np.isin(one, other))
+
+
+def test_the_whole_box_is_measured():
+    curriculum = EpOptSettings().create(PROBLEM)
+    share = (curriculum.sample(4000, stream("box")).values - SPACE.low) / (SPACE.high - SPACE.low)
+    assert share.min() < 0.01
+    assert share.max() > 0.99
