@@ -15,6 +15,14 @@ from pydantic import computed_field
 
 from adr_service.json_values import Wire
 
+USES = {  # of core seconds, for people
+    "computing": "CPU time of stages",
+    "preparing": "CPU time of stages for imports and compilations",
+    "waiting": "within stages, without a CPU: other processes had it, or the disk",
+    "starting": "new processes",
+    "orchestration": "a core was free, or its stage was on the way to it",
+}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Execution:

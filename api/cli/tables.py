@@ -10,20 +10,12 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from adr_service.benchmark.cost import USES
 from adr_service.client import Json
 from api.durations import in_words
 
 if TYPE_CHECKING:  # imports Ray
     from workers.tuning import Candidate
-
-
-_USES = {
-    "computing": "CPU time of stages",
-    "preparing": "CPU time of stages for imports and compilations",
-    "waiting": "within stages, without a CPU: other processes had it, or the disk",
-    "starting": "new processes",
-    "orchestration": "a core was free, or its stage was on the way to it",
-}
 
 
 def results_table(results: Json) -> RenderableType:
@@ -160,9 +152,9 @@ def _utilisation(used: Json | None, note: str) -> list[RenderableType]:
     shares = Table("use of the cores", box=None, padding=(0, 2, 0, 0))
     shares.add_column("core seconds", justify="right")
     shares.add_column("")
-    for name, meaning in _USES.items():
+    for name, meaning in USES.items():
         shares.add_row(name, f"{used[name]:.1f}", Text(meaning, style="dim"))
-    shares.add_row("all", f"{sum(used[name] for name in _USES):.1f}")
+    shares.add_row("all", f"{sum(used[name] for name in USES):.1f}")
     headline = (
         f"useful work {used['useful']:.1%}, orchestration {used['overhead']:.1%} "
         f"of {used['cores']} cores in {used['seconds']:.0f} s"

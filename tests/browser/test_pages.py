@@ -18,7 +18,8 @@ SERIOUS = {"serious", "critical"}
 
 @pytest.fixture
 def addresses(benchmark, finished):
-    return [*LISTS, f"/benchmarks/{benchmark}", f"/runs/{finished}", f"/compare?id={benchmark}"]
+    own = [f"/benchmarks/{benchmark}", f"/runs/{finished}", f"/runs/{finished}/cost"]
+    return [*LISTS, *own, f"/compare?id={benchmark}"]
 
 
 def serious(page):

@@ -122,6 +122,15 @@ def test_the_page_of_a_run_shows_its_events(http, finished):
     assert http.get("/runs/run_0").status_code == 404
 
 
+def test_the_cost_of_a_run_and_of_a_benchmark_is_a_table_for_people(http, finished, benchmark):
+    for page in (f"/runs/{finished}", f"/benchmarks/{benchmark}"):
+        assert f'href="{page}/cost">cost</a>' in http.get(page).text
+        cost = http.get(f"{page}/cost").text
+        assert re.search(r"<td>train_policy</td><td class=\"number\">\d", cost)
+        assert f'href="/v1{page}/cost"' in cost
+    assert http.get("/runs/run_0/cost").status_code == 404
+
+
 def test_the_page_of_a_run_shows_how_its_inference_ended(http, benchmark):
     """The loss, and parameters at their limits."""
     runs = http.get(f"/v1/benchmarks/{benchmark}").json()["runs"]
