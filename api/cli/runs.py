@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.padding import Padding
 from rich.table import Table
 
 from adr_service.client import DEFAULT_URL, AdrClient, Json, connect, is_finished
@@ -137,22 +138,27 @@ def list_all(
     url: Url = DEFAULT_URL,
     as_json: AsJson = False,
 ) -> None:
-    """List benchmarks and runs, in order of submission."""
+    """List benchmarks with their runs, then single runs, each in order of submission."""
     filters = {"task": task, "method": method, "state": state}
     given = {name: value for name, value in filters.items() if value is not None}
     with connect(url) as client:
-        benchmarks, runs = client.list_all("benchmarks"), client.list_all("runs", **given)
+        # a benchmark that is submitted meanwhile has no run among these
+        runs, benchmarks = client.list_all("runs", **given), client.list_all("benchmarks")
     if given:
         listed = {run["benchmark_id"] for run in runs}
         benchmarks = [benchmark for benchmark in benchmarks if benchmark["id"] in listed]
     if as_json:
         console.print_json(data={"benchmarks": benchmarks, "runs": runs})
         return
-    none = "no such runs" if given else "no runs yet; `adr demo` makes some"
-    console.print(_runs_table(runs) if runs else none)
+    if not runs:
+        console.print("no such runs" if given else "no runs yet; `adr demo` makes some")
     for benchmark in benchmarks:
         states = ", ".join(f"{count} {state}" for state, count in benchmark["states"].items())
         console.print(f"{benchmark['id']}, {_day(benchmark)}: {states}")
+        _print_runs([run for run in runs if run["benchmark_id"] == benchmark["id"]])
+    if single := [run for run in runs if run["benchmark_id"] is None]:
+        console.print("single runs")
+        _print_runs(single)
 
 
 def _day(listed: Json) -> str:
@@ -160,14 +166,18 @@ def _day(listed: Json) -> str:
     return str(listed["created_at"])[:16].replace("T", " ")
 
 
-def _runs_table(runs: list[Json]) -> Table:
-    table = Table(box=None)
-    for heading in ("id", "task", "variant", "method", "seed", "state", "submitted"):
-        is_whole = heading in ("id", "state", "submitted")  # to be copied, or read at a glance
-        table.add_column(heading, no_wrap=is_whole, overflow="fold")
+def _print_runs(runs: list[Json]) -> None:
+    console.print(Padding(runs_table(runs), (0, 0, 1, 2)))
+
+
+def runs_table(runs: list[Json]) -> Table:
+    """A row for each run, which fits into 80 columns."""
+    table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    for heading in ("id", "task, variant", "method", "seed", "state", "submitted"):
+        table.add_column(heading, no_wrap=heading != "task, variant")
     for run in runs:
         spec = run["spec"]
-        cells = (spec["task"], spec["variant"], label(spec), str(spec["seed"]))
+        cells = (f"{spec['task']}, {spec['variant']}", label(spec), str(spec["seed"]))
         table.add_row(run["id"], *cells, run["state"], _day(run)[5:])  # no year
     return table
 

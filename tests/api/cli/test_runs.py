@@ -1,9 +1,14 @@
 """Submit, follow and stop runs from the command line."""
 
+import io
 import json
 import re
+from pathlib import Path
 
 import pytest
+from rich.console import Console
+
+from api.cli.runs import runs_table
 
 pytestmark = pytest.mark.ray
 
@@ -30,6 +35,33 @@ def test_a_run_is_submitted_watched_listed_and_its_files_are_written(adr, tmp_pa
     listed = adr("list", "--task", "arm", "--state", "succeeded")[1]
     assert id in listed
     assert "no such runs" in adr("list", "--task", "humanoid")[1]
+
+
+def test_runs_are_listed_under_their_benchmark(adr):
+    def submitted(*arguments):
+        return adr("submit", *arguments, "--watch")[1].split()[0]
+
+    Path("b.json").write_text(
+        '{"tasks": ["arm"], "methods": ["udr"], "seeds": [902], "preset": "smoke"}'
+    )
+    benchmark = submitted("b.json")
+    single = submitted("--task", "arm", "--method", "prior", "--preset", "smoke", "--seed", "903")
+    code, listed = adr("list")
+    assert code == 0
+    own = listed.split(benchmark)[1].split("bench_")[0].split("single runs")[0]
+    assert re.search(r"run_\w{16} +arm, vanilla +udr +902 +succeeded", own)
+    assert single in listed.split("single runs")[1]
+    runs = json.loads(adr("list", "--json")[1])["runs"]
+    assert benchmark in {run["benchmark_id"] for run in runs}
+
+
+def test_a_run_is_a_line_of_80_columns_and_its_names_are_whole():
+    spec = {"task": "half_cheetah", "variant": "unmodeled", "seed": 3}
+    run = {"id": f"run_{'0' * 16}", "state": "succeeded", "created_at": "2026-11-25T13:20:11Z"}
+    table = runs_table([{**run, "spec": {**spec, "method": {"name": "dropo_smoothed"}}}])
+    Console(file=(output := io.StringIO()), width=78).print(table)
+    words = output.getvalue().split()
+    assert {run["id"], "half_cheetah,", "unmodeled", "dropo_smoothed", "13:20"} <= set(words)
 
 
 def test_a_dry_run_of_a_file_prints_its_expected_cost(adr, tmp_path):
