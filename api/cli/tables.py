@@ -2,7 +2,7 @@
 
 import json
 import statistics
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from rich.console import Group, RenderableType
@@ -21,24 +21,35 @@ if TYPE_CHECKING:  # imports Ray
 def results_table(results: Json) -> RenderableType:
     """The result table with its intervals."""
     if results["rows"]:
-        return Group(_returns_table(results["rows"]), Text(results["note"], style="dim"))
+        return Group(*_by_place(results["rows"], _returns), Text(results["note"], style="dim"))
     if results["estimates"]:
         return Group(estimates_table(results), Text(results["note"], style="dim"))
     return Text("no iteration has finished yet")
 
 
-def _returns_table(rows: Sequence[Json]) -> Table:
-    table = Table(box=None, padding=(0, 1, 0, 0))
-    for heading in ("task", "variant", "method"):
-        table.add_column(heading, overflow="fold")
-    for heading in (
-        *("iteration", "return /\nthreshold", "95 %\ninterval", "seeds", "episodes"),
-        *("target\ntransitions", "distance\nfrom truth", "posterior\nstd"),
-    ):
-        is_interval = heading.endswith("interval")
-        table.add_column(heading, justify="right", overflow="fold", no_wrap=is_interval)
+def _by_place(rows: Sequence[Json], table: Callable[[Sequence[Json]], Table]) -> list[Table]:
+    """A table for each task's variant, so that names stay whole on 80 columns."""
+    places: dict[str, list[Json]] = {}
     for row in rows:
-        table.add_row(*_cells(row))
+        places.setdefault(f"{row['task']}, {row['variant']}", []).append(row)
+    tables = {place: table(group) for place, group in places.items()}
+    for place, each in tables.items():
+        each.title, each.title_justify, each.title_style = escape(place), "left", "bold"
+    return list(tables.values())
+
+
+def _returns(rows: Sequence[Json]) -> Table:
+    cells = [_cells(row) for row in rows]
+    words = [word for method, *_ in cells for word in method.split()]
+    table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("method", min_width=max(map(len, words)))
+    for heading in (
+        *("iter-\nation", "return /\nthreshold", "95 %\ninterval", "seeds", "epi-\nsodes"),
+        *("target\ntransi-\ntions", "distance\nfrom\ntruth", "poste-\nrior\nstd"),
+    ):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in cells:
+        table.add_row(*row)
     return table
 
 
@@ -46,8 +57,6 @@ def _cells(row: Json) -> list[str]:
     error, std = row["estimation_error"], row["posterior_std"]
     collector = "" if row["collector"] == "simopt" else f" on {row['collector']}"
     return [
-        row["task"],
-        row["variant"],
         row["method"] + collector,
         str(row["iteration"]),
         f"{row['normalised_return']:.2f}",
@@ -68,8 +77,10 @@ def _interval(row: Json, of: str = "") -> str:
 
 def estimates_table(results: Json) -> RenderableType:
     """The estimates of each method, by parameter."""
-    table = Table("method", "seed", "iteration", "parameter", box=None, padding=(0, 2, 0, 0))
-    for heading in ("mean", "standard deviation", "unit"):
+    table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    for heading in ("method", "seed", "iteration", "parameter"):
+        table.add_column(heading, no_wrap=True)
+    for heading in ("mean", "standard\ndeviation", "unit"):
         table.add_column(heading, justify="right")
     for row in results["estimates"]:
         numbers = (f"{row['mean']:.5g}", f"{row['std']:.2g}", row["unit"])
@@ -82,19 +93,22 @@ def comparisons_table(results: Json) -> RenderableType:
     """The difference of two methods, and the probability that a policy of one beats the other's."""
     if not results["comparisons"]:
         return Text("there are no two methods to compare yet")
-    table = Table("task", "variant", "method", "against", box=None, padding=(0, 2, 0, 0))
-    for heading in ("difference", "95 % interval", "beats it with\nprobability", "seeds"):
-        table.add_column(heading, justify="right")
-    for pair in results["comparisons"]:
-        names = (pair["task"], pair["variant"], pair["method"], pair["other"])
-        difference = f"{round(pair['difference'], 2) + 0.0:+.2f}", _interval(pair, "difference_")
-        probability = "–" if pair["low"] is None else f"{pair['probability']:.2f}"
-        table.add_row(*names, *difference, probability, str(pair["seeds"]))
     note = (
         "after each method's last iteration, seed by seed; ties count half; fewer than three "
         "seeds tell nothing"
     )
-    return Group(table, Text(note, style="dim"))
+    return Group(*_by_place(results["comparisons"], _pairs), Text(note, style="dim"))
+
+
+def _pairs(pairs: Sequence[Json]) -> Table:
+    table = Table("method", "against", box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    for heading in ("difference", "95 % interval", "beats it with\nprobability", "seeds"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for pair in pairs:
+        difference = f"{round(pair['difference'], 2) + 0.0:+.2f}", _interval(pair, "difference_")
+        probability = "–" if pair["low"] is None else f"{pair['probability']:.2f}"
+        table.add_row(pair["method"], pair["other"], *difference, probability, str(pair["seeds"]))
+    return table
 
 
 def claims_table(report: Json) -> RenderableType:

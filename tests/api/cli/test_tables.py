@@ -51,7 +51,33 @@ def shown(table, width=80):
 def test_a_results_row_keeps_its_names_and_interval_on_80_columns():
     text = shown(results_table({"rows": [ROW], "note": ""}))
     assert "[0.12, 1.03]" in text
+    assert "half_cheetah, unmodeled" in text
     assert "…" not in text
+
+
+def test_long_names_are_whole_on_80_columns():
+    method = {"method": "dropo_smoothed", "collector": "random_matched", "other": "simopt_memory"}
+    pair = {"difference": -0.1, "difference_low": -0.2, "difference_high": 0.1, "probability": 0.2}
+    estimate = {"seed": 0, "iteration": 5, "parameter": "foot_left_friction", "unit": "kg m2"}
+    for text in (
+        shown(results_table({"rows": [{**ROW, **method}], "note": ""})),
+        shown(comparisons_table({"comparisons": [{**ROW, **method, **pair}]})),
+        shown(results_table({**EMPTY, "estimates": [method | estimate | {"mean": 1, "std": 0.1}]})),
+    ):
+        words = text.split()
+        assert "dropo_smoothed" in words
+        assert {"simopt_memory", "0.012", "foot_left_friction"} & set(words)
+        assert max(map(len, text.splitlines())) <= 80
+
+
+def test_a_result_table_has_a_part_for_each_task_and_variant():
+    rows = [ROW, {**ROW, "variant": "noisy"}, {**ROW, "method": "dropo"}]
+    lines = shown(results_table({"rows": rows, "note": ""})).splitlines()
+    titles = [line.strip() for line in lines if "half_cheetah" in line]
+    assert titles == ["half_cheetah, unmodeled", "half_cheetah, noisy"]
+    assert next(i for i, line in enumerate(lines) if "dropo" in line) < lines.index(
+        next(line for line in lines if "noisy" in line)
+    )
 
 
 def test_a_row_names_its_collector_unless_that_is_simopt():
