@@ -77,11 +77,12 @@ def submit_criticism(
     variant: Annotated[str, Form(max_length=100)],
 ) -> Response:
     """Store what a robot did, and start a criticism by it."""
+    content = measurement.file.read()
     try:
-        upload = Upload.parse(measurement.file.read())
         spec = CriticismSpec.model_validate(
-            {"task": task, "variant": variant, "dataset": dataset_id(upload.content)}
+            {"task": task, "variant": variant, "dataset": dataset_id(content)}
         )
+        upload = Upload.parse(content)
         check_dataset(spec, upload.content)  # before anything is stored
         service.check_disk()
         dataset_store.store_dataset(service.database, upload.content, upload.data)

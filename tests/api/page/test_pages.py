@@ -81,8 +81,20 @@ def test_data_that_do_not_fit_are_refused_beside_the_form_and_not_stored(http, g
         "/criticisms", data={"task": "arm", "variant": "vanilla", **given}, files=files
     )
     assert answer.status_code == 422
-    assert said in html.unescape(answer.text)
+    page = html.unescape(answer.text)
+    assert said in page
+    assert "Choose the file again" in page
+    assert "<option selected>arm" in page or given.get("task", "arm") != "arm"
     assert http.get("/v1/datasets").json() == before
+
+
+def test_a_wrong_task_is_named_before_the_file_is_read(http):
+    answer = http.post(
+        "/criticisms", data={"task": "amr", "variant": "vanilla"}, files={"measurement": b"x"}
+    )
+    assert answer.status_code == 422
+    assert "did you mean" in html.unescape(answer.text)
+    assert "Choose the file again" not in http.get("/criticisms").text
 
 
 def test_a_form_submits_what_it_priced(http):
