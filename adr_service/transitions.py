@@ -19,6 +19,7 @@ from adr_service.npz import read_arrays, write_arrays
 
 MOST_EPISODES = 100_000
 _NEEDED = ("observations", "actions", "next_observations", "dt")
+UNKNOWN_ORIGIN = "unknown"
 _OPTIONAL = ("episodes", "terminals", "columns", "origin")
 
 
@@ -156,7 +157,7 @@ class TransitionDataset:
             episodes=_episodes(fields),
             dt=float(fields["dt"]),
             columns=tuple(np.atleast_1d(fields.get("columns", unnamed(width))).tolist()),
-            origin=str(fields.get("origin", "unknown")),
+            origin=str(fields.get("origin", UNKNOWN_ORIGIN)),
         )
 
     @classmethod

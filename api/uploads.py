@@ -10,11 +10,13 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import Header, HTTPException, status
+from pydantic import Field
 
 from adr_service.criticism.compatibility import check_columns, check_measurement
 from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.recordings import read_measurement
+from adr_service.json_values import Line
 from adr_service.simulation.model import compiled
 from adr_service.simulation.replay import check_recorded
 from adr_service.specs import AnyRun, CriticismSpec
@@ -24,6 +26,7 @@ from adr_service.transitions import TransitionDataset
 
 LARGEST = 64_000_000  # bytes of an upload
 OCTETS = "application/octet-stream"
+FileName = Annotated[Line, Field(max_length=255)]
 
 
 @dataclass(frozen=True)

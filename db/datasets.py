@@ -1,6 +1,7 @@
 """Uploaded recordings; one function per transaction."""
 
 import json
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from typing import Any
 
@@ -10,12 +11,14 @@ from sqlalchemy.orm import Session
 
 from adr_service.criticism.measurements import Measurement
 from adr_service.json_values import Wire
-from adr_service.transitions import TransitionDataset, dataset_id
+from adr_service.transitions import UNKNOWN_ORIGIN, TransitionDataset, dataset_id
 from db.errors import NotFound, NotPossible
 from db.models import ArtifactRow, DatasetRow, RunRow
 from db.references import delete_unreferenced
 from db.session import Database
 from db.stages import add_artifact
+
+_MEASUREMENT = "measurement"  # the origin of a measurement whose file has no name
 
 
 class DatasetRecord(Wire):
@@ -34,10 +37,18 @@ class DatasetRecord(Wire):
 
 
 def store_dataset(
-    database: Database, content: bytes, data: TransitionDataset | Measurement
+    database: Database,
+    content: bytes,
+    data: TransitionDataset | Measurement,
+    name: str | None = None,
 ) -> tuple[DatasetRecord, bool]:
-    """Store an `.npz`, given with the data that were parsed from it; True if it is new."""
+    """Store an `.npz`, given with the data that were parsed from it; True if it is new.
+
+    The file's `name` is the origin of data that say none.
+    """
     described, id = _described(data), dataset_id(content)
+    if name and described["origin"] in (UNKNOWN_ORIGIN, _MEASUREMENT):
+        described["origin"] = name
     with database.write("store_dataset") as session:
         known = session.scalar(select(DatasetRow).where(DatasetRow.id == id))
         if known is not None:
@@ -76,7 +87,7 @@ def _of_measurement(data: Measurement) -> dict[str, Any]:
         "actions": data.ctrl.shape[1],
         "dt": data.period(),
         "columns": json.dumps([f"{name}_{i}" for name, v in parts for i in range(v.shape[1])]),
-        "origin": "measurement",
+        "origin": _MEASUREMENT,
     }
 
 
@@ -103,6 +114,13 @@ def list_datasets(
     with database.read() as session:
         rows = session.scalars(query.order_by(order).limit(limit))
         return [_record(row) for row in rows]
+
+
+def origins_of(database: Database, ids: Iterable[str]) -> dict[str, str]:
+    """The origins of datasets by their ids."""
+    query = select(DatasetRow.id, DatasetRow.origin).where(DatasetRow.id.in_(set(ids)))
+    with database.read() as session:
+        return {row.id: row.origin for row in session.execute(query)}
 
 
 def delete_dataset(database: Database, id: str) -> None:

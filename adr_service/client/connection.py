@@ -85,14 +85,18 @@ class AdrClient:
         path = f"{_path(benchmark_id)}/extend"
         return self._json("POST", path, json=extension, params=_dry(dry_run))
 
-    def upload(self, content: bytes, task: str | None = None) -> Json:
-        """Store a recording; with `task`, also check that it is of that task."""
+    def upload(self, content: bytes, task: str | None = None, name: str | None = None) -> Json:
+        """Store a recording; with `task`, also check that it is of that task.
+
+        The file's `name` is the origin of data that say none.
+        """
+        given = {"task": task, "name": name}
         return self._json(
             "POST",
             "/v1/datasets",
             content=content,
             headers={"Content-Type": "application/octet-stream"},
-            params={} if task is None else {"task": task},
+            params={key: value for key, value in given.items() if value is not None},
         )
 
     def recording(self, dataset_id: str) -> bytes:

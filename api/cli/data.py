@@ -26,7 +26,7 @@ def upload(
 ) -> None:
     """Store a recording or measurement of a real machine for later runs; print its id."""
     with connect(url) as client:
-        stored = client.upload(_read(file, task), task)
+        stored = client.upload(_read(file, task), task, Path(file).name)
     if as_json:
         console.print_json(data=stored)
     else:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, File, Form, Request, Response, UploadFile
 from fastapi.responses import RedirectResponse
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from adr_service.benchmark.claims import reports
 from adr_service.errors import InvalidInput
@@ -21,7 +21,7 @@ from api.routes.datasets import dataset_view
 from api.routes.submissions import start_run
 from api.routes.target_tasks import task_view
 from api.service import Service, ServiceDependency
-from api.uploads import LARGEST, Upload, check_dataset
+from api.uploads import LARGEST, FileName, Upload, check_dataset
 from db import datasets as dataset_store
 from db import runs as run_store
 from db import visits as visit_store
@@ -79,19 +79,20 @@ def submit_criticism(
     """Store what a robot did, and start a criticism by it."""
     content = measurement.file.read()
     try:
+        name = TypeAdapter(FileName | None).validate_python(measurement.filename)
         spec = CriticismSpec.model_validate(
             {"task": task, "variant": variant, "dataset": dataset_id(content)}
         )
         upload = Upload.parse(content)
         check_dataset(spec, upload.content)  # before anything is stored
         service.check_disk()
-        dataset_store.store_dataset(service.database, upload.content, upload.data)
+        dataset_store.store_dataset(service.database, upload.content, upload.data, name)
         record = start_run(service, spec, None)
     except ValidationError as error:
         return _criticisms(request, service, task, variant, [explain(error, "the form")])
     except InvalidInput as error:
-        name = measurement.filename or "the file"
-        return _criticisms(request, service, task, variant, [f"{name}: {error}"])
+        told = measurement.filename or "the file"
+        return _criticisms(request, service, task, variant, [f"{told}: {error}"])
     return RedirectResponse(f"/runs/{record.id}", SEE_OTHER)
 
 
@@ -117,6 +118,9 @@ def _criticisms(
         variants=list(variants),
         items=routes.criticism_views(service, runs),
         more=len(runs) == _MOST_CRITICISMS,
+        origins=dataset_store.origins_of(
+            service.database, (r.spec.dataset for r in runs if isinstance(r.spec, CriticismSpec))
+        ),
     )
 
 

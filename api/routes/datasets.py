@@ -7,7 +7,7 @@ from fastapi import APIRouter, Body, Depends, Query, Response, status
 from api.routes.downloads import bytes_response
 from api.routes.paging import Page, PageSize, PageToken, page_of
 from api.service import ServiceDependency
-from api.uploads import LARGEST, OCTETS, Upload, octets
+from api.uploads import LARGEST, OCTETS, FileName, Upload, octets
 from db import datasets as store
 from db.datasets import DatasetRecord
 
@@ -38,13 +38,17 @@ def upload(
     service: ServiceDependency,
     response: Response,
     task: Annotated[str | None, Query(description="also check that it is of this task")] = None,
+    name: Annotated[FileName | None, Query(description="of the file")] = None,
 ) -> DatasetView:
-    """Store an `.npz` (docs/recordings.md, docs/criticism.md); equal bytes are one dataset."""
+    """Store an `.npz` (docs/recordings.md, docs/criticism.md); equal bytes are one dataset.
+
+    Its `origin` is the one in the file, or else the file's `name`.
+    """
     parsed = Upload.parse(content)
     if task is not None:
         parsed.check_task(task)
     service.check_disk()
-    record, is_new = store.store_dataset(service.database, content, parsed.data)
+    record, is_new = store.store_dataset(service.database, content, parsed.data, name)
     if not is_new:
         response.status_code = status.HTTP_200_OK
     response.headers["Location"] = f"/v1/datasets/{record.id}"

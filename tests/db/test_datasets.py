@@ -1,5 +1,7 @@
 """Uploaded recordings."""
 
+from dataclasses import replace
+
 import pytest
 
 from adr_service.events import RunFailed
@@ -19,6 +21,16 @@ def test_equal_bytes_are_one_dataset(database):
     assert datasets.load_dataset(database, record.id) == (record, content)
     assert (record.transitions, record.episodes, record.actions) == (4, 2, 2)
     assert datasets.list_datasets(database) == [record]
+
+
+def test_data_that_say_no_origin_have_the_name_of_their_file(database):
+    recording = TransitionDataset.from_npz(a_recording())
+    silent = replace(recording, origin="unknown").to_npz()
+    for content, origin in ((recording.to_npz(), recording.origin), (silent, "arm.npz")):
+        data = TransitionDataset.from_npz(content)
+        record, _ = datasets.store_dataset(database, content, data, "arm.npz")
+        assert record.origin == origin
+        assert datasets.origins_of(database, [record.id]) == {record.id: origin}
 
 
 def test_a_dataset_that_a_run_learns_from_cannot_be_deleted(database):

@@ -37,7 +37,7 @@ def content():
 
 @pytest.fixture(scope="module")
 def uploaded(service: RunningService, content):
-    return service.client.upload(content, "arm")
+    return service.client.upload(content, "arm", "measured-arm.npz")
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +101,14 @@ def test_a_criticism_is_listed_among_runs(service, criticised):
 def test_an_unknown_task_or_dataset_cannot_be_criticised(service, uploaded, spec, message):
     with pytest.raises(Refused, match=message):
         service.client.submit_criticism({"dataset": uploaded["id"], **spec})
+
+
+def test_the_list_of_criticisms_and_that_of_datasets_name_the_file(http, criticised, uploaded):
+    assert uploaded["origin"] == "measured-arm.npz"
+    for address in ("/criticisms", "/datasets"):
+        page = http.get(address).text
+        assert "measured-arm.npz" in page
+        assert f'href="/v1/datasets/{uploaded["id"]}/content"' in page
 
 
 def test_data_that_do_not_fit_are_refused_with_the_reason(service, uploaded):
