@@ -38,7 +38,7 @@ def report_page(criticism: Criticism, name: str, origin: str) -> str:
         parts.append("<h2>The cause in the data</h2>" + pictures["residual"])
         parts.append("<h2>What the extended simulator is worth</h2>" + pictures["horizons"])
         parts.append(pictures["trace"])
-    parts += [_moved(verdict), _detectable(verdict), _confused(verdict)]
+    parts += [_moved(criticism), _detectable(verdict), _confused(verdict)]
     return page(f"What {name} gets wrong", parts)
 
 
@@ -206,14 +206,19 @@ def _gain(gain: Gain, residual: Residual) -> str:
     )
 
 
-def _moved(verdict: Verdict) -> str:
+def _moved(criticism: Criticism) -> str:
+    verdict = criticism.verdict
     moved = verdict.residual.moved
     if not moved:
         return ""
-    rows = [[escape(n), f"{before:.4g}", f"{after:.4g}"] for n, (before, after) in moved.items()]
-    heads = ["parameter", "fitted to the simulator as it is", "to the extended one"]
+    units = {p.name: p.unit for p in criticism.baseline.simulator.nominal.space.parameters}
+    rows = [
+        [escape(name), escape(units[name]), f"{before:.4g}", f"{after:.4g}"]
+        for name, (before, after) in moved.items()
+    ]
+    heads = ["parameter", "unit", "fitted to the simulator as it is", "to the extended one"]
     if not verdict.causes:
-        rows, heads = [row[:2] for row in rows], heads[:2]
+        rows, heads = [row[:3] for row in rows], heads[:3]
     text = (
         "<p>A parameter that moves was bent to hide what the simulator lacks: a wider "
         "distribution of it would not have helped.</p>"

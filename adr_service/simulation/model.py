@@ -62,16 +62,25 @@ class Slot:
     scaled: str | None = None  # a field of the same objects that scales with the value
 
 
-# (object kind, attribute) -> (MjModel field, columns within an object's row, scaled field)
-FIELDS: dict[tuple[str, str], tuple[str, tuple[tuple[int, ...], ...], str | None]] = {
-    ("body", "mass"): ("body_mass", ((),), None),
-    ("body", "inertial"): ("body_mass", ((),), "body_inertia"),
-    ("joint", "damping"): ("dof_damping", ((),), None),
-    ("joint", "armature"): ("dof_armature", ((),), None),
-    ("joint", "stiffness"): ("jnt_stiffness", ((),), None),
-    ("actuator", "gear"): ("actuator_gear", ((0,),), None),
-    ("actuator", "bias"): ("actuator_biasprm", ((0,),), None),
-    ("pair", "friction"): ("pair_friction", ((0,), (1,)), None),
+@dataclass(frozen=True)
+class Quantity:
+    """One attribute of a kind of object, as the model has it."""
+
+    field: str  # MjModel field
+    units: tuple[str, ...]  # one, or that of hinges and that of slides
+    columns: tuple[tuple[int, ...], ...] = ((),)  # within an object's row
+    scaled: str | None = None  # a field of the same objects that scales with the value
+
+
+FIELDS: dict[tuple[str, str], Quantity] = {  # by (object kind, attribute)
+    ("body", "mass"): Quantity("body_mass", ("kg",)),
+    ("body", "inertial"): Quantity("body_mass", ("kg",), scaled="body_inertia"),
+    ("joint", "damping"): Quantity("dof_damping", ("N m s/rad", "N s/m")),
+    ("joint", "armature"): Quantity("dof_armature", ("kg m²", "kg")),
+    ("joint", "stiffness"): Quantity("jnt_stiffness", ("N m/rad", "N/m")),
+    ("actuator", "gear"): Quantity("actuator_gear", ("N m", "N"), ((0,),)),
+    ("actuator", "bias"): Quantity("actuator_biasprm", ("of the force before the gear",), ((0,),)),
+    ("pair", "friction"): Quantity("pair_friction", ("1",), ((0,), (1,))),
 }
 
 
@@ -93,6 +102,23 @@ def links_of(source: Source) -> list[str]:
 
 def resolve(model: mujoco.MjModel, address: str) -> Slot:
     """The slot of an address."""
+    quantity, rows, _ = _found(model, address)
+    elements = tuple((row, *column) for row in rows for column in quantity.columns)
+    return Slot(quantity.field, elements, quantity.scaled)
+
+
+def unit_at(model: mujoco.MjModel, address: str) -> str:
+    """The unit of an address's values, as "N m"; "N m or N" where it depends on what is driven."""
+    quantity, _, objects = _found(model, address)
+    units = quantity.units
+    if quantity.field.startswith(("dof_", "jnt_")):
+        are_slides = {bool(model.jnt_type[i] == mujoco.mjtJoint.mjJNT_SLIDE) for i in objects}
+        units = [units[is_slide] for is_slide in sorted(are_slides)]
+    return " or ".join(units)
+
+
+def _found(model: mujoco.MjModel, address: str) -> tuple[Quantity, list[int], list[int]]:
+    """The quantity of an address, the rows of its field, and the numbers of its objects."""
     match = re.fullmatch(r"(\w+):(\w+|\*)\.(\w+)", address)
     if match is None:
         raise InvalidInput(f"address {address!r} is not of the form kind:name.attribute")
@@ -100,15 +126,15 @@ def resolve(model: mujoco.MjModel, address: str) -> Slot:
     if (kind, attribute) not in FIELDS:
         accepted = [*(f"{k}:….{a}" for k, a in FIELDS), "link:….length"]
         raise UnknownName("address", f"{kind}:….{attribute}", accepted)
-    field, columns, scaled = FIELDS[kind, attribute]
+    quantity = FIELDS[kind, attribute]
     names = _names(model, kind)
     if name != "*" and name not in names:
         raise UnknownName(kind, name, names)
     chosen = [n for n in names if n != "world"] if name == "*" else [name]
-    rows = [getattr(model, kind)(n).id for n in chosen]
-    if field.startswith("dof_"):  # a joint's first degree of freedom
-        rows = [int(model.jnt_dofadr[row]) for row in rows]
-    return Slot(field, tuple((row, *column) for row in rows for column in columns), scaled)
+    objects = [getattr(model, kind)(n).id for n in chosen]
+    if not quantity.field.startswith("dof_"):
+        return quantity, objects, objects
+    return quantity, [int(model.jnt_dofadr[i]) for i in objects], objects  # first of each joint
 
 
 def write(model: mujoco.MjModel, slot: Slot, value: float) -> None:

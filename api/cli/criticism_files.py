@@ -22,6 +22,7 @@ from adr_service.criticism.report import EXTENDED, FILES, files_of
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.progress import Progress
+from adr_service.simulation.model import unit_at
 from adr_service.tasks.base import Task
 from adr_service.tasks.catalogue import get_task, variant_of
 
@@ -50,7 +51,6 @@ def nominal_of(
 
 
 def _nominal_of_model(model: Path, free: Sequence[str]) -> tuple[Nominal, str]:
-    space = ParameterSpace(tuple(_parameter(text) for text in free))
     if not model.is_file():
         raise InvalidInput(f"{model} cannot be read: it is no file")
     try:
@@ -58,19 +58,24 @@ def _nominal_of_model(model: Path, free: Sequence[str]) -> tuple[Nominal, str]:
         xml = written_out(files.from_file(str(model)))  # with everything that it includes
     except ValueError as error:
         raise InvalidInput(f"MuJoCo cannot read {model}: {error}") from error
-    return Nominal.of_model(xml, space, folder=str(model.parent.absolute())), model.name
+    folder = str(model.parent.absolute())
+    bare = Nominal.of_model(xml, ParameterSpace(()), folder=folder)
+    space = ParameterSpace(tuple(_parameter(text, bare) for text in free))
+    return Nominal.of_model(xml, space, folder=folder), model.name
 
 
-def _parameter(text: str) -> Parameter:
-    """Return the parameter of a text ADDRESS=LOW:HIGH."""
+def _parameter(text: str, nominal: Nominal) -> Parameter:
+    """Return the parameter of a text ADDRESS=LOW:HIGH, in the unit that it has in the model."""
     address, _, bounds = text.partition("=")
     low, _, high = bounds.partition(":")
     try:
-        return Parameter(address, address, "SI", float(low), float(high), float(low))
+        given = float(low), float(high)
     except ValueError as error:
         raise InvalidInput(
             f"--free {text!r} is not ADDRESS=LOW:HIGH, as in body:thigh.mass=1:5"
         ) from error
+    unit = unit_at(nominal.model(nominal.start), address)
+    return Parameter(address, address, unit, *given, given[0])
 
 
 def criticise_files(

@@ -49,6 +49,13 @@ def test_the_page_names_each_cause_and_its_alternatives(criticism):
         assert strength.interval in page
 
 
+def test_free_parameters_have_their_units(criticism):
+    page = report_page(criticism, "arm", ORIGIN)
+    free = page.split("<h2>The free parameters</h2>")[1].split("</table>")[0]
+    for parameter in criticism.baseline.simulator.nominal.space.parameters:
+        assert f"<td>{parameter.name}</td><td>{parameter.unit}</td>" in free
+
+
 def test_the_page_lists_what_the_data_cannot_tell_apart(criticism):
     names = ("body_mass body:fore", "body_inertia body:fore")
     verdict = criticism.verdict

@@ -15,6 +15,7 @@ from adr_service.simulation.model import (
     links_of,
     read,
     resolve,
+    unit_at,
     write,
 )
 from adr_service.tasks.catalogue import get_task, source_of
@@ -56,6 +57,26 @@ def test_an_address_reads_the_value_of_the_file_and_reads_back_what_was_written(
 def test_every_kind_of_address_is_tested():
     kinds = {tuple(address.replace(":", ".").split(".")[::2]) for address in VALUES}
     assert kinds == set(FIELDS)
+
+
+@pytest.mark.parametrize(
+    ("joints", "address", "unit"),
+    [
+        ('<joint name="a" type="slide"/>', "joint:a.damping", "N s/m"),
+        ('<joint name="a" type="hinge"/>', "joint:a.armature", "kg m²"),
+        ('<joint name="a"/><joint name="b" axis="1 0 0"/>', "joint:*.stiffness", "N m/rad"),
+        (
+            '<joint name="a"/><joint name="b" type="slide"/>',
+            "joint:*.damping",
+            "N m s/rad or N s/m",
+        ),
+        ('<joint name="a"/>', "body:link.mass", "kg"),
+    ],
+)
+def test_an_address_has_a_unit_that_depends_on_the_joint(joints, address, unit):
+    link = f'<body name="link">{joints}<geom size=".1"/></body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{link}</worldbody></mujoco>")
+    assert unit_at(model, address) == unit
 
 
 def test_an_inertia_scales_with_its_mass_only_if_the_address_says_so():

@@ -35,6 +35,7 @@ def test_a_model_has_the_free_parameters_that_are_given(model):
     assert name == "arm.xml"
     (parameter,) = nominal.space.parameters
     assert (parameter.address, parameter.low, parameter.high) == ("body:upper.mass", 0.5, 2.0)
+    assert parameter.unit == "kg"
 
 
 @pytest.mark.parametrize(
