@@ -74,6 +74,10 @@ def _parameter(text: str, nominal: Nominal) -> Parameter:
         raise InvalidInput(
             f"--free {text!r} is not ADDRESS=LOW:HIGH, as in body:thigh.mass=1:5"
         ) from error
+    if not given[0] < given[1] or not np.isfinite(given).all():
+        raise InvalidInput(
+            f"--free {text!r} needs finite bounds, the lower one first, as in body:thigh.mass=1:5"
+        )
     unit = unit_at(nominal.model(nominal.start), address)
     return Parameter(address, address, unit, *given, given[0])
 

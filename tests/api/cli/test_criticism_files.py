@@ -48,6 +48,20 @@ def test_a_model_has_the_free_parameters_that_are_given(model):
         (None, None, "nowhere.xml", [], "nowhere.xml cannot be read: it is no file"),
         (None, None, "arm.xml", ["mass"], r"--free 'mass' is not ADDRESS=LOW:HIGH"),
         (None, None, "arm.xml", ["mass=1"], r"--free 'mass=1' is not ADDRESS=LOW:HIGH"),
+        (
+            None,
+            None,
+            "arm.xml",
+            [MASS.replace("2", "0.5")],
+            "needs finite bounds, the lower one first",
+        ),
+        (
+            None,
+            None,
+            "arm.xml",
+            [MASS.replace("2", "inf")],
+            "needs finite bounds, the lower one first",
+        ),
     ],
 )
 def test_other_options_are_refused(model, task, variant, file, free, message):
