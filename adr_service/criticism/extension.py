@@ -24,6 +24,8 @@ from adr_service.effects.models import with_effects
 from adr_service.parameters import ParameterSpace
 
 _DIGITS = 17  # enough for every double
+# attributes that MuJoCo writes out although a file without them means the same
+_WRITERS = dict.fromkeys(("simple", "ctrllimited", "forcelimited", "actlimited"), "false")
 
 
 @dataclass(frozen=True)
@@ -71,12 +73,12 @@ def _written(nominal: Nominal, parameters: Vector, effects: Sequence[Effect]) ->
 def _changes(without: str, xml: str, file: str) -> Iterator[str]:
     """New and changed attributes, by element, as `<joint name="elbow" frictionloss="0.35">`.
 
-    An element that has no name in the user's file is described by the one around it. Inertias are
-    whole, because most files let MuJoCo infer them.
+    An element that has no name in the user's file is described by the one around it, and a new one
+    has its name beside. Inertias are whole, because most files let MuJoCo infer them.
     """
     known = dict(_elements(without))
     for place, attributes in _elements(xml):
-        old = known.get(place, {})
+        is_new, old = place not in known, _WRITERS | known.get(place, {})
         new = {name: value for name, value in attributes.items() if old.get(name) != value}
         if not new:
             continue
@@ -86,7 +88,7 @@ def _changes(without: str, xml: str, file: str) -> Iterator[str]:
         is_named = f'"{given}"' in file
         shown = attributes if tag == "inertial" else new
         shown = {name: value for name, value in shown.items() if name != "name"}
-        named = {"name": given} if is_named else {}
+        named = {"name": given} if is_named or (is_new and given) else {}
         words = " ".join(f'{name}="{_short(value)}"' for name, value in (named | shown).items())
         yield f"<{tag} {words}>" + ("" if is_named else f" in {above.rpartition('/')[2]}")
 

@@ -61,6 +61,22 @@ def test_elements_without_a_name_are_told_by_what_is_around_them():
     assert line.endswith("> in body link")
 
 
+def test_new_elements_are_told_by_name_and_without_what_mujoco_adds():
+    nominal = arm()[1]
+    load = Effect("body_load", "body:fore", (0.5, 0.0, 0.0, -0.2))
+    body, inertial = extend(nominal, nominal.start, [load]).changes
+    assert body == '<body name="adr_load_fore"> in body fore'
+    assert (
+        inertial == '<inertial pos="0 0 -0.4" mass="0.5" diaginertia="0 0 0"> in body adr_load_fore'
+    )
+    push = Effect("external_force", "body:fore", (0.1, 0.2, 0.3))
+    world, site, force = extend(nominal, nominal.start, [push]).changes
+    assert world == '<site name="adr_force_world"> in worldbody'
+    assert site.startswith('<site name="adr_force_fore" pos=')
+    assert force.startswith('<general name="adr_force_fore" site="adr_force_fore" refsite=')
+    assert "limited" not in force
+
+
 def test_an_effect_on_commands_stands_beside_the_model():
     nominal = arm()[1]
     extension = extend(nominal, nominal.start, [DELAY, SPRING])
