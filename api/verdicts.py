@@ -1,7 +1,7 @@
 """A criticism's verdict in sentences, for the terminal and the page."""
 
 from adr_service.client import Json
-from adr_service.criticism.verdict import Rest, sure
+from adr_service.criticism.verdict import Rest, share_text, sure
 
 
 def told(verdict: Json) -> list[str]:
@@ -43,9 +43,9 @@ def _gain(verdict: Json) -> list[str]:
     gain, step = verdict["gain"], verdict["residual"].get("timestep")
     if gain is None:
         return []
-    low, removed, high = (100 * gain[name] for name in ("low", "sse_removed", "high"))
+    removed = share_text(gain["sse_removed"], gain["low"], gain["high"])
     lines = [
-        f"on episodes set aside, {removed:.1f} % [{low:.1f}, {high:.1f}] of the squared error "
+        f"on episodes set aside, {removed} of the squared error "
         "one step ahead is gone (of a filter that knows the sensors' noise)"
     ]
     if step["judged_with"] < step["of_the_model"]:

@@ -12,7 +12,15 @@ from adr_service.criticism.extension import Extension
 from adr_service.criticism.figures import draw_all
 from adr_service.criticism.page import page, table, wide
 from adr_service.criticism.pipeline import Criticism
-from adr_service.criticism.verdict import Conclusion, Gain, NamedCause, Residual, Verdict, sure
+from adr_service.criticism.verdict import (
+    Conclusion,
+    Gain,
+    NamedCause,
+    Residual,
+    Verdict,
+    share_text,
+    sure,
+)
 
 EXTENDED = "extended.xml"
 FILES = ("verdict.json", "report.html", EXTENDED, "effects.json")
@@ -189,8 +197,7 @@ def _gain(gain: Gain, residual: Residual) -> str:
     share = gain.explainable_fraction
     rest = ""
     if share is not None and gain.explainable_interval is not None:
-        low, high = gain.explainable_interval
-        rest = f": {100 * share:.0f} % [{100 * low:.0f}, {100 * high:.0f}] of what is not noise"
+        rest = f": {share_text(share, *gain.explainable_interval)} of what is not noise"
     finer = ""
     if residual.step < residual.own_step:
         finer = (
@@ -200,7 +207,7 @@ def _gain(gain: Gain, residual: Residual) -> str:
         )
     return (
         f"<p>On episodes that nothing was fitted to, the extended simulator removes "
-        f"{100 * gain.sse_removed:.1f} % [{100 * gain.low:.1f}, {100 * gain.high:.1f}] of the "
+        f"{share_text(gain.sse_removed, gain.low, gain.high)} of the "
         f"squared error of one control step, of predictions by a filter that knows the "
         f"noise{rest}.{finer}</p>"
     )

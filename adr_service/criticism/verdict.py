@@ -13,6 +13,7 @@ from adr_service.arrays import Matrix, Vector
 
 VERSION = 1
 _DIGITS = range(4, 10)  # significant ones of an interval
+_DECIMALS = range(1, 6)  # of a percentage with its interval
 _SEEN = 2.0  # expected errors of one step, on average over an experiment
 
 
@@ -39,6 +40,18 @@ def interval_text(low: float | None, high: float | None) -> str:
     texts = ((f"{low:.{n}g}", f"{high:.{n}g}") for n in _DIGITS)
     one, other = next((ends for ends in texts if ends[0] != ends[1]), (f"{low:.4g}",) * 2)
     return f"{one} to {other}"
+
+
+def share_text(share: float, low: float, high: float) -> str:
+    """A share and its interval in percent, with the decimals that the ends need to differ.
+
+    Ends that are equal are said once, as the share.
+    """
+    for decimals in _DECIMALS:
+        text, *ends = (f"{100 * value:.{decimals}f}" for value in (share, low, high))
+        if ends[0] != ends[1]:
+            return f"{text} % [{ends[0]}, {ends[1]}]"
+    return f"{100 * share:.6g} %"
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adr_service.criticism.verdict import Conclusion, Experiment, StrengthInterval, sure
+from adr_service.criticism.verdict import Conclusion, Experiment, StrengthInterval, share_text, sure
 
 
 def test_a_confidence_is_never_complete():
@@ -34,3 +34,16 @@ def test_an_experiment_is_worth_it_if_it_separates_more_than_the_recording(
 
 def test_a_conclusion_is_its_word():
     assert [str(each) for each in Conclusion] == ["cause", "tie", "none", "unknown"]
+
+
+@pytest.mark.parametrize(
+    ("share", "low", "high", "text"),
+    [
+        (0.8, 0.6, 0.9, "80.0 % [60.0, 90.0]"),
+        (0.99996, 0.99994, 0.99998, "100.00 % [99.99, 100.00]"),
+        (1.0, 1.0, 1.0, "100 %"),
+        (0.123456, 0.123456, 0.123456, "12.3456 %"),
+    ],
+)
+def test_a_share_has_digits_that_tell_its_ends_apart(share, low, high, text):
+    assert share_text(share, low, high) == text
