@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from adr_service.client import DEFAULT_URL, AdrClient, connect
+from adr_service.client import DEFAULT_URL, Json, connect
 from adr_service.errors import InvalidInput
+from api.cli.files import check_absent
 from api.cli.follow import follow
 from api.cli.options import AsJson, Url
 from api.cli.steps import progress_on
@@ -96,8 +97,7 @@ def criticise(
     if task is None or model is not None or free:
         raise InvalidInput("--dataset goes with --task; the service takes no --model or --free")
     spec = {"task": task, "variant": variant or "vanilla", "dataset": dataset, "seed": seed}
-    with connect(url) as client:
-        _follow_criticism(client, client.submit_criticism(spec)["run"]["id"], out, as_json)
+    _criticise_there(spec, out, url, as_json)
 
 
 def _criticise_here(
@@ -111,9 +111,11 @@ def _criticise_here(
     """Criticise in this process; `given` is task, variant, model and free parameters."""
     from api.cli import criticism_files  # imports the simulator
 
+    criticism_files.check_out(out)
     nominal, name = criticism_files.nominal_of(*given)
     limits, allowed, start = {}, {}, {}
     if planned is not None:  # wrong ones are refused before the work
+        check_absent(planned.file)
         limits = criticism_files.limits_of(planned.limit, nominal)
         allowed = criticism_files.reach_of(planned.reach, nominal)
         start = criticism_files.start_of(planned.start, nominal)
@@ -132,14 +134,17 @@ def _criticise_here(
         told.print("\n".join(lines), highlight=False)
 
 
-def _follow_criticism(client: AdrClient, id: str, out: Path, as_json: bool) -> None:
-    """Follow a criticism to its end, and write its files."""
+def _criticise_there(spec: Json, out: Path, url: str, as_json: bool) -> None:
+    """Submit a criticism, follow it to its end, and write its files."""
     from api.cli import criticism_files  # imports the simulator
 
+    criticism_files.check_out(out)
     told = errors if as_json else console
-    told.print(id, highlight=False)
-    follow(client, id, as_json)
-    links = client.criticism(id)["links"]
-    names = [name for name in criticism_files.FILES if name in links]
-    criticism_files.write(out, {name: client.criticism_file(id, name) for name in names})
+    with connect(url) as client:
+        id = client.submit_criticism(spec)["run"]["id"]
+        told.print(id, highlight=False)
+        follow(client, id, as_json)
+        links = client.criticism(id)["links"]
+        names = [name for name in criticism_files.FILES if name in links]
+        criticism_files.write(out, {name: client.criticism_file(id, name) for name in names})
     told.print(f"{out}: {', '.join(names)}")

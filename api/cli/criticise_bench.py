@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from adr_service.errors import AdrError, InvalidInput
+from api.cli.files import check_absent
 from api.cli.options import AsJson
 from api.cli.terminal import console, errors
 
@@ -32,9 +33,7 @@ def make(out: Folder, key: MadeKey, seed: Seed, cases: Cases = 80, tasks: Tasks 
     from adr_service.blind_test.files import make_cases  # imports the simulator
 
     robots = [name.strip() for name in tasks.split(",")]
-    for path in (out, key):
-        if path.exists():
-            raise InvalidInput(f"{path} is there already; give another name")
+    check_absent(out, key)
     if key.absolute().is_relative_to(out.absolute()):
         raise InvalidInput(f"{key} would lie among the cases; keep the key elsewhere")
     with console.status("simulating"):

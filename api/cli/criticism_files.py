@@ -25,6 +25,7 @@ from adr_service.progress import Progress
 from adr_service.simulation.model import unit_at
 from adr_service.tasks.base import Task
 from adr_service.tasks.catalogue import get_task, variant_of
+from api.cli.files import check_absent
 
 Bounds = Mapping[int, tuple[float, float]]  # by number of an actuator or a joint
 Pose = Mapping[int, float]  # positions [rad or m] by number of a joint
@@ -213,13 +214,16 @@ def _bounds(
     return names.index(name), given
 
 
+def check_out(folder: Path) -> None:
+    """Raise InvalidInput if a file of another criticism is in the folder."""
+    check_absent(*(folder / name for name in FILES))
+
+
 def write(out: Path, files: Mapping[str, bytes]) -> None:
-    """Write the files of a criticism, and delete those of an earlier one."""
+    """Write the files of a criticism."""
     out.mkdir(parents=True, exist_ok=True)
-    for name in FILES:
-        (out / name).unlink(missing_ok=True)
-        if name in files:
-            (out / name).write_bytes(files[name])
+    for name, content in files.items():
+        (out / name).write_bytes(content)
 
 
 def _measurement(path: Path, task: Task | None) -> Measurement:

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from adr_service.errors import InvalidInput
+from api.cli.files import check_absent
 from api.cli.terminal import console
 from api.specs import assign
 
@@ -46,6 +47,7 @@ def render(
     """Film a policy, or a recording beside its simulation; needs no service and no display."""
     from api.cli import films  # imports the simulator
 
+    check_absent(out)
     dynamics: dict[str, Any] = {}
     assign(dynamics, setting)
     scene = films.Scene(task, variant, dynamics, steps, seed, fps)

@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from adr_service.client import DEFAULT_URL, AdrClient, connect
+from adr_service.client import AdrClient, connect
 from adr_service.errors import InvalidInput
+from api.cli.files import check_absent, check_new
 from api.cli.follow import show_results
 from api.cli.options import AsJson, Id, Url
 from api.cli.tables import claims_table, comparisons_table, cost_table
@@ -40,7 +41,7 @@ def results(
     policy: Policy = None,
     compare: Compare = False,
     cost: Cost = False,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
     as_json: AsJson = False,
 ) -> None:
     """Show the result table, or write figures, the distribution or the policy."""
@@ -50,6 +51,9 @@ def results(
         raise InvalidInput(f"give one of {', '.join(given)}; --json has all tables")
     if (policy or distribution) and not id.startswith("run_"):
         raise InvalidInput(f"{id} is no run, and has no single policy or distribution; adr list")
+    for file in (figure, distribution, policy):
+        if file is not None:
+            check_new(file)
     with connect(url) as client:
         if figure is not None:
             _write(figure, client.figure(id, figure.name))
@@ -67,9 +71,11 @@ def results(
 
 def _write_figures(client: AdrClient, id: str, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    for name in client.figures(id):
-        for file in (f"{name}.{kind}" for kind in ("svg", "png", "csv")):
-            _write(folder / file, client.figure(id, file))
+    kinds = ("svg", "png", "csv")
+    files = [folder / f"{name}.{kind}" for name in client.figures(id) for kind in kinds]
+    check_absent(*files)
+    for file in files:
+        _write(file, client.figure(id, file.name))
 
 
 def _write(file: Path, content: bytes) -> None:
@@ -100,7 +106,7 @@ def _show_table(client: AdrClient, id: str, csv: bool, as_json: bool, compare: b
 def report(
     benchmark: Annotated[str, typer.Argument(help="Id of a benchmark, finished or not.")],
     out: Annotated[Path, typer.Option(help="The folder to write.")],
-    url: Url = DEFAULT_URL,
+    url: Url = None,
 ) -> None:
     """Write a benchmark's page as a folder of files for any web host, with its archive."""
     from api.report import write_report  # imports Matplotlib
@@ -119,7 +125,7 @@ def cite(id: Id, url: Url = DEFAULT_URL) -> None:
 @app.command()
 def claims(
     id: Annotated[str | None, typer.Argument(help="Id of a benchmark; default: all runs.")] = None,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare the paper's claims with the measured results."""

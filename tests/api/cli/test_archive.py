@@ -19,7 +19,7 @@ def file(adr, benchmark, tmp_path):
 def test_an_export_overwrites_nothing(adr, benchmark, file):
     before = file.read_bytes()
     code, out = adr("archive", "export", benchmark, "a.adr")
-    assert (code, "overwrites nothing" in out) == (2, True)
+    assert (code, "a.adr is there already" in out) == (2, True)
     assert file.read_bytes() == before
 
 

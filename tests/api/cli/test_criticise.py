@@ -17,6 +17,21 @@ def test_options_that_exclude_each_other_are_refused(adr_here, tmp_path, argumen
     assert message in errors
 
 
+def test_an_earlier_criticism_and_plan_are_not_overwritten(adr_here, tmp_path):
+    found, plan = tmp_path / "found", tmp_path / "next.npz"
+    found.mkdir()
+    (found / "notes.txt").touch()
+    plan.touch()
+    judge = ("criticise", "--task", "arm", "--data", "nowhere.npz", "--out", str(found))
+    assert "nowhere.npz cannot be read" in adr_here(*judge)[2]
+    assert "next.npz is there already" in adr_here(*judge, "--next", str(plan))[2]
+    (found / "verdict.json").write_text("earlier")
+    status, _, errors = adr_here(*judge)
+    assert status == 2
+    assert "found/verdict.json is there already; give another name, or delete it" in errors
+    assert (found / "verdict.json").read_text() == "earlier"
+
+
 def test_a_file_in_place_of_the_folder_is_refused_before_the_work(adr_here, tmp_path):
     (tmp_path / "out").touch()
     at = ["--dataset", "data_0", "--out", str(tmp_path / "out")]

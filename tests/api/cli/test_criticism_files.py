@@ -6,7 +6,6 @@ import mujoco
 import pytest
 
 from adr_service.criticism.extension import extend
-from adr_service.criticism.report import FILES
 from adr_service.errors import InvalidInput
 from adr_service.progress import silent
 from adr_service.tasks.catalogue import get_task
@@ -77,13 +76,10 @@ def test_a_file_that_is_no_model_is_refused(tmp_path):
         nominal_of(None, None, path, [])
 
 
-def test_files_of_an_earlier_criticism_are_deleted_and_others_stay(tmp_path):
+def test_files_are_written_into_a_new_folder(tmp_path):
     out = tmp_path / "a" / "b"
-    write(out, dict.fromkeys(FILES, b"earlier"))
-    (out / "notes.txt").write_text("mine")
-    write(out, {"verdict.json": b"later"})
-    assert {path.name for path in out.iterdir()} == {"verdict.json", "notes.txt"}
-    assert (out / "verdict.json").read_bytes() == b"later"
+    write(out, {"verdict.json": b"{}"})
+    assert [(path.name, path.read_bytes()) for path in out.iterdir()] == [("verdict.json", b"{}")]
 
 
 @pytest.mark.parametrize("name", ["nowhere.npz", "nowhere.csv"])

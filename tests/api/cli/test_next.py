@@ -40,9 +40,9 @@ def test_a_plan_is_played_and_judged_together_with_the_first_recording(adr_here,
     assert status == 0, errors
     assert "second.npz: 12 episodes" in shown
     assert "commands were beyond your limit, and were sent at it" in shown
-    status, _, errors = adr_here(*judge, "--data", "second.npz")
+    status, _, errors = adr_here(*judge[:-1], "both", "--data", "second.npz")
     assert status == 0, errors
-    assert (tmp_path / "found/verdict.json").exists()
+    assert (tmp_path / "both/verdict.json").exists()
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,15 @@ def test_what_results_cannot_do_is_refused(adr_here, arguments, message):
     assert message in errors
 
 
+@pytest.mark.parametrize("option", ["--distribution", "--policy", "--figure"])
+def test_results_overwrite_no_file(adr_here, tmp_path, option):
+    (tmp_path / "returns.svg").write_text("earlier")
+    status, _, errors = adr_here("results", "run_x", option, str(tmp_path / "returns.svg"))
+    assert status == 2
+    assert "returns.svg is there already; give another name, or delete it first" in errors
+    assert (tmp_path / "returns.svg").read_text() == "earlier"
+
+
 @pytest.mark.ray
 @pytest.mark.parametrize("command", ["results", "claims", "cite"])
 def test_an_unknown_benchmark_is_refused(adr, command):

@@ -85,6 +85,9 @@ def test_a_benchmark_is_extended_drawn_and_compared_with_the_claims(adr, tmp_pat
     assert adr("results", id, "--figures", "figures")[0] == 0
     drawn = {file.name for file in (tmp_path / "figures").iterdir()}
     assert {"returns.svg", "parameters.png", "spread.svg", "cost.csv"} <= drawn
+    (tmp_path / "figures/returns.svg").unlink()
+    assert "is there already" in adr("results", id, "--figures", "figures")[1]
+    assert not (tmp_path / "figures/returns.svg").exists()
     assert "nothing has been measured" in adr("claims", id)[1]  # smoke does not count
     assert "had ended before" in adr("cancel", id)[1]
     assert "has no run that failed or was cancelled" in adr("resume", id)[1]
