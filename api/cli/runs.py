@@ -75,12 +75,13 @@ def _recorded(dataset: str | None) -> Json | None:
 
 
 def _spec(file: Path | None, by_options: Json) -> Json:
-    if file is not None and not by_options:
-        return read_spec(file)
+    if file is not None and by_options.keys() <= {"preset"}:  # a field of runs and of benchmarks
+        return read_spec(file) | by_options
     if file is None and {"task", "method"} <= by_options.keys():
         return by_options
     raise InvalidInput(
-        "give either --task and --method, or a JSON file alone (and --set for its fields)"
+        "give either --task and --method, or a JSON file, beside which --preset, --extension and "
+        "--set change its fields, as in --set seed=3 or --set 'seeds=[3, 4]'"
     )
 
 

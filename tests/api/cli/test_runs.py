@@ -75,6 +75,13 @@ def test_a_dry_run_of_a_file_prints_its_expected_cost(adr, tmp_path):
     assert json.loads(adr("submit", "b.json", "--dry-run", "--json")[1])["plan"]["trainings"] == 4
 
 
+def test_a_preset_beside_a_file_is_the_files(adr, tmp_path):
+    spec = {"tasks": ["arm"], "methods": ["udr"], "seeds": [904], "preset": "demo"}
+    (tmp_path / "b.json").write_text(json.dumps(spec))
+    plan = json.loads(adr("submit", "b.json", "--preset", "smoke", "--dry-run", "--json")[1])
+    assert {run["preset"] for run in plan["runs"]} == {"smoke"}
+
+
 def test_a_benchmark_is_extended_drawn_and_compared_with_the_claims(adr, tmp_path):
     spec = {"tasks": ["arm"], "methods": ["sysid"], "seeds": [0], "preset": "smoke"}
     (tmp_path / "b.json").write_text(json.dumps({**spec, "references": False}))
@@ -99,7 +106,10 @@ def test_a_benchmark_is_extended_drawn_and_compared_with_the_claims(adr, tmp_pat
         (["submit", "--task", "arm", "--method", "magic"], "accepted: udr, bayrn, simopt"),
         (["submit"], "either --task and --method, or a JSON file"),
         (["submit", "--task", "arm"], "either --task and --method, or a JSON file"),
-        (["submit", "b.json", "--preset", "smoke"], "or a JSON file alone"),
+        (
+            ["submit", "b.json", "--seed", "3"],
+            "beside which --preset, --extension and --set change",
+        ),
         (["extend", "run_x", "--seed", "3"], "only a benchmark can be extended; given run_x"),
         (["submit", "nothing.json"], "not a readable JSON file"),
         (
