@@ -7,9 +7,11 @@ from collections.abc import Collection
 from typing import Annotated, Any, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from adr_service.errors import UnknownName
 
+_UNKNOWN_FIELD = "unknown_field"  # type of an error
 # characters that move a terminal's cursor, end lines or turn the direction of writing
 _CONTROL = r"\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069"
 _NOT_IN_A_LINE = re.compile(rf"[{_CONTROL}\t\n]")
@@ -41,14 +43,17 @@ class Wire(BaseModel):
 
 
 def refuse_unknown_fields(given: Any, fields: Collection[str]) -> Any:
-    """The value as it is; raises ValueError with the fields there are if a JSON object has others.
+    """The value as it is; raises ValidationError at the first unknown field of a JSON object.
 
     Pydantic refuses unknown fields too, but does not list the known ones.
     """
     if isinstance(given, dict):
-        for name in cast(dict[Any, Any], given):
+        for name, value in cast(dict[Any, Any], given).items():
             if name not in fields:
-                raise ValueError(str(UnknownName("field", str(name), fields)))
+                detail = str(UnknownName("field", str(name), fields))
+                kind = PydanticCustomError(_UNKNOWN_FIELD, "{detail}", {"detail": detail})
+                error = InitErrorDetails(type=kind, loc=(str(name),), input=value)
+                raise ValidationError.from_exception_data("unknown field", [error])
     return given
 
 
@@ -66,5 +71,11 @@ def explain(error: ValidationError, whole: str) -> str:
 
     `whole` names the place of an error that concerns no single field.
     """
-    errors = [f"{'.'.join(map(str, e['loc'])) or whole}: {e['msg']}" for e in error.errors()]
+    errors = [f"{_place(e) or whole}: {e['msg']}" for e in error.errors()]
     return "; ".join(errors).replace("Value error, ", "")
+
+
+def _place(error: ErrorDetails) -> str:
+    """The place of an error; of an unknown field, which the message names, that of its object."""
+    place = error["loc"][:-1] if error["type"] == _UNKNOWN_FIELD else error["loc"]
+    return ".".join(map(str, place))

@@ -10,6 +10,7 @@ from typing import Annotated, Any, TypeVar
 from fastapi import Body, Depends
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ValidationError, WrapValidator
+from pydantic_core import ErrorDetails
 
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec, CriticismSpec, RunSpec
 
@@ -52,5 +53,21 @@ def _validated(kind: type[S], given: Any) -> S:
     try:
         return kind.model_validate(given)
     except ValidationError as error:
-        errors = [{**each, "loc": ("body", *each["loc"])} for each in error.errors()]
+        errors = [{**each, "loc": ("body", *_place(each, given))} for each in error.errors()]
         raise RequestValidationError(errors) from error
+
+
+def _place(error: ErrorDetails, given: Any) -> list[int | str]:
+    """Names and numbers that lead to an error in a body.
+
+    Pydantic's have the tags of unions between them, such as a method's name.
+    """
+    place: list[int | str] = []
+    for part in error["loc"]:
+        try:
+            given = given[part]
+        except (LookupError, TypeError):
+            continue  # a tag
+        place.append(part)
+    is_absent = error["type"] == "missing"
+    return [*place, error["loc"][-1]] if is_absent else place

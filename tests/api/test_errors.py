@@ -77,6 +77,21 @@ def test_a_missing_body_is_named(runs):
     assert error == {"pointer": "/body", "detail": "Field required", "given": "nothing"}
 
 
+@pytest.mark.parametrize(
+    ("changed", "pointer"),
+    [
+        ({"sed": 1}, "/body/sed"),
+        ({"method": {"name": "dropo", "samplez": 1}}, "/body/method/samplez"),
+        ({"training": {"steps": 1}}, "/body/training/steps"),
+        ({"method": {"name": "simopt", "samples": "x"}}, "/body/method/samples"),
+        ({"extension": [{"kind": "wind", "values": [1]}]}, "/body/extension/0/location"),
+    ],
+)
+def test_the_pointer_of_a_refused_field_is_its_place_in_the_body(runs, changed, pointer):
+    (error,) = runs.post("/runs", json={**SMOKE, **changed}).json()["errors"]
+    assert error["pointer"] == pointer
+
+
 def test_a_defect_is_a_problem_without_its_message(runs):
     answer = runs.post("/broken", json=SMOKE)
     assert answer.status_code == 500

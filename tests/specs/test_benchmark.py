@@ -29,7 +29,7 @@ class TestBenchmark:
             ({"seeds": [0, -1]}, ("seeds", 1), "greater than or equal to 0"),
             (
                 {"methods": [{"name": "simopt", "sample": 1}]},
-                ("methods", 0, "settings", "simopt"),
+                ("methods", 0, "settings", "simopt", "sample"),
                 "did you mean 'samples'?",
             ),
         ],
