@@ -17,7 +17,7 @@ from adr_service.effects.base import Effect
 from adr_service.effects.models import make_inertias_explicit, with_effects
 from adr_service.errors import InvalidInput
 from adr_service.parameters import ParameterSpace
-from adr_service.simulation.model import link_of, read, resolve, write
+from adr_service.simulation.model import link_of, not_a_model, read, resolve, write
 from adr_service.tasks.base import Reshapable, Source, Task
 
 
@@ -89,7 +89,7 @@ class Nominal:
         try:
             spec = mujoco.MjSpec.from_string(self.xml)
         except ValueError as error:
-            raise InvalidInput(f"MuJoCo cannot read the model: {error}") from error
+            raise not_a_model("the model", error) from error
         if self.folder:
             paths: Any = spec  # whose stub lacks these two
             paths.meshdir = str(Path(self.folder) / paths.meshdir)

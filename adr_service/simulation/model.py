@@ -39,6 +39,12 @@ def compiled(xml: str) -> mujoco.MjModel:
         raise InvalidInput(f"MuJoCo cannot compile the model: {error}") from error
 
 
+def not_a_model(name: str, error: ValueError) -> InvalidInput:
+    """The refusal of a file, or of another text, that MuJoCo cannot read."""
+    words = " ".join(str(error).split())  # MuJoCo's have several lines
+    return InvalidInput(f"{name} is no MJCF or URDF that MuJoCo can read; it says: {words}")
+
+
 def action_names(xml: str) -> list[str]:
     """Names of a model's actuators: their own, else their joint's, else `actuator_<number>`."""
     model = compiled(xml)

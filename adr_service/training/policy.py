@@ -137,4 +137,7 @@ class Policy:
             squash = description.get("squash", "tanh")
             return cls(layers, description["activation"], low, high, squash)
         except (SafetensorError, KeyError, TypeError, ValueError, InvalidInput) as error:
-            raise InvalidInput(f"not the bytes of a policy: {error}") from error
+            raise InvalidInput(
+                "not the bytes of a policy, a safetensors file as `adr results RUN --policy FILE` "
+                f"writes it ({error})"
+            ) from error

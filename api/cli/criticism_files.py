@@ -22,10 +22,10 @@ from adr_service.criticism.report import EXTENDED, FILES, files_of
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.progress import Progress
-from adr_service.simulation.model import unit_at
+from adr_service.simulation.model import not_a_model, unit_at
 from adr_service.tasks.base import Task
 from adr_service.tasks.catalogue import get_task, variant_of
-from api.cli.files import check_absent
+from api.cli.files import check_absent, naming, read
 
 Bounds = Mapping[int, tuple[float, float]]  # by number of an actuator or a joint
 Pose = Mapping[int, float]  # positions [rad or m] by number of a joint
@@ -58,9 +58,10 @@ def _nominal_of_model(model: Path, free: Sequence[str]) -> tuple[Nominal, str]:
         files: Any = mujoco.MjSpec  # whose stub lacks `from_file`
         xml = written_out(files.from_file(str(model)))  # with everything that it includes
     except ValueError as error:
-        raise InvalidInput(f"MuJoCo cannot read {model}: {error}") from error
+        raise not_a_model(str(model), error) from error
     folder = str(model.parent.absolute())
-    bare = Nominal.of_model(xml, ParameterSpace(()), folder=folder)
+    with naming(model):
+        bare = Nominal.of_model(xml, ParameterSpace(()), folder=folder)
     space = ParameterSpace(tuple(_parameter(text, bare) for text in free))
     return Nominal.of_model(xml, space, folder=folder), model.name
 
@@ -228,17 +229,22 @@ def write(out: Path, files: Mapping[str, bytes]) -> None:
 
 def _measurement(path: Path, task: Task | None) -> Measurement:
     """The measurement in a file, or a task's recording as one."""
-    try:
+    content = read(path)
+    with naming(path):
         if path.suffix == ".csv":
-            return Measurement.from_csv(path.read_text())
-        content = path.read_bytes()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"{path} cannot be read: {error}") from error
-    if task is not None:
-        return read_measurement(task, content)
-    if not is_measurement(content):
+            return Measurement.from_csv(_text(content))
+        if task is not None:
+            return read_measurement(task, content)
+        if is_measurement(content):
+            return Measurement.from_npz(content)
         raise InvalidInput(
-            f"{path} is no measurement of states and commands, which a --model needs "
+            "it is no measurement of states and commands, which a --model needs "
             "(docs/criticism.md); recordings of transitions go with a --task"
         )
-    return Measurement.from_npz(content)
+
+
+def _text(content: bytes) -> str:
+    try:
+        return content.decode()
+    except UnicodeDecodeError as error:
+        raise InvalidInput(f"it is no text in UTF-8: {error}") from error

@@ -1,8 +1,27 @@
-"""Files that commands write. None is overwritten."""
+"""Files that commands read, and those that they write. None is overwritten."""
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 from adr_service.errors import InvalidInput
+
+
+def read(file: Path) -> bytes:
+    """The content of a file; raises InvalidInput if it cannot be read."""
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise InvalidInput(f"{file} cannot be read: {error.strerror}") from error
+
+
+@contextmanager
+def naming(file: Path) -> Generator[None]:
+    """Let a refusal of a file's content begin with the file's name."""
+    try:
+        yield
+    except InvalidInput as error:
+        raise InvalidInput(f"{file}: {error}") from error
 
 
 def check_absent(*paths: Path) -> None:

@@ -25,6 +25,7 @@ from adr_service.tasks.base import Task
 from adr_service.tasks.catalogue import first_like, get_task, source_of, target_like, variant_of
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
+from api.cli.files import naming, read
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def film_beside_target(scene: Scene, file: Path, distribution: Path, out: Path) 
 def _mean(distribution: Path) -> dict[str, Any]:
     """Means of a distribution's parameters, by name; of the first, if there are several."""
     try:
-        parameters = json.loads(_read(distribution))["parameters"]
+        parameters = json.loads(read(distribution))["parameters"]
         return {each["name"]: each["mean"][0] for each in parameters}
     except (ValueError, LookupError, TypeError) as error:
         raise InvalidInput(f"{distribution} is no file of adr results --distribution") from error
@@ -69,7 +70,9 @@ def _mean(distribution: Path) -> dict[str, Any]:
 
 def _film(file: Path, out: Path, scenes: Sequence[Scene]) -> int:
     """Write a film of a policy's episode in each scene, side by side."""
-    task, policy = get_task(scenes[0].task), Policy.from_bytes(_read(file))
+    task, content = get_task(scenes[0].task), read(file)
+    with naming(file):
+        policy = Policy.from_bytes(content)
     _check_policy(policy, task, file)
     period_s = control_period(task)
     every = stride_of(out, period_s, scenes[0].most_fps)
@@ -96,7 +99,9 @@ def _check_policy(policy: Policy, task: Task, file: Path) -> None:
 
 def film_recording(scene: Scene, file: Path, episode: int, out: Path) -> int:
     """Write a film of a recorded episode beside its replay; return the number of pictures."""
-    task, data = get_task(scene.task), TransitionDataset.from_npz(_read(file))
+    task, content = get_task(scene.task), read(file)
+    with naming(file):
+        data = TransitionDataset.from_npz(content)
     episodes = data.split()
     if not 0 <= episode < len(episodes):
         raise InvalidInput(f"{file} has episodes 0 to {len(episodes) - 1}; given {episode}")
@@ -112,10 +117,3 @@ def _dynamics(scene: Scene) -> Vector:
     with closing(RandomizedEnv(scene.task, scene.variant)) as env:
         _, info = env.reset(options={"dynamics": scene.dynamics})
     return np.array(list(info["dynamics"].values()))
-
-
-def _read(file: Path) -> bytes:
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise InvalidInput(f"{file} cannot be read: {error.strerror}") from error

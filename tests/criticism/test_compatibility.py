@@ -38,7 +38,10 @@ def test_parts_of_rows_that_are_no_whole_steps_of_the_model_are_refused(good):
 @pytest.mark.parametrize(
     ("xml", "message"),
     [
-        ("<mujoco><nonsense/></mujoco>", "MuJoCo cannot read the model"),
+        (
+            "<mujoco><nonsense/></mujoco>",
+            "the model is no MJCF or URDF that MuJoCo can read; it says",
+        ),
         (
             '<mujoco><worldbody><body><joint type="slide"/></body></worldbody></mujoco>',
             "compile",

@@ -72,8 +72,21 @@ def test_other_options_are_refused(model, task, variant, file, free, message):
 def test_a_file_that_is_no_model_is_refused(tmp_path):
     path = tmp_path / "letter.xml"
     path.write_text("dear robot")
-    with pytest.raises(InvalidInput, match=r"MuJoCo cannot read .*letter\.xml"):
+    words = r"letter\.xml is no MJCF or URDF that MuJoCo can read; it says: XML parse error [^\n]*$"
+    with pytest.raises(InvalidInput, match=words):
         nominal_of(None, None, path, [])
+    path.write_text("<mujoco><asset><mesh file='none.stl'/></asset></mujoco>")
+    with pytest.raises(InvalidInput, match=r"letter\.xml.*none\.stl"):
+        nominal_of(None, None, path, [])
+
+
+@pytest.mark.parametrize(("name", "content"), [("m.npz", b"dear robot"), ("m.csv", b"\xff")])
+@pytest.mark.parametrize("task", [True, False])
+def test_a_file_that_is_no_measurement_is_named(model, tmp_path, name, content, task):
+    nominal, _ = nominal_of("arm", None, None, []) if task else nominal_of(None, None, model, [])
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InvalidInput, match=rf"{name}: .+"):
+        criticise_files(nominal, "arm", [tmp_path / name], tmp_path, 0, silent)
 
 
 def test_files_are_written_into_a_new_folder(tmp_path):

@@ -42,7 +42,11 @@ def test_the_command_films_a_recording(tmp_path):
         (["film.avi", "--task", "hopper", "--data", "DATA"], ".gif or .mp4; given 'film.avi'"),
         (["film.gif", "--task", "hopper"], "give either --policy or --data"),
         (["film.gif", "--task", "hopper", "--data", "x.npz"], "x.npz cannot be read"),
-        (["film.gif", "--task", "hopper", "--policy", "README.md"], "not the bytes of a policy"),
+        (
+            ["film.gif", "--task", "hopper", "--policy", "README.md"],
+            "README.md: not the bytes of a policy",
+        ),
+        (["film.gif", "--task", "hopper", "--data", "README.md"], "README.md: "),
         (["no/film.gif", "--task", "hopper", "--data", "DATA"], "there is no folder"),
         (["film.gif", "--task", "walker2d", "--data", "DATA"], "walker2d measures 17 and takes 6"),
         (["film.gif", "--task", "hopper", "--data", "DATA", "--episode", "1"], "episodes 0 to 0"),
