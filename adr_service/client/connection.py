@@ -313,14 +313,26 @@ class AdrClient:
         except httpx2.TransportError as error:
             raise Unreachable(
                 f"no service answers at {self.url} ({error}); start one with `adr serve`, "
-                "or name another with ADR_URL"
+                "or name another with ADR_URL, or its port here with ADR_PORT"
             ) from error
 
 
 def connect(url: str | None = None, timeout_s: float = 60.0) -> AdrClient:
-    """Return a client of `url` (default: ADR_URL, else this machine) with the token ADR_TOKEN."""
-    found = url or os.environ.get("ADR_URL", DEFAULT_URL)
+    """Return a client of `url` with the token ADR_TOKEN.
+
+    Without an address it is ADR_URL, or else this machine's port ADR_PORT, or 8000, as `adr serve`
+    listens there.
+    """
+    found = url or os.environ.get("ADR_URL") or _here(os.environ.get("ADR_PORT"))
     return AdrClient(found, os.environ.get("ADR_TOKEN", ""), timeout_s)
+
+
+def _here(port: str | None) -> str:
+    if not port:
+        return DEFAULT_URL
+    if not port.isdecimal():
+        raise InvalidInput(f"ADR_PORT must be the number of a port; given {port!r}")
+    return f"{DEFAULT_URL.rpartition(':')[0]}:{port}"
 
 
 def is_finished(seen: Json) -> bool:

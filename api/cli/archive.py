@@ -8,7 +8,7 @@ from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
-from adr_service.client import DEFAULT_URL, Json, check_benchmark, connect
+from adr_service.client import Json, check_benchmark, connect
 from adr_service.errors import AdrError, InvalidInput
 from api.cli.files import check_new
 from api.cli.options import AsJson, Url
@@ -34,7 +34,7 @@ class NotVerified(AdrError):
 def export_(
     benchmark: Annotated[str, typer.Argument(help="Id of a benchmark, finished or not.")],
     file: Annotated[Path, typer.Argument(help="The file to write.")],
-    url: Url = DEFAULT_URL,
+    url: Url = None,
 ) -> None:
     """Write a benchmark with all its results and policies to one file."""
     check_benchmark(benchmark, "an archive is")
@@ -50,7 +50,7 @@ def export_(
 
 
 @app.command("import")
-def import_(file: File, url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
+def import_(file: File, url: Url = None, as_json: AsJson = False) -> None:
     """Add what the service lacks of a benchmark; runs that were live can be resumed."""
     with connect(url) as client, _opened(file) as archive:
         added = client.import_archive(archive)

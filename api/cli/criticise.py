@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from adr_service.client import DEFAULT_URL, Json, connect
+from adr_service.client import Json, connect
 from adr_service.errors import InvalidInput
 from api.cli.files import check_absent
 from api.cli.follow import follow
@@ -77,7 +77,7 @@ def criticise(
     limit: Limit = None,
     reach: Reach = None,
     start: Start = None,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
     as_json: AsJson = False,
 ) -> None:
     """Name what a simulator gets wrong, given measured data; with --data, without a service."""
@@ -134,7 +134,7 @@ def _criticise_here(
         told.print("\n".join(lines), highlight=False)
 
 
-def _criticise_there(spec: Json, out: Path, url: str, as_json: bool) -> None:
+def _criticise_there(spec: Json, out: Path, url: str | None, as_json: bool) -> None:
     """Submit a criticism, follow it to its end, and write its files."""
     from api.cli import criticism_files  # imports the simulator
 

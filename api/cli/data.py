@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from adr_service.client import DEFAULT_URL, Json, connect
+from adr_service.client import Json, connect
 from adr_service.errors import InvalidInput
 from api.cli.options import AsJson, Url
 from api.cli.terminal import console
@@ -21,7 +21,7 @@ def upload(
         str, typer.Argument(help="An .npz, PREFIX of DROPO's PREFIX_*.npy, or minari:NAME.")
     ],
     task: Annotated[str, typer.Option(help="Task that was recorded: hopper, …")],
-    url: Url = DEFAULT_URL,
+    url: Url = None,
     as_json: AsJson = False,
 ) -> None:
     """Store a recording or measurement of a real machine for later runs; print its id."""
@@ -34,7 +34,7 @@ def upload(
 
 
 @app.command()
-def datasets(url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
+def datasets(url: Url = None, as_json: AsJson = False) -> None:
     """List uploaded recordings and measurements."""
     with connect(url) as client:
         stored = client.list_all("datasets")

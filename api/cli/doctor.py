@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from adr_service.client import DEFAULT_URL, Refused, Unreachable, connect
+from adr_service.client import Refused, Unreachable, connect
 from adr_service.errors import InvalidInput
 from api.cli.options import AsJson, Url
 from api.cli.terminal import console
@@ -38,7 +38,7 @@ class Check:
 
 
 @app.command()
-def doctor(url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
+def doctor(url: Url = None, as_json: AsJson = False) -> None:
     """Check what the service needs on this machine."""
     if as_json:
         found = list(checks(url))
@@ -64,7 +64,7 @@ def _mark(check: Check) -> str:
     return "[red]no[/red]  " if check.is_needed else "[yellow]note[/yellow]"
 
 
-def checks(url: str) -> Iterator[Check]:
+def checks(url: str | None) -> Iterator[Check]:
     """Check the machine, the ADR_… settings, and the service at an address."""
     yield _python()
     yield _cores()
@@ -148,13 +148,13 @@ def _descriptors(max_connections: int | None) -> Check:
     )
 
 
-def _running(url: str) -> Check:
+def _running(url: str | None) -> Check:
     try:
         with connect(url, timeout_s=5.0) as client:
             client.ready()
+            return Check(True, f"a service answers at {client.url}", is_needed=False)
     except (Refused, Unreachable) as error:
         return Check(False, str(error), is_needed=False)
-    return Check(True, f"a service answers at {url}", is_needed=False)
 
 
 def _datasets(folder: str) -> Check:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from adr_service.client import DEFAULT_URL, AdrClient, Json, connect
+from adr_service.client import AdrClient, Json, connect
 from adr_service.errors import InvalidInput
 from api.cli.files import check_new
 from api.cli.options import Id, Url
@@ -21,7 +21,7 @@ Folder = Annotated[Path, typer.Argument(help="The folder to write.")]
 def onnx(
     run: Run,
     file: Annotated[Path, typer.Argument(help="The file to write, .onnx.")],
-    url: Url = DEFAULT_URL,
+    url: Url = None,
 ) -> None:
     """Write a run's policy as ONNX, with the names of its columns."""
     from adr_service.interchange.onnx_policies import to_onnx
@@ -36,7 +36,7 @@ def onnx(
 
 
 @app.command("hugging-face")
-def hugging_face(run: Run, folder: Folder, url: Url = DEFAULT_URL) -> None:
+def hugging_face(run: Run, folder: Folder, url: Url = None) -> None:
     """Write a run's policy as a folder for the Hugging Face Hub, with a model card."""
     from adr_service.interchange.hugging_face import write_model_folder
     from adr_service.tasks.catalogue import get_task
@@ -53,7 +53,7 @@ def hugging_face(run: Run, folder: Folder, url: Url = DEFAULT_URL) -> None:
 def rl_zoo(
     run: Run,
     logs: Annotated[Path, typer.Argument(help="The Zoo's folder of logs.")],
-    url: Url = DEFAULT_URL,
+    url: Url = None,
 ) -> None:
     """Write a run's policy and its learning curve as a folder of RL Baselines3 Zoo."""
     from adr_service.interchange.rl_zoo import write_zoo_folder
@@ -67,7 +67,7 @@ def rl_zoo(
 
 
 @app.command()
-def tensorboard(id: Id, folder: Folder, url: Url = DEFAULT_URL) -> None:
+def tensorboard(id: Id, folder: Folder, url: Url = None) -> None:
     """Write the learning curves of a run, or of all runs of a benchmark, for TensorBoard."""
     from adr_service.interchange.tensorboard import write_events
 
@@ -88,7 +88,7 @@ def minari(
     dataset: Annotated[str, typer.Argument(help="Id of an uploaded recording.")],
     name: Annotated[str, typer.Argument(help="Name for Minari, as adr/hopper-v0.")],
     task: Annotated[str, typer.Option(help="Task that was recorded: hopper, …")],
-    url: Url = DEFAULT_URL,
+    url: Url = None,
 ) -> None:
     """Store an uploaded recording as a data set of Minari on this machine."""
     from adr_service.interchange.minari_datasets import to_minari

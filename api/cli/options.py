@@ -4,7 +4,13 @@ from typing import Annotated
 
 import typer
 
-Url = Annotated[str, typer.Option(envvar="ADR_URL", help="Address of the service.")]
+Url = Annotated[
+    str | None,
+    typer.Option(
+        envvar="ADR_URL",
+        help="Address of the service; without it, this machine's at ADR_PORT, or else 8000.",
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the service's JSON.")]
 Id = Annotated[str, typer.Argument(help="Id of a run or a benchmark.")]
 Watch = Annotated[bool, typer.Option(help="Follow it to its end.")]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from adr_service.client import DEFAULT_URL, connect
+from adr_service.client import connect
 from adr_service.errors import InvalidInput
 from api.cli.options import Url
 from api.cli.terminal import console
@@ -44,7 +44,7 @@ def robot(
     max_reset_seconds: MaxResetSeconds = 120.0,
     max_action: MaxAction = None,
     episodes: Annotated[int | None, typer.Option(help="Stop after as many.", min=1)] = None,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
 ) -> None:
     """Run the episodes that runs with an external target ask for; see docs/robots.md.
 

@@ -7,7 +7,7 @@ import typer
 from rich.padding import Padding
 from rich.table import Table
 
-from adr_service.client import DEFAULT_URL, AdrClient, Json, connect, is_finished
+from adr_service.client import AdrClient, Json, connect, is_finished
 from adr_service.client.progress import label
 from adr_service.errors import InvalidInput
 from api.cli.follow import follow
@@ -51,7 +51,7 @@ def submit(
     setting: Fields = None,
     dry_run: DryRun = False,
     watch: Watch = False,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
     as_json: AsJson = False,
 ) -> None:
     """Submit a run (by options), or a run or benchmark (by file)."""
@@ -109,7 +109,7 @@ def extend(
     collector: More = None,
     dry_run: DryRun = False,
     watch: Watch = False,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
     as_json: AsJson = False,
 ) -> None:
     """Add runs to a benchmark; its results so far stay."""
@@ -136,7 +136,7 @@ def list_all(
     task: Annotated[str | None, typer.Option(help="Only of this task.")] = None,
     method: Annotated[str | None, typer.Option(help="Only runs of this method.")] = None,
     state: Annotated[str | None, typer.Option(help="Only runs in it: running, failed, …")] = None,
-    url: Url = DEFAULT_URL,
+    url: Url = None,
     as_json: AsJson = False,
 ) -> None:
     """List benchmarks with their runs, then single runs, each in order of submission."""
@@ -184,21 +184,21 @@ def runs_table(runs: list[Json]) -> Table:
 
 
 @app.command()
-def status(id: Id, url: Url = DEFAULT_URL) -> None:
+def status(id: Id, url: Url = None) -> None:
     """Print a run or a benchmark as the service's JSON."""
     with connect(url) as client:
         console.print_json(data=client.get(id))
 
 
 @app.command()
-def watch(id: Id, url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
+def watch(id: Id, url: Url = None, as_json: AsJson = False) -> None:
     """Follow a run or a benchmark to its end; exit status 1 if something failed."""
     with connect(url) as client:
         follow(client, id, as_json)
 
 
 @app.command()
-def cancel(id: Id, url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
+def cancel(id: Id, url: Url = None, as_json: AsJson = False) -> None:
     """Ask a run, or all live runs of a benchmark, to stop."""
     with connect(url) as client:
         had_ended = is_finished(client.get(id))
@@ -211,7 +211,7 @@ def cancel(id: Id, url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
 
 
 @app.command()
-def resume(id: Id, url: Url = DEFAULT_URL, as_json: AsJson = False) -> None:
+def resume(id: Id, url: Url = None, as_json: AsJson = False) -> None:
     """Continue a failed or cancelled run or benchmark."""
     with connect(url) as client:
         states = client.get(id).get("states")  # of a benchmark; a run is refused by the service

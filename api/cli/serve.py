@@ -40,7 +40,8 @@ def _refuse_a_busy_port(settings: Settings) -> None:
         except OSError as error:
             raise InvalidInput(
                 f"cannot listen on {settings.host} port {settings.port} ({error.strerror}); "
-                "choose another with --port, and name it to the other commands with ADR_URL"
+                "choose another with --port, and name it to the other commands with ADR_URL, or "
+                "name it to all with ADR_PORT"
             ) from error
 
 
