@@ -140,8 +140,8 @@ def plan_table(plan: Json) -> RenderableType:
     table.add_row("trainings, shared ones once", str(plan["trainings"]))
     table.add_row("their environment steps, at most", f"{plan['environment_steps']:,}")
     table.add_row("target transitions, at most", f"{plan['target_transitions']:,}")
-    table.add_row("computing", f"{in_words(plan['core_hours'])} on a core")
-    table.add_row(f"time, with {plan['cores']} cores", hours)
+    table.add_row("computing, at most", f"{in_words(plan['core_hours'])} on a core")
+    table.add_row(f"time, with {plan['cores']} cores, at most", hours)
     table.add_row("policies on disk", f"{plan['policies_mb']:.2g} MB")
     return Group(table, Text(plan["basis"], style="dim"))
 

@@ -108,7 +108,8 @@ def test_a_form_submits_what_it_priced(http):
         "settings": "iterations=1",
     }
     priced = http.post("/submit", data={**form, "act": "plan"}).text
-    assert "environment steps, at most" in priced
+    for bounded in ("environment steps", "computing", r"time, with \d+ cores?"):
+        assert re.search(rf"{bounded}, at most</dt>", priced)
     refused = http.post("/submit", data={**form, "seeds": "81, x", "act": "start"})
     assert refused.status_code == 422
     assert "given &#39;x&#39;" in refused.text
