@@ -1,14 +1,16 @@
 """Write the pages of docs/reference that say what the code says: `python docs/generate.py`."""
 
-import html
 import inspect
 import json
 import re
-import subprocess
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
+
+from typer import Context
+from typer.core import TyperGroup
+from typer.main import get_command
 
 from adr_service.errors import FailureCode
 from adr_service.methods.base import MethodSettings
@@ -16,6 +18,7 @@ from adr_service.methods.catalogue import methods
 from adr_service.presets import PRESETS
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec, CriticismSpec, RunSpec
 from api.app import create_app
+from api.cli import app
 from api.settings import Settings
 
 Json = dict[str, Any]
@@ -204,18 +207,34 @@ def _type(schema: Json) -> str:
 
 def command_line_page() -> str:
     """The help of every command."""
-    command = [sys.executable, "-m", "typer", "api.cli", "utils", "docs", "--name", "adr"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
-    heading, _, rest = html.unescape(done.stdout).partition("\n")
-    for place in re.finditer(r"^#+ `adr (?:.* )?(\S+)`\n\n(.+)$", rest, re.MULTILINE):
-        name, said = place.groups()  # typer cuts it off in the lists of commands
-        rest = re.sub(
-            rf"^\* `{name}`: {re.escape(said[:9])}.*\.\.\.$",
-            f"* `{name}`: {said}",
-            rest,
-            flags=re.MULTILINE,
-        )
-    return f"{heading.replace('`adr`', 'Command line')}\n\n{_GENERATED}{rest.rstrip()}\n"
+    lines = ["# Command line", _GENERATED.rstrip(), *_help(Context(get_command(app)), "adr")]
+    return "\n\n".join(lines) + "\n"
+
+
+def _help(context: Context, path: str) -> Iterator[str]:
+    """A command's help, usage and parameters, then all of the commands below it."""
+    command = context.command
+    yield command.help or ""
+    usage = " ".join([path, *command.collect_usage_pieces(context)])
+    yield f"**Usage**:\n\n```console\n$ {usage}\n```"
+    for heading, kind in (("Arguments", "argument"), ("Options", "option")):
+        parameters = [p for p in command.get_params(context) if p.param_type_name == kind]
+        records = [p.get_help_record(context) for p in parameters]
+        yield from _list(heading, [record for record in records if record is not None])
+    if command.epilog:
+        yield command.epilog
+    below = command.commands if isinstance(command, TyperGroup) else {}
+    firsts = [(name, (each.help or "").partition("\n\n")[0]) for name, each in below.items()]
+    yield from _list("Commands", firsts)
+    for name, each in below.items():
+        yield f"{'#' * (len(path.split()) + 1)} `{path} {name}`"
+        yield from _help(Context(each, parent=context), f"{path} {name}")
+
+
+def _list(heading: str, entries: Sequence[tuple[str, str]]) -> Iterator[str]:
+    if entries:
+        lines = (f"* `{name}`: {text}" if text else f"* `{name}`" for name, text in entries)
+        yield "\n".join([f"**{heading}**:\n", *lines])
 
 
 def _table(headings: Iterable[str], rows: Iterable[Iterable[str]]) -> str:

@@ -25,6 +25,12 @@ def test_the_page_is_generated_from_this_code(pages, name):
     assert written == pages[name], "write it again: python docs/generate.py"
 
 
+def test_commands_are_listed_with_whole_sentences(pages):
+    listed = [line for line in pages["command-line.md"].splitlines() if line.startswith("* `")]
+    assert any(len(line) > 90 for line in listed)
+    assert not [line for line in listed if line.endswith("...")]
+
+
 def test_no_page_is_forgotten(pages):
     assert set(pages) == set(NAMES)
 
