@@ -211,7 +211,7 @@ def _names(rows: Sequence[Row]) -> list[str]:
 
 def _shifts(count: int) -> list[float]:
     """Distances of methods' points from an iteration, so that no interval hides another."""
-    beside = min(_BESIDE, _WIDTH / count)
+    beside = min(_BESIDE, _WIDTH / max(count, 1))
     return [beside * (number - (count - 1) / 2) for number in range(count)]
 
 

@@ -68,6 +68,12 @@ def test_a_reference_without_iterations_is_a_level_over_all_of_them():
     assert (line.get_xdata().tolist(), line.get_ydata().tolist()) == ([0, 2], [1.2, 1.2])
 
 
+@pytest.mark.parametrize("method", ["udr", "prior"])
+def test_levels_alone_are_drawn_without_any_bar(method):
+    axis = plot_returns([row(method=method, iteration=0)]).axes[0]
+    assert axis.lines
+
+
 def test_bars_and_bands_are_intervals_and_the_note_names_the_numbers_of_seeds():
     rows = [row(iteration=0), row(iteration=1, seeds=5), row(iteration=2, low=None, high=None)]
     figure = plot_returns([*rows, row(method="oracle", low=0.75)])
