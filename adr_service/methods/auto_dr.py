@@ -9,6 +9,9 @@ Where we differ, as Tiboni et al. do in their comparison (arXiv 2311.01885, App.
 - Returns come in phases of episodes (`training.curriculum`), so a bound moves at a phase's end.
 - Bounds stay until the policy has earned the high threshold once on the first box.
 
+- The high threshold is .75 of the reward threshold, as DORAEMON's success is here: they are
+  returns of the exploring policy. The low one is half of it, as theirs is.
+
 The paper starts from a point. Here the first box is one step wide: the two bounds differ.
 """
 
@@ -40,10 +43,10 @@ class AutoDrSettings(CurriculumSettings):
     buffer: int = Field(20, ge=1, le=10_000, description="returns at a bound before it moves")
     step: float = Field(0.05, gt=0, le=1, description="of a bound, as a share of its search range")
     high: float = Field(
-        0.9, gt=0, description="share of the reward threshold from which a bound moves outwards"
+        0.75, gt=0, description="share of the reward threshold from which a bound moves outwards"
     )
     low: float = Field(
-        0.45, gt=0, description="share of the reward threshold below which it moves inwards"
+        0.375, gt=0, description="share of the reward threshold below which it moves inwards"
     )
 
     label: ClassVar[str] = "AutoDR"

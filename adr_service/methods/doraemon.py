@@ -13,6 +13,9 @@ bounds, theirs sigmoids. Where we differ otherwise:
 - Moves come after phases of episodes (`training.curriculum`), theirs after 100,000 steps. So a move
   may be longer here: .05 nat, with which 4 parameters need 20 moves to the whole box. Theirs have
   .001 to .1 nat, in 75 to 150 moves.
+- A success earns .75 of the reward threshold, theirs 1600 on Hopper, where .9 of ours are 1575. The
+  episodes are those of the exploring policy. With the preset `fast` it earns 1300 to 1500 where the
+  policy that is kept earns 1750, and half of its episodes reach 1575 after 2 of 3 million steps.
 """
 
 import warnings
@@ -48,7 +51,7 @@ class DoraemonSettings(CurriculumSettings):
     name: Literal["doraemon"] = "doraemon"
     episodes: int = Field(64, ge=2, le=100_000, description="episodes between moves, at least")
     success: float = Field(
-        0.9, gt=0, description="share of the reward threshold that a successful episode earns"
+        0.75, gt=0, description="share of the reward threshold that a successful episode earns"
     )
     success_rate: float = Field(
         0.5, gt=0, lt=1, description="share of episodes that succeed, at least"

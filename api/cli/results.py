@@ -116,7 +116,7 @@ def report(
 
 
 @app.command()
-def cite(id: Id, url: Url = DEFAULT_URL) -> None:
+def cite(id: Id, url: Url = None) -> None:
     """Print the papers of what was run, as BibTeX."""
     with connect(url) as client:
         typer.echo(client.citations(id), nl=False)

@@ -61,7 +61,7 @@ def test_returns_between_the_thresholds_move_nothing():
     curriculum, rng, kept = run(lambda share: np.ones(len(share)), moves=10), stream("between"), []
     for _ in range(20):
         dynamics = curriculum.sample(128, rng).values
-        curriculum.move(dynamics, np.full(128, 0.7 * THRESHOLD))
+        curriculum.move(dynamics, np.full(128, 0.5 * THRESHOLD))
         kept.append(bounds(curriculum))
     # the first of them are averaged with higher returns from before
     np.testing.assert_array_equal(kept[-1], kept[9])
@@ -79,5 +79,5 @@ def test_a_box_shrinks_under_a_policy_that_forgets_and_keeps_the_width_of_a_step
 
 
 def test_nothing_moves_until_the_first_box_is_solved():
-    untrained = run(lambda share: np.full(len(share), 0.8), moves=20)
+    untrained = run(lambda share: np.full(len(share), 0.7), moves=20)
     assert bounds(untrained).tolist() == bounds(AutoDrSettings().create(PROBLEM)).tolist()
