@@ -23,7 +23,7 @@ COPY adr_service adr_service
 COPY workers workers
 COPY db db
 COPY api api
-RUN pip install --constraint constraints.txt ".[fast,postgresql]"
+RUN pip install --constraint constraints.txt ".[fast,postgresql,sbi]"
 
 USER adr
 ENV ADR_DATA_DIR=/data

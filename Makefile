@@ -12,7 +12,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --upgrade "pip>=25.1"
 	$(BIN)/pip install --quiet --constraint constraints.txt torch==2.13.0
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[fast,interchange,mcap,postgresql]" --group dev --group baselines
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[fast,interchange,mcap,postgresql,sbi]" --group dev --group baselines
 	touch $(STAMP)
 
 demo: setup

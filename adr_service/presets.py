@@ -97,6 +97,8 @@ PRESETS: dict[str, dict[str, Any]] = {
                 "droid": {"budget": 30},
                 "dropo": {"budget": 4, "samples_per_parameter": 3, "epsilon": 1e-4},
                 "sysid": {"starts": 1, "iterations": 3},
+                "bayes_sim": {"simulations": 40, "epochs": 10},
+                "npdr": {"rounds": 2, "simulations": 40, "epochs": 10, "draws": 20},
             }
         ),
     },

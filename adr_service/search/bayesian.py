@@ -9,9 +9,6 @@ scale per coordinate, on standardised values. Its random numbers come from a for
 global generator, seeded from our stream.
 """
 
-from collections.abc import Generator
-from contextlib import contextmanager
-
 import numpy as np
 import torch
 from botorch.acquisition import LogExpectedImprovement
@@ -24,6 +21,7 @@ from gpytorch.mlls import ExactMarginalLogLikelihood
 from gpytorch.priors import GammaPrior
 
 from adr_service.arrays import Matrix, Vector
+from adr_service.search.seeding import seeded
 
 _RESTARTS, _RAW = 20, 512  # of the search for the largest expected improvement
 
@@ -38,7 +36,7 @@ class Surrogate:
             MaternKernel(nu=2.5, ard_num_dims=self._d, lengthscale_prior=GammaPrior(3.0, 6.0)),
             outputscale_prior=GammaPrior(2.0, 0.15),
         )
-        with _seeded(rng):
+        with seeded(rng):
             self._model = SingleTaskGP(
                 x, y, covar_module=kernel, outcome_transform=Standardize(m=1)
             )
@@ -55,7 +53,7 @@ class Surrogate:
         """The point (d,) with the largest expected improvement on the best value so far."""
         # log E[max(f(x) - best, 0)]: Ament et al., arXiv 2310.20708, eq. 8 and 9
         bounds = torch.tensor([[0.0] * self._d, [1.0] * self._d], dtype=torch.float64)
-        with _seeded(self._rng) as seed:
+        with seeded(self._rng) as seed:
             points, _ = optimize_acqf(
                 LogExpectedImprovement(self._model, best_f=self._best),
                 bounds=bounds,
@@ -65,12 +63,3 @@ class Surrogate:
                 options={"seed": seed},
             )
         return np.clip(np.asarray(points[0], dtype=np.float64), 0.0, 1.0)
-
-
-@contextmanager
-def _seeded(rng: np.random.Generator) -> Generator[int]:
-    """Seed PyTorch's global generator inside the block and restore it afterwards."""
-    seed = int(rng.integers(2**31))
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        yield seed

@@ -45,9 +45,9 @@ class Criticise(Stage[Criticised]):
     # 2: many effects at once, 3: when they are, 4: named ones asked again, 5: misfit that persists,
     # strengths that are confused, an interval for what is explained, 6: errors after steps from
     # inferred velocities have a unit of their own, lines to change in one's MJCF, null for noise of
-    # sensors that are not there, 7: errors over steps of measured columns alone, the report has data,
-    # seed, versions and refined evidence, 8: units of free parameters, and changes of the file
-    # without the attributes that MuJoCo's writer adds
+    # sensors that are not there, 7: errors over steps of measured columns alone, the report has
+    # data, seed, versions and refined evidence, 8: units of free parameters, and changes of the
+    # file without the attributes that MuJoCo's writer adds
     version: ClassVar = 8
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised

@@ -25,6 +25,7 @@ GOLDEN = Path(__file__).parent / "digests.json"
 METHODS = (
     *("udr", "bayrn", "simopt", "simopt_1", "droid", "dropo", "sysid"),
     *("fixed_dr", "auto_dr", "doraemon", "epopt"),
+    *("bayes_sim", "npdr"),
     *("prior", "oracle"),
 )
 OFFLINE = ("droid", "dropo", "sysid")

@@ -76,6 +76,6 @@ def test_a_file_in_the_package_is_in_the_catalogue_and_its_base_class_is_not(tmp
     assert done.returncode == 0, done.stderr
     ours = ["auto_dr", "doraemon", "epopt", "udr", "fixed_dr", "another"]
     ours += ["bayrn", "simopt", "simopt_1", "simopt_memory"]
-    ours += ["droid", "droid_smoothed", "dropo", "dropo_smoothed", "e_dropo"]
+    ours += ["bayes_sim", "droid", "droid_smoothed", "dropo", "dropo_smoothed", "e_dropo", "npdr"]
     ours += ["sysid", "sysid_smoothed", "sysid_wide", "sysid_laplace"]
     assert done.stdout.strip() == str(ours)

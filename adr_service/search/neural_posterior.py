@@ -1,0 +1,169 @@
+"""Neural posterior estimation of points in [0, 1]^d, by sbi (Tejero-Cantero et al., 2020).
+
+    posterior = FlowPosterior(d, epochs=500, rng=rng)
+    posterior.learn(points, features, seen)            # (n, d) in [0, 1], (n, k), (k,)
+    posterior.sample(100)                              # (100, d), given what was seen
+
+A network learns q(point | features) from simulations of points. `learn` may be called again with
+points that were sampled from it (sequential estimation). Random numbers come from a fork of
+PyTorch's global generator, seeded from our stream.
+"""
+
+import math
+import warnings
+from collections.abc import Generator
+from contextlib import contextmanager, redirect_stdout
+from io import StringIO
+from typing import Any
+
+import numpy as np
+import torch
+from torch.distributions import (
+    Independent,
+    SigmoidTransform,
+    TransformedDistribution,
+    Uniform,
+)
+
+from adr_service.arrays import Array3, Matrix, Vector
+from adr_service.errors import InvalidInput
+from adr_service.search.seeding import seeded
+
+try:
+    from sbi.inference import NPE_C
+    from sbi.neural_nets import posterior_nn
+except ImportError as error:
+    raise InvalidInput("this method needs sbi: pip install 'adr-service[sbi]'") from error
+
+_HIDDEN = 50  # units of a hidden layer, sbi's and NPDR's
+_HALF = np.sqrt(3.0)  # half width of a uniform distribution whose deviation is 1
+
+
+class MixturePosterior:
+    """A mixture density network: a mixture of Gaussians, whose parameters depend on features."""
+
+    def __init__(self, d: int, components: int, epochs: int, rng: np.random.Generator):
+        self._rng, self._most = rng, epochs
+        ends = torch.full((d,), _HALF)
+        prior = Independent(Uniform(-ends, ends), 1)  # of centred points
+        build = posterior_nn(
+            "mdn",
+            z_score_theta="none",
+            z_score_x="none",
+            hidden_features=_HIDDEN,
+            num_components=components,
+        )
+        with seeded(rng):
+            self._trainer = NPE_C(prior, build, show_progress_bars=False, tracker=_Silent())
+
+    def learn(self, points: Matrix, features: Matrix) -> None:
+        centred = _HALF * (2 * points - 1)
+        with seeded(self._rng), _warnings_of_ours():
+            self._trainer.append_simulations(_tensor(centred), _tensor(features))
+            self._estimator: Any = _trained(self._trainer, self._most)
+
+    @property
+    def epochs(self) -> list[int]:
+        return _epochs(self._trainer)
+
+    def mixture(self, seen: Vector) -> tuple[Vector, Matrix, Array3]:
+        """Weights (c,), means (c, d) and covariances (c, d, d) of the mixture, given features."""
+        with torch.no_grad():
+            found = self._estimator.get_uncorrected_mog(_tensor(seen[None]))
+            weights = torch.softmax(found.logits, dim=1)[0]
+            covariances = torch.linalg.inv(found.precisions[0].double())
+        unit = 1 / (2 * _HALF)  # of a centred point, in [0, 1]
+        means = 0.5 + unit * _array(found.means[0])
+        spread = unit**2 * _array(covariances)
+        shares = _array(weights)
+        return shares / shares.sum(), means, (spread + spread.swapaxes(1, 2)) / 2
+
+
+class FlowPosterior:
+    """A masked autoregressive flow over logits of points, so that no sample leaves [0, 1]^d."""
+
+    def __init__(self, d: int, epochs: int, rng: np.random.Generator):
+        self._rng, self._most = rng, epochs
+        build = posterior_nn("maf", z_score_x="none", hidden_features=_HIDDEN, num_transforms=5)
+        prior = Independent(_Logistic(d), 1)
+        with seeded(rng):
+            self._trainer = NPE_C(prior, build, show_progress_bars=False, tracker=_Silent())
+        self._posterior: Any = None
+
+    def learn(self, points: Matrix, features: Matrix, seen: Vector) -> None:
+        """Learn from points of the uniform prior, at first, then of `sample`."""
+        proposal = self._posterior
+        logits = _tensor(np.log(points) - np.log1p(-points))
+        with seeded(self._rng), _warnings_of_ours():
+            self._trainer.append_simulations(logits, _tensor(features), proposal=proposal)
+            is_later = proposal is not None
+            estimator = _trained(self._trainer, self._most, use_combined_loss=is_later)
+            self._posterior = self._trainer.build_posterior(estimator)
+            self._posterior.set_default_x(_tensor(seen[None]))
+
+    @property
+    def epochs(self) -> list[int]:
+        return _epochs(self._trainer)
+
+    def sample(self, n: int) -> Matrix:
+        """Points (n, d), given what was seen."""
+        with seeded(self._rng), torch.no_grad():
+            logits = self._posterior.sample((n,), show_progress_bars=False)
+        return 1 / (1 + np.exp(-_array(logits)))
+
+
+class _Logistic(TransformedDistribution):
+    """The distribution of the logits of uniform points."""
+
+    def __init__(self, d: int):
+        uniform = Uniform(torch.zeros(d), torch.ones(d))
+        super().__init__(uniform, [SigmoidTransform().inv])
+        self._d = d
+
+    @property
+    def mean(self) -> torch.Tensor:
+        return torch.zeros(self._d)
+
+    @property
+    def variance(self) -> torch.Tensor:
+        return torch.full((self._d,), math.pi**2 / 3)
+
+
+def _epochs(trainer: NPE_C) -> list[int]:
+    """Passes over the simulations of each training so far."""
+    return list(trainer.summary["epochs_trained"])
+
+
+def _trained(trainer: NPE_C, epochs: int, **options: Any) -> Any:
+    """The trained network; sbi prints when it has converged."""
+    with redirect_stdout(StringIO()):
+        return trainer.train(max_num_epochs=epochs, **options)
+
+
+@contextmanager
+def _warnings_of_ours() -> Generator[None]:
+    """Features have long tails, on a scale of quartiles; `epochs` says where a training ended."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Data has extreme outliers")
+        warnings.filterwarnings("ignore", "Maximum number of epochs")
+        yield
+
+
+class _Silent:
+    """A tracker that writes nothing: sbi's own makes a folder per training."""
+
+    log_dir = None
+
+    def log_metric(self, name: str, value: float, step: int | None = None) -> None: ...
+    def log_metrics(self, metrics: dict[str, float], step: int | None = None) -> None: ...
+    def log_params(self, params: dict[str, Any]) -> None: ...
+    def add_figure(self, name: str, figure: Any, step: int | None = None) -> None: ...
+    def flush(self) -> None: ...
+
+
+def _tensor(values: Any) -> torch.Tensor:
+    return torch.tensor(np.asarray(values), dtype=torch.float32)
+
+
+def _array(tensor: torch.Tensor) -> Any:
+    return tensor.numpy().astype(np.float64)

@@ -1,0 +1,123 @@
+"""Summary statistics of trajectories, and of open-loop replays under other dynamics.
+
+    replays = SummarisedReplays(task, source, data, n=64, length=10)
+    replays.recorded                    # (k,) of the recording
+    replays.simulate(dynamics)          # (n, k), NaN where diverged
+
+The statistics are those of BayesSim (Ramos et al., arXiv 1906.01728, Sec. IV): inner products of
+state changes and actions, and means and variances of state changes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adr_service.arrays import Array3, Mask, Matrix, Vector
+from adr_service.errors import InvalidInput
+from adr_service.simulation.batch import Simulations
+from adr_service.simulation.replay import check_recorded
+from adr_service.tasks.base import Source, State, Task
+from adr_service.transitions import TransitionDataset
+
+LEAST = 20  # simulations that a posterior is learnt from
+
+
+class SummarisedReplays:
+    """Replays of a recording's actions, set to its states every `length` steps.
+
+    Without a length, each episode is one replay. Parts never cross an episode.
+    """
+
+    def __init__(
+        self, task: Task, source: Source, data: TransitionDataset, n: int, length: int | None
+    ):
+        check_recorded(task, data)
+        self._task, self._simulations = task, Simulations(task, source, n)
+        self._actions = data.actions
+        self._observations = data.observations
+        self._starts = _starts(data, length)
+        changes = data.next_observations - data.observations
+        self.recorded = summary(changes[None], data.actions)[0]
+
+    def simulate(self, dynamics: Matrix) -> Matrix:
+        """Summaries (n, k) of replays under dynamics (n, d), in batches of the constructor's n."""
+        most = self._simulations.n
+        parts = [dynamics[first : first + most] for first in range(0, len(dynamics), most)]
+        padding = parts[-1][[-1] * (most - len(parts[-1]))]
+        parts[-1] = np.concatenate([parts[-1], padding])
+        return np.concatenate([self._simulate(part) for part in parts])[: len(dynamics)]
+
+    def usable(self, dynamics: Matrix) -> tuple[Mask, Matrix]:
+        """Which replays under dynamics (n, d) stayed finite (n,), and the summaries of those.
+
+        Raises InvalidInput if those are too few to learn from.
+        """
+        simulated = self.simulate(dynamics)
+        held = np.all(np.isfinite(simulated), axis=1)
+        if np.sum(held) < LEAST:
+            raise InvalidInput(
+                f"{np.sum(~held)} of {len(held)} replays diverged, and a posterior is learnt from "
+                f"{LEAST} others at least; a shorter `segment` helps"
+            )
+        return held, simulated[held]
+
+    def _simulate(self, dynamics: Matrix) -> Matrix:
+        simulations, measured = self._simulations, self._task.measured
+        simulations.set_dynamics(dynamics)
+        changes = np.empty((len(dynamics), len(self._actions), measured))
+        before = np.empty((len(dynamics), measured))
+        for row, action in enumerate(self._actions):
+            if row in self._starts:
+                recorded = self._observations[row : row + 1]
+                state = self._task.state(recorded)
+                simulations.set_state(State(state.qpos, state.qvel))
+                before = np.repeat(recorded[:, :measured], len(dynamics), axis=0)
+            simulations.step(action)
+            after = self._task.observe(simulations.state)[:, :measured]
+            changes[:, row], before = after - before, after
+        return summary(changes, self._actions)
+
+
+def summary(changes: Array3, actions: Matrix) -> Matrix:
+    """Statistics (n, s a + 2 s) of state changes (n, T, s) under actions (T, a)."""
+    with np.errstate(invalid="ignore", over="ignore"):  # of replays that diverged
+        products = np.einsum("nts,ta->nsa", changes, actions) / len(actions)
+        parts = [products.reshape(len(changes), -1), changes.mean(axis=1), changes.var(axis=1)]
+    return np.concatenate(parts, axis=1)
+
+
+def _starts(data: TransitionDataset, length: int | None) -> set[int]:
+    """Rows at which a replay is set to the recorded state."""
+    starts, first = set[int](), 0
+    for episode in data.split():
+        starts |= set(range(first, first + len(episode), length or len(episode)))
+        first += len(episode)
+    return starts
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Median and spread of simulated statistics, without those that are constant.
+
+    Replays of a robot that falls have statistics with long tails, so both are of quartiles, and
+    the scaled statistics are compressed by arsinh, which grows as a logarithm.
+    """
+
+    median: Vector  # (k,)
+    spread: Vector  # (k,) between the quartiles
+
+    @classmethod
+    def of(cls, simulated: Matrix) -> "Scale":
+        """The scale of simulated statistics (n, k)."""
+        low, median, high = np.quantile(simulated, [0.25, 0.5, 0.75], axis=0)
+        return cls(median, high - low)
+
+    def __call__(self, statistics: Matrix) -> Matrix:
+        """Statistics (..., k) as features for a network."""
+        varies = self.spread > 1e-12 * np.maximum(1.0, np.abs(self.median))
+        return np.arcsinh((statistics[..., varies] - self.median[varies]) / self.spread[varies])
+
+
+def outside(simulated: Matrix, recorded: Vector) -> int:
+    """Statistics of the recording beyond those of all simulations: the model cannot do this."""
+    return int(np.sum((recorded < simulated.min(axis=0)) | (recorded > simulated.max(axis=0))))
