@@ -5,7 +5,7 @@ import pytest
 
 from tests.service import start_service, wait_until_finished
 
-pytestmark = pytest.mark.ray
+pytestmark = [pytest.mark.ray, pytest.mark.slow]  # tests/db/test_postgresql.py is fast
 BENCHMARK = {
     "tasks": ["arm"],
     "methods": ["droid"],

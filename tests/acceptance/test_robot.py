@@ -177,7 +177,10 @@ def test_a_robot_stops_within_a_control_step_of_hearing_that_its_run_is_cancelle
     [
         ("stuck_arm", ["--max-seconds", "6"], False, "step did not return within"),
         ("stuck_reset", ["--max-reset-seconds", "2"], False, "reset did not return within 2.0 s"),
-        ("stuck_arm", [], True, "and the environment's step does not return"),
+        pytest.param(
+            *("stuck_arm", [], True, "and the environment's step does not return"),
+            marks=pytest.mark.slow,  # it waits for the last of several limits
+        ),
     ],
 )
 def test_a_robot_whose_environment_hangs_gives_its_task_back_and_ends(

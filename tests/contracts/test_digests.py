@@ -24,10 +24,9 @@ from tests.recordings import recording
 GOLDEN = Path(__file__).parent / "digests.json"
 METHODS = (
     *("udr", "bayrn", "simopt", "simopt_1", "droid", "dropo", "sysid"),
-    *("fixed_dr", "auto_dr", "doraemon", "epopt"),
-    *("bayes_sim", "npdr"),
     *("prior", "oracle"),
 )
+NEWER = ("fixed_dr", "auto_dr", "doraemon", "epopt", "bayes_sim", "npdr")  # than the paper
 OFFLINE = ("droid", "dropo", "sysid")
 TASKS = ("arm", "hopper", "half_cheetah", "walker2d", "humanoid")
 EFFECTS = [{"kind": "joint_coulomb_friction", "location": "joint:elbow", "values": [0.5]}]
@@ -71,6 +70,9 @@ def specs():
     target = {"kind": "recorded", "dataset": dataset_id(RECORDING)}
     for method in OFFLINE:
         yield f"{method} of a recording", {**small, "method": method, "target": target}
+    for method in NEWER:
+        yield f"{method} small", {**small, "method": method}
+        yield f"{method} on hopper fast", {"task": "hopper", "method": method, "preset": "fast"}
     for method in OFFLINE:
         yield f"{method} of smoothed states", {**small, "method": f"{method}_smoothed"}
     yield "simopt of all trajectories", {**small, "method": "simopt_memory"}
