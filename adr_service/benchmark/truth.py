@@ -4,7 +4,7 @@ import numpy as np
 from scipy.stats import norm
 
 from adr_service.arrays import Vector
-from adr_service.distributions import Distribution, Empirical, Gaussian, Mixture, Uniform
+from adr_service.distributions import Distribution, Empirical, TruncatedGaussian, Uniform
 from adr_service.randomness import stream
 from adr_service.tasks.catalogue import hidden_of, variant_of
 
@@ -36,9 +36,9 @@ def log_score(task: str, variant: str, distribution: Distribution) -> float | No
     truth = variant_of(task, variant).truth
     if isinstance(distribution, Uniform | Empirical):
         return None
-    if isinstance(distribution, Gaussian | Mixture):
-        return float(distribution.log_prob(truth[None])[0])
-    return float(norm.logpdf(truth, distribution.mean, distribution.std).sum())
+    if isinstance(distribution, TruncatedGaussian):
+        return float(norm.logpdf(truth, distribution.mean, distribution.std).sum())
+    return float(distribution.log_prob(truth[None])[0])
 
 
 def energy_score(task: str, variant: str, distribution: Distribution) -> float:

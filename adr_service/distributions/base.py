@@ -9,6 +9,8 @@ from adr_service.arrays import Matrix, Vector, frozen
 from adr_service.errors import InvalidInput
 from adr_service.parameters import ParameterSpace
 
+WEIGHTS_TOLERANCE = 1e-8  # of the sum of weights, NumPy's own
+
 
 @dataclass(frozen=True)
 class Draws:
@@ -38,9 +40,17 @@ def normalised_std(distribution: Distribution) -> Vector:
     return distribution.std / (space.high - space.low) * space.WIDTH
 
 
+def array_of(name: str, values: Any) -> Matrix:
+    """The values as a read-only array. Raises InvalidInput unless they are numbers in a grid."""
+    try:
+        return frozen(values)
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(f"{name} must be numbers, in rows of one length: {error}") from error
+
+
 def finite_vector(space: ParameterSpace, values: Any, name: str) -> Vector:
     """The values (d,) as a read-only array. Raises InvalidInput unless all are finite."""
-    vector = frozen(values)
+    vector = array_of(name, values)
     if vector.shape != (len(space),) or not np.all(np.isfinite(vector)):
         raise InvalidInput(
             f"{name} must hold {len(space)} finite values, one for each of "

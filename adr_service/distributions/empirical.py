@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector, frozen
-from adr_service.distributions.base import Draws
+from adr_service.distributions.base import WEIGHTS_TOLERANCE, Draws, array_of
 from adr_service.errors import InfeasibleDistribution, InvalidInput
 from adr_service.parameters import ParameterSpace
 
@@ -20,8 +20,8 @@ class Empirical:
     weights: Vector  # (n,), >= 0, of sum 1
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points", frozen(self.points))
-        object.__setattr__(self, "weights", frozen(self.weights))
+        object.__setattr__(self, "points", array_of("points", self.points))
+        object.__setattr__(self, "weights", array_of("weights", self.weights))
         n, d = self.weights.size, len(self.space)
         if n == 0 or (self.weights.shape, self.points.shape) != ((n,), (n, d)):
             raise InvalidInput(
@@ -30,7 +30,7 @@ class Empirical:
             )
         if not np.all(np.isfinite(self.points)):
             raise InvalidInput(f"points must be finite; given {self.points}")
-        if np.any(self.weights < 0) or not np.isclose(np.sum(self.weights), 1):
+        if np.any(self.weights < 0) or abs(np.sum(self.weights) - 1) > WEIGHTS_TOLERANCE:
             raise InvalidInput(f"weights must be 0 or more, of sum 1; given {self.weights}")
         if np.any(self.points < self.space.feasible_low):
             raise InfeasibleDistribution(

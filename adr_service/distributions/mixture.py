@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector, frozen
-from adr_service.distributions.base import Draws
+from adr_service.distributions.base import WEIGHTS_TOLERANCE, Draws, array_of
 from adr_service.distributions.gaussian import Gaussian
 from adr_service.errors import InvalidInput
 from adr_service.parameters import ParameterSpace
@@ -26,7 +26,7 @@ class Mixture:
 
     def __post_init__(self) -> None:
         for name in ("weights", "locations", "covariances"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
+            object.__setattr__(self, name, array_of(name, getattr(self, name)))
         k, d = self.weights.size, len(self.space)
         shapes = [a.shape for a in (self.weights, self.locations, self.covariances)]
         if k == 0 or shapes != [(k,), (k, d), (k, d, d)]:
@@ -34,7 +34,7 @@ class Mixture:
                 f"a mixture needs weights (k,), locations (k, {d}) and covariances (k, {d}, {d}); "
                 f"given {', '.join(map(str, shapes))}"
             )
-        if np.any(self.weights <= 0) or not np.isclose(np.sum(self.weights), 1):
+        if np.any(self.weights <= 0) or abs(np.sum(self.weights) - 1) > WEIGHTS_TOLERANCE:
             raise InvalidInput(f"weights must be positive, of sum 1; given {self.weights}")
         self.components  # noqa: B018 - which checks them
 

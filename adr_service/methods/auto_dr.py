@@ -4,21 +4,20 @@ OpenAI et al.: "Solving Rubik's Cube with a Robot Hand", arXiv 1910.07113, Sec. 
 It starts narrow. With some probability an episode has one parameter at one bound of the box. When
 a bound has enough of them, it moves outwards if their mean return is high, inwards if it is low.
 
-Where we differ, as Tiboni et al. do in their comparison (arXiv 2311.01885, App.):
+Where we differ:
+- Bounds stay until the policy has earned the high threshold once on the first box, as in Tiboni et
+  al.'s comparison (arXiv 2311.01885).
 - The policy learns from the episodes at the bounds too.
 - Returns come in phases of episodes (`training.curriculum`), so a bound moves at a phase's end.
-- Bounds stay until the policy has earned the high threshold once on the first box.
-
-- The high threshold is .75 of the reward threshold, as DORAEMON's success is here: they are
-  returns of the exploring policy. The low one is half of it, as theirs is.
-
-The paper starts from a point. Here the first box is one step wide: the two bounds differ.
+- The high threshold is .75 of the reward threshold, as DORAEMON's success is here: these are
+  returns of the exploring policy. The low one is half of it.
+- The paper starts from a point. Here the first box is one step wide: the two bounds differ.
 """
 
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from adr_service.arrays import Matrix, Vector, frozen
 from adr_service.citations import Paper
@@ -52,6 +51,12 @@ class AutoDrSettings(CurriculumSettings):
     label: ClassVar[str] = "AutoDR"
     colour: ClassVar[str] = "#117733"
     papers: ClassVar[tuple[Paper, ...]] = (PAPER,)
+
+    @model_validator(mode="after")
+    def _is_ordered(self) -> Self:
+        if self.low >= self.high:
+            raise ValueError(f"low: {self.low} given, which is not below high, {self.high}")
+        return self
 
     def create(self, problem: Problem) -> "AutoDr":
         return AutoDr(self, problem)
@@ -109,5 +114,5 @@ class AutoDr:
         low, high = self._space.low[column], self._space.high[column]
         step = self._settings.step * (high - low)
         wanted = self._bounds[side, column] + share * (high - low)
-        least, most = (low, self._bounds[1, column] - step), (self._bounds[0, column] + step, high)
-        self._bounds[side, column] = np.clip(wanted, *(least, most)[side])
+        ranges = (low, self._bounds[1, column] - step), (self._bounds[0, column] + step, high)
+        self._bounds[side, column] = np.clip(wanted, *ranges[side])

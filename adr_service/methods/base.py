@@ -74,6 +74,7 @@ class Proposal:
 
     next: Distribution  # to train on next
     best: int  # index of the distribution whose policy is believed best
+    simulated_steps: int = 0  # control steps
     diagnostics: dict[str, Any] = field(default_factory=dict[str, Any])  # JSON
 
 
@@ -147,6 +148,8 @@ class MethodSettings(Wire):
     # states in the data from which replays start: as they were recorded, as in the papers of all
     # offline methods, or without their sensors' noise (criticism.smoothing)
     replay_from: ClassVar[ReplayFrom] = "recorded"
+    # of an answer beside what it simulates, about, on one core
+    seconds: ClassVar[float] = 0.0
     remembers: ClassVar[bool] = False  # an online method learns from all visits, not the last alone
     # its visits are the data of offline methods by default; SimOpt's, which `RunSpec.simopt` holds
     collects: ClassVar[bool] = False
@@ -250,7 +253,6 @@ class ReturnsSettings(MethodSettings):
 
     program: ClassVar[str] = "adr_service.programs.returns"
     learns_from: ClassVar[Data] = "returns"
-    seconds: ClassVar[float] = 1.0  # of a proposal, about, on one core
 
     @abstractmethod
     def create(self) -> ReturnsMethod:

@@ -7,8 +7,8 @@ replay. Given the recording's summary, it is the posterior.
 
 Choices, and where we differ:
 - The prior is uniform over the search box, as in the paper; the proposal is the prior, one round.
-- Random features of the summary in the paper's network are left out: its plain network is ours,
-  with sbi's defaults, which are 50 units per layer. Components are SimuRLacra's five.
+- We use the paper's plain network, without random features, with sbi's 50 units per layer and
+  SimuRLacra's five components.
 - Replays are open loop and whole, as SimuRLacra's. `segment` sets them to the recorded state again.
 - Draws of the posterior beyond the search box are clipped, as a Gaussian's are, and so are the
   means of its Gaussians (`moved_means` counts them).
@@ -55,6 +55,7 @@ class BayesSimSettings(OfflineSettings):
         1000, ge=1, le=1_000_000, description="passes over the simulations, at most"
     )
 
+    seconds: ClassVar[float] = 20.0  # of training the network, on 2000 simulations of the arm
     label: ClassVar[str] = "BayesSim"
     colour: ClassVar[str] = "#661100"
     papers: ClassVar[tuple[Paper, ...]] = (PAPER,)

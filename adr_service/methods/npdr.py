@@ -57,6 +57,7 @@ class NpdrSettings(OfflineSettings):
         200, ge=1, le=10_000, description="samples of the posterior that policies are trained on"
     )
 
+    seconds: ClassVar[float] = 40.0  # of training the network, on 2000 simulations of the arm
     label: ClassVar[str] = "NPDR"
     colour: ClassVar[str] = "#6699CC"
     papers: ClassVar[tuple[Paper, ...]] = (PAPER,)

@@ -1,4 +1,8 @@
-"""Curricula: one policy, trained on a distribution that moves, without any data of the target."""
+"""Curricula: one policy, trained on a distribution that moves, without any data of the target.
+
+The run reports the distribution of the training's last phase, and the policy of its best
+evaluation on the whole search box.
+"""
 
 from collections.abc import Generator
 from dataclasses import replace

@@ -36,6 +36,7 @@ except ImportError as error:
     raise InvalidInput("this method needs sbi: pip install 'adr-service[sbi]'") from error
 
 _HIDDEN = 50  # units of a hidden layer, sbi's and NPDR's
+_EDGE = 1e-7  # least distance of a sample from a bound
 _HALF = np.sqrt(3.0)  # half width of a uniform distribution whose deviation is 1
 
 
@@ -70,13 +71,15 @@ class MixturePosterior:
         """Weights (c,), means (c, d) and covariances (c, d, d) of the mixture, given features."""
         with torch.no_grad():
             found = self._estimator.get_uncorrected_mog(_tensor(seen[None]))
-            weights = torch.softmax(found.logits, dim=1)[0]
-            covariances = torch.linalg.inv(found.precisions[0].double())
+            weights = torch.softmax(found.logits.double(), dim=1)[0]
+            factors = torch.linalg.inv(found.precision_factors[0].double())  # of P = U^T U
         unit = 1 / (2 * _HALF)  # of a centred point, in [0, 1]
+        scaled = unit * _array(factors)
+        held = _array(weights) > 0  # others have underflown
         means = 0.5 + unit * _array(found.means[0])
-        spread = unit**2 * _array(covariances)
-        shares = _array(weights)
-        return shares / shares.sum(), means, (spread + spread.swapaxes(1, 2)) / 2
+        covariances = scaled @ scaled.swapaxes(1, 2)
+        shares = _array(weights)[held]
+        return shares / shares.sum(), means[held], covariances[held]
 
 
 class FlowPosterior:
@@ -84,7 +87,10 @@ class FlowPosterior:
 
     def __init__(self, d: int, epochs: int, rng: np.random.Generator):
         self._rng, self._most = rng, epochs
-        build = posterior_nn("maf", z_score_x="none", hidden_features=_HIDDEN, num_transforms=5)
+        # Zuko's: in nflows' ("maf") the first parameter of a transform never sees the features
+        build = posterior_nn(
+            "zuko_maf", z_score_x="none", hidden_features=_HIDDEN, num_transforms=5
+        )
         prior = Independent(_Logistic(d), 1)
         with seeded(rng):
             self._trainer = NPE_C(prior, build, show_progress_bars=False, tracker=_Silent())
@@ -109,7 +115,8 @@ class FlowPosterior:
         """Points (n, d), given what was seen."""
         with seeded(self._rng), torch.no_grad():
             logits = self._posterior.sample((n,), show_progress_bars=False)
-        return 1 / (1 + np.exp(-_array(logits)))
+        # float32 has no logits beyond these
+        return np.clip(1 / (1 + np.exp(-_array(logits))), _EDGE, 1 - _EDGE)
 
 
 class _Logistic(TransformedDistribution):

@@ -27,7 +27,7 @@ class RandomizedVecEnv(VecEnv):
 
     `adjusted` counts the draws that were moved onto a bound of the space. `diverged` counts the
     episodes whose simulation diverged: their last observation is zeros and earns nothing.
-    `ended` hears of episodes that end, before the next ones draw their dynamics.
+    `ended` is called when episodes end, before the next ones draw their dynamics.
     """
 
     render_mode = None

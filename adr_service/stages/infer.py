@@ -100,7 +100,7 @@ class Infer(Stage[Inferred]):
         transitions = len(TransitionDataset.from_npz(self.data))
         transitions += sum(len(data) for _, data in unpacked(self.earlier))
         steps = settings.planned_steps(len(self.space), transitions)
-        return Cost(steps / speed.steps_per_second(self.task))
+        return Cost(steps / speed.steps_per_second(self.task) + settings.seconds)
 
     def stand_in(self) -> Inferred:
         grid = self.method.grid

@@ -6,6 +6,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 
 from adr_service.distributions import Distribution, Uniform
+from adr_service.errors import InvalidInput
 from adr_service.events import RunEvent
 from adr_service.methods.base import Problem, ReturnsSettings
 from adr_service.methods.catalogue import methods
@@ -21,7 +22,7 @@ class Proposed(Result):
 
     distribution: Belief
     best: int  # index of the distribution whose policy is believed best
-    simulated_steps: int  # none: the target's returns are all that it uses
+    simulated_steps: int  # control steps; 0 where the target's returns are all that is used
     diagnostics: dict[str, Any]  # JSON
 
 
@@ -50,10 +51,14 @@ class Propose(Stage[Proposed]):
         problem = Problem(get_task(self.task), source_of(self.task, self.variant))
         returns = np.array(self.returns)
         proposal = self._settings.create().propose(problem, self.distributions, returns, rng)
+        if not 0 <= proposal.best < len(returns):
+            raise InvalidInput(
+                f"{self.method['name']} says that policy {proposal.best} is best, of {len(returns)}"
+            )
         return Proposed(
             distribution=proposal.next,
             best=proposal.best,
-            simulated_steps=0,
+            simulated_steps=proposal.simulated_steps,
             diagnostics={
                 "returns_seen": self.returns,
                 **proposal.diagnostics,

@@ -33,7 +33,7 @@ class Curriculum(Protocol):
         ...
 
     def move(self, dynamics: Matrix, returns: Vector) -> None:
-        """Learn from all episodes (n, d) since the last move, and what each earned (n,)."""
+        """Learn from episodes that began after the last move, (n, d), and their returns (n,)."""
         ...
 
 

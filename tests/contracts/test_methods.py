@@ -241,17 +241,6 @@ def test_a_curriculum_stays_in_the_search_box_and_repeats_with_its_stream(name):
     assert kept == json.loads(json.dumps(kept))
 
 
-@every_curriculum
-def test_a_curriculum_never_moves_for_a_policy_that_earns_nothing(name):
-    first, *later = course_of(name, np.zeros((4, 64)), stream("draws"))
-    assert all(distribution == first for distribution in later)
-
-
-@every_curriculum
-def test_a_curriculum_says_after_how_many_episodes_it_moves(name):
-    assert settings_of(name).create(PROBLEM).episodes >= 1
-
-
 @pytest.mark.parametrize("name", BY_RETURNS)
 def test_proposals_are_feasible_and_equal_streams_give_equal_ones(name):
     settings = settings_of(name)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from adr_service.methods.auto_dr import AutoDrSettings
 from adr_service.randomness import stream
@@ -81,3 +82,8 @@ def test_a_box_shrinks_under_a_policy_that_forgets_and_keeps_the_width_of_a_step
 def test_nothing_moves_until_the_first_box_is_solved():
     untrained = run(lambda share: np.full(len(share), 0.7), moves=20)
     assert bounds(untrained).tolist() == bounds(AutoDrSettings().create(PROBLEM)).tolist()
+
+
+def test_a_low_threshold_above_the_high_one_is_refused():
+    with pytest.raises(ValidationError, match=r"low: 2.0 given, which is not below high, 0.1"):
+        AutoDrSettings(low=2.0, high=0.1)

@@ -1,5 +1,7 @@
 """BayesSim and NPDR recover planted dynamics, within what their posteriors say."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from adr_service.methods.npdr import NpdrSettings
 from adr_service.progress import silent
 from adr_service.randomness import stream
 from tests.planted import PLANTED, PROBLEM, SPACE, recorded, waving_policy
+from tests.recovery import hopper
 
 pytestmark = pytest.mark.slow
 SETTINGS = {"bayes_sim": BayesSimSettings(), "npdr": NpdrSettings()}
@@ -37,7 +40,22 @@ def test_planted_dynamics_are_recovered(name, tolerance):
 
 
 @pytest.mark.parametrize("name", SETTINGS)
-def test_two_steps_are_too_little_evidence(name):
-    """The control, which must fail: two steps tell little, so the posterior is wide or wrong."""
-    estimate = fitted(name, recorded(waving_policy(), steps=2))
-    assert distance(estimate)[0] > 0.25 or normalised_std(estimate.distribution).mean() > 0.5
+def test_actions_in_a_wrong_order_recover_nothing(name):
+    """The control, which must fail."""
+    data = recorded(waving_policy())
+    estimate = fitted(name, replace(data, actions=data.actions[::-1]))
+    assert distance(estimate)[0] > 0.25
+    assert np.max(estimate.diagnostics["statistics_outside"]) > 0
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_posteriors_of_the_published_recording_contain_hoppers_masses(name, hopper_clean):
+    """Every mass lies within 95 % of the draws."""
+    estimate = (
+        SETTINGS[name]
+        .create()
+        .fit(hopper.PROBLEM, hopper_clean.first(200), stream("published", name), silent)
+    )
+    draws = estimate.distribution.sample(4000, stream("draws")).values
+    low, high = np.quantile(draws, [0.025, 0.975], axis=0)
+    assert np.all((low <= hopper.VANILLA.truth) & (hopper.VANILLA.truth <= high)), (low, high)

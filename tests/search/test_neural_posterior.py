@@ -31,22 +31,23 @@ def learnt(kind, rounds=1, n=1000, epochs=1000):
 
 @pytest.mark.slow
 def test_a_mixture_is_the_posterior():
-    """Tolerance: 20 % of the noise in the mean, 30 % in the deviation."""
+    """Tolerance: half of the noise in the mean, 30 % in the deviation."""
     weights, means, covariances = learnt("mixture", n=3000).mixture(SEEN)
     assert weights.sum() == pytest.approx(1)
     mean = weights @ means
     within = np.einsum("c,cij->ij", weights, covariances)
     between = np.einsum("c,ci,cj->ij", weights, means - mean, means - mean)
-    np.testing.assert_allclose(mean, SEEN, atol=0.2 * NOISE)
+    np.testing.assert_allclose(mean, SEEN, atol=0.5 * NOISE)
     np.testing.assert_allclose(np.sqrt(np.diag(within + between)), NOISE, rtol=0.3)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rounds", [1, 2])
 def test_samples_of_a_flow_are_those_of_the_posterior(rounds):
+    """Tolerance: a fifth of the noise in the mean, 20 % in the deviation."""
     samples = learnt("flow", rounds, n=3000 // rounds).sample(2000)
-    np.testing.assert_allclose(samples.mean(axis=0), SEEN, atol=0.3 * NOISE)
-    np.testing.assert_allclose(samples.std(axis=0), NOISE, rtol=0.3)
+    np.testing.assert_allclose(samples.mean(axis=0), SEEN, atol=0.2 * NOISE)
+    np.testing.assert_allclose(samples.std(axis=0), NOISE, rtol=0.2)
 
 
 def test_a_few_simulations_give_feasible_answers_that_repeat(tmp_path, monkeypatch, capsys):

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from adr_service.distributions import Uniform
-from adr_service.methods.bayrn import BayRnSettings
+from adr_service.errors import InvalidInput
+from adr_service.methods.base import Proposal
+from adr_service.methods.bayrn import BayRn, BayRnSettings
 from adr_service.methods.udr import UdrSettings, random_bounds
 from adr_service.randomness import stream
 from adr_service.stages.base import compute
@@ -49,6 +51,13 @@ def test_it_simulates_nothing_and_costs_the_same_on_any_core(proposed):
     slow, fast = (STAGE.cost(Speed(rate)) for rate in (1.0, 1e6))
     assert slow == fast
     assert slow.target_transitions == 0
+
+
+def test_a_best_policy_that_was_not_tried_is_refused(monkeypatch):
+    wrong = Proposal(STAGE.distributions[0], best=4)
+    monkeypatch.setattr(BayRn, "propose", lambda *_: wrong)
+    with pytest.raises(InvalidInput, match="bayrn says that policy 4 is best, of 4"):
+        compute(STAGE)
 
 
 def test_a_stand_in_reports_the_latest_and_differs_by_digest():
