@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.special import expit
 from torch.distributions import (
     Independent,
     SigmoidTransform,
@@ -116,7 +117,7 @@ class FlowPosterior:
         with seeded(self._rng), torch.no_grad():
             logits = self._posterior.sample((n,), show_progress_bars=False)
         # float32 has no logits beyond these
-        return np.clip(1 / (1 + np.exp(-_array(logits))), _EDGE, 1 - _EDGE)
+        return np.clip(expit(_array(logits)), _EDGE, 1 - _EDGE)
 
 
 class _Logistic(TransformedDistribution):
