@@ -19,11 +19,14 @@ from adr_service.client import AdrClient
 from adr_service.distributions import Gaussian
 from adr_service.effects.base import Effect
 from adr_service.events import IterationFinished
+from adr_service.methods.base import Problem
 from adr_service.methods.dropo import Likelihood, deviations
+from adr_service.methods.udr import FixedDrSettings
 from adr_service.programs import run
 from adr_service.progress import silent
 from adr_service.search.trust_region import Bounds
 from adr_service.simulation.replay import Replay
+from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.specs import BenchmarkSpec, RunSpec
 from adr_service.tasks.catalogue import catalogue, get_task, source_of
 from adr_service.training.policy import Policy
@@ -71,7 +74,8 @@ def arm_file(_: Path) -> Names:
 
 
 def arm_recording(folder: Path) -> Names:
-    return {**arm(folder), "data": recording("arm", 20)}
+    names = arm(folder)
+    return {**names, "data": recording("arm", 20), "dynamics": names["draws"].values}
 
 
 def arm_criticised(_: Path) -> Names:
@@ -187,6 +191,13 @@ def points(_: Path) -> Names:
     return {"points": inputs, "values": -((inputs - 0.3) ** 2).sum(axis=1), "rng": rng}
 
 
+def simulations(_: Path) -> Names:
+    rng = np.random.default_rng(0)
+    inputs = rng.uniform(size=(200, 2))
+    seen = np.array([0.4, 0.7])
+    return {"d": 2, "rng": rng, "points": inputs, "features": inputs.copy(), "seen": seen}
+
+
 def loss(_: Path) -> Names:
     return {"np": np, "rng": np.random.default_rng(0), "loss": lambda x: float(x @ x)}
 
@@ -224,6 +235,13 @@ def training(folder: Path) -> Names:
     return {**names, "settings": settings, "distribution": distribution} | {
         "observations": observations
     }
+
+
+def curriculum(folder: Path) -> Names:
+    names = arm(folder)
+    settings = FixedDrSettings.model_validate({})
+    problem = Problem(names["task"], names["source"])
+    return {**names, "curriculum": settings.create(problem), "RandomizedVecEnv": RandomizedVecEnv}
 
 
 def environments(_: Path) -> Names:

@@ -49,12 +49,14 @@ class BayesSimSettings(OfflineSettings):
     segment: int | None = Field(
         None,
         ge=1,
+        le=100_000,
         description="steps after which a replay is set to the recorded state; null: whole episodes",
     )
     epochs: int = Field(
         1000, ge=1, le=1_000_000, description="passes over the simulations, at most"
     )
 
+    extra: ClassVar[str] = "sbi"
     seconds: ClassVar[float] = 20.0  # of training the network, on 2000 simulations of the arm
     label: ClassVar[str] = "BayesSim"
     colour: ClassVar[str] = "#661100"

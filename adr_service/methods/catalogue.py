@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any, Union, get_args
 
 from pydantic import Field
@@ -53,6 +54,14 @@ def methods() -> Mapping[str, type[MethodSettings]]:
 def names_of(learns_from: Data) -> list[str]:
     """Names of the methods that learn from one kind of data."""
     return [name for name, each in methods().items() if each.learns_from == learns_from]
+
+
+def check_installed(settings: MethodSettings) -> None:
+    """Raise InvalidInput for a method whose extra is not installed here."""
+    if settings.extra and find_spec(settings.extra) is None:
+        raise InvalidInput(
+            f"{settings.name} needs {settings.extra}: pip install 'adr-service[{settings.extra}]'"
+        )
 
 
 def identity_of(settings: MethodSettings) -> dict[str, Any]:

@@ -48,6 +48,7 @@ class NpdrSettings(OfflineSettings):
     segment: int | None = Field(
         10,
         ge=1,
+        le=100_000,
         description="steps after which a replay is set to the recorded state; null: whole episodes",
     )
     epochs: int = Field(
@@ -57,6 +58,7 @@ class NpdrSettings(OfflineSettings):
         200, ge=1, le=10_000, description="samples of the posterior that policies are trained on"
     )
 
+    extra: ClassVar[str] = "sbi"
     seconds: ClassVar[float] = 40.0  # of training the network, on 2000 simulations of the arm
     label: ClassVar[str] = "NPDR"
     colour: ClassVar[str] = "#6699CC"

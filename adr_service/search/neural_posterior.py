@@ -1,6 +1,6 @@
 """Neural posterior estimation of points in [0, 1]^d, by sbi (Tejero-Cantero et al., 2020).
 
-    posterior = FlowPosterior(d, epochs=500, rng=rng)
+    posterior = FlowPosterior(d, epochs=50, rng=rng)
     posterior.learn(points, features, seen)            # (n, d) in [0, 1], (n, k), (k,)
     posterior.sample(100)                              # (100, d), given what was seen
 
@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from sbi.inference import NPE_C
+from sbi.neural_nets import posterior_nn
 from scipy.special import expit
 from torch.distributions import (
     Independent,
@@ -27,14 +29,7 @@ from torch.distributions import (
 )
 
 from adr_service.arrays import Array3, Matrix, Vector
-from adr_service.errors import InvalidInput
 from adr_service.search.seeding import seeded
-
-try:
-    from sbi.inference import NPE_C
-    from sbi.neural_nets import posterior_nn
-except ImportError as error:
-    raise InvalidInput("this method needs sbi: pip install 'adr-service[sbi]'") from error
 
 _HIDDEN = 50  # units of a hidden layer, sbi's and NPDR's
 _EDGE = 1e-7  # least distance of a sample from a bound

@@ -15,6 +15,7 @@ from adr_service.methods.base import (
     OnlineSettings,
     Problem,
 )
+from adr_service.methods.catalogue import check_installed
 from adr_service.npz import names_in, read_arrays, write_arrays
 from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
@@ -62,6 +63,7 @@ class Infer(Stage[Inferred]):
         return source_of(self.task, self.variant).space
 
     def compute(self, rng: np.random.Generator, progress: Progress) -> Inferred:
+        check_installed(self.method)
         problem = Problem(get_task(self.task), source_of(self.task, self.variant))
         data = TransitionDataset.from_npz(self.data)
         if self.method.learns_from == "recordings":

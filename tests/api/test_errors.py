@@ -121,7 +121,7 @@ def refused(service, http, body, given, accepted, path="/v1/runs"):
 @pytest.mark.parametrize(
     ("body", "given", "accepted"),
     [
-        ({**SMOKE, "method": "magic"}, "magic", "udr, bayrn, simopt"),
+        ({**SMOKE, "method": "magic"}, "magic", "auto_dr, doraemon, epopt"),
         ({**SMOKE, "task": "hoper"}, "hoper", "arm, hopper"),
         ({**SMOKE, "variant": "windy"}, "windy", "vanilla, noisy, unmodeled"),
         ({**SMOKE, "iterations": -1}, "-1", "greater than or equal to 1"),

@@ -8,7 +8,6 @@ from adr_service.benchmark.claims import CLAIMS, _judged, reports
 from adr_service.benchmark.comparison import Outcome
 from adr_service.distributions import Gaussian
 from adr_service.events import IterationFinished
-from adr_service.methods.catalogue import methods
 from adr_service.specs import RunSpec
 from adr_service.tasks.catalogue import get_task, source_of
 
@@ -30,7 +29,7 @@ def outcome(
     domain = "vanilla" if method == "oracle" else spec.variant
     space = source_of(spec.task, domain).space
     belief = Gaussian(space, np.full(len(space), 2.0), std**2 * np.eye(len(space)))
-    noise = np.random.default_rng([seed, iteration, list(methods()).index(method)])
+    noise = np.random.default_rng([seed, iteration, [*ALL, "prior", "oracle"].index(method)])
     returns = noise.normal(level, spread, 10)
     event = IterationFinished(
         iteration=iteration,

@@ -3,7 +3,15 @@
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from adr_service.methods.catalogue import AnyMethod, identity_of, methods, name_of, names_of
+from adr_service.errors import InvalidInput
+from adr_service.methods.catalogue import (
+    AnyMethod,
+    check_installed,
+    identity_of,
+    methods,
+    name_of,
+    names_of,
+)
 from adr_service.methods.simopt import SimOpt1Settings, SimOptSettings
 from tests.packages import python
 
@@ -79,3 +87,10 @@ def test_a_file_in_the_package_is_in_the_catalogue_and_its_base_class_is_not(tmp
     ours += ["bayes_sim", "droid", "droid_smoothed", "dropo", "dropo_smoothed", "e_dropo", "npdr"]
     ours += ["sysid", "sysid_smoothed", "sysid_wide", "sysid_laplace"]
     assert done.stdout.strip() == str(ours)
+
+
+def test_a_method_without_its_extra_is_refused_with_what_to_install(monkeypatch):
+    monkeypatch.setattr("adr_service.methods.catalogue.find_spec", lambda name: None)
+    check_installed(methods()["dropo"]())
+    with pytest.raises(InvalidInput, match=r"npdr needs sbi: pip install 'adr-service\[sbi\]'"):
+        check_installed(methods()["npdr"]())

@@ -41,7 +41,10 @@ def test_a_recorded_target_is_its_own_collector_and_names_its_program():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"method": "simopt", "target": {"kind": "recorded", "dataset": "d"}}, "serves droid"),
+        (
+            {"method": "simopt", "target": {"kind": "recorded", "dataset": "d"}},
+            "serves bayes_sim, droid",
+        ),
         ({"target": {"kind": "recorded", "dataset": "d", "episodes": 0}}, "greater than or equal"),
         ({"collector": "recording"}, "goes with a recorded one"),
         ({"target": {"kind": "imagined"}}, "'simulated', 'recorded', 'external'"),

@@ -103,7 +103,7 @@ def test_a_benchmark_is_extended_drawn_and_compared_with_the_claims(adr, tmp_pat
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["submit", "--task", "arm", "--method", "magic"], "accepted: udr, bayrn, simopt"),
+        (["submit", "--task", "arm", "--method", "magic"], "accepted: auto_dr, doraemon, epopt"),
         (["submit"], "either --task and --method, or a JSON file"),
         (["submit", "--task", "arm"], "either --task and --method, or a JSON file"),
         (

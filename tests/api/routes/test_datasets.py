@@ -89,7 +89,7 @@ def test_a_recording_of_another_robot_is_refused(service, content, uploaded):
 
 def test_methods_that_visit_the_target_are_refused(service, uploaded):
     target = {"kind": "recorded", "dataset": uploaded["id"]}
-    with pytest.raises(Refused, match="serves droid, droid_smoothed, dropo, "):
+    with pytest.raises(Refused, match="serves bayes_sim, droid, droid_smoothed, "):
         service.client.submit_run({**SMOKE, "target": target})
 
 

@@ -2,6 +2,7 @@
 
 import pytest
 
+from adr_service.errors import InvalidInput
 from adr_service.specs import BenchmarkSpec, RunSpec
 from api.routes.submissions import plan_here, start_benchmark, start_run
 from api.service import QueueFull
@@ -25,6 +26,20 @@ def test_a_run_is_stored_and_started(service):
     record = start_run(service, SPEC, None)
     assert runs.get_run(service.database, record.id).spec == SPEC
     assert service.orchestrator.started == [record.id]
+
+
+def test_a_method_without_its_extra_is_refused_before_anything_is_stored(service, monkeypatch):
+    monkeypatch.setattr("adr_service.methods.catalogue.find_spec", lambda name: None)
+    spec = RunSpec.model_validate({**SMOKE, "method": "npdr"})
+    several = BenchmarkSpec.model_validate({**BENCHMARK.model_dump(), "methods": ["bayes_sim"]})
+    for submit in (
+        lambda: start_run(service, spec, None),
+        lambda: start_benchmark(service, several, None),
+        lambda: plan_here(service, [spec]),
+    ):
+        with pytest.raises(InvalidInput, match="needs sbi"):
+            submit()
+    assert list(runs.list_runs(service.database)) == []
 
 
 def test_without_a_key_every_request_is_another_run(service):
