@@ -84,6 +84,7 @@ def tasks_of(client, run_id, **filters):
     return client.list_all("target_tasks", run_id=run_id, external="true", **filters)
 
 
+@pytest.mark.slow
 def test_a_robot_that_dies_in_an_episode_costs_that_episode_alone(service, tmp_path):
     client = service.client
     run_id = client.submit_run(RUN)["id"]

@@ -83,6 +83,7 @@ def test_a_second_cause_is_named_beside_the_first():
         assert named.strengths[0].value == pytest.approx(cause.values[0], rel=0.05)
 
 
+@pytest.mark.slow
 def test_what_the_sealed_episodes_refute_is_not_named():
     """A spring in the episodes to learn from, the opposite of it in the sealed ones."""
     task, nominal = arm()

@@ -90,6 +90,7 @@ def test_a_run_may_ask_for_the_same_stage_twice_at_once(started):
     assert first.result(60) == second.result(60)
 
 
+@pytest.mark.slow
 def test_a_process_serves_one_run_after_the_other_and_ends_when_idle(started):
     dispatcher, store = started
     policy = dispatcher.submit(training(9), "run_before").result(60).blobs["policy"]
