@@ -1,4 +1,4 @@
-"""What to cite for runs: the papers of exactly what was run."""
+"""The papers to cite for runs."""
 
 from collections.abc import Iterable
 
@@ -32,7 +32,8 @@ STABLE_BASELINES3 = Paper(  # whose authors SBX is by, too
 def papers_of(specs: Iterable[AnyRun | LostRun]) -> list[Paper]:
     """The papers of the runs, each once: benchmark, methods, training algorithms, software.
 
-    An offline method that learns from SimOpt's trajectories rests on SimOpt's paper as well.
+    An offline method that learns from SimOpt's trajectories rests on SimOpt's paper as well. Runs
+    whose method is not installed any more have no papers here.
     """
     methods, algorithms = list[Paper](), list[Paper]()
     for spec in specs:

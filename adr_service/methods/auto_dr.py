@@ -1,6 +1,6 @@
 """Automatic domain randomization (AutoDR): a box that grows where the policy copes.
 
-OpenAI et al.: "Solving Rubik's Cube with a Robot Hand", arXiv 1910.07113, Sec. 5 and Algorithm 1.
+OpenAI et al.: "Solving Rubik's Cube with a Robot Hand", arXiv 1910.07113.
 It starts narrow. With some probability an episode has one parameter at one bound of the box. When
 a bound has enough of them, it moves outwards if their mean return is high, inwards if it is low.
 
@@ -85,7 +85,7 @@ class AutoDr:
         rows = np.flatnonzero(rng.random(n) < self._settings.boundary)
         sides = rng.integers(2, size=len(rows))
         columns = rng.integers(len(self._space), size=len(rows))
-        values[rows, columns] = self._bounds[sides, columns]  # Algorithm 1, line 4
+        values[rows, columns] = self._bounds[sides, columns]
         return Draws(frozen(values), 0)
 
     def move(self, dynamics: Matrix, returns: Vector) -> None:
@@ -100,7 +100,7 @@ class AutoDr:
                 self._move(side, column)
 
     def _move(self, side: int, column: int) -> None:
-        """Move a bound by what its full buffer says, and empty that (Algorithm 1, lines 7-13)."""
+        """Move a bound by what its full buffer says, and empty that."""
         mean = np.mean(self._buffers[side][column])
         self._buffers[side][column] = []
         outwards = (-1, 1)[side] * self._settings.step

@@ -148,9 +148,7 @@ class MethodSettings(Wire):
     # states in the data from which replays start: as they were recorded, as in the papers of all
     # offline methods, or without their sensors' noise (criticism.smoothing)
     replay_from: ClassVar[ReplayFrom] = "recorded"
-    extra: ClassVar[str] = (
-        ""  # of our package, and the module that it installs, without which it fails
-    )
+    extra: ClassVar[str] = ""  # of our package, and the module in it, that the method needs
     # of an answer beside what it simulates, about, on one core
     seconds: ClassVar[float] = 0.0
     remembers: ClassVar[bool] = False  # an online method learns from all visits, not the last alone

@@ -1,12 +1,12 @@
 """BayesSim: a mixture of Gaussians, learnt from simulated trajectories.
 
 Ramos et al.: "BayesSim: adaptive domain randomization via probabilistic inference for robotics
-simulators", arXiv 1906.01728, Sec. IV. Parameters are drawn from the prior, the recorded actions
+simulators", arXiv 1906.01728. Parameters are drawn from the prior, the recorded actions
 are replayed under each, and a mixture density network learns the parameters from the summary of a
 replay. Given the recording's summary, it is the posterior.
 
 Choices, and where we differ:
-- The prior is uniform over the search box, as in the paper; the proposal is the prior, one round.
+- The prior is uniform over the search box, and is the proposal: there is one round.
 - We use the paper's plain network, without random features, with sbi's 50 units per layer and
   SimuRLacra's five components.
 - Replays are open loop and whole, as SimuRLacra's. `segment` sets them to the recorded state again.

@@ -1,15 +1,16 @@
 """EPOpt: train where the policy does worst, for the conditional value at risk of its return.
 
 Rajeswaran et al.: "EPOpt: Learning Robust Neural Network Policies Using Model Ensembles", arXiv
-1610.01283, Eq. 3 and Algorithm 1. The dynamics in which the policy earns the lowest `epsilon` of
+1610.01283. The dynamics in which the policy earns the lowest `epsilon` of
 returns are those that it learns from. In a number of first rounds it learns from all of them.
 
 Where we differ: the paper draws dynamics, runs a trajectory in each, and updates the policy on the
 worst trajectories alone. Our trainings learn from every step. So phases take turns: one draws from
 the whole search box, and `focus` phases draw from the worst dynamics of that one. The share
-1 / (1 + focus) of the phases is not from the worst, and dynamics are chosen (as in Eq. 3), not
-trajectories. The paper's source distributions are truncated normals; ours is the whole box, as that
-of the other methods without target data. We leave out its adaptation to target data.
+1 / (1 + focus) of the phases is not from the worst, and dynamics are chosen, as in the paper's
+objective, and not trajectories. The paper's source distributions are truncated normals; ours is the
+whole box, as that of the other methods without target data. We leave out its adaptation to target
+data.
 """
 
 from typing import ClassVar, Literal
@@ -71,6 +72,6 @@ class EpOpt:
             self._left, self.distribution = 0, self._whole
         else:
             count = int(np.ceil(self._settings.epsilon * len(returns)))
-            worst = np.argsort(returns, kind="stable")[:count]  # Algorithm 1, lines 6 and 7
+            worst = np.argsort(returns, kind="stable")[:count]
             self._left = self._settings.focus
             self.distribution = Empirical.equal(self._space, dynamics[worst])

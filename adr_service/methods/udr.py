@@ -7,7 +7,7 @@ The paper does not state how it draws the bounds. Here each parameter has two un
 
 `fixed_dr` is what others call uniform domain randomization: one policy, trained on the whole search
 box from its first step to its last. It is the baseline of the methods that move their distribution
-(Tiboni et al., arXiv 2311.01885, Sec. 5).
+(Tiboni et al., arXiv 2311.01885).
 """
 
 from typing import ClassVar, Literal

@@ -4,7 +4,7 @@
     replays.recorded                    # (k,) of the recording
     replays.simulate(dynamics)          # (n, k), NaN where diverged
 
-The statistics are those of BayesSim (Ramos et al., arXiv 1906.01728, Sec. IV): inner products of
+The statistics are those of BayesSim (Ramos et al., arXiv 1906.01728): inner products of
 state changes and actions, and means and variances of state changes.
 """
 
@@ -48,7 +48,7 @@ class SummarisedReplays:
         return np.concatenate([self._simulate(part) for part in parts])[: len(dynamics)]
 
     def usable(self, dynamics: Matrix) -> tuple[Mask, Matrix]:
-        """Which replays under dynamics (n, d) stayed finite (n,), and the summaries of those.
+        """A mask (n,) of the dynamics (n, d) whose replays stay finite, and the summaries of those.
 
         Raises InvalidInput if those are too few to learn from.
         """

@@ -77,11 +77,8 @@ def train(
     dynamics_rng, evaluation_rng, seed_rng = rng.spawn(3)
     n = settings.environments
     course = None if curriculum is None else Course(curriculum, n)
-    env = (
-        RandomizedVecEnv(task, source, distribution, n, dynamics_rng)
-        if course is None
-        else RandomizedVecEnv(task, source, course, n, dynamics_rng, ended=course.ended)
-    )
+    drawn, ended = (distribution, None) if course is None else (course, course.ended)
+    env = RandomizedVecEnv(task, source, drawn, n, dynamics_rng, ended=ended)
     assert settings.backend is not None, "validation has chosen one"
     library = LIBRARIES[settings.algorithm][settings.backend]
     model = library.build(env, task, settings, integer_seed(seed_rng))

@@ -23,7 +23,7 @@ def fitted(name, data, **changes):
 
 
 def errors(estimate):
-    """Of the mean, in [0, 4]."""
+    """The errors of the mean, in [0, 4]."""
     return SPACE.normalise(estimate.distribution.mean) - SPACE.normalise(PLANTED)
 
 
