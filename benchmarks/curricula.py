@@ -32,7 +32,7 @@ from adr_service.methods.base import CurriculumSettings
 from adr_service.methods.udr import UdrSettings
 from adr_service.programs.curriculum import curriculum_training
 from adr_service.programs.references import prior_training
-from adr_service.programs.steps import problem_of, training
+from adr_service.programs.steps import training
 from adr_service.programs.udr import boxes_of
 from adr_service.randomness import stream
 from adr_service.simulation.batch import Simulations
@@ -40,6 +40,7 @@ from adr_service.simulation.rollout import run_episodes
 from adr_service.specs import RunSpec
 from adr_service.stages.base import compute
 from adr_service.stages.train_policy import TrainPolicy
+from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.training.policy import Policy
 from benchmarks.recovery import TASKS, keep
 from workers.cluster import worker_environment
@@ -125,10 +126,9 @@ def measured(point: Point) -> dict[str, Any]:
 
 def box_returns(stage: TrainPolicy, policy: Policy) -> Vector:
     """Returns divided by the threshold, of episodes over the whole search box."""
-    spec = RunSpec.model_validate({"task": stage.task, "method": "prior"})
-    problem, rng = problem_of(spec), stream("curricula", stage.task)  # the same for all policies
-    task, space = problem.task, problem.source.space
-    simulations = Simulations(task, problem.source, EPISODES)
+    task, source = get_task(stage.task), source_of(stage.task, stage.variant)
+    space, rng = source.space, stream("curricula", stage.task)  # the same for all policies
+    simulations = Simulations(task, source, EPISODES)
     simulations.set_dynamics(Uniform(space, space.low, space.high).sample(EPISODES, rng).values)
     initial = task.initial(EPISODES, rng)
     episodes = run_episodes(task, simulations, policy.act, initial, task.horizon)

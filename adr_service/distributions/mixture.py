@@ -1,6 +1,6 @@
 """Mixtures of Gaussians: posteriors with several modes, or bent ones."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ class Mixture:
     weights: Vector  # (k,), > 0, of sum 1
     locations: Matrix  # (k, d) in [0, 4] coordinates
     covariances: Array3  # (k, d, d) in [0, 4] coordinates
+    components: tuple[Gaussian, ...] = field(init=False, repr=False)  # without their weights
 
     def __post_init__(self) -> None:
         for name in ("weights", "locations", "covariances"):
@@ -36,13 +37,9 @@ class Mixture:
             )
         if np.any(self.weights <= 0) or abs(np.sum(self.weights) - 1) > WEIGHTS_TOLERANCE:
             raise InvalidInput(f"weights must be positive, of sum 1; given {self.weights}")
-        self.components  # noqa: B018 - which checks them
-
-    @property
-    def components(self) -> tuple[Gaussian, ...]:
-        """The Gaussians of the sum, unweighted."""
         pairs = zip(self.locations, self.covariances, strict=True)
-        return tuple(Gaussian(self.space, *pair) for pair in pairs)
+        components = tuple(Gaussian(self.space, *pair) for pair in pairs)
+        object.__setattr__(self, "components", components)
 
     @property
     def mean(self) -> Vector:

@@ -56,12 +56,11 @@ def names_of(learns_from: Data) -> list[str]:
     return [name for name, each in methods().items() if each.learns_from == learns_from]
 
 
-def check_installed(settings: MethodSettings) -> None:
+def check_installed(name: str) -> None:
     """Raise InvalidInput for a method whose extra is not installed here."""
-    if settings.extra and find_spec(settings.extra) is None:
-        raise InvalidInput(
-            f"{settings.name} needs {settings.extra}: pip install 'adr-service[{settings.extra}]'"
-        )
+    extra = methods()[name].extra
+    if extra and find_spec(extra) is None:
+        raise InvalidInput(f"{name} needs {extra}: pip install 'adr-service[{extra}]'")
 
 
 def identity_of(settings: MethodSettings) -> dict[str, Any]:

@@ -14,7 +14,7 @@ Fields that a task derives from the state (`Task.derived`) are those of the last
 integration step, as in Gymnasium's environments.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from typing import Any
 
@@ -225,3 +225,14 @@ def _check(task: Task, model: mujoco.MjModel) -> None:
 def control_period(task: Task) -> float:
     """Seconds between two actions of a task."""
     return compiled(task.xml).opt.timestep * task.frame_skip
+
+
+def in_batches(simulate: Callable[[Matrix], np.ndarray], dynamics: Matrix, n: int) -> np.ndarray:
+    """What `simulate` gives for batches of n dynamics, in one array with a row for each of them.
+
+    The last batch is filled with copies of its last row, whose results are left out.
+    """
+    parts = [dynamics[first : first + n] for first in range(0, len(dynamics), n)]
+    padding = parts[-1][[-1] * (n - len(parts[-1]))]
+    parts[-1] = np.concatenate([parts[-1], padding])
+    return np.concatenate([simulate(part) for part in parts])[: len(dynamics)]

@@ -4,7 +4,7 @@ import numpy as np
 
 from adr_service.arrays import Array3, Matrix
 from adr_service.errors import InvalidInput
-from adr_service.simulation.batch import Simulations, control_period
+from adr_service.simulation.batch import Simulations, control_period, in_batches
 from adr_service.tasks.base import Source, State, Task
 from adr_service.transitions import TransitionDataset, unnamed
 
@@ -38,11 +38,7 @@ class Replay:
         Only the first state of a window comes from the data. Any number of dynamics is
         simulated in batches of the constructor's `n`; the batch size changes no bit.
         """
-        most = self._simulations.n
-        parts = [dynamics[first : first + most] for first in range(0, len(dynamics), most)]
-        padding = parts[-1][[-1] * (most - len(parts[-1]))]
-        parts[-1] = np.concatenate([parts[-1], padding])
-        return np.concatenate([self._predict(part) for part in parts])[: len(dynamics)]
+        return in_batches(self._predict, dynamics, self._simulations.n)
 
     def _predict(self, dynamics: Matrix) -> Array3:
         simulations, n, measured = self._simulations, len(dynamics), self._task.measured

@@ -14,7 +14,7 @@ import numpy as np
 
 from adr_service.arrays import Array3, Mask, Matrix, Vector
 from adr_service.errors import InvalidInput
-from adr_service.simulation.batch import Simulations
+from adr_service.simulation.batch import Simulations, in_batches
 from adr_service.simulation.replay import check_recorded
 from adr_service.tasks.base import Source, State, Task
 from adr_service.transitions import TransitionDataset
@@ -41,11 +41,7 @@ class SummarisedReplays:
 
     def simulate(self, dynamics: Matrix) -> Matrix:
         """Summaries (n, k) of replays under dynamics (n, d), in batches of the constructor's n."""
-        most = self._simulations.n
-        parts = [dynamics[first : first + most] for first in range(0, len(dynamics), most)]
-        padding = parts[-1][[-1] * (most - len(parts[-1]))]
-        parts[-1] = np.concatenate([parts[-1], padding])
-        return np.concatenate([self._simulate(part) for part in parts])[: len(dynamics)]
+        return in_batches(self._simulate, dynamics, self._simulations.n)
 
     def usable(self, dynamics: Matrix) -> tuple[Mask, Matrix]:
         """A mask (n,) of the dynamics (n, d) whose replays stay finite, and the summaries of those.

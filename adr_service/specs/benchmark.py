@@ -88,8 +88,13 @@ class BenchmarkSpec(Wire):
         return self.collectors if name in names_of("recordings") else ["simopt"]
 
     @property
+    def method_names(self) -> list[str]:
+        """The methods that were asked for, by name."""
+        return [m if isinstance(m, str) else m.name for m in self.methods]
+
+    @property
     def _all_methods(self) -> list[Any]:
-        named = [m if isinstance(m, str) else m.name for m in self.methods]
+        named = self.method_names
         known = methods().items() if self.references else ()
         references = [name for name, settings in known if settings.is_reference]
         return [*self.methods, *(name for name in references if name not in named)]

@@ -63,7 +63,7 @@ class Infer(Stage[Inferred]):
         return source_of(self.task, self.variant).space
 
     def compute(self, rng: np.random.Generator, progress: Progress) -> Inferred:
-        check_installed(self.method)
+        check_installed(self.method.name)
         problem = Problem(get_task(self.task), source_of(self.task, self.variant))
         data = TransitionDataset.from_npz(self.data)
         if self.method.learns_from == "recordings":

@@ -1,6 +1,5 @@
 """Submissions: a spec is stored once for each Idempotency-Key, and its runs are started."""
 
-from collections.abc import Iterable
 from typing import Annotated
 
 from fastapi import Header
@@ -32,7 +31,8 @@ IdempotencyKey = Annotated[
 
 def start_run(service: Service, spec: AnyRun, key: str | None) -> RunRecord:
     """Store a run and start it; return the earlier run if the key has started one."""
-    _check_installed([spec])
+    if isinstance(spec, RunSpec):
+        check_installed(spec.method.name)
     try:
         record = run_store.create_run(
             service.database, spec, _request_key(key, spec), service.check_queue
@@ -46,7 +46,8 @@ def start_run(service: Service, spec: AnyRun, key: str | None) -> RunRecord:
 
 def start_benchmark(service: Service, spec: BenchmarkSpec, key: str | None) -> BenchmarkRecord:
     """Store a benchmark and start its runs; return the earlier one if the key has started one."""
-    _check_installed(spec.runs())
+    for name in spec.method_names:
+        check_installed(name)
     try:
         record = benchmark_store.create_benchmark(
             service.database, spec, _request_key(key, spec), service.check_queue
@@ -61,7 +62,8 @@ def start_benchmark(service: Service, spec: BenchmarkSpec, key: str | None) -> B
 
 def plan_here(service: Service, specs: list[RunSpec]) -> Plan:
     """Return the expected cost of what runs would compute on this cluster."""
-    _check_installed(specs)
+    for name in {spec.method.name for spec in specs}:
+        check_installed(name)
 
     def recording(spec: AnyRun) -> bytes | None:
         id = spec.dataset
@@ -72,13 +74,6 @@ def plan_here(service: Service, specs: list[RunSpec]) -> Plan:
             return stage_store.find_result(session, digest)
 
     return plan(specs, service.orchestrator.cores, recording, find=find)
-
-
-def _check_installed(specs: Iterable[AnyRun]) -> None:
-    """Raise InvalidInput for a method that cannot run here."""
-    for spec in specs:
-        if isinstance(spec, RunSpec):
-            check_installed(spec.method)
 
 
 def _request_key(key: str | None, spec: BaseModel) -> RequestKey | None:

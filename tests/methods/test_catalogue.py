@@ -91,6 +91,6 @@ def test_a_file_in_the_package_is_in_the_catalogue_and_its_base_class_is_not(tmp
 
 def test_a_method_without_its_extra_is_refused_with_what_to_install(monkeypatch):
     monkeypatch.setattr("adr_service.methods.catalogue.find_spec", lambda name: None)
-    check_installed(methods()["dropo"]())
+    check_installed("dropo")
     with pytest.raises(InvalidInput, match=r"npdr needs sbi: pip install 'adr-service\[sbi\]'"):
-        check_installed(methods()["npdr"]())
+        check_installed("npdr")
