@@ -88,6 +88,12 @@ def test_a_policy_that_never_succeeds_keeps_its_first_distribution():
     np.testing.assert_array_equal(shapes(kept[-1]), shapes(kept[0]))
 
 
+def test_nothing_moves_before_half_of_the_first_episodes_succeed():
+    """A quarter succeeds, and more would elsewhere."""
+    kept = run(lambda share: share[:, 0] < 0.48, moves=5)
+    np.testing.assert_array_equal(shapes(kept[-1]), shapes(kept[0]))
+
+
 def test_half_of_the_draws_still_succeed_where_the_box_is_too_hard():
     def succeed(share):
         return np.linalg.norm(share - 0.5, axis=1) < 0.45  # a fifth of the box

@@ -53,10 +53,11 @@ def test_it_simulates_nothing_and_costs_the_same_on_any_core(proposed):
     assert slow.target_transitions == 0
 
 
-def test_a_best_policy_that_was_not_tried_is_refused(monkeypatch):
-    wrong = Proposal(STAGE.distributions[0], best=4)
+@pytest.mark.parametrize("best", [4, -1])
+def test_a_best_policy_that_was_not_tried_is_refused(monkeypatch, best):
+    wrong = Proposal(STAGE.distributions[0], best=best)
     monkeypatch.setattr(BayRn, "propose", lambda *_: wrong)
-    with pytest.raises(InvalidInput, match="bayrn says that policy 4 is best, of 4"):
+    with pytest.raises(InvalidInput, match=f"bayrn says that policy {best} is best, of 4"):
         compute(STAGE)
 
 
