@@ -9,16 +9,19 @@ class Paper:
     title: str
     authors: str  # separated by " and "
     year: int
-    venue: str = ""
+    journal: str = ""
+    conference: str = ""
     arxiv: str = ""
 
     def bibtex(self) -> str:
         """The entry, whose capitals a bibliography's style keeps."""
         fields = {"title": f"{{{self.title}}}", "author": self.authors, "year": str(self.year)}
-        if self.venue:
-            fields["journal"] = self.venue
+        kind = "misc"
+        if self.journal:
+            kind, fields["journal"] = "article", self.journal
+        if self.conference:
+            kind, fields["booktitle"] = "inproceedings", self.conference
         if self.arxiv:
             fields |= {"eprint": self.arxiv, "archiveprefix": "arXiv"}
         body = ",\n".join(f"  {name} = {{{value}}}" for name, value in fields.items())
-        kind = "article" if self.venue else "misc"
         return f"@{kind}{{{self.key},\n{body}\n}}\n"

@@ -17,7 +17,7 @@ MUJOCO = Paper(
     "MuJoCo: A physics engine for model-based control",
     "Todorov, Emanuel and Erez, Tom and Tassa, Yuval",
     2012,
-    venue="IEEE/RSJ International Conference on Intelligent Robots and Systems",
+    conference="IEEE/RSJ International Conference on Intelligent Robots and Systems",
 )
 STABLE_BASELINES3 = Paper(  # whose authors SBX is by, too
     "raffin2021stable",
@@ -25,7 +25,7 @@ STABLE_BASELINES3 = Paper(  # whose authors SBX is by, too
     "Raffin, Antonin and Hill, Ashley and Gleave, Adam and Kanervisto, Anssi and "
     "Ernestus, Maximilian and Dormann, Noah",
     2021,
-    venue="Journal of Machine Learning Research 22(268)",
+    journal="Journal of Machine Learning Research",
 )
 
 

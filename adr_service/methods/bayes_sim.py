@@ -37,7 +37,7 @@ PAPER = Paper(
     "BayesSim: adaptive domain randomization via probabilistic inference for robotics simulators",
     "Ramos, Fabio and Possas, Rafael Carvalhaes and Fox, Dieter",
     2019,
-    venue="Robotics: Science and Systems",
+    conference="Robotics: Science and Systems",
     arxiv="1906.01728",
 )
 

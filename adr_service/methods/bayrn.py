@@ -34,7 +34,7 @@ PAPER = Paper(
     "Data-efficient Domain Randomization with Bayesian Optimization",
     "Muratore, Fabio and Eilers, Christian and Gienger, Michael and Peters, Jan",
     2021,
-    venue="IEEE Robotics and Automation Letters",
+    journal="IEEE Robotics and Automation Letters",
     arxiv="2003.02471",
 )
 

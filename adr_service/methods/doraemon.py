@@ -42,7 +42,7 @@ PAPER = Paper(
     "Tiboni, Gabriele and Klink, Pascal and Peters, Jan and Tommasi, Tatiana and "
     "D'Eramo, Carlo and Chalvatzaki, Georgia",
     2024,
-    venue="International Conference on Learning Representations",
+    conference="International Conference on Learning Representations",
     arxiv="2311.01885",
 )
 

@@ -48,7 +48,7 @@ PAPER = Paper(
     "DROID: Minimizing the Reality Gap Using Single-Shot Human Demonstration",
     "Tsai, Ya-Yen and Xu, Hui and Ding, Zihan and Zhang, Chong and Johns, Edward and Huang, Bidan",
     2021,
-    venue="IEEE Robotics and Automation Letters",
+    journal="IEEE Robotics and Automation Letters",
     arxiv="2102.11003",
 )
 

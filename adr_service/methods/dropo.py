@@ -49,7 +49,7 @@ PAPER = Paper(
     "DROPO: Sim-to-Real Transfer with Offline Domain Randomization",
     "Tiboni, Gabriele and Arndt, Karol and Kyrki, Ville",
     2023,
-    venue="Robotics and Autonomous Systems",
+    journal="Robotics and Autonomous Systems",
     arxiv="2201.08434",
 )
 E_DROPO_PAPER = Paper(

@@ -28,7 +28,7 @@ PAPER = Paper(
     "EPOpt: Learning Robust Neural Network Policies Using Model Ensembles",
     "Rajeswaran, Aravind and Ghotra, Sarvjeet and Ravindran, Balaraman and Levine, Sergey",
     2017,
-    venue="International Conference on Learning Representations",
+    conference="International Conference on Learning Representations",
     arxiv="1610.01283",
 )
 

@@ -37,7 +37,7 @@ PAPER = Paper(
     "Muratore, Fabio and Gruner, Theo and Wiese, Florian and Belousov, Boris and "
     "Gienger, Michael and Peters, Jan",
     2022,
-    venue="Conference on Robot Learning",
+    conference="Conference on Robot Learning",
 )
 
 

@@ -54,7 +54,7 @@ PAPER = Paper(
     "Chebotar, Yevgen and Handa, Ankur and Makoviychuk, Viktor and Macklin, Miles and "
     "Issac, Jan and Ratliff, Nathan and Fox, Dieter",
     2019,
-    venue="IEEE International Conference on Robotics and Automation",
+    conference="IEEE International Conference on Robotics and Automation",
     arxiv="1810.05687",
 )
 

@@ -56,7 +56,7 @@ def random_bounds(
 class FixedDrSettings(CurriculumSettings):
     name: Literal["fixed_dr"] = "fixed_dr"
     episodes: int = Field(
-        64, ge=1, le=100_000, description="episodes of which each mean return is recorded"
+        64, ge=1, le=100_000, description="episodes between two records of their mean return"
     )
 
     label: ClassVar[str] = "fixed DR"

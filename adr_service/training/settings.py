@@ -208,7 +208,7 @@ class CrossQSettings(_Confirmed, _OffPolicy):
         "Bhatt, Aditya and Palenicek, Daniel and Belousov, Boris and Argus, Max and "
         "Amiranashvili, Artemij and Brox, Thomas and Peters, Jan",
         2024,
-        venue="International Conference on Learning Representations",
+        conference="International Conference on Learning Representations",
         arxiv="1902.05605",
     )
     update_seconds: ClassVar = {"sbx": (0.0012, 0.0015), "sb3": (0.0110, 0.0008)}

@@ -20,7 +20,7 @@ def title_of(spec: AnyRun | LostRun) -> str:
 
 
 def apart_of(spec: AnyRun | LostRun) -> str:
-    """What a title adds for an extended simulator or an unusual target; else nothing."""
+    """The words of a title for an extended simulator or an unusual target; else none."""
     if not isinstance(spec, RunSpec):
         return ""
     told = ""

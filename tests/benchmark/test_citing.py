@@ -59,3 +59,17 @@ def test_every_paper_of_ours_is_complete(name):
         assert paper.authors
         assert re.fullmatch(r"(\d{4}\.\d{5})?", paper.arxiv)
         assert paper.bibtex().count("{") == paper.bibtex().count("}")
+
+
+@pytest.mark.parametrize(
+    ("where", "kind", "line"),
+    [
+        ({"journal": "J"}, "article", "journal = {J}"),
+        ({"conference": "C"}, "inproceedings", "booktitle = {C}"),
+        ({}, "misc", None),
+    ],
+)
+def test_the_kind_of_an_entry_is_that_of_its_place(where, kind, line):
+    entry = Paper("a2020b", "A title", "Ada, A.", 2020, **where).bibtex()
+    assert entry.startswith(f"@{kind}{{a2020b,")
+    assert line is None or line in entry
