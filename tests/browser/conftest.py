@@ -34,7 +34,7 @@ def opened(chromium, service):
         )
         contexts.append(context)
         page = context.new_page()
-        page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
+        page.on("console", lambda message: said.append(_line(message)))
         page.on("pageerror", lambda error: said.append(str(error)))
         page.goto(address)
         return page
@@ -43,3 +43,7 @@ def opened(chromium, service):
     for context in contexts:
         context.close()
     assert [text for text in said if "status of 422" not in text and "of 503" not in text] == []
+
+
+def _line(message):
+    return f"{message.type}: {message.text} ({message.location['url']})"
