@@ -7,6 +7,7 @@ import typer
 from rich.markup import escape
 
 from adr_service.errors import InvalidInput
+from api.cli.files import check_absent
 from api.cli.terminal import console
 
 app = typer.Typer()
@@ -40,6 +41,7 @@ def measure(
         return
     if out.suffix != ".npz":
         raise InvalidInput(f"--out is a file that ends on .npz; given {out}")
+    check_absent(out, out.with_suffix(".html"))
     with console.status("reading"):
         converted = measured_files.measure_files(logs, task, model, map, out)
     data = converted.measurement

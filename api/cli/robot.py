@@ -9,6 +9,7 @@ import typer
 
 from adr_service.client import connect
 from adr_service.errors import InvalidInput
+from api.cli.files import check_absent
 from api.cli.options import Url
 from api.cli.terminal import console
 
@@ -75,9 +76,14 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
     check_environment(robot, about(known), limits)
     commands, start = read_plan(plan.read_bytes(), len(known.action_low), control_period(known))
     check_commands(known, commands)
+    check_absent(out)
     out.parent.mkdir(parents=True, exist_ok=True)  # before anything moves
-    out.write_bytes(b"")
-    played = play(robot, known, limits, commands, start)
+    out.touch()
+    try:
+        played = play(robot, known, limits, commands, start)
+    except BaseException:
+        out.unlink()
+        raise
     out.write_bytes(played.measurement.to_npz())
     console.print(f"{out}: {len(commands)} episodes, {len(played.measurement.time)} rows")
     if played.limited:

@@ -30,6 +30,9 @@ def test_with_a_map_a_measurement_and_a_page_are_written(adr_here, files):
     assert status == 0
     assert "found/measured.npz: 10 episodes, 2500 rows, 4 ms apart" in shown
     assert "What the data could show" in (files / "found/measured.html").read_text()
+    (files / "found/measured.npz").unlink()
+    status, _, errors = adr_here("measure", "log.npz", "--model", "robot.xml", *out)
+    assert (status, "measured.html is there already" in errors) == (2, True)
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,8 @@ def test_a_plan_is_played_and_judged_together_with_the_first_recording(adr_here,
     assert status == 0, errors
     assert "second.npz: 12 episodes" in shown
     assert "commands were beyond your limit, and were sent at it" in shown
+    status, _, errors = adr_here("robot", "--play", "next.npz", *play)
+    assert (status, "second.npz is there already" in errors) == (2, True)
     status, _, errors = adr_here(*judge[:-1], "both", "--data", "second.npz")
     assert status == 0, errors
     assert (tmp_path / "both/verdict.json").exists()
