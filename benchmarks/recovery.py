@@ -58,6 +58,7 @@ FOLDER = Path("build/bench/recovery")
 KEPT = Path("docs/recovery.jsonl")
 TASKS = ("hopper", "half_cheetah", "walker2d", "humanoid")
 VARIANTS = ("vanilla", "noisy", "unmodeled")
+BOUNDED = ("edge", "outside")  # to be asked for
 TRANSITIONS = 200
 UNSMOOTHABLE = ("humanoid",)  # criticism knows slides and hinges alone
 COLUMNS = (
@@ -106,13 +107,13 @@ class Cell:
 def options() -> argparse.Namespace:
     inferring = [*names_of("visits"), *names_of("recordings")]
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    for name, known in (
-        ("tasks", TASKS),
-        ("variants", VARIANTS),
-        ("methods", inferring),
-        ("data", ("random", "prior")),
+    for name, usual, more in (
+        ("tasks", TASKS, ()),
+        ("variants", VARIANTS, BOUNDED),
+        ("methods", inferring, ()),
+        ("data", ("random", "prior"), ()),
     ):
-        parser.add_argument(f"--{name}", nargs="+", choices=known, default=known)
+        parser.add_argument(f"--{name}", nargs="+", choices=(*usual, *more), default=usual)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--kept", action="store_true", help="print what there is, compute nothing")
     return parser.parse_args()

@@ -20,7 +20,7 @@ from tests.plain import model_of
 import mujoco
 
 task = get_task("pendulum")
-assert list(variants_of("pendulum")) == ["vanilla", "noisy", "unmodeled"]
+assert list(variants_of("pendulum")) == ["vanilla", "noisy", "unmodeled", "edge", "outside"]
 
 source = source_of("pendulum", "vanilla")
 draw = np.array([0.7, 0.2, 1.6])

@@ -58,7 +58,10 @@ TaskName = Annotated[
 VariantName = Annotated[
     Name,
     AfterValidator(_known_variant),
-    Field(description="vanilla, noisy (sensors' noise) or unmodeled (wrong frozen parameters)"),
+    Field(
+        description="vanilla, noisy (sensors' noise), unmodeled (wrong frozen parameters), edge or "
+        "outside (the truth at the end of the search bounds, or beyond it)"
+    ),
 ]
 PresetName = Annotated[
     Name,

@@ -16,7 +16,13 @@ from types import ModuleType
 from adr_service.errors import UnknownName
 
 _GYMNASIUM = "gymnasium"
-_SUFFIXES = {"vanilla": "", "noisy": "Noisy", "unmodeled": "Unmodeled"}
+_SUFFIXES = {
+    "vanilla": "",
+    "noisy": "Noisy",
+    "unmodeled": "Unmodeled",
+    "edge": "Edge",
+    "outside": "Outside",
+}
 
 
 def gymnasium_id(task: str, variant: str) -> str:

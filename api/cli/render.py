@@ -35,7 +35,7 @@ def render(
     policy: Policy = None,
     distribution: Distribution = None,
     data: Data = None,
-    variant: Annotated[str, typer.Option(help="vanilla, noisy or unmodeled.")] = "vanilla",
+    variant: Annotated[str, typer.Option(help="One of the task's variants.")] = "vanilla",
     setting: Parameters = None,
     episode: Annotated[int, typer.Option(help="Episode of the recording, from 0.")] = 0,
     steps: Annotated[int | None, typer.Option(help="Steps at most; default: all.", min=1)] = None,

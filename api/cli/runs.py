@@ -21,7 +21,9 @@ app = typer.Typer()
 SpecFile = Annotated[Path | None, typer.Argument(help="JSON file of a run or a benchmark.")]
 Task = Annotated[str | None, typer.Option(help="arm, hopper, half_cheetah, …")]
 Method = Annotated[str | None, typer.Option(help="simopt, dropo, droid, udr, …")]
-Variant = Annotated[str | None, typer.Option(help="vanilla (the default), noisy or unmodeled.")]
+Variant = Annotated[
+    str | None, typer.Option(help="vanilla (the default), noisy, unmodeled, edge or outside.")
+]
 Seed = Annotated[int | None, typer.Option(help="0 by default.")]
 Preset = Annotated[str | None, typer.Option(help="quick (the default), fast, paper, …")]
 Dataset = Annotated[

@@ -43,8 +43,14 @@ def test_every_task_passes_the_check_of_the_doctor(name):
 
 
 @every_task
-def test_every_task_has_the_three_variants(task):
-    assert list(variants_of(task.name)) == ["vanilla", "noisy", "unmodeled"]
+def test_every_task_has_the_three_variants_and_two_where_the_search_ends_too_early(task):
+    variants = variants_of(task.name)
+    assert list(variants) == ["vanilla", "noisy", "unmodeled", "edge", "outside"]
+    frozen = set(variants["vanilla"].source.space.names) - {
+        *variants["unmodeled"].source.space.names
+    }
+    for name in ("edge", "outside"):
+        assert set(variants[name].source.space.at_bound(variants[name].truth)) == frozen
 
 
 @every_task

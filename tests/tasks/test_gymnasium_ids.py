@@ -44,7 +44,8 @@ def test_importing_another_module_of_ours_first_registers_the_ids_too():
 def test_there_is_an_id_for_every_variant_of_every_task():
     ids = {name for name in gymnasium.registry if name.startswith("adr/")}
     robots = ("Arm", "Hopper", "HalfCheetah", "Walker2d", "Humanoid")
-    assert ids == {f"adr/Random{r}{v}-v0" for r in robots for v in ("", "Noisy", "Unmodeled")}
+    suffixes = ("", "Noisy", "Unmodeled", "Edge", "Outside")
+    assert ids == {f"adr/Random{robot}{suffix}-v0" for robot in robots for suffix in suffixes}
 
 
 def test_an_id_has_its_tasks_horizon():
