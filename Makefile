@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-budgets bench-coverage study bench-criticism bench-arms bench-extension bench-separation bench-baselines bench-api docs clean
+.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-calibration bench-budgets bench-coverage study bench-criticism bench-arms bench-extension bench-separation bench-baselines bench-api docs clean
 
 setup: $(STAMP)
 
@@ -56,6 +56,10 @@ bench-dropo: setup
 # hours on two cores, most of them for policies of the prior
 bench-recovery: setup
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/recovery.py
+
+# an hour on two cores
+bench-calibration: setup
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration
 
 # an hour on two cores
 bench-budgets: setup

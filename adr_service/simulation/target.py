@@ -11,7 +11,7 @@ from adr_service.arrays import Matrix
 from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import Simulations, control_period
 from adr_service.simulation.rollout import Act, Episodes, run_episodes
-from adr_service.tasks.base import Task
+from adr_service.tasks.base import Hidden, Task
 from adr_service.tasks.catalogue import hidden_of
 from adr_service.transitions import TransitionDataset
 
@@ -23,7 +23,16 @@ def simulate_rollout(
 
     Where the simulation diverges, the recording ends before that step.
     """
-    episode = _episodes(task, domain, act, 1, transitions, rng)
+    hidden = hidden_of(task.name, domain)
+    origin = f"simulated target {task.name} {domain}"
+    return simulate_recording(task, hidden, act, transitions, rng, origin)
+
+
+def simulate_recording(
+    task: Task, hidden: Hidden, act: Act, transitions: int, rng: np.random.Generator, origin: str
+) -> TransitionDataset:
+    """`simulate_rollout` under any truth."""
+    episode = _episodes(task, hidden, act, 1, transitions, rng)
     length = int(episode.lengths[0]) - int(episode.diverged[0])
     if length == 0:
         raise InvalidInput(f"the simulated target {task.name} diverged at its first step")
@@ -35,7 +44,7 @@ def simulate_rollout(
         episodes=np.zeros(length, dtype=np.int64),
         dt=control_period(task),
         columns=task.columns[: task.measured],
-        origin=f"simulated target {task.name} {domain}",
+        origin=origin,
     )
 
 
@@ -43,13 +52,12 @@ def simulate_evaluation(
     task: Task, domain: str, act: Act, episodes: int, rng: np.random.Generator
 ) -> Episodes:
     """Full episodes of `act` on the simulated target."""
-    return _episodes(task, domain, act, episodes, task.horizon, rng)
+    return _episodes(task, hidden_of(task.name, domain), act, episodes, task.horizon, rng)
 
 
 def _episodes(
-    task: Task, domain: str, act: Act, n: int, steps: int, rng: np.random.Generator
+    task: Task, hidden: Hidden, act: Act, n: int, steps: int, rng: np.random.Generator
 ) -> Episodes:
-    hidden = hidden_of(task.name, domain)
     simulations = Simulations(task, hidden.source, n)
     simulations.set_dynamics(np.tile(hidden.values, (n, 1)))
     deviation, width = np.sqrt(hidden.noise_variance), task.measured
