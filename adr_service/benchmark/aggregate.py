@@ -5,7 +5,7 @@
 
 After Agarwal et al., arXiv 2108.13264, Sec. 4: the scores of all cells together, with a bootstrap
 that draws seeds within each cell. A cell is a task's variant. Only cells that all methods have
-count, each method after its last iteration and with SimOpt's data.
+count, after the last iteration that all seeds of all methods have, and with SimOpt's data.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.benchmark.comparison import Outcome, latest, returns_of
+from adr_service.benchmark.comparison import Outcome, final_outcomes, returns_of
 from adr_service.benchmark.statistics import (
     Interval,
     interquartile_mean,
@@ -85,7 +85,7 @@ def _share_above(scores: Matrix, level: float) -> Vector:
 def _common(outcomes: Sequence[Outcome]) -> dict[str, _Cells]:
     """Returns by method, in the cells that all methods have."""
     found = [o for o in outcomes if o.spec.collector == "simopt"]
-    cells = dict(sorted(latest(found).items()))
+    cells = dict(sorted(final_outcomes(found).items()))
     names = [name for name in methods() if any(name in columns for columns in cells.values())]
     shared = [columns for columns in cells.values() if all(name in columns for name in names)]
     if not shared:

@@ -2,10 +2,10 @@
 
 import csv
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from itertools import combinations
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -29,6 +29,8 @@ from adr_service.methods.catalogue import methods
 from adr_service.randomness import stream
 from adr_service.specs import RunSpec, SimulatedTarget
 from adr_service.tasks.catalogue import get_task, hidden_of, source_of
+
+Column = TypeVar("Column", bound=Hashable)  # a method, with the data that it has learned from
 
 
 @dataclass(frozen=True)
@@ -142,10 +144,10 @@ class Comparison:
 
 
 def comparisons(outcomes: Sequence[Outcome]) -> list[Comparison]:
-    """Every pair of methods on a task's variant, each after its last iteration."""
+    """Every pair of methods on a task's variant, after `last_shared` iterations."""
     order = list(methods())
     compared: list[Comparison] = []
-    for (task, variant), columns in sorted(latest(outcomes).items()):
+    for (task, variant), columns in sorted(final_outcomes(outcomes).items()):
         names = sorted(columns, key=lambda name: (order.index(name.split()[0]), name))
         for one, other in combinations(names, 2):
             sides = [{o.spec.seed: o for o in columns[name]} for name in (one, other)]
@@ -166,19 +168,44 @@ def _compared(
     return chance.value, chance.low, chance.high, gap.value, gap.low, gap.high, len(gaps)
 
 
-def latest(outcomes: Sequence[Outcome]) -> dict[tuple[str, str], dict[str, list[Outcome]]]:
-    """Evaluated outcomes of each column's last iteration, by task and variant, then by column."""
-    latest: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
+def final_outcomes(
+    outcomes: Sequence[Outcome],
+) -> dict[tuple[str, str], dict[str, list[Outcome]]]:
+    """Evaluated outcomes after `last_shared` iterations, by task and variant, then by column."""
+    places: dict[tuple[str, str], dict[str, dict[int, list[Outcome]]]] = {}
     for outcome in (outcome for outcome in outcomes if outcome.iteration.returns):
         spec = outcome.spec
-        columns = latest.setdefault((spec.task, spec.variant), {})
-        kept = columns.setdefault(spec.column, [])
-        newest = max((o.iteration.iteration for o in kept), default=-1)
-        if outcome.iteration.iteration > newest:
-            kept.clear()
-        if outcome.iteration.iteration >= newest:
-            kept.append(outcome)
-    return latest
+        rounds = places.setdefault((spec.task, spec.variant), {}).setdefault(spec.column, {})
+        rounds.setdefault(outcome.iteration.iteration, []).append(outcome)
+    final: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
+    for place, columns in places.items():
+        shared = last_shared(
+            {
+                name: {i: len(found) for i, found in rounds.items()}
+                for name, rounds in columns.items()
+            }
+        )
+        final[place] = {name: columns[name][number] for name, number in shared.items()}
+    return final
+
+
+def last_shared(seeds: Mapping[Column, Mapping[int, int]]) -> dict[Column, int]:
+    """The iteration after which each column is compared: the last that all seeds of all columns
+    have, so that an unfinished benchmark compares what learned from equal amounts of data.
+
+    `seeds`: by column, the number of seeds that have each iteration. A column that has none but
+    iteration 0, as a reference has, is compared there.
+    """
+    whole = {
+        column: max(number for number, count in counts.items() if count == max(counts.values()))
+        for column, counts in seeds.items()
+    }
+    shared = min((number for number in whole.values() if number > 0), default=0)
+    ends = {column: min(number, shared) for column, number in whole.items()}
+    return {
+        column: max((number for number in counts if number <= ends[column]), default=min(counts))
+        for column, counts in seeds.items()
+    }
 
 
 def estimates(outcomes: Sequence[Outcome]) -> list[ParameterEstimate]:

@@ -10,7 +10,7 @@ from fastapi.responses import HTMLResponse, RedirectResponse
 from pydantic import ValidationError
 
 from adr_service.benchmark.claims import reports
-from adr_service.benchmark.comparison import Outcome, table
+from adr_service.benchmark.comparison import Outcome, last_shared, table
 from adr_service.benchmark.figures import FIGURES, drawable
 from adr_service.benchmark.improvements import improvement_matrices
 from adr_service.errors import InvalidInput
@@ -68,7 +68,7 @@ def _tables(
         claims = [asdict(report) for report in reports(outcomes)]
     else:
         rows, aggregates, matrices, claims = _rows(outcomes), [], [], []
-    final = last_iterations(rows)
+    final = final_rows(rows)
     return {
         "rows": rows,
         "final": final,
@@ -83,32 +83,32 @@ def _rows(outcomes: Sequence[Outcome]) -> list[Json]:
     return [asdict(row) for row in table(outcomes)]
 
 
-def last_iterations(rows: Sequence[Json]) -> list[Json]:
-    """The last row of each method on each task's variant and data, the best first."""
-    columns = ("task", "variant", "method", "collector")
-    latest = {tuple(row[name] for name in columns): row for row in rows}
-    return sorted(
-        latest.values(), key=lambda row: (row["task"], row["variant"], -row["normalised_return"])
-    )
+def final_rows(rows: Sequence[Json]) -> list[Json]:
+    """The row of each method on each task's variant and data after `last_shared` iterations, the
+    best first."""
+    places: dict[tuple[str, str], dict[tuple[str, str], dict[int, Json]]] = {}
+    for row in rows:
+        columns = places.setdefault((row["task"], row["variant"]), {})
+        columns.setdefault((row["method"], row["collector"]), {})[row["iteration"]] = row
+    final = [
+        columns[name][number]
+        for columns in places.values()
+        for name, number in last_shared(
+            {name: {i: row["seeds"] for i, row in found.items()} for name, found in columns.items()}
+        ).items()
+    ]
+    return sorted(final, key=lambda row: (row["task"], row["variant"], -row["normalised_return"]))
 
 
 def best_of(final: Sequence[Json]) -> list[Json]:
-    """The best row of each task's variant, of those that can be compared.
-
-    These are methods with an interval that have reached the last iteration; not the references.
-    """
-    last: dict[tuple[str, str], int] = {}
-    for row in final:
-        place = (row["task"], row["variant"])
-        last[place] = max(row["iteration"], last.get(place, 0))
+    """The best row of each task's variant, of the methods that have an interval; no references."""
     best: dict[tuple[str, str], Json] = {}
     for row in final:
-        place, method = (row["task"], row["variant"]), methods().get(row["method"])
-        if method is None:  # a stored table outlives its package
+        method = methods().get(row["method"])
+        if method is None or method.is_reference:  # a stored table outlives a method's package
             continue
-        has_ended = method.is_level or row["iteration"] == last[place]
-        if has_ended and row["low"] is not None and not method.is_reference:
-            best.setdefault(place, row)
+        if row["low"] is not None:
+            best.setdefault((row["task"], row["variant"]), row)
     return list(best.values())
 
 
@@ -162,7 +162,7 @@ def compare(
     for each in ids:
         records = _runs_of(service, each)
         presets = {r.spec.preset for r in records if isinstance(r.spec, RunSpec)}
-        final = last_iterations(_rows(outcomes_of(service, records)))
+        final = final_rows(_rows(outcomes_of(service, records)))
         rows += [(each, ", ".join(sorted(presets)), row) for row in final]
     rows.sort(key=lambda row: (row[2]["task"], row[2]["variant"], row[2]["method"]))
     return show(request, "compare.html", ids=ids, rows=rows)

@@ -2,7 +2,17 @@
 
 from dataclasses import replace
 
-from adr_service.benchmark.comparison import comparisons, costs, estimates, table, to_csv
+import pytest
+
+from adr_service.benchmark.comparison import (
+    comparisons,
+    costs,
+    estimates,
+    final_outcomes,
+    last_shared,
+    table,
+    to_csv,
+)
 from adr_service.methods.catalogue import methods
 from tests.benchmark.conftest import ITERATIONS, METHODS, with_a_third_seed
 
@@ -42,7 +52,7 @@ def test_a_row_tells_what_was_read_and_simulated(benchmark):
         assert (row.inference_steps > 0) == inferred
 
 
-def test_every_pair_of_methods_is_compared_after_its_last_iteration(benchmark):
+def test_every_pair_of_methods_is_compared_after_the_last_iteration(benchmark):
     found = comparisons(benchmark[2])
     assert all((pair.low, pair.difference_low, pair.seeds) == (None, None, 2) for pair in found)
     for pair in comparisons(with_a_third_seed(benchmark[2])):
@@ -51,6 +61,35 @@ def test_every_pair_of_methods_is_compared_after_its_last_iteration(benchmark):
     names = {run.column for run in benchmark[0].runs()}
     assert len(names) == 6 + 3 * 3
     assert len(found) == 2 * len(names) * (len(names) - 1) // 2
+
+
+@pytest.mark.parametrize(
+    ("simopt", "dropo", "after"),
+    [
+        ({0: 3, 1: 3, 2: 3}, {0: 3, 1: 3, 2: 3}, (2, 2)),
+        ({0: 3, 1: 3, 2: 1}, {0: 3, 1: 3, 2: 3}, (1, 1)),  # some seeds are not there yet
+        ({0: 3, 1: 3, 2: 3}, {0: 3, 1: 3}, (1, 1)),
+        ({0: 3, 1: 2}, {0: 3, 1: 3, 2: 3}, (0, 2)),  # nothing to compare yet, but the prior
+        ({5: 3}, {0: 3, 1: 3}, (5, 1)),
+    ],
+)
+def test_methods_are_compared_after_the_last_iteration_that_all_seeds_have(simopt, dropo, after):
+    seeds = {"simopt": simopt, "dropo": dropo, "oracle": {0: 3}}
+    assert last_shared(seeds) == {"simopt": after[0], "dropo": after[1], "oracle": 0}
+
+
+def test_a_benchmark_that_is_not_finished_compares_equal_amounts_of_data(benchmark):
+    outcomes = [
+        outcome
+        for outcome in benchmark[2]
+        if outcome.iteration.iteration < ITERATIONS or outcome.spec.column != "simopt"
+    ]
+    outcomes += [o for o in benchmark[2] if o not in outcomes and o.spec.seed == 0]
+    for columns in final_outcomes(outcomes).values():
+        for name, found in columns.items():
+            expected = 0 if methods()[name.split()[0]].is_level else ITERATIONS - 1
+            assert {outcome.iteration.iteration for outcome in found} == {expected}, name
+            assert len(found) == 2
 
 
 def test_the_prior_is_iteration_zero_of_every_method(benchmark):
