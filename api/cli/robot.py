@@ -1,5 +1,6 @@
 """`adr robot`: the client of a robot."""
 
+import os
 from collections import Counter
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from api.cli.terminal import console
 
 if TYPE_CHECKING:
     from adr_service.client.robot import Limits
+    from adr_service.client.robot.playback import Playback
 
 app = typer.Typer()
 
@@ -79,8 +81,19 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
     check_absent(out)
     out.parent.mkdir(parents=True, exist_ok=True)  # before anything moves
     out.touch()
+
+    def give_up(why: str, played: "Playback | None") -> None:
+        """Keep what was played, and end the process: nothing else ends the call that hangs."""
+        console.print(f"{why}; see to the robot")
+        if played is None:
+            out.unlink()
+        else:
+            out.write_bytes(played.measurement.to_npz())
+            console.print(f"{out}: the {len(played.measurement.spans())} episodes before")
+        os._exit(1)
+
     try:
-        played = play(robot, known, limits, commands, start)
+        played = play(robot, known, limits, commands, give_up, start)
     except BaseException:
         out.unlink()
         raise

@@ -10,7 +10,7 @@ import numpy as np
 from adr_service.arrays import Matrix, Vector
 from adr_service.client.connection import Json
 from adr_service.client.robot.environment import Env
-from adr_service.client.robot.heart import Heart
+from adr_service.client.robot.heart import Watch
 from adr_service.client.robot.limits import Limits
 from adr_service.npz import write_arrays
 from adr_service.randomness import stream
@@ -42,11 +42,11 @@ def run_episode(
     machine: Machine,
     task: Json,
     act: Callable[[Matrix], Matrix],
-    heart: Heart,
+    watch: Watch,
     why_stop: Callable[[], str],
 ) -> Episode:
     """Run a task's episode to its end, until something is wrong, or until it should stop."""
-    rollout = _Rollout(machine, heart, task["transitions"])
+    rollout = Rollout(machine, watch, task["transitions"])
     if not why_stop():  # to reset is to move
         rollout.reset(seed_of(task))
     while not rollout.is_over and not why_stop():
@@ -54,11 +54,11 @@ def run_episode(
     return rollout.episode()
 
 
-class _Rollout:
+class Rollout:
     """The observations, actions and rewards of an episode that goes on."""
 
-    def __init__(self, machine: Machine, heart: Heart, transitions: int):
-        self._machine, self._heart, self._transitions = machine, heart, transitions
+    def __init__(self, machine: Machine, watch: Watch, transitions: int):
+        self._machine, self._watch, self._transitions = machine, watch, transitions
         self._observations: list[Vector] = []
         self._actions: list[Vector] = []
         self._rewards: list[float] = []
@@ -70,7 +70,7 @@ class _Rollout:
         return bool(self._wrong) or self._ended or len(self._actions) >= self._transitions
 
     def reset(self, seed: int) -> None:
-        with self._heart.watching("reset", self._machine.limits.reset_seconds):
+        with self._watch.watching("reset", self._machine.limits.reset_seconds):
             observation, _ = self._machine.env.reset(seed=seed)
         self._observations.append(_row(observation))
         self._began = time.monotonic()
@@ -82,7 +82,7 @@ class _Rollout:
         moved = (len(self._actions) + 1) * self._machine.about["control_period_s"]
         if not limits.allows(max(moved, passed)):
             self._wrong = (
-                f"{self._machine.name} may move for {limits.seconds} s, and these are over"
+                f"{self._machine.name} may move for {limits.seconds:g} s, and these are over"
             )
             return
         wanted = act(seen[None])[0]
@@ -91,7 +91,7 @@ class _Rollout:
             return
         action = limits.apply(wanted)
         self._limited += not np.array_equal(action, wanted)
-        with self._heart.watching("step", limits.left(passed)):
+        with self._watch.watching("step", limits.left(passed)):
             observation, reward, terminated, truncated, _ = self._machine.env.step(action)
         self._record(_row(observation), action, float(reward))
         self._ended = terminated or truncated
@@ -104,7 +104,7 @@ class _Rollout:
         self._observations.append(observation)
         self._actions.append(action)
         self._rewards.append(reward)
-        self._heart.steps = len(self._actions)
+        self._watch.steps = len(self._actions)
 
     def episode(self) -> Episode:
         return Episode(
@@ -118,8 +118,14 @@ class _Rollout:
 
 def to_npz(episode: Episode, about: Mapping[str, Any], origin: str) -> bytes:
     """Return the `.npz` that the service takes: the measured columns, and the rewards."""
+    data = recording(episode, about, origin)
+    return write_arrays({**data.to_arrays(), "rewards": episode.rewards})
+
+
+def recording(episode: Episode, about: Mapping[str, Any], origin: str) -> TransitionDataset:
+    """The measured columns of an episode with a transition."""
     measured = episode.observations[:, : about["measured_columns"]]
-    data = TransitionDataset(
+    return TransitionDataset(
         observations=measured[:-1],
         actions=episode.actions,
         next_observations=measured[1:],
@@ -128,7 +134,6 @@ def to_npz(episode: Episode, about: Mapping[str, Any], origin: str) -> bytes:
         columns=tuple(about["observation_columns"][: measured.shape[1]]),
         origin=origin,
     )
-    return write_arrays({**data.to_arrays(), "rewards": episode.rewards})
 
 
 def random_actions(task: Json, about: Mapping[str, Any]) -> Callable[[Matrix], Matrix]:

@@ -1,33 +1,35 @@
-"""The heartbeats of an episode."""
+"""The heartbeats of an episode, and the watch over the calls of its environment."""
 
 import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from typing import Self
 
 from adr_service.client.connection import AdrClient, Json, Refused, Unreachable
 
 STOP_S = 10.0  # in which a step returns once the episode should stop, else the environment hangs
-_LONGEST_HEARTBEAT_S = 1.0  # between two
+_LONGEST_BEAT_S = 1.0  # between two looks at the clock
 
 
-class Heart:
-    """Renews the lease while an episode goes on and the environment answers.
+class Watch:
+    """Calls `hangs(reason)` once, from a thread of its own, if a `step` or a `reset` of an
+    environment takes too long: nothing can end that call in this process."""
 
-    It says when the episode should stop. It calls `hangs(reason)` once if a `step` or a `reset`
-    takes too long.
-    """
-
-    def __init__(self, client: AdrClient, claimed: Json, hangs: Callable[[str], None]):
-        self._hangs = hangs
+    def __init__(self, hangs: Callable[[str], None], beat_s: float = _LONGEST_BEAT_S):
+        self._hangs, self._beat_s = hangs, min(_LONGEST_BEAT_S, beat_s)
         self._watched: tuple[str, float, float] | None = None  # name, start and longest time
-        self._client, self._task_id, self._lease = client, claimed["task"]["id"], claimed["lease"]
-        self._lease_s: float = claimed["lease_s"]
-        self._good_until = time.monotonic() + self._lease_s
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._beat, daemon=True)
-        self.steps = 0
-        self._why, self._stopped_at = "", 0.0
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self.steps = 0  # of the episode so far
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
 
     @contextmanager
     def watching(self, name: str, seconds: float) -> Generator[None]:
@@ -38,6 +40,39 @@ class Heart:
         finally:
             self._watched = None
 
+    def _run(self) -> None:
+        while not self._ended.wait(self._beat_s):
+            watched, now = self._watched, time.monotonic()
+            if watched is not None and (late := self._late(*watched, now)):
+                self._hangs(late)
+                return
+            self._beat()
+
+    def _late(self, name: str, since: float, seconds: float, now: float) -> str:
+        """Return why the environment hangs, or nothing."""
+        if now - since <= seconds:
+            return ""
+        return f"the environment's {name} did not return within {seconds:.1f} s"
+
+    def _beat(self) -> None:
+        """Do what is to be done from time to time."""
+
+
+class Heart(Watch):
+    """Renews the lease while an episode goes on and the environment answers, and says when the
+    episode should stop."""
+
+    def __init__(self, client: AdrClient, claimed: Json, hangs: Callable[[str], None]):
+        def stop(why: str) -> None:
+            self._stop(why)
+            hangs(why)
+
+        super().__init__(stop, claimed["lease_s"] / 3)
+        self._client, self._task_id, self._lease = client, claimed["task"]["id"], claimed["lease"]
+        self._lease_s: float = claimed["lease_s"]
+        self._good_until = time.monotonic() + self._lease_s
+        self._why, self._stopped_at = "", 0.0
+
     def why_stop(self) -> str:
         """Return why the episode should stop, or nothing; never waits."""
         if not self._why and time.monotonic() > self._good_until:
@@ -47,35 +82,18 @@ class Heart:
     def _stop(self, why: str) -> None:
         self._why, self._stopped_at = why, time.monotonic()
 
-    def __enter__(self) -> "Heart":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._thread.join()
-
-    def _beat(self) -> None:
+    def _run(self) -> None:
         with self._client:
-            while not self._ended.wait(min(_LONGEST_HEARTBEAT_S, self._lease_s / 3)):
-                if late := self._late():
-                    self._stop(late)
-                    self._hangs(late)
-                    return
-                if not self._why:
-                    self._renew()
+            super()._run()
 
-    def _late(self) -> str:
-        """Return why the environment hangs, or nothing."""
-        if (watched := self._watched) is None:
-            return ""
-        name, since, seconds = watched
-        now = time.monotonic()
-        if now - since > seconds:
-            return f"the environment's {name} did not return within {seconds:.1f} s"
+    def _late(self, name: str, since: float, seconds: float, now: float) -> str:
         if self._why and name == "step" and now - max(since, self._stopped_at) > STOP_S:
             return f"{self._why}, and the environment's {name} does not return"
-        return ""
+        return super()._late(name, since, seconds, now)
+
+    def _beat(self) -> None:
+        if not self._why:
+            self._renew()
 
     def _renew(self) -> None:
         asked = time.monotonic()

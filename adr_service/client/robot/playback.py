@@ -1,7 +1,6 @@
 """Planned commands on a robot, open loop, as a measurement; no service is needed."""
 
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +8,8 @@ import numpy as np
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.client.robot.environment import Env
+from adr_service.client.robot.episode import Machine, Rollout, recording
+from adr_service.client.robot.heart import Watch
 from adr_service.client.robot.limits import Limits
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.recordings import as_measurement, is_measured
@@ -31,15 +32,20 @@ class Playback:
 
 @dataclass(frozen=True)
 class _Episode:
-    data: TransitionDataset
+    data: TransitionDataset | None  # None: it ended before its first transition
     limited: int
     why_short: str  # empty: it is complete
 
 
 def about(task: Task) -> dict[str, Any]:
-    """The facts that `check_environment` compares an environment with."""
-    names = {"name": task.name, "observation_columns": task.columns}
-    return {**names, "actions": len(task.action_low)}
+    """The facts that `check_environment` compares an environment with, and a recording has."""
+    return {
+        "name": task.name,
+        "observation_columns": task.columns,
+        "measured_columns": task.measured,
+        "actions": len(task.action_low),
+        "control_period_s": control_period(task),
+    }
 
 
 def check_commands(task: Task, plan: Sequence[Matrix]) -> None:
@@ -55,26 +61,45 @@ def check_commands(task: Task, plan: Sequence[Matrix]) -> None:
 
 
 def play(
-    env: Env, task: Task, limits: Limits, plan: Sequence[Matrix], start: Vector | None = None
+    env: Env,
+    task: Task,
+    limits: Limits,
+    plan: Sequence[Matrix],
+    hangs: Callable[[str, Playback | None], None],
+    start: Vector | None = None,
 ) -> Playback:
     """Reset the robot and send the commands (rows, nu), for each episode.
 
     `start` (nq,) is the pose from which the plan begins: nothing is sent from another one. An
     episode ends early where the environment ends it, after the owner's `limits.seconds`, or at an
-    observation that is not finite. Raises InvalidInput for commands beyond the task's bounds before
-    anything moves, if the first episode begins in another pose, and if none has a transition.
+    observation that is not finite. Where a call of the environment does not return, another thread
+    calls `hangs` with the reason and what was played before. Raises InvalidInput for commands
+    beyond the task's bounds before anything moves, if the first episode begins in another pose, and
+    if none has a transition.
     """
     check_commands(task, plan)
-    episodes = list(_episodes(env, task, limits, plan, start))
-    if not episodes:
+    machine, episodes = Machine("the robot", env, about(task), limits), list[_Episode]()
+    with Watch(lambda why: hangs(why, _whole(task, episodes))) as watch:
+        try:
+            for number, commands in enumerate(plan):
+                episodes.append(_episode(machine, task, watch, commands, number, start))
+        except KeyboardInterrupt:
+            pass  # what there is, is kept
+    played = _whole(task, episodes)
+    if played is None:
         raise InvalidInput("no episode of the plan has a single transition")
-    whole = as_measurement(task, TransitionDataset.concatenate([each.data for each in episodes]))
-    shortened = tuple(each.why_short for each in episodes if each.why_short)
-    missing = len(plan) - len(episodes)
+    return played
+
+
+def _whole(task: Task, episodes: Sequence[_Episode]) -> Playback | None:
+    """The episodes together; None if there is no transition."""
+    parts = [episode.data for episode in episodes if episode.data is not None]
+    if not parts:
+        return None
     return Playback(
-        whole,
-        sum(each.limited for each in episodes),
-        (*shortened, *["it ended before its first command"] * missing),
+        as_measurement(task, TransitionDataset.concatenate(parts)),
+        sum(episode.limited for episode in episodes),
+        tuple(episode.why_short for episode in episodes if episode.why_short),
     )
 
 
@@ -90,65 +115,31 @@ def _check_start(task: Task, shown: Vector, start: Vector) -> None:
         )
 
 
-def _episodes(
-    env: Env, task: Task, limits: Limits, plan: Sequence[Matrix], start: Vector | None
-) -> Iterator[_Episode]:
-    """The episodes with a transition, until the owner interrupts."""
-    try:
-        for number, commands in enumerate(plan):
-            episode = _episode(env, task, limits, commands, number, start)
-            if episode is not None:
-                yield episode
-    except KeyboardInterrupt:
-        return  # what there is, is kept
-
-
 def _episode(
-    env: Env,
+    machine: Machine,
     task: Task,
-    limits: Limits,
+    watch: Watch,
     commands: Matrix,
     number: int,
     start: Vector | None,
-) -> _Episode | None:
+) -> _Episode:
     """One episode. Its last command is not sent: a measurement's last row has a state alone."""
-    observation, _ = env.reset(seed=number)
-    seen, sent = [np.asarray(observation, dtype=np.float64)], []
+    rollout = Rollout(machine, watch, len(commands) - 1)
+    rollout.reset(number)
     if start is not None:
         try:
-            _check_start(task, seen[0], start)
+            _check_start(task, rollout.episode().observations[0], start)
         except InvalidInput:
             if number == 0:
                 raise
-            return None  # those before are kept
-    limited, why, began = 0, "", time.monotonic()
-    for command in commands[:-1]:
-        moved = (len(sent) + 1) * control_period(task)
-        if not limits.allows(max(moved, time.monotonic() - began)):
-            why = f"the robot may move for {limits.seconds:g} s"
-            break
-        action = limits.apply(command)
-        observation, _, terminated, truncated, _ = env.step(action)
-        shown = np.asarray(observation, dtype=np.float64)
-        if not np.all(np.isfinite(shown)):
-            why = f"the robot showed {shown.tolist()}"
-            break
-        seen.append(shown)
-        sent.append(action)
-        limited += not np.array_equal(action, command)
-        if terminated or truncated:
-            why = "the environment ended it" if len(sent) < len(commands) - 1 else ""
-            break
-    if not sent:
-        return None
-    rows = np.array(seen)[:, : task.measured]
-    data = TransitionDataset(
-        observations=rows[:-1],
-        actions=np.array(sent),
-        next_observations=rows[1:],
-        episodes=np.zeros(len(sent), dtype=np.int64),
-        dt=control_period(task),
-        columns=tuple(task.columns[: task.measured]),
-        origin="played commands",
-    )
-    return _Episode(data, limited, why)
+            return _Episode(None, 0, "it did not begin in the plan's pose")
+    left = iter(commands)
+    while not rollout.is_over:
+        rollout.step(lambda seen: next(left)[None])
+    episode = rollout.episode()
+    if not len(episode.actions):
+        return _Episode(None, 0, episode.wrong or "the environment ended it")
+    is_short = len(episode.actions) < len(commands) - 1
+    why_short = episode.wrong or ("the environment ended it" if is_short else "")
+    data = recording(episode, machine.about, "played commands")
+    return _Episode(data, episode.limited, why_short)

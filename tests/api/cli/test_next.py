@@ -1,9 +1,14 @@
 """From a first recording to a second that a plan asks for, by the command line alone."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import hide
+from adr_service.criticism.measurements import Measurement
+from adr_service.npz import write_arrays
 from benchmarks.separation import held
 from tests.hidden import arm
 
@@ -66,6 +71,44 @@ def test_wrong_limits_are_refused_before_the_work(adr_here, first, arguments, me
     )
     assert status == 2
     assert message in errors
+
+
+STUCK = """
+import time
+import adr_service
+import gymnasium
+
+class Stuck(gymnasium.Wrapper):
+    episodes = 0
+
+    def reset(self, **options):
+        self.episodes += 1
+        return super().reset(**options)
+
+    def step(self, action):
+        time.sleep(600 if self.episodes == 3 else 0)
+        return super().step(action)
+
+def make():
+    return Stuck(gymnasium.make("adr/RandomArm-v0"))
+"""
+
+
+def test_a_robot_that_hangs_ends_the_command_with_what_was_played(tmp_path):
+    (tmp_path / "stuck.py").write_text(STUCK)
+    plan = {"time": np.tile(0.02 * np.arange(8), 4), "ctrl": np.zeros((32, 2))}
+    plan["episode"] = np.repeat(np.arange(4), 8)
+    (tmp_path / "plan.npz").write_bytes(write_arrays(plan))
+    known = ["robot", "--task", "arm", "--env", "stuck:make", "--max-seconds", "0.2"]
+    command = [sys.executable, "-m", "api", *known, "--play", "plan.npz", "--out", "played.npz"]
+    ended = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert ended.returncode == 1
+    assert "the environment's step did not return" in ended.stdout
+    assert "played.npz: the 2 episodes before" in ended.stdout
+    played = Measurement.from_npz((tmp_path / "played.npz").read_bytes())
+    assert [last - first for first, last in played.spans()] == [8, 8]
 
 
 def test_options_that_play_does_not_obey_are_refused(adr_here, first):

@@ -1,12 +1,14 @@
 """Planned commands on a simulated machine."""
 
+import threading
+
 import gymnasium
 import numpy as np
 import pytest
 
 import adr_service  # noqa: F401, as it registers the environments
 from adr_service.client.robot.limits import Limits
-from adr_service.client.robot.playback import check_commands, play
+from adr_service.client.robot.playback import Playback, check_commands, play
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.plans import read_plan
@@ -31,6 +33,10 @@ def plan(episodes=10, rows=30, scale=1.0, period=PERIOD):
     )
 
 
+def never(why, played):
+    pytest.fail(why)
+
+
 @pytest.fixture
 def robot():
     with gymnasium.make("adr/RandomArm-v0") as env:
@@ -39,7 +45,7 @@ def robot():
 
 def test_commands_become_a_measurement_with_a_row_for_each(robot):
     commands = read_plan(plan(), 2, PERIOD)[0]
-    played = play(robot, TASK, Limits(), commands)
+    played = play(robot, TASK, Limits(), commands, never)
     data = played.measurement
     assert [last - first for first, last in data.spans()] == [30] * 10
     np.testing.assert_array_equal(data.ctrl[:29], commands[0][:29])
@@ -50,7 +56,7 @@ def test_commands_become_a_measurement_with_a_row_for_each(robot):
 
 def test_the_owners_limit_holds_and_is_counted(robot):
     commands = read_plan(plan(), 2, PERIOD)[0]
-    played = play(robot, TASK, Limits(actions=(0.5,)), commands)
+    played = play(robot, TASK, Limits(actions=(0.5,)), commands, never)
     assert np.abs(played.measurement.ctrl).max() == 0.5
     sent = np.concatenate([each[:-1] for each in commands])
     assert played.limited == np.sum(np.any(np.abs(sent) > 0.5, axis=1))
@@ -58,14 +64,14 @@ def test_the_owners_limit_holds_and_is_counted(robot):
 
 def test_an_episode_that_the_environment_ends_is_shorter():
     with gymnasium.make("adr/RandomArm-v0", max_episode_steps=20) as env:
-        played = play(env, TASK, Limits(), read_plan(plan(), 2, PERIOD)[0])
+        played = play(env, TASK, Limits(), read_plan(plan(), 2, PERIOD)[0], never)
     assert played.shortened == ("the environment ended it",) * 10
     assert [last - first for first, last in played.measurement.spans()] == [21] * 10
 
 
 def test_each_row_leads_to_the_next_under_its_command(robot):
     """The simulator that the robot is predicts every row from the one before."""
-    data = play(robot, TASK, Limits(), read_plan(plan(), 2, PERIOD)[0]).measurement
+    data = play(robot, TASK, Limits(), read_plan(plan(), 2, PERIOD)[0], never).measurement
     nominal = Nominal.of_task(TASK, source_of("arm", "vanilla"))
     with Simulator(nominal, data, threads=1) as simulator:
         ends = simulator.measured[simulator.starts + 1]
@@ -76,9 +82,42 @@ def test_each_row_leads_to_the_next_under_its_command(robot):
 
 def test_the_owners_seconds_hold(robot):
     commands = read_plan(plan(), 2, PERIOD)[0]
-    played = play(robot, TASK, Limits(seconds=5.5 * PERIOD), commands)
+    played = play(robot, TASK, Limits(seconds=5.5 * PERIOD), commands, never)
     assert [last - first for first, last in played.measurement.spans()] == [6] * 10
-    assert set(played.shortened) == {f"the robot may move for {5.5 * PERIOD:g} s"}
+    assert set(played.shortened) == {
+        f"the robot may move for {5.5 * PERIOD:g} s, and these are over"
+    }
+
+
+class Stuck(gymnasium.Wrapper):
+    """A robot whose step does not return in the third episode, until it is let go."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self.episodes, self.let_go = 0, threading.Event()
+
+    def reset(self, **options):
+        self.episodes += 1
+        return super().reset(**options)
+
+    def step(self, action):
+        if self.episodes == 3:
+            assert self.let_go.wait(60)
+        return super().step(action)
+
+
+def test_what_was_played_is_handed_on_when_the_robot_does_not_answer(robot):
+    stuck, heard = Stuck(robot), []
+
+    def hangs(why, played):
+        heard.append((why, played))
+        stuck.let_go.set()
+
+    play(stuck, TASK, Limits(seconds=30 * PERIOD), read_plan(plan(), 2, PERIOD)[0], hangs)
+    [(why, played)] = heard
+    assert "the environment's step did not return within" in why
+    assert isinstance(played, Playback)
+    assert len(played.measurement.spans()) == 2
 
 
 def test_commands_beyond_the_tasks_bounds_are_refused():
@@ -106,11 +145,11 @@ def test_a_plan_of_another_robot_is_refused(content, message):
 
 def test_nothing_is_sent_from_another_pose_than_the_plans(robot):
     commands = read_plan(plan(), 2, PERIOD)[0]
-    firsts = play(robot, TASK, Limits(), commands).measurement
+    firsts = play(robot, TASK, Limits(), commands, never).measurement
     pose = np.median([firsts.qpos[first] for first, _ in firsts.spans()], axis=0)
-    assert len(play(robot, TASK, Limits(), commands, pose).measurement.spans()) > 1
+    assert len(play(robot, TASK, Limits(), commands, never, pose).measurement.spans()) > 1
     with pytest.raises(InvalidInput, match=r"the plan begins at .* and the robot is at"):
-        play(robot, TASK, Limits(), commands, pose + np.array([1.0, 0.0]))
+        play(robot, TASK, Limits(), commands, never, pose + np.array([1.0, 0.0]))
 
 
 @pytest.mark.parametrize("pose", [[0.0, np.nan], [[0.0, 0.0]], ["a", "b"]])
