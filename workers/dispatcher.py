@@ -16,6 +16,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from typing import cast
 
 import ray
@@ -42,8 +43,13 @@ _OWN_NODE_S = 5.0  # the same of our own cluster, whose processes are watched be
 class Dispatcher:
     """Runs stages for many runs at once. Any thread may call the functions without underscore."""
 
-    def __init__(self, options: RayOptions, results: Results):
-        self._options = options
+    def __init__(
+        self,
+        options: RayOptions,
+        results: Results,
+        cluster: Callable[[RayOptions], Cluster] = Cluster,
+    ):
+        self._options, self._make_cluster = options, cluster
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._jobs = JobTable(results, self._set_unwanted)
         self._stop = threading.Event()
@@ -122,7 +128,7 @@ class Dispatcher:
         self._cluster.close()
 
     def _start_ray(self) -> None:
-        self._cluster = Cluster(self._options)
+        self._cluster = self._make_cluster(self._options)
         try:
             self._cluster.start()
             self._meet_nodes()
@@ -139,26 +145,35 @@ class Dispatcher:
 
     def _loop(self) -> None:
         while not self._stop.is_set():
-            self._ticked = time.monotonic()
-            if not self._cluster.is_alive:  # any question to it would block
-                self._restart_ray()
-            self._jobs.retries.run_due(self._stop.is_set)
-            self._read_inbox()
-            self._place_jobs()
-            self._collect()
-            self._listen()
-            self._end_the_silent()
-            self._look_at_nodes()
+            self._step()
+            self._wait()
+
+    def _step(self) -> None:
+        """One round, which waits for nobody but the database."""
+        self._ticked = time.monotonic()
+        if not self._cluster.is_alive:  # any question to it would block
+            self._restart_ray()
+        self._jobs.retries.run_due(self._stop.is_set)
+        self._read_inbox()
+        self._place_jobs()
+        self._collect()
+        self._listen()
+        self._end_the_silent()
+        self._look_at_nodes()
+
+    def _wait(self) -> None:
+        """Sleep a tick: until all that runs has ended, or until somebody asks if nothing runs."""
+        if running := [job.ref for job in self._jobs.running()]:
+            ray.wait(running, num_returns=len(running), timeout=_TICK_S)
+        else:
+            with suppress(queue.Empty):
+                self._inbox.get(timeout=_TICK_S)()
 
     def _read_inbox(self) -> None:
-        """Carry out what other threads asked for; sleep a tick if nothing runs either."""
-        is_idle = not self._jobs.running()
-        try:
-            self._inbox.get(timeout=_TICK_S if is_idle else 0.001)()
+        """Carry out what other threads asked for."""
+        with suppress(queue.Empty):
             while True:
                 self._inbox.get_nowait()()
-        except queue.Empty:
-            return
 
     def _set_unwanted(self, digest: str, unwanted: bool) -> None:
         self._heartbeats.set_unwanted(digest, unwanted)
@@ -191,10 +206,10 @@ class Dispatcher:
         log.info("stage begun", extra={**job.ids, "actor": actor.name})
 
     def _collect(self) -> None:
-        """Take up what actors have finished, waiting a tick for it."""
+        """Take up what actors have finished."""
         running = {job.ref: job for job in self._jobs.running()}
         if running:
-            done, _ = ray.wait(list(running), num_returns=len(running), timeout=_TICK_S)
+            done, _ = ray.wait(list(running), num_returns=len(running), timeout=0)
             for ref in done:
                 self._finish(running[ref])
 
