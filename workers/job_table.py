@@ -70,7 +70,8 @@ class JobTable:
             case Refused(error):
                 future.set_exception(_not_stored(stage, error))
             case None:
-                job = self._jobs[stage.digest] = Job(stage, next(self._numbers), run_id)
+                job = Job(stage, next(self._numbers), run_id, asked=time.time())
+                self._jobs[stage.digest] = job
                 self._wait(job, waiter)
             case result:
                 future.set_result(result)

@@ -34,8 +34,8 @@ class Job:
     stage: AnyStage
     number: int  # order of the first requests
     started_by: str  # id of the run that asked first
+    asked: float  # when that was
     waiters: list[Waiter] = field(default_factory=list[Waiter])
-    asked: float = field(default_factory=time.time)
     attempt: int = 0
     lease: str | None = None  # of the attempt, if it visits the simulated target
     ref: Any = None  # of the running call

@@ -22,7 +22,7 @@ LATER = 1e9  # a monotonic time that never comes
 @pytest.fixture
 def job():
     """A training that `run_a` waits for."""
-    return Job(training(), number=1, started_by="run_a", waiters=[waiter("run_a")])
+    return Job(training(), number=1, started_by="run_a", asked=0.0, waiters=[waiter("run_a")])
 
 
 def waiter(run_id):
