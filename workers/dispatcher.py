@@ -51,7 +51,7 @@ class Dispatcher:
     ):
         self._options, self._make_cluster = options, cluster
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._jobs = JobTable(results, self._set_unwanted)
+        self._jobs = JobTable(results)
         self._stop = threading.Event()
         self._ready: Future[None] = Future()
         self._thread = threading.Thread(target=self._main, name="ray", daemon=True)
@@ -175,9 +175,6 @@ class Dispatcher:
             while True:
                 self._inbox.get_nowait()()
 
-    def _set_unwanted(self, digest: str, unwanted: bool) -> None:
-        self._heartbeats.set_unwanted(digest, unwanted)
-
     def _place_jobs(self) -> None:
         """Give free cores to jobs that wait for one."""
         if not self._cluster.is_alive:
@@ -236,7 +233,7 @@ class Dispatcher:
         self._jobs.lose(job, str(error))
 
     def _listen(self) -> None:
-        signs, checkpoints = self._heartbeats.news()
+        signs, checkpoints = self._heartbeats.news(self._jobs.unwanted())
         for sign in signs:
             self._jobs.hear(sign)
         for digest, checkpoint in checkpoints.items():

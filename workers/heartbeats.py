@@ -3,7 +3,7 @@
 A board, an actor of its own, takes the signs, so that the dispatcher waits for no stage:
 
     heartbeats = Heartbeats()                # starts the board
-    signs, checkpoints = heartbeats.news()   # since the last call; never waits
+    signs, checkpoints = heartbeats.news(unwanted)   # since the last call; never waits
     heartbeats.silence(since)                # seconds, by the board's last answer
 
 The board's process imports this module: it imports little, to be there soon.
@@ -11,6 +11,7 @@ The board's process imports this module: it imports little, to be there soon.
 
 import logging
 import time
+from collections.abc import Set
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -48,7 +49,7 @@ class Board:
     def __init__(self) -> None:
         self._latest: dict[str, SignOfLife] = {}
         self._checkpoint: dict[str, Checkpoint] = {}  # new since the last call of `news`
-        self._unwanted: set[str] = set()
+        self._unwanted: Set[str] = frozenset()
 
     def report(self, sign: SignOfLife) -> bool:
         """Note a sign of life; True if no run wants the stage any more."""
@@ -57,18 +58,15 @@ class Board:
             self._checkpoint[sign.digest] = sign.checkpoint
         return sign.digest in self._unwanted
 
-    def news(self) -> News:
-        """The latest signs and checkpoints since the last call."""
+    def news(self, unwanted: Set[str]) -> News:
+        """The latest signs and checkpoints since the last call.
+
+        `unwanted` has the stages that no run wants any more; all others may go on.
+        """
+        self._unwanted = unwanted
         news = list(self._latest.values()), self._checkpoint
         self._latest, self._checkpoint = {}, {}
         return news
-
-    def set_unwanted(self, digest: str, unwanted: bool) -> None:
-        """Note that no run wants a stage any more, or that one wants it again."""
-        if unwanted:
-            self._unwanted.add(digest)
-        else:
-            self._unwanted.discard(digest)
 
 
 class Heartbeats:
@@ -81,17 +79,16 @@ class Heartbeats:
         self._reply: Any = None  # to a call of `news` that goes on
         self._asked_at = self._answered_at = time.monotonic()
 
-    def set_unwanted(self, digest: str, unwanted: bool) -> None:
-        """Pass on to the board, without waiting for it."""
-        self.board.set_unwanted.remote(digest, unwanted)
+    def news(self, unwanted: Set[str]) -> News:
+        """The board's news; empty until it has answered. Replaces a board that hangs.
 
-    def news(self) -> News:
-        """The board's news; empty until it has answered. Replaces a board that hangs."""
+        The board learns all `unwanted` stages each time, because a new one knows none.
+        """
         since = time.monotonic() - self._asked_at
         if self._reply is None:
             if since > _READ_EVERY_S:
                 self._asked_at = time.monotonic()
-                self._reply = self.board.news.remote()
+                self._reply = self.board.news.remote(unwanted)
             return [], {}
         done, _ = ray.wait([self._reply], timeout=0)
         if done:

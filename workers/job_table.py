@@ -1,6 +1,6 @@
 """The table of jobs: the runs that wait for each, the order, and how each ends.
 
-    table = JobTable(results, heartbeats.set_unwanted)
+    table = JobTable(results)
     table.accept(stage, run_id, future)         # equal stages are one job
     for job in table.ready(): ...               # to be placed on a core: begin, then end or lose
 
@@ -11,7 +11,6 @@ A process that is lost means another attempt, three at most. Nothing here asks R
 import itertools
 import logging
 import time
-from collections.abc import Callable
 from concurrent.futures import Future
 
 from adr_service.errors import AdrError, FailureCode, StageFailed
@@ -31,8 +30,8 @@ _NOT_LOOKED_UP = "the stage could not be looked up"
 class JobTable:
     """All jobs; those that end leave."""
 
-    def __init__(self, results: Results, set_unwanted: Callable[[str, bool], None]):
-        self._results, self._set_unwanted = results, set_unwanted
+    def __init__(self, results: Results):
+        self._results = results
         self.retries = Retries()
         self._jobs: dict[str, Job] = {}
         self._numbers = itertools.count(1)
@@ -49,6 +48,10 @@ class JobTable:
         """Jobs that an actor computes."""
         return [job for job in self._jobs.values() if job.ref is not None]
 
+    def unwanted(self) -> frozenset[str]:
+        """Digests of the stages that an actor computes and no run wants any more."""
+        return frozenset(job.stage.digest for job in self.running() if not job.waiters)
+
     def activities(self, run_id: str | None = None) -> list[Activity]:
         """Jobs of a run, or all, for people; running ones first. Any thread may ask."""
         now = time.monotonic()
@@ -61,7 +64,7 @@ class JobTable:
         """Let a run have a stage's stored result, or wait for it."""
         waiter = Waiter(run_id, future)
         if (job := self._jobs.get(stage.digest)) is not None:
-            self._wait(job, waiter)
+            job.waiters.append(waiter)
             return
         ids = ids_of(stage, run_id)
         match attempted(_NOT_LOOKED_UP, ids, self._results.find, stage, run_id):
@@ -72,7 +75,7 @@ class JobTable:
             case None:
                 job = Job(stage, next(self._numbers), run_id, asked=time.time())
                 self._jobs[stage.digest] = job
-                self._wait(job, waiter)
+                job.waiters.append(waiter)
             case result:
                 future.set_result(result)
 
@@ -81,11 +84,7 @@ class JobTable:
         self.retries.withdraw(run_id)
         for job in [job for job in self._jobs.values() if run_id in job.run_ids]:
             job.waiters = [waiter for waiter in job.waiters if waiter.run_id != run_id]
-            if job.waiters:
-                continue
-            if job.ref is not None:
-                self._set_unwanted(job.stage.digest, True)
-            elif job.finished is None:
+            if not job.waiters and job.ref is None and job.finished is None:
                 self._give_up(job)
 
     def arrived(self, digest: str) -> None:
@@ -162,11 +161,6 @@ class JobTable:
         """Raise an error in all runs that wait."""
         for job in self._jobs.values():
             job.fail(error)
-
-    def _wait(self, job: Job, waiter: Waiter) -> None:
-        if not job.waiters:
-            self._set_unwanted(job.stage.digest, False)
-        job.waiters.append(waiter)
 
     def _deliver(self, job: Job, finished: Finished) -> None:
         """Store a result, then hand it to the runs that wait; later, while that cannot be."""

@@ -101,15 +101,15 @@ def test_a_defect_ends_as_a_failure_with_the_place(actor, board):
 
 def test_a_stage_that_no_run_wants_is_stopped(actor, board):
     stage = Wait(task="arm", divides=False)
-    ray.get(board.set_unwanted.remote(stage.digest, True))
+    ray.get(board.news.remote({stage.digest}))
     assert actor.compute(stage, PLACED, board) == Stopped()
 
 
 def test_signs_of_life_have_the_progress_and_the_last_checkpoint(actor, board):
     stage = Wait(task="arm", divides=False)
-    ray.get(board.set_unwanted.remote(stage.digest, True))
+    ray.get(board.news.remote({stage.digest}))
     actor.compute(stage, PLACED, board)
-    (sign,), checkpoints = ray.get(board.news.remote())
+    (sign,), checkpoints = ray.get(board.news.remote(set()))
     assert sign.digest == stage.digest
     assert 0 <= sign.fraction <= 0.75
     assert set(checkpoints) <= {stage.digest}

@@ -27,25 +27,24 @@ def test_news_are_the_latest_signs_since_the_last_call(board):
     for fraction in (0.1, 0.2):
         board.report(replace(SIGN, fraction=fraction))
     board.report(replace(SIGN, digest="another"))
-    signs, _ = board.news()
+    signs, _ = board.news(set())
     assert {sign.digest: sign.fraction for sign in signs} == {"digest": 0.2, "another": 0.5}
-    assert board.news() == ([], {})
+    assert board.news(set()) == ([], {})
 
 
 def test_a_checkpoint_outlives_later_signs_without_one(board):
     board.report(replace(SIGN, checkpoint=CHECKPOINT))
     board.report(SIGN)
-    signs, checkpoints = board.news()
+    signs, checkpoints = board.news(set())
     assert (signs, checkpoints) == ([SIGN], {"digest": CHECKPOINT})
 
 
 def test_a_report_is_answered_with_whether_to_stop(board):
     assert not board.report(SIGN)
-    board.set_unwanted("digest", True)
+    board.news({"digest"})
     assert board.report(SIGN)
-    board.set_unwanted("digest", False)
+    board.news(set())
     assert not board.report(SIGN)
-    board.set_unwanted("never seen", False)
 
 
 def test_an_unwanted_stage_has_the_least_patience_and_a_starting_one_the_most():

@@ -21,11 +21,11 @@ TRAINING, EPISODE = training(), episode()
 
 
 class Table:
-    """A table with its store, and the wishes that it passed on to the board."""
+    """A table with its store."""
 
     def __init__(self):
-        self.store, self.wishes = Store(), []
-        self.jobs = JobTable(self.store, lambda digest, unwanted: self.wishes.append(unwanted))
+        self.store = Store()
+        self.jobs = JobTable(self.store)
 
     def ask(self, stage, run_id="run_a"):
         future = Future()
@@ -105,9 +105,9 @@ def test_a_running_stage_is_unwanted_only_once_no_run_waits(table):
     table.ask(TRAINING, "run_b")
     job = table.start()
     table.jobs.withdraw("run_a")
-    assert table.wishes == [False]
+    assert table.jobs.unwanted() == set()
     table.jobs.withdraw("run_b")
-    assert table.wishes == [False, True]
+    assert table.jobs.unwanted() == {TRAINING.digest}
     table.end(job, Stopped())
     assert len(table.jobs) == 0
     assert table.store.dropped == [TRAINING.digest]
@@ -118,7 +118,7 @@ def test_a_stage_that_is_wanted_again_while_it_stops_gets_another_turn(table):
     job = table.start()
     table.jobs.withdraw("run_a")
     again = table.ask(TRAINING, "run_b")
-    assert table.wishes == [False, True, False]
+    assert table.jobs.unwanted() == set()
     table.end(job, Stopped())
     table.finish(table.start())
     assert again.result(0) == RESULT
