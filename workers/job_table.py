@@ -111,6 +111,7 @@ class JobTable:
     def begin(self, job: Job, worker: str) -> bool:
         """Begin an attempt, under a lease if it needs one; False if that cannot be now."""
         stage, begin = job.stage, self._results.begin
+        job.may_be_claimed = True
         trouble = "the stage could not be begun"
         match attempted(trouble, job.ids, begin, stage, job.started_by, worker):
             case Unavailable():
@@ -187,7 +188,7 @@ class JobTable:
         if error is not None:
             log.warning("stage failed: %s", error, extra=job.ids)
             job.fail(error)
-        if job.lease is not None:
+        if job.may_be_claimed:
             self._drop(job.stage, job.ids)
 
     def _drop(self, stage: AnyStage, ids: dict[str, str | int]) -> None:

@@ -38,6 +38,7 @@ class Job:
     waiters: list[Waiter] = field(default_factory=list[Waiter])
     attempt: int = 0
     lease: str | None = None  # of the attempt, if it visits the simulated target
+    may_be_claimed: bool = False  # a claim may be stored though its answer was lost
     ref: Any = None  # of the running call
     actor: Actor | None = None  # the process that computes it
     since: float = field(default_factory=time.monotonic)  # start of the wait, or of the attempt

@@ -44,7 +44,7 @@ class Results(Protocol):
         ...
 
     def drop(self, stage: AnyStage) -> None:
-        """Forget the lease of a stage that led to no result and that no run wants any more."""
+        """Forget the lease of a stage, if it needed one, that led to no result."""
         ...
 
     def commit(
@@ -89,7 +89,8 @@ class DatabaseResults:
             return visit_store.claim_simulated(session, stage, run_id, worker, now, _LEASE_S)
 
     def drop(self, stage: AnyStage) -> None:
-        visit_store.drop_simulated(self._database, stage.digest)
+        if stage.role == "target":
+            visit_store.drop_simulated(self._database, stage.digest)
 
     def commit(
         self,

@@ -132,6 +132,14 @@ def test_a_waiting_stage_that_no_run_wants_leaves_at_once(table):
     assert table.store.dropped == []
 
 
+def test_a_claim_whose_answer_was_lost_is_dropped_with_its_job(table):
+    table.ask(TRAINING)
+    table.store.refusals = 1
+    assert not table.jobs.begin(table.jobs.ready()[0], "actor")
+    table.jobs.withdraw("run_a")
+    assert table.store.dropped == [TRAINING.digest]
+
+
 def test_three_lost_processes_fail_the_stage(table):
     future = table.ask(TRAINING)
     for attempt in range(1, MAX_ATTEMPTS + 1):
