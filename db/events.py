@@ -58,36 +58,15 @@ def append_events(database: Database, events: Sequence[tuple[str, RunEvent]]) ->
 
 def append(session: Session, run_id: str, event: RunEvent) -> bool:
     """`append_event` inside a transaction."""
-    mine = EventRow.run_id == run_id
-    if session.scalar(select(EventRow.seq).where(mine, EventRow.key == event.key)) is not None:
-        return False
-    row = run_row(session, run_id)
-    last = session.scalar(select(func.max(EventRow.seq)).where(mine)) or 0
-    session.add(
-        EventRow(
-            run_id=run_id,
-            seq=last + 1,
-            key=event.key,
-            type=event.type,
-            body=event.model_dump_json(),
-            created_at=datetime.now(UTC),
-        )
-    )
-    _advance(session, row, event)
-    return True
+    return _append_new(session, run_row(session, run_id), [event]) > 0
 
 
 def append_to_all(session: Session, run_ids: Sequence[str], events: Sequence[RunEvent]) -> None:
-    """Write events to several runs, inside a transaction; runs that were deleted are skipped.
-
-    Events that were written before cost one look-up for all of them.
-    """
+    """Write events to several runs, inside a transaction; runs that were deleted are skipped."""
     for run_id in run_ids:
-        if _exists(session, run_id):
-            known = _known_keys(session, run_id, [event.key for event in events])
-            for event in events:
-                if event.key not in known:
-                    append(session, run_id, event)
+        row = session.scalar(select(RunRow).where(RunRow.id == run_id))
+        if row is not None:
+            _append_new(session, row, events)
 
 
 def events_of(
@@ -133,6 +112,23 @@ def run_row(session: Session, run_id: str) -> RunRow:
     if row is None:
         raise NotFound("run", run_id)
     return row
+
+
+def _append_new(session: Session, row: RunRow, events: Sequence[RunEvent]) -> int:
+    """Write those events that a run does not have yet; their number.
+
+    What the run has is looked up once for all of them.
+    """
+    known = _known_keys(session, row.id, [event.key for event in events])
+    new = {event.key: event for event in events if event.key not in known}
+    if new:
+        numbers = select(func.max(EventRow.seq)).where(EventRow.run_id == row.id)
+        last, now = session.scalar(numbers) or 0, datetime.now(UTC)
+        for seq, (key, event) in enumerate(new.items(), last + 1):
+            body = {"type": event.type, "body": event.model_dump_json()}
+            session.add(EventRow(run_id=row.id, seq=seq, key=key, created_at=now, **body))
+            _advance(session, row, event)
+    return len(new)
 
 
 def _advance(session: Session, row: RunRow, event: RunEvent) -> None:

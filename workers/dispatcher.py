@@ -181,6 +181,8 @@ class Dispatcher:
             return
         for job in self._jobs.ready():
             actor = self._pool.take(job.role, job.started_by, avoid=job.avoid)
+            if actor is None and job.avoid is None:
+                return  # no core is free, for whichever job
             if actor is None:
                 continue
             if self._jobs.begin(job, actor.name):
@@ -207,10 +209,11 @@ class Dispatcher:
         running = {job.ref: job for job in self._jobs.running()}
         if running:
             done, _ = ray.wait(list(running), num_returns=len(running), timeout=0)
-            for ref in done:
-                self._finish(running[ref])
+            endings = [(running[ref], self._leave(running[ref])) for ref in done]
+            self._jobs.end([(job, ending) for job, ending in endings if ending is not None])
 
-    def _finish(self, job: Job) -> None:
+    def _leave(self, job: Job) -> Ending | None:
+        """The ending of a job that its actor has left; None if the process was lost."""
         ref, actor = job.ref, job.actor
         assert actor is not None
         job.leave()
@@ -220,9 +223,9 @@ class Dispatcher:
             ending = _not_computed(error)
         except RayError as error:
             self._lose(job, actor, error)
-            return
+            return None
         self._pool.give_back(actor)
-        self._jobs.end(job, ending)
+        return ending
 
     def _lose(self, job: Job, actor: Actor, error: RayError) -> None:
         """Note that a process died under a job."""

@@ -11,6 +11,7 @@ A process that is lost means another attempt, three at most. Nothing here asks R
 import itertools
 import logging
 import time
+from collections.abc import Sequence
 from concurrent.futures import Future
 
 from adr_service.errors import AdrError, FailureCode, StageFailed
@@ -20,10 +21,11 @@ from db.session import RETRY_S
 from workers.actors import Ending, Failed, Finished, Stopped
 from workers.heartbeats import SignOfLife
 from workers.jobs import Activity, Job, Waiter, activity_of, ids_of
-from workers.results import Refused, Results, Retries, Unavailable, attempted
+from workers.results import Outcome, Refused, Results, Retries, Unavailable, attempted
 
 log = logging.getLogger(__name__)
 MAX_ATTEMPTS = 3
+_AT_ONCE = 50  # results that one transaction stores, so that others can write between two
 _NOT_LOOKED_UP = "the stage could not be looked up"
 
 
@@ -136,18 +138,22 @@ class JobTable:
             trouble = "the stage's checkpoint could not be stored"
             attempted(trouble, job.ids, self._results.note, job.stage, checkpoint, job.run_ids)
 
-    def end(self, job: Job, ending: Ending) -> None:
-        """Store and hand over what an actor computed, or fail the stage."""
-        match ending:
-            case Finished():
-                job.finished = ending
-                self._deliver(job, ending)
-            case Failed(code, message):
-                self._give_up(job, StageFailed(job.stage.kind, code, message))
-            case Stopped():
-                if not job.waiters:
-                    self._give_up(job)
-                # else it was wanted again while it was stopping, and waits for its turn
+    def end(self, endings: Sequence[tuple[Job, Ending]]) -> None:
+        """Store and hand over what actors computed, or fail the stages."""
+        finished = list[Job]()
+        for job, ending in endings:
+            match ending:
+                case Finished():
+                    job.finished = ending
+                    finished.append(job)
+                case Failed(code, message):
+                    self._give_up(job, StageFailed(job.stage.kind, code, message))
+                case Stopped():
+                    if not job.waiters:
+                        self._give_up(job)
+                    # else it was wanted again while it was stopping, and waits for its turn
+        for first in range(0, len(finished), _AT_ONCE):
+            self._deliver(finished[first : first + _AT_ONCE])
 
     def lose(self, job: Job, why: str) -> None:
         """Count a lost process: the job waits for another attempt, or fails."""
@@ -163,19 +169,22 @@ class JobTable:
         for job in self._jobs.values():
             job.fail(error)
 
-    def _deliver(self, job: Job, finished: Finished) -> None:
-        """Store a result, then hand it to the runs that wait; later, while that cannot be."""
-        stage, result = job.stage, finished.result
-        values = (stage, result, finished.execution, job.lease, job.run_ids)
-        trouble = "the stage's result could not be stored"
-        match attempted(trouble, job.ids, self._results.commit, *values):
+    def _deliver(self, jobs: Sequence[Job]) -> None:
+        """Store results, then hand them to the runs that wait; later, while that cannot be."""
+        outcomes = [_outcome(job) for job in jobs]
+        trouble, ids = "results of stages could not be stored", jobs[0].ids
+        match attempted(trouble, ids, self._results.commit, outcomes):
             case Unavailable():
-                self.retries.add(lambda: self._deliver(job, finished))
-            case Refused(error):
-                self._give_up(job, _not_stored(stage, error))
+                self.retries.add(lambda: self._deliver(jobs))
+            case Refused(error) if len(jobs) == 1:
+                self._give_up(jobs[0], _not_stored(jobs[0].stage, error))
+            case Refused():  # because of one of them
+                for job in jobs:
+                    self._deliver([job])
             case None:
-                log.info("stage finished", extra=job.ids)
-                self._hand_over(job, result)
+                for job, outcome in zip(jobs, outcomes, strict=True):
+                    log.info("stage finished", extra=job.ids)
+                    self._hand_over(job, outcome.result)
 
     def _hand_over(self, job: Job, result: StageResult) -> None:
         del self._jobs[job.stage.digest]
@@ -197,6 +206,12 @@ class JobTable:
         trouble = "the claim of a stage without a result could not be dropped"
         if attempted(trouble, ids, self._results.drop, stage) == Unavailable():
             self.retries.add(lambda: self._drop(stage, ids))
+
+
+def _outcome(job: Job) -> Outcome:
+    assert job.finished is not None
+    result, execution = job.finished.result, job.finished.execution
+    return Outcome(job.stage, result, execution, job.lease, job.run_ids)
 
 
 def _not_stored(stage: AnyStage, error: Exception) -> StageFailed:

@@ -86,7 +86,7 @@ class Pool:
         free = [core for core in free if core.node != avoid or not others]
         if not free:
             return None
-        core = min(free, key=lambda core: core.warm(role) is None)
+        core = next((core for core in free if core.warm(role)), free[0])
         core.busy = core.warm(role) or self._start(core, _ABLE[role][0], run_id)
         return core.busy
 

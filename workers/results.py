@@ -29,6 +29,17 @@ P = ParamSpec("P")
 _LEASE_S = 3600.0  # of the simulated target, which is watched by its signs of life
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """A result that is to be stored."""
+
+    stage: AnyStage
+    result: StageResult
+    execution: Execution
+    lease: str | None  # under which the stage was begun, if it needs one
+    run_ids: Sequence[str]  # runs that wait for it
+
+
 class Results(Protocol):
     """A store of results. Every function may raise DatabaseUnavailable."""
 
@@ -47,17 +58,10 @@ class Results(Protocol):
         """Forget the lease of a stage, if it needed one, that led to no result."""
         ...
 
-    def commit(
-        self,
-        stage: AnyStage,
-        result: StageResult,
-        execution: Execution,
-        lease: str | None,
-        run_ids: Sequence[str],
-    ) -> None:
-        """Store a result, and write its events to the runs that waited for it.
+    def commit(self, outcomes: Sequence[Outcome]) -> None:
+        """Store results, and write their events to the runs that waited; all of them or none.
 
-        Raises LeaseLost if the stage was begun under another lease since.
+        Raises LeaseLost if one of the stages was begun under another lease since.
         """
         ...
 
@@ -92,20 +96,15 @@ class DatabaseResults:
         if stage.role == "target":
             visit_store.drop_simulated(self._database, stage.digest)
 
-    def commit(
-        self,
-        stage: AnyStage,
-        result: StageResult,
-        execution: Execution,
-        lease: str | None,
-        run_ids: Sequence[str],
-    ) -> None:
-        document = canonical_json(stage.document)
+    def commit(self, outcomes: Sequence[Outcome]) -> None:
         with self._database.write("commit_result") as session:
-            stage_store.add_result(session, stage.digest, document, result, execution)
-            append_to_all(session, run_ids, events_of(stage, stage.read(result)))
-            if lease is not None:
-                visit_store.finish(session, stage.digest, lease)
+            for outcome in outcomes:
+                stage, result = outcome.stage, outcome.result
+                document = canonical_json(stage.document)
+                stage_store.add_result(session, stage.digest, document, result, outcome.execution)
+                append_to_all(session, outcome.run_ids, events_of(stage, stage.read(result)))
+                if outcome.lease is not None:
+                    visit_store.finish(session, stage.digest, outcome.lease)
 
     def note(self, stage: AnyStage, checkpoint: Checkpoint, run_ids: Sequence[str]) -> None:
         with self._database.write("note_checkpoint") as session:

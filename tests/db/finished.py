@@ -8,7 +8,7 @@ from db.events import append_event
 from db.runs import resubmit
 from tests.contracts.canned import canned
 from tests.db.rows import EXECUTION, benchmark_spec
-from workers.results import DatabaseResults
+from workers.results import DatabaseResults, Outcome
 
 
 class Interrupted(Exception):
@@ -30,7 +30,7 @@ class CommittedStages:
                     raise Interrupted
                 self._left -= 1
                 stored = canned(stage)
-                self._results.commit(stage, stored, EXECUTION, None, [self.run_id])
+                self._results.commit([Outcome(stage, stored, EXECUTION, None, [self.run_id])])
             results.append(stage.read(stored))
             yield from events_of(stage, results[-1])
         return results

@@ -23,7 +23,7 @@ from adr_service.stages.local import LocalStages, drained
 from adr_service.tasks.catalogue import source_of
 from db import runs
 from tests.db.rows import EXECUTION, SPEC
-from workers.results import DatabaseResults
+from workers.results import DatabaseResults, Outcome
 
 
 class Dice(Result):
@@ -87,7 +87,7 @@ def test_a_kind_of_stage_needs_its_file_alone_to_be_priced():
 def test_a_kind_of_stage_needs_its_file_alone_to_be_stored(file_database):
     results, run_id = DatabaseResults(file_database), runs.create_run(file_database, SPEC).id
     result = compute(STAGE)
-    results.commit(STAGE, result, EXECUTION, None, [run_id])
+    results.commit([Outcome(STAGE, result, EXECUTION, None, [run_id])])
     found = results.find(STAGE, run_id)
     assert found == result
     assert STAGE.read(found).picture == b"dots"

@@ -27,14 +27,15 @@ class Store:
         self.dropped.append(stage.digest)
         raise OSError("the file system is read-only")
 
-    def commit(self, stage, result, execution, lease, run_ids):
+    def commit(self, outcomes):
         self.refuse()
-        if "run_unlucky" in run_ids:
+        if any("run_unlucky" in outcome.run_ids for outcome in outcomes):
             raise OSError("no space left on device")
-        self.results[stage.digest] = result
-        self.executions[stage.digest] = execution
-        attempt, started_by = execution.attempt, execution.started_by
-        self.commits.append((stage.digest, attempt, started_by, sorted(run_ids)))
+        for outcome in outcomes:
+            digest, execution = outcome.stage.digest, outcome.execution
+            self.results[digest], self.executions[digest] = outcome.result, execution
+            attempt, started_by = execution.attempt, execution.started_by
+            self.commits.append((digest, attempt, started_by, sorted(outcome.run_ids)))
 
     def refuse(self):
         if self.refusals > 0:

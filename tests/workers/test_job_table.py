@@ -44,7 +44,7 @@ class Table:
 
     def end(self, job, ending):
         job.leave()
-        self.jobs.end(job, ending)
+        self.jobs.end([(job, ending)])
 
 
 @pytest.fixture
@@ -170,6 +170,19 @@ def test_a_result_that_cannot_be_stored_fails_its_stage_alone(table):
         unlucky.result(0)
     assert failed.value.cause == "not_stored"
     assert lucky.result(0) == RESULT
+
+
+def test_a_result_that_cannot_be_stored_fails_alone_also_among_several(table):
+    futures = [table.ask(training(seed), "run_b") for seed in range(2)]
+    unlucky = table.ask(criticism(), "run_unlucky")
+    jobs = [table.start() for _ in range(3)]
+    for job in jobs:
+        job.leave()
+    finished = Finished(RESULT, EXECUTION)
+    table.jobs.end([(job, finished) for job in jobs])
+    assert [future.result(0) for future in futures] == [RESULT] * 2
+    with pytest.raises(StageFailed, match="no space left"):
+        unlucky.result(0)
 
 
 def test_a_request_waits_for_a_database_that_cannot_be_used_just_now(table, at_once):

@@ -11,7 +11,7 @@ from db.visits import LeaseLost
 from tests.db.rows import EXECUTION, SPEC
 from tests.stages.examples import episode, rollout, training
 from workers import results
-from workers.results import DatabaseResults, Refused, Retries, Unavailable, attempted
+from workers.results import DatabaseResults, Outcome, Refused, Retries, Unavailable, attempted
 
 IDS = {"run": "run_a"}
 STAGE = training()
@@ -35,7 +35,7 @@ def test_a_result_is_written_to_the_runs_that_waited_and_to_those_that_find_it(d
     store = DatabaseResults(database)
     waited, later = (runs.create_run(database, SPEC).id for _ in range(2))
     assert store.find(STAGE, waited) is None
-    store.commit(STAGE, RESULT, EXECUTION, None, [waited, "run_deleted_meanwhile"])
+    store.commit([Outcome(STAGE, RESULT, EXECUTION, None, [waited, "run_deleted_meanwhile"])])
     assert store.find(STAGE, later) == RESULT
     for run_id in (waited, later):
         (event,) = events_of(database, run_id, "stage_finished")
@@ -47,9 +47,9 @@ def test_a_simulated_visit_is_completed_under_its_last_lease_alone(database):
     assert store.begin(training(), run_id, "actor") is None
     first, second = (store.begin(VISIT, run_id, name) for name in ("lost", "next"))
     with pytest.raises(LeaseLost):
-        store.commit(VISIT, ROLLOUT, EXECUTION, first, [run_id])
+        store.commit([Outcome(VISIT, ROLLOUT, EXECUTION, first, [run_id])])
     assert store.find(VISIT, run_id) is None
-    store.commit(VISIT, ROLLOUT, EXECUTION, second, [run_id])
+    store.commit([Outcome(VISIT, ROLLOUT, EXECUTION, second, [run_id])])
     assert [visit.state for visit in visits.list_visits(database)] == ["done"]
 
 

@@ -29,7 +29,7 @@ from db.models import Base
 from db.session import Database
 from db.visits import LeaseLost
 from tests.db.rows import SPEC
-from workers.results import DatabaseResults, Results
+from workers.results import DatabaseResults, Outcome, Results
 
 _TASK = "arm"
 _EPOCH = datetime(2026, 1, 1, tzinfo=UTC)
@@ -132,20 +132,15 @@ class MemoryLedger:
         if visit is not None and not visit.is_external and visit.state == "claimed":
             del self._visits[stage.digest]
 
-    def commit(
-        self,
-        stage: AnyStage,
-        result: StageResult,
-        execution: Execution,
-        lease: str | None,
-        run_ids: Sequence[str],
-    ) -> None:
-        if lease is not None:
-            self._finish(stage.digest, lease)
-        self._results.setdefault(stage.digest, result)
-        self._executions.setdefault(stage.digest, execution)
-        for run_id in run_ids:
-            self._events[run_id][stage.digest] = None
+    def commit(self, outcomes: Sequence[Outcome]) -> None:
+        for outcome in outcomes:
+            digest = outcome.stage.digest
+            if outcome.lease is not None:
+                self._finish(digest, outcome.lease)
+            self._results.setdefault(digest, outcome.result)
+            self._executions.setdefault(digest, outcome.execution)
+            for run_id in outcome.run_ids:
+                self._events[run_id][digest] = None
 
     def note(self, stage: AnyStage, checkpoint: Checkpoint, run_ids: Sequence[str]) -> None:
         """Checkpoints are for people; no result needs them."""

@@ -3,13 +3,13 @@
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from adr_service.benchmark.cost import Execution
 from adr_service.progress import Checkpoint
 from adr_service.stages.base import AnyStage, StageResult
 from db.errors import DatabaseUnavailable
 from tests.workers.schedules.faults import Faults, ServiceDied, Violation
 from tests.workers.schedules.ledgers import Ledger
 from tests.workers.schedules.simulated_ray import SimulatedRay, result_of
+from workers.results import Outcome
 
 T = TypeVar("T")
 
@@ -23,7 +23,9 @@ class Witness:
         self.stored: dict[str, tuple[int, float] | None] = {}  # (attempt, began); None: a robot's
         self.asked: dict[str, set[str]] = {}  # by digest, the runs that ever asked
         self.refused: set[str] = set()  # digests whose result the database has refused
-        self.commits = 0
+        self.commits = 0  # results stored
+        self.batches = 0  # transactions that stored several
+        self._unstorable: set[tuple[int, float]] = set()  # origins of refused results
 
     def find(self, stage: AnyStage, run_id: str) -> StageResult | None:
         self.asked.setdefault(stage.digest, set()).add(run_id)
@@ -42,29 +44,30 @@ class Witness:
     def note(self, stage: AnyStage, checkpoint: Checkpoint, run_ids: Sequence[str]) -> None:
         self._transaction(lambda: self._ledger.note(stage, checkpoint, run_ids))
 
-    def commit(
-        self,
-        stage: AnyStage,
-        result: StageResult,
-        execution: Execution,
-        lease: str | None,
-        run_ids: Sequence[str],
-    ) -> None:
-        digest, origin = stage.digest, (execution.attempt, execution.began)
-        if result != result_of(stage):
-            raise Violation(f"a result of another stage is stored for {stage.kind}")
-        if self.stored.get(digest, origin) != origin:
-            raise Violation(f"{stage.kind} is committed twice, from two computations")
-        if self._faults.happens("database refuses a result"):
-            self.refused.add(digest)
+    def commit(self, outcomes: Sequence[Outcome]) -> None:
+        origins = {o.stage.digest: (o.execution.attempt, o.execution.began) for o in outcomes}
+        for outcome in outcomes:
+            self._check(outcome, origins[outcome.stage.digest])
+            if self._faults.happens("database refuses a result"):
+                self.refused.add(outcome.stage.digest)
+                self._unstorable.add(origins[outcome.stage.digest])
+        if not self._unstorable.isdisjoint(origins.values()):
             raise OSError("as the schedule has it")
 
         def store() -> None:
-            self._ledger.commit(stage, result, execution, lease, run_ids)
-            self.commits += digest not in self.stored
-            self.stored[digest] = origin
+            self._ledger.commit(outcomes)
+            self.commits += len(origins.keys() - self.stored.keys())
+            self.batches += len(outcomes) > 1
+            self.stored |= origins
 
         self._transaction(store)
+
+    def _check(self, outcome: Outcome, origin: tuple[int, float]) -> None:
+        stage = outcome.stage
+        if outcome.result != result_of(stage):
+            raise Violation(f"a result of another stage is stored for {stage.kind}")
+        if self.stored.get(stage.digest, origin) != origin:
+            raise Violation(f"{stage.kind} is committed twice, from two computations")
 
     def _transaction(self, action: Callable[[], T]) -> T:
         """Do it, unless the database or the service fails before; both may fail after as well."""

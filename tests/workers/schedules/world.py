@@ -50,6 +50,7 @@ class Figures:
     on_database: int = 0  # of these
     rounds: int = 0
     stages: int = 0  # stored
+    batches: int = 0  # transactions that stored several of them
     runs: int = 0
     faults: Counter[str] = field(default_factory=Counter[str])
 
@@ -59,13 +60,15 @@ class Figures:
             self.on_database + other.on_database,
             self.rounds + other.rounds,
             self.stages + other.stages,
+            self.batches + other.batches,
             self.runs + other.runs,
             self.faults + other.faults,
         )
 
     def __str__(self) -> str:
         faults = ", ".join(f"{name} {count}" for name, count in sorted(self.faults.items()))
-        counts = f"runs {self.runs}, stages committed {self.stages}, rounds {self.rounds}"
+        counts = f"runs {self.runs}, rounds {self.rounds}, stages committed {self.stages}"
+        counts = f"{counts}, several at once {self.batches} times"
         schedules = f"schedules {self.schedules} ({self.on_database} on SQLite)"
         return f"{schedules}, {counts}; faults {self.faults.total()}: {faults}"
 
@@ -120,7 +123,8 @@ class World:
                 self._round()
                 self.clock.advance()
             self._audit()
-        self.figures.stages, self.figures.runs = self.witness.commits, len(self.runs)
+        self.figures.stages, self.figures.batches = self.witness.commits, self.witness.batches
+        self.figures.runs = len(self.runs)
         self.figures.faults = self.faults.injected
         return self.figures
 
