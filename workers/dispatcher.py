@@ -28,7 +28,7 @@ from adr_service.stages.base import AnyStage, StageResult
 from workers.actors import Ending, Failed
 from workers.cluster import Cluster, ClusterUnavailable, RayOptions
 from workers.heartbeats import Heartbeats, patience_s
-from workers.job_table import JobTable
+from workers.job_table import AT_ONCE, JobTable
 from workers.jobs import Activity, Job
 from workers.pool import Actor, Pool
 from workers.results import Results
@@ -179,16 +179,26 @@ class Dispatcher:
         """Give free cores to jobs that wait for one."""
         if not self._cluster.is_alive:
             return
+        taken = self._take_cores()
+        for first in range(0, len(taken), AT_ONCE):
+            jobs, actors = zip(*taken[first : first + AT_ONCE], strict=True)
+            are_begun = self._jobs.begin(jobs, [actor.name for actor in actors])
+            for job, actor, is_begun in zip(jobs, actors, are_begun, strict=True):
+                if is_begun:
+                    self._place(job, actor)
+                else:
+                    self._pool.give_back(actor)
+
+    def _take_cores(self) -> list[tuple[Job, Actor]]:
+        """Jobs that wait for a core, each with an actor on a free one."""
+        taken = list[tuple[Job, Actor]]()
         for job in self._jobs.ready():
             actor = self._pool.take(job.role, job.started_by, avoid=job.avoid)
-            if actor is None and job.avoid is None:
-                return  # no core is free, for whichever job
-            if actor is None:
-                continue
-            if self._jobs.begin(job, actor.name):
-                self._place(job, actor)
-            else:
-                self._pool.give_back(actor)
+            if actor is not None:
+                taken.append((job, actor))
+            elif job.avoid is None:
+                break  # no core is free, for whichever job
+        return taken
 
     def _place(self, job: Job, actor: Actor) -> None:
         now = time.time()

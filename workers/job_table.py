@@ -21,11 +21,11 @@ from db.session import RETRY_S
 from workers.actors import Ending, Failed, Finished, Stopped
 from workers.heartbeats import SignOfLife
 from workers.jobs import Activity, Job, Waiter, activity_of, ids_of
-from workers.results import Outcome, Refused, Results, Retries, Unavailable, attempted
+from workers.results import Beginning, Outcome, Refused, Results, Retries, Unavailable, attempted
 
 log = logging.getLogger(__name__)
 MAX_ATTEMPTS = 3
-_AT_ONCE = 50  # results that one transaction stores, so that others can write between two
+AT_ONCE = 50  # stages that one transaction changes, so that others can write between two
 _NOT_LOOKED_UP = "the stage could not be looked up"
 
 
@@ -110,21 +110,29 @@ class JobTable:
         if (job := self._jobs.get(digest)) is not None:
             self._give_up(job, StageFailed(job.stage.kind, FailureCode.TARGET_FAILED, message))
 
-    def begin(self, job: Job, worker: str) -> bool:
-        """Begin an attempt, under a lease if it needs one; False if that cannot be now."""
-        stage, begin = job.stage, self._results.begin
-        job.may_be_claimed = True
-        trouble = "the stage could not be begun"
-        match attempted(trouble, job.ids, begin, stage, job.started_by, worker):
+    def begin(self, jobs: Sequence[Job], workers: Sequence[str]) -> list[bool]:
+        """Begin an attempt of each job, under a lease if it needs one; False where it cannot be."""
+        beginnings = [
+            Beginning(job.stage, job.started_by, worker)
+            for job, worker in zip(jobs, workers, strict=True)
+        ]
+        for job in jobs:
+            job.may_be_claimed = True
+        trouble, ids = "stages could not be begun", jobs[0].ids
+        match attempted(trouble, ids, self._results.begin, beginnings):
             case Unavailable():
-                job.not_before = time.monotonic() + RETRY_S
-                return False
-            case Refused(error):
-                self._give_up(job, _not_stored(stage, error))
-                return False
-            case lease:
-                job.lease, job.attempt = lease, job.attempt + 1
-                return True
+                for job in jobs:
+                    job.not_before = time.monotonic() + RETRY_S
+            case Refused(error) if len(jobs) == 1:
+                self._give_up(jobs[0], _not_stored(jobs[0].stage, error))
+            case Refused():  # because of one of them
+                pairs = zip(jobs, workers, strict=True)
+                return [is_begun for job, name in pairs for is_begun in self.begin([job], [name])]
+            case leases:
+                for job, lease in zip(jobs, leases, strict=True):
+                    job.lease, job.attempt = lease, job.attempt + 1
+                return [True] * len(jobs)
+        return [False] * len(jobs)
 
     def hear(self, sign: SignOfLife) -> None:
         """Note a sign of life."""
@@ -152,8 +160,8 @@ class JobTable:
                     if not job.waiters:
                         self._give_up(job)
                     # else it was wanted again while it was stopping, and waits for its turn
-        for first in range(0, len(finished), _AT_ONCE):
-            self._deliver(finished[first : first + _AT_ONCE])
+        for first in range(0, len(finished), AT_ONCE):
+            self._deliver(finished[first : first + AT_ONCE])
 
     def lose(self, job: Job, why: str) -> None:
         """Count a lost process: the job waits for another attempt, or fails."""

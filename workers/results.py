@@ -30,6 +30,15 @@ _LEASE_S = 3600.0  # of the simulated target, which is watched by its signs of l
 
 
 @dataclass(frozen=True)
+class Beginning:
+    """A stage that a process is about to compute."""
+
+    stage: AnyStage
+    run_id: str  # of the run that asked first
+    worker: str  # name of the process
+
+
+@dataclass(frozen=True)
 class Outcome:
     """A result that is to be stored."""
 
@@ -50,8 +59,8 @@ class Results(Protocol):
         """
         ...
 
-    def begin(self, stage: AnyStage, run_id: str, worker: str) -> str | None:
-        """The lease under which a process begins a stage; None if it needs none."""
+    def begin(self, beginnings: Sequence[Beginning]) -> list[str | None]:
+        """The leases under which stages are begun, all or none; None for one that needs none."""
         ...
 
     def drop(self, stage: AnyStage) -> None:
@@ -85,12 +94,17 @@ class DatabaseResults:
                 visit_store.publish(session, stage, run_id, datetime.now(UTC))
             return result
 
-    def begin(self, stage: AnyStage, run_id: str, worker: str) -> str | None:
-        if stage.role != "target":
-            return None
-        now = datetime.now(UTC)
-        with self._database.write("claim_simulated") as session:
-            return visit_store.claim_simulated(session, stage, run_id, worker, now, _LEASE_S)
+    def begin(self, beginnings: Sequence[Beginning]) -> list[str | None]:
+        leases: list[str | None] = [None] * len(beginnings)
+        visits = [(i, each) for i, each in enumerate(beginnings) if each.stage.role == "target"]
+        if visits:
+            now = datetime.now(UTC)
+            with self._database.write("claim_simulated") as session:
+                for index, each in visits:
+                    leases[index] = visit_store.claim_simulated(
+                        session, each.stage, each.run_id, each.worker, now, _LEASE_S
+                    )
+        return leases
 
     def drop(self, stage: AnyStage) -> None:
         if stage.role == "target":

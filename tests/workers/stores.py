@@ -19,9 +19,9 @@ class Store:
     def note(self, stage, checkpoint, run_ids):
         self.notes.append((stage.digest, checkpoint, run_ids))
 
-    def begin(self, stage, run_id, worker):
+    def begin(self, beginnings):
         self.refuse()
-        return "lease"
+        return ["lease"] * len(beginnings)
 
     def drop(self, stage):
         self.dropped.append(stage.digest)

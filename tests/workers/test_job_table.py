@@ -35,7 +35,7 @@ class Table:
     def start(self):
         """Begin the first job that waits for a core."""
         job = self.jobs.ready()[0]
-        assert self.jobs.begin(job, "actor")
+        assert self.jobs.begin([job], ["actor"]) == [True]
         job.place(None, object())
         return job
 
@@ -135,7 +135,7 @@ def test_a_waiting_stage_that_no_run_wants_leaves_at_once(table):
 def test_a_claim_whose_answer_was_lost_is_dropped_with_its_job(table):
     table.ask(TRAINING)
     table.store.refusals = 1
-    assert not table.jobs.begin(table.jobs.ready()[0], "actor")
+    assert table.jobs.begin(table.jobs.ready(), ["actor"]) == [False]
     table.jobs.withdraw("run_a")
     assert table.store.dropped == [TRAINING.digest]
 
@@ -191,7 +191,7 @@ def test_a_request_waits_for_a_database_that_cannot_be_used_just_now(table, at_o
     assert len(table.jobs) == 0
     table.jobs.retries.run_due()
     table.store.refusals = 1
-    assert not table.jobs.begin(table.jobs.ready()[0], "actor")
+    assert table.jobs.begin(table.jobs.ready(), ["actor"]) == [False]
     job = table.start()
     table.store.refusals = 1
     table.finish(job)

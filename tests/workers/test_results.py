@@ -11,7 +11,15 @@ from db.visits import LeaseLost
 from tests.db.rows import EXECUTION, SPEC
 from tests.stages.examples import episode, rollout, training
 from workers import results
-from workers.results import DatabaseResults, Outcome, Refused, Retries, Unavailable, attempted
+from workers.results import (
+    Beginning,
+    DatabaseResults,
+    Outcome,
+    Refused,
+    Retries,
+    Unavailable,
+    attempted,
+)
 
 IDS = {"run": "run_a"}
 STAGE = training()
@@ -44,8 +52,10 @@ def test_a_result_is_written_to_the_runs_that_waited_and_to_those_that_find_it(d
 
 def test_a_simulated_visit_is_completed_under_its_last_lease_alone(database):
     store, run_id = DatabaseResults(database), runs.create_run(database, SPEC).id
-    assert store.begin(training(), run_id, "actor") is None
-    first, second = (store.begin(VISIT, run_id, name) for name in ("lost", "next"))
+    begun = [Beginning(training(), run_id, "actor"), Beginning(VISIT, run_id, "lost")]
+    none, first = store.begin(begun)
+    (second,) = store.begin([Beginning(VISIT, run_id, "next")])
+    assert none is None
     with pytest.raises(LeaseLost):
         store.commit([Outcome(VISIT, ROLLOUT, EXECUTION, first, [run_id])])
     assert store.find(VISIT, run_id) is None
@@ -55,7 +65,7 @@ def test_a_simulated_visit_is_completed_under_its_last_lease_alone(database):
 
 def test_a_dropped_visit_leaves_no_row(database):
     store, run_id = DatabaseResults(database), runs.create_run(database, SPEC).id
-    store.begin(VISIT, run_id, "actor")
+    store.begin([Beginning(VISIT, run_id, "actor")])
     store.drop(VISIT)
     assert visits.list_visits(database) == []
 

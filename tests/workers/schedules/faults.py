@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 
-class Violation(AssertionError):
-    """Something that must never be."""
+class Violation(BaseException):
+    """Something that must never be; nothing of the service may catch this."""
 
 
 class ServiceDied(BaseException):

@@ -29,7 +29,7 @@ from db.models import Base
 from db.session import Database
 from db.visits import LeaseLost
 from tests.db.rows import SPEC
-from workers.results import DatabaseResults, Outcome, Results
+from workers.results import Beginning, DatabaseResults, Outcome, Results
 
 _TASK = "arm"
 _EPOCH = datetime(2026, 1, 1, tzinfo=UTC)
@@ -120,7 +120,10 @@ class MemoryLedger:
             self._publish(stage, run_id)
         return result
 
-    def begin(self, stage: AnyStage, run_id: str, worker: str) -> str | None:
+    def begin(self, beginnings: Sequence[Beginning]) -> list[str | None]:
+        return [self._begin(each.stage, each.run_id) for each in beginnings]
+
+    def _begin(self, stage: AnyStage, run_id: str) -> str | None:
         if stage.role != "target":
             return None
         visit = self._publish(stage, run_id)

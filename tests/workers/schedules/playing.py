@@ -51,6 +51,6 @@ def silent() -> Iterator[None]:
 def _noting(seed: int) -> Iterator[None]:
     try:
         yield
-    except Exception as error:
+    except BaseException as error:
         error.add_note(f"schedule {seed}; again: python -m tests.workers.schedules {seed}")
         raise

@@ -9,7 +9,7 @@ from db.errors import DatabaseUnavailable
 from tests.workers.schedules.faults import Faults, ServiceDied, Violation
 from tests.workers.schedules.ledgers import Ledger
 from tests.workers.schedules.simulated_ray import SimulatedRay, result_of
-from workers.results import Outcome
+from workers.results import Beginning, Outcome
 
 T = TypeVar("T")
 
@@ -31,12 +31,14 @@ class Witness:
         self.asked.setdefault(stage.digest, set()).add(run_id)
         return self._transaction(lambda: self._ledger.find(stage, run_id))
 
-    def begin(self, stage: AnyStage, run_id: str, worker: str) -> str | None:
-        if stage.digest in self.stored:
-            raise Violation(f"{stage.kind} is computed again though its result is stored")
-        if stage.role != "target":  # nothing is written
-            return None
-        return self._transaction(lambda: self._ledger.begin(stage, run_id, worker))
+    def begin(self, beginnings: Sequence[Beginning]) -> list[str | None]:
+        for beginning in beginnings:
+            if beginning.stage.digest in self.stored:
+                kind = beginning.stage.kind
+                raise Violation(f"{kind} is computed again though its result is stored")
+        if all(beginning.stage.role != "target" for beginning in beginnings):
+            return self._ledger.begin(beginnings)  # which writes nothing
+        return self._transaction(lambda: self._ledger.begin(beginnings))
 
     def drop(self, stage: AnyStage) -> None:
         self._transaction(lambda: self._ledger.drop(stage))
