@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-calibration bench-budgets bench-coverage study bench-criticism bench-arms bench-extension bench-separation bench-baselines bench-api docs clean
+.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-calibration bench-budgets bench-coverage study bench-criticism bench-arms bench-extension bench-separation bench-baselines bench-api bench-cluster docs clean
 
 setup: $(STAMP)
 
@@ -98,6 +98,10 @@ bench-baselines: setup
 # three minutes
 bench-api: setup
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/load.py
+
+# ten minutes
+bench-cluster: setup
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.cluster
 
 # the site, in build/docs
 docs: setup
