@@ -25,7 +25,7 @@ from db.errors import DiskFull, NotFound, NotPossible
 from db.session import Database, open_database
 from db.visits import Visit
 from workers.cluster import ClusterUnavailable, RayOptions
-from workers.orchestrator import Orchestrator
+from workers.orchestrator import RUNS_AT_ONCE, Orchestrator
 
 log = logging.getLogger(__name__)
 
@@ -51,17 +51,23 @@ class Service:
 
     def check_queue(self, live: int) -> None:
         """Raise an error if there are too many runs, no cores, or too little disk for more runs."""
-        if self.orchestrator.cores == 0 and self.settings.ray_address != "local":
-            raise ClusterUnavailable(
-                "the cluster has no cores, so nothing would ever run: add a node with some "
-                "(ray start --address=HEAD:6379)"
-            )
+        self.check_cores()
         self.check_disk()
         most = self.settings.max_live_runs
         if live > most:
             raise QueueFull(
                 f"{live} runs would wait or run; accepted are {most} (ADR_MAX_LIVE_RUNS)"
             )
+
+    def check_cores(self) -> None:
+        """Raise ClusterUnavailable if there are no cores, and no autoscaler is asked for any."""
+        settings = self.settings
+        if self.orchestrator.cores or settings.ray_address == "local" or settings.max_cores:
+            return
+        raise ClusterUnavailable(
+            f"no node of the cluster has any {settings.resource}, so nothing would ever run: add "
+            "one (ray start --address=HEAD:6379), or set ADR_MAX_CORES for its autoscaler"
+        )
 
     @property
     def dashboard_url(self) -> str | None:
@@ -116,7 +122,8 @@ def open_service(settings: Settings) -> Service:
     _prepare(settings.data_dir)
     database = open_database(settings.database)
     try:
-        orchestrator = Orchestrator(database, _ray_options(settings))
+        runs = _runs_at_once(settings)
+        orchestrator = Orchestrator(database, _ray_options(settings), runs_at_once=runs)
         staging.clear(settings.data_dir)
         visit_store.renew_leases(database, orchestrator.clock.now(), settings.lease_s)
         orchestrator.start()
@@ -147,7 +154,16 @@ def _ray_options(settings: Settings) -> RayOptions:
         dashboard=settings.dashboard,
         compile_cache=settings.data_dir.absolute() / "compile_cache",
         folder=settings.data_dir.absolute(),
+        keep_idle_s=settings.keep_idle_s,
+        resource=settings.resource,
+        max_cores=settings.max_cores,
     )
+
+
+def _runs_at_once(settings: Settings) -> int:
+    """Two for each core that the settings name: a run keeps one busy, but for its pauses."""
+    cores = settings.max_cores or settings.cpus or 0
+    return settings.runs_at_once or max(RUNS_AT_ONCE, 2 * cores)
 
 
 def _service(request: Request) -> Service:

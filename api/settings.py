@@ -54,6 +54,23 @@ class Settings(BaseSettings):
         description="local, auto, or the address of a cluster; or in RAY_ADDRESS",
     )
     cpus: int | None = Field(None, ge=1, description="of a local cluster; default: all")
+    max_cores: int | None = Field(
+        None,
+        ge=1,
+        le=100_000,
+        description="of a cluster with an autoscaler: to ask for, and to use, at most",
+    )
+    resource: str = Field(
+        "CPU",
+        min_length=1,
+        description="of the nodes for stages: Ray's name for it, one for each core",
+    )
+    keep_idle_s: float = Field(
+        600.0, ge=0, description="for which a process without a stage keeps its core of a node"
+    )
+    runs_at_once: int | None = Field(
+        None, ge=1, le=10_000, description="that compute; default: 64, or two for each core if more"
+    )
     dashboard: bool = True
     ray_dashboard_url: str = Field("", description="where browsers reach it, if not where Ray says")
     log_format: LogFormat = Field("text", description="of the log: text, or json, a line each")
@@ -75,6 +92,15 @@ class Settings(BaseSettings):
             raise ValueError("ADR_ROBOT_TOKEN must not be ADR_TOKEN: robots could do everything")
         if self.robot_token and not self.token:
             raise ValueError("ADR_ROBOT_TOKEN has no effect without ADR_TOKEN: everyone has access")
+        return self
+
+    @model_validator(mode="after")
+    def _known_to_a_cluster(self) -> Self:
+        if self.ray_address == "local" and (self.max_cores or self.resource != "CPU"):
+            raise ValueError(
+                "ADR_MAX_CORES and ADR_RESOURCE are for a cluster that is joined: give its address "
+                "in ADR_RAY_ADDRESS, or set ADR_CPUS for one of your own"
+            )
         return self
 
     @field_validator("rate")

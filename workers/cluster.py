@@ -39,6 +39,8 @@ class RayOptions:
     # of a local cluster's token and sessions; None: a temporary one, deleted at exit
     folder: Path | None = None
     keep_idle_s: float = 600.0  # how long a process stays warm for the next stage
+    resource: str = "CPU"  # of a node, as Ray counts it: one for each core that computes stages
+    max_cores: int | None = None  # at work at once, and asked of an autoscaler; None: all there are
 
 
 class Cluster:

@@ -27,6 +27,7 @@ from adr_service.errors import AdrError, FailureCode, RunCancelled
 from adr_service.stages.base import AnyStage, StageResult
 from workers.actors import Ending, Failed
 from workers.cluster import Cluster, ClusterUnavailable, RayOptions
+from workers.demand import Demand
 from workers.heartbeats import Heartbeats, patience_s
 from workers.job_table import AT_ONCE, JobTable
 from workers.jobs import Activity, Job
@@ -125,6 +126,8 @@ class Dispatcher:
             ending = ClusterUnavailable(f"the dispatcher stopped: {cause}")
         self._stop.set()
         self._jobs.fail_all(ending)
+        if self._cluster.is_alive:
+            self._demand.report(0)  # the request outlives this process
         self._cluster.close()
 
     def _start_ray(self) -> None:
@@ -138,7 +141,7 @@ class Dispatcher:
 
     def _meet_nodes(self) -> None:
         """Count the cores of a cluster that was just started or joined, and start a board there."""
-        self._pool = Pool(self._options.keep_idle_s)
+        self._pool, self._demand = Pool(self._options), Demand(self._options)
         self.cores = len(self._pool)
         self._heartbeats = Heartbeats()
         self._nodes_seen = time.monotonic()
@@ -273,6 +276,7 @@ class Dispatcher:
         self._nodes_seen = time.monotonic()
         self._pool.refresh()
         self.cores = len(self._pool)
+        self._demand.report(len(self._jobs.ready()) + len(self._jobs.running()))
         if self._pool.nodes == 0 and self._cluster.is_local:
             self._restart_ray()
 

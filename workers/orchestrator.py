@@ -69,10 +69,16 @@ class _Live(NamedTuple):
 class Orchestrator:
     """Runs the runs of one database on one cluster."""
 
-    def __init__(self, database: Database, options: RayOptions, program: Program = run):
+    def __init__(
+        self,
+        database: Database,
+        options: RayOptions,
+        program: Program = run,
+        runs_at_once: int = RUNS_AT_ONCE,
+    ):
         self._database, self._program = database, program
         self._dispatcher = Dispatcher(options, DatabaseResults(database))
-        self._ours = ThreadPoolExecutor(RUNS_AT_ONCE, thread_name_prefix="run")
+        self._ours = ThreadPoolExecutor(runs_at_once, thread_name_prefix="run")
         self._external = ThreadPoolExecutor(_EXTERNAL_AT_ONCE, thread_name_prefix="external")
         self._recorder = ThreadPoolExecutor(1, thread_name_prefix="record")
         self._live: dict[tuple[str, int], _Live] = {}  # by run and submission

@@ -9,6 +9,7 @@ Everything here runs on the dispatcher's thread.
 
 import itertools
 import time
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +18,7 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from adr_service.stages.base import Role
 from workers.actors import StageActor
+from workers.cluster import RayOptions
 
 # roles of the actors that can compute a stage; the first is started if there is none
 _ABLE: dict[Role, tuple[Role, ...]] = {
@@ -24,7 +26,7 @@ _ABLE: dict[Role, tuple[Role, ...]] = {
     "inference": ("inference",),
     "target": ("inference", "trainer"),
 }
-_CPUS = 0.5  # Ray's count for an actor: a core has room for both
+_SHARE = 0.5  # of a core, for an actor: a core has room for both
 
 
 @dataclass
@@ -54,8 +56,8 @@ class Core:
 class Pool:
     """Hands out actors, one at a time per core."""
 
-    def __init__(self, keep_idle_s: float):
-        self._keep_idle_s = keep_idle_s
+    def __init__(self, options: RayOptions):
+        self._options = options
         self._cores: list[Core] = []
         self.nodes = 0  # alive, as last seen
         self._numbers = itertools.count(1)  # Ray frees the name of a dead actor late, if at all
@@ -66,10 +68,11 @@ class Pool:
 
     def refresh(self) -> None:
         """Follow nodes that came and went, and end actors that were idle for too long."""
+        resource = self._options.resource
         self._follow(
-            {n["NodeID"]: int(n["Resources"].get("CPU", 0)) for n in ray.nodes() if n["Alive"]}
+            {n["NodeID"]: int(n["Resources"].get(resource, 0)) for n in ray.nodes() if n["Alive"]}
         )
-        too_long = time.monotonic() - self._keep_idle_s
+        too_long = time.monotonic() - self._options.keep_idle_s
         for core in self._cores:
             idle = [a for a in core.actors.values() if a is not core.busy and a.used < too_long]
             for actor in idle:
@@ -77,16 +80,18 @@ class Pool:
                 ray.kill(actor.handle)
 
     def take(self, role: Role, run_id: str, avoid: str | None) -> Actor | None:
-        """An actor for a stage, warm if possible; None if all cores are busy.
+        """An actor for a stage, warm if possible; None if all cores are busy, or `max_cores`.
 
-        Not on the node `avoid` if there are others. A new actor is named after its first run.
+        Not on the node `avoid` if there are others; rather on a node that is at work, so that
+        others become idle and can be released. A new actor is named after its first run.
         """
         others = {core.node for core in self._cores} - {avoid}
+        busy = Counter(core.node for core in self._cores if core.busy is not None)
         free = [core for core in self._cores if core.busy is None]
         free = [core for core in free if core.node != avoid or not others]
-        if not free:
+        if not free or busy.total() >= (self._options.max_cores or len(self._cores)):
             return None
-        core = next((core for core in free if core.warm(role)), free[0])
+        core = min(free, key=lambda core: (core.warm(role) is None, -busy[core.node]))
         core.busy = core.warm(role) or self._start(core, _ABLE[role][0], run_id)
         return core.busy
 
@@ -110,7 +115,14 @@ class Pool:
     def _start(self, core: Core, role: Role, run_id: str) -> Actor:
         name = f"adr:{run_id}:{role}:{next(self._numbers)}"
         here = NodeAffinitySchedulingStrategy(core.node, soft=False)
-        options = {"num_cpus": _CPUS, "max_restarts": 0, "max_task_retries": 0}
-        handle = ray.remote(StageActor).options(name=name, scheduling_strategy=here, **options)
+        others = {self._options.resource: _SHARE} if self._options.resource != "CPU" else None
+        handle = ray.remote(StageActor).options(
+            name=name,
+            scheduling_strategy=here,
+            num_cpus=_SHARE,
+            resources=others,
+            max_restarts=0,
+            max_task_retries=0,
+        )
         core.actors[role] = actor = Actor(name, role, handle.remote(), core)
         return actor

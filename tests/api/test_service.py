@@ -6,7 +6,21 @@ import sys
 
 import pytest
 
+from api.service import Service
+from api.settings import Settings
+from tests.api.standins import Orchestrator
+from workers.cluster import ClusterUnavailable
+
 pytestmark = pytest.mark.ray
+
+
+def test_without_a_core_work_is_refused_unless_an_autoscaler_is_asked_for_one():
+    orchestrator = Orchestrator()
+    orchestrator.cores = 0
+    joined = {"ray_address": "head:6379", "resource": "adr_trainer"}
+    with pytest.raises(ClusterUnavailable, match="no node of the cluster has any adr_trainer"):
+        Service(Settings(**joined), None, orchestrator).check_cores()
+    Service(Settings(**joined, max_cores=8), None, orchestrator).check_cores()
 
 
 def test_the_log_has_a_line_for_every_stage(service, finished):

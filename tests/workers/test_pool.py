@@ -4,6 +4,7 @@ import pytest
 import ray
 
 from tests.workers.marks import RAY
+from workers.cluster import RayOptions
 from workers.pool import Actor, Core, Pool
 
 pytestmark = RAY
@@ -18,7 +19,7 @@ def run_id(request):
 @pytest.fixture
 def pool(cluster):
     """A pool of two cores; its processes end with the cluster."""
-    return Pool(keep_idle_s=600.0)
+    return Pool(RayOptions())
 
 
 def test_a_core_is_warm_for_a_role_if_one_of_its_actors_can_compute_it():
@@ -46,6 +47,18 @@ def test_there_are_as_many_actors_at_work_as_cores(pool, run_id):
     assert pool.take("trainer", "run_b", None) is first
 
 
+def test_no_more_cores_are_at_work_than_allowed(cluster, run_id):
+    pool = Pool(RayOptions(max_cores=1))
+    only = pool.take("trainer", run_id, None)
+    assert pool.take("trainer", run_id, None) is None
+    pool.give_back(only)
+    assert pool.take("inference", run_id, None)
+
+
+def test_only_nodes_with_the_resource_have_cores_for_us(cluster):
+    assert len(Pool(RayOptions(resource="adr_trainer"))) == 0
+
+
 def test_an_actor_is_named_after_its_first_run_and_its_role(pool, run_id):
     actor = pool.take("target", run_id, None)
     assert actor.name.startswith(f"adr:{run_id}:inference:")
@@ -67,7 +80,7 @@ def test_the_only_node_is_taken_though_it_should_be_avoided(pool, run_id):
 
 
 def test_idle_actors_end_and_busy_ones_stay(cluster, run_id):
-    pool = Pool(keep_idle_s=0.0)
+    pool = Pool(RayOptions(keep_idle_s=0.0))
     idle, busy = (pool.take("trainer", run_id, None) for _ in range(2))
     pool.give_back(idle)
     pool.refresh()
