@@ -35,8 +35,12 @@ _AUTOSCALER = {
 
 @dataclass(frozen=True)
 class Head:
-    address: str
+    port: int
     process: subprocess.Popen[bytes]
+
+    @property
+    def address(self) -> str:
+        return _address(self.port)
 
     def running(self, name: str) -> list[psutil.Process]:
         """Its processes of a name, as `raylet`: one for each node."""
@@ -59,7 +63,7 @@ def start_head(
         try:
             until(lambda: process.poll() or "will now block" in output.read_text())
             assert process.poll() is None, output.read_text()
-            yield Head(_address(port), process)
+            yield Head(port, process)
         finally:
             _end(process)
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+import psutil
 
 from adr_service.client import AdrClient, Unreachable
 
@@ -56,14 +57,9 @@ class RunningService:
     def children(self) -> dict[int, str]:
         """Pids and titles of the Ray workers under this process."""
         found: dict[int, str] = {}
-        pending = [self.process.pid]
-        while pending:
-            pid = pending.pop()
-            for path in Path(f"/proc/{pid}/task").glob("*/children"):
-                for child in map(int, path.read_text().split()):
-                    title = Path(f"/proc/{child}/cmdline").read_bytes()
-                    found[child] = title.decode(errors="replace").replace("\0", " ").strip()
-                    pending.append(child)
+        for child in psutil.Process(self.process.pid).children(recursive=True):
+            with suppress(psutil.NoSuchProcess):  # it has ended meanwhile
+                found[child.pid] = " ".join(child.cmdline()).strip()
         return found
 
 

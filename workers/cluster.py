@@ -2,12 +2,11 @@
 
 cluster = Cluster(options)
 cluster.start()             # or join; ClusterUnavailable with the reason
-cluster.is_alive            # False once Ray's own processes have died, of a local one
-cluster.restart()
+cluster.is_alive            # False once Ray has died
+cluster.restart()           # or join again; ClusterUnavailable while that cannot be
 """
 
 import os
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,9 +16,8 @@ import psutil
 import ray
 
 from adr_service.errors import AdrError
+from workers.gcs import JoinedGcs, OwnGcs, child, lives
 from workers.sessions import Sessions
-
-_OURS = {"gcs_server", "raylet"}  # without either, a local cluster is dead
 
 
 class ClusterUnavailable(AdrError):
@@ -50,7 +48,10 @@ class Cluster:
         self.is_local = options.address == "local"
         self._options = options
         self._sessions = Sessions(options.folder) if self.is_local else None
-        self._processes: list[psutil.Process] = []
+        self._raylet: psutil.Process | None = None  # of a local cluster
+        is_named = not self.is_local and options.address != "auto"
+        self._ours: OwnGcs | None = None
+        self._joined = JoinedGcs(options.address) if is_named else None
         self.dashboard_url: str | None = None
 
     def start(self) -> None:
@@ -64,8 +65,13 @@ class Cluster:
             arguments["include_dashboard"] = options.dashboard
             arguments["object_store_memory"] = 200_000_000
             arguments["_temp_dir"] = str(self._sessions.path)
-            # they would be without our environment, so never used
-            arguments["_system_config"] = {"prestart_worker_first_driver": False}
+            self._ours = OwnGcs(self._sessions.path)
+            self._ours.start()
+            # prestarted processes would be without our environment, so never used
+            no_prestart = {"prestart_worker_first_driver": False}
+            arguments["_system_config"] = {**no_prestart, **self._ours.config}
+        elif self._joined is not None and not self._joined.is_alive:
+            raise ClusterUnavailable(f"no Ray cluster answers at {self._joined.address}")
         # by default, actors import from the folder in which the service was started, first of all
         with TemporaryDirectory() as empty:
             environment = {
@@ -73,58 +79,64 @@ class Cluster:
                 "working_dir": empty,
             }
             try:
-                context = ray.init(
+                context: Any = ray.init(
                     address=options.address, namespace="adr", runtime_env=environment, **arguments
                 )
             except Exception as error:  # whatever Ray raises
                 raise ClusterUnavailable(f"Ray did not start: {error}") from error
         self.dashboard_url = f"http://{url}" if (url := context.dashboard_url) else None
         if self.is_local:
-            self._processes = _processes_of_ray()
+            self._raylet = child("raylet")
+            if self._raylet is None:
+                raise ClusterUnavailable("Ray did not start: there is no raylet")
+        elif self._joined is None:
+            self._joined = JoinedGcs(context.address_info["gcs_address"])
+
+    @property
+    def remedy(self) -> str:
+        """What is done about a death of Ray, for people."""
+        if self.is_local:
+            return "starting it again"
+        return (
+            f"waiting until its head answers again at {self._options.address}, and a node of the "
+            "cluster is on this machine (ray start --address=HEAD:6379 --num-cpus=0)"
+        )
 
     @property
     def is_alive(self) -> bool:
-        """True while the GCS and the raylet of a local cluster live; always, of a joined one.
+        """True while Ray can be asked: its GCS lives, and the raylet of a local cluster.
 
-        It looks at the processes: a call to a dead GCS (Ray's control process) blocks, and after a
-        minute Ray ends this process.
+        It does not ask Ray itself, whose calls to a dead GCS block.
         """
-        try:
-            return all(
-                process.is_running() and process.status() != psutil.STATUS_ZOMBIE
-                for process in self._processes
-            )
-        except psutil.NoSuchProcess:
+        if self._raylet is not None and not lives(self._raylet):
             return False
+        gcs = self._ours or self._joined
+        return gcs is not None and gcs.is_alive
 
     def restart(self) -> None:
-        """Start a local cluster again after its death."""
+        """Start a local cluster again after its death, or join again."""
         self.stop()
-        assert self._sessions is not None
-        self._sessions.clear()
+        if self._sessions is not None:
+            self._sessions.clear()
         self.start()
 
     def stop(self) -> None:
         """`ray.shutdown`."""
-        self._processes = []
-        ray.shutdown()
+        self._raylet = None
+        ours, self._ours = self._ours, None
+        if ours is not None:
+            ours.leave_alone()
+        ray.shutdown(wait_for_processes=True)  # or the next start would find the old ones
+        if ours is not None:
+            ours.end()
 
     def close(self) -> None:
         """`stop`, and let another service have the folder."""
         self.stop()
+        if self._joined is not None:
+            self._joined.close()
         if self._sessions is not None:
             self._sessions.close()
-
-
-def _processes_of_ray() -> list[psutil.Process]:
-    """The GCS and the raylet that this process has started. Raises ClusterUnavailable."""
-    processes: dict[str, psutil.Process] = {}
-    for child in psutil.Process().children():
-        with suppress(psutil.NoSuchProcess):
-            processes[child.name()] = child
-    if missing := _OURS - processes.keys():
-        raise ClusterUnavailable(f"Ray did not start: there is no {', '.join(sorted(missing))}")
-    return [processes[name] for name in sorted(_OURS)]
 
 
 def worker_environment(compile_cache: Path) -> dict[str, str]:

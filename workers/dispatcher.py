@@ -10,6 +10,7 @@ the service: Ray's processes die with the thread that started them, and on the m
 would steal signals.
 """
 
+import itertools
 import logging
 import queue
 import threading
@@ -37,6 +38,7 @@ from workers.results import Results
 log = logging.getLogger(__name__)
 _TICK_S = 0.05
 _STARTS = 3  # of a cluster of ours that has died
+_AGAIN_S = 3.0  # between two attempts at a start
 _NODES_S = 0.5  # between two looks at the nodes of a cluster that was joined
 _OWN_NODE_S = 5.0  # the same of our own cluster, whose processes are watched besides
 
@@ -156,6 +158,7 @@ class Dispatcher:
         self._ticked = time.monotonic()
         if not self._cluster.is_alive:  # any question to it would block
             self._restart_ray()
+            return
         self._jobs.retries.run_due(self._stop.is_set)
         self._read_inbox()
         self._place_jobs()
@@ -166,7 +169,8 @@ class Dispatcher:
 
     def _wait(self) -> None:
         """Sleep a tick: until all that runs has ended, or until somebody asks if nothing runs."""
-        if running := [job.ref for job in self._jobs.running()]:
+        running = [job.ref for job in self._jobs.running()]
+        if running and self._cluster.is_alive:
             ray.wait(running, num_returns=len(running), timeout=_TICK_S)
         else:
             with suppress(queue.Empty):
@@ -268,30 +272,34 @@ class Dispatcher:
 
     def _look_at_nodes(self) -> None:
         """Follow nodes that come and go; our own node stays, and looking at it takes a while."""
-        if not self._cluster.is_alive:
-            return
         every = _OWN_NODE_S if self._cluster.is_local else _NODES_S
-        if time.monotonic() - self._nodes_seen < every:
+        if time.monotonic() - self._nodes_seen < every or not self._cluster.is_alive:
             return
         self._nodes_seen = time.monotonic()
         self._pool.refresh()
         self.cores = len(self._pool)
         self._demand.report(len(self._jobs.ready()) + len(self._jobs.running()))
-        if self._pool.nodes == 0 and self._cluster.is_local:
+        if not self._pool.is_at_home:
             self._restart_ray()
 
     def _restart_ray(self) -> None:
-        """Start another cluster after the death of our own; running stages are lost."""
-        for start in range(1, _STARTS + 1):
-            log.warning("Ray has died; starting it again")
+        """Start another cluster after the death of our own, or wait for one that was joined.
+
+        Running stages are lost.
+        """
+        log.warning("Ray has died; %s", self._cluster.remedy)
+        for start in itertools.count(1):
             try:
                 self._cluster.restart()
                 self._meet_nodes()
                 break
             except (ClusterUnavailable, RayError) as error:
-                log.warning("Ray did not start again: %s", error)
-                if start == _STARTS:
+                log.warning("there is no Ray again yet: %s", error)
+                if self._cluster.is_local and start == _STARTS:
                     raise
+                if self._stop.wait(_AGAIN_S):
+                    return
+        log.info("there is a Ray again, of %d cores", self.cores)
         for job in self._jobs.running():
             job.leave()
             self._jobs.lose(job, "Ray has died")

@@ -59,7 +59,8 @@ class Pool:
     def __init__(self, options: RayOptions):
         self._options = options
         self._cores: list[Core] = []
-        self.nodes = 0  # alive, as last seen
+        self._home = ray.get_runtime_context().get_node_id()
+        self.is_at_home = True  # the node on which this process stands is alive, as last seen
         self._numbers = itertools.count(1)  # Ray frees the name of a dead actor late, if at all
         self.refresh()
 
@@ -106,7 +107,7 @@ class Pool:
 
     def _follow(self, cores: dict[str, int]) -> None:
         """Have as many cores of each node as it has; busy ones of dead nodes stay until the end."""
-        self.nodes = len(cores)
+        self.is_at_home = self._home in cores
         known = [core.node for core in self._cores]
         self._cores = [core for core in self._cores if core.busy or core.node in cores]
         for node, count in cores.items():

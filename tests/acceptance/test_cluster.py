@@ -9,6 +9,7 @@ import pytest
 from adr_service.client import Refused
 from tests.acceptance.test_faults import committed
 from tests.acceptance.test_kills import BENCHMARK, WORK, undisturbed, working
+from tests.heads import start_head
 from tests.service import start_service, until, wait_until_finished
 
 pytestmark = [pytest.mark.ray, pytest.mark.slow]
@@ -64,3 +65,22 @@ def test_a_node_that_dies_in_the_middle_changes_nothing(tmp_path_factory, nodes,
     sys.stderr.write(f"node removed: runs completed 4, lost {lost}, committed twice {twice}\n")
     assert (lost, twice) == (0, 0)
     assert {number for _, number in attempts} == {1, 2}
+
+
+def test_the_head_of_a_joined_cluster_is_waited_for(tmp_path, secret):
+    with start_head(secret, cores=1) as head:
+        environment = {**secret, "ADR_RAY_ADDRESS": head.address}
+        with start_service(tmp_path, cpus=None, environment=environment) as service:
+            id = service.client.submit_benchmark(BENCHMARK)["id"]
+            until(lambda: working(service.client, id, WORK["trainer"]))
+            before = committed(tmp_path)
+            (gcs,) = head.running("gcs_server")
+            gcs.kill()
+            head.process.wait(60)
+            until(lambda: "waiting until its head answers again" in service.log.read_text())
+            with start_head(secret, cores=1, port=head.port):
+                final = wait_until_finished(service.client, id, 600)
+                assert final["states"] == {"succeeded": 4}
+            attempts = service.attempts
+    assert {number for _, number in attempts} == {1, 2}
+    assert not [digest for digest, number in attempts if number > 1 and digest in before]

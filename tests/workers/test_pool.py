@@ -39,7 +39,7 @@ def test_a_visit_prefers_an_inference_actor_and_takes_a_trainer():
 
 
 def test_there_are_as_many_actors_at_work_as_cores(pool, run_id):
-    assert (len(pool), pool.nodes) == (2, 1)
+    assert (len(pool), pool.is_at_home) == (2, True)
     first, second = (pool.take("trainer", run_id, None) for _ in range(2))
     assert first.core is not second.core
     assert pool.take("target", "run_b", None) is None

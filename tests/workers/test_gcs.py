@@ -1,0 +1,52 @@
+"""A GCS that dies: ours is started again under running stages, another's is waited for."""
+
+import psutil
+import pytest
+import ray
+
+from tests.service import free_port, until
+from tests.workers.marks import RAY
+from workers.cluster import Cluster, ClusterUnavailable, RayOptions
+from workers.gcs import child
+
+pytestmark = RAY
+
+
+class Counter:
+    """An actor that has a state to lose."""
+
+    def __init__(self):
+        self.count = 0
+
+    def add(self):
+        self.count += 1
+        return self.count
+
+
+def test_actors_go_on_under_a_gcs_that_was_killed(cluster):
+    counter = ray.remote(Counter).options(num_cpus=0.5).remote()
+    assert ray.get(counter.add.remote()) == 1
+    killed = child("gcs_server")
+    killed.kill()
+    until(lambda: child("gcs_server") not in (None, killed))
+    another = ray.remote(Counter).options(num_cpus=0.5, name="another").remote()
+    assert ray.get([counter.add.remote(), another.add.remote()]) == [2, 1]
+    assert [node["Alive"] for node in ray.nodes()] == [True]
+    assert cluster.is_alive
+    for actor in (counter, another):
+        ray.kill(actor)
+
+
+def test_a_gcs_that_was_started_again_ends_with_the_cluster(cluster):
+    killed = child("gcs_server")
+    killed.kill()
+    following = until(lambda: (found := child("gcs_server")) != killed and found)
+    cluster.restart()
+    assert not psutil.pid_exists(following.pid)
+    assert ray.nodes()
+
+
+def test_joining_where_no_cluster_answers_says_so_at_once():
+    address = f"127.0.0.1:{free_port()}"
+    with pytest.raises(ClusterUnavailable, match=f"no Ray cluster answers at {address}"):
+        Cluster(RayOptions(address=address)).start()
