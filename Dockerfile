@@ -9,8 +9,9 @@ ENV PIP_NO_CACHE_DIR=1 \
     MKL_NUM_THREADS=1 \
     MUJOCO_GL=egl
 
+# wget: KubeRay asks by it whether a node lives
 RUN apt-get update \
- && apt-get install --yes --no-install-recommends libegl1 libgl1 libgl1-mesa-dri \
+ && apt-get install --yes --no-install-recommends libegl1 libgl1 libgl1-mesa-dri wget \
  && rm -rf /var/lib/apt/lists/* \
  && useradd --create-home --uid 1000 adr \
  && mkdir /data && chown adr /data
