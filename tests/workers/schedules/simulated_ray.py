@@ -217,6 +217,7 @@ class SimulatedRay:
         self.clock, self.faults, self.is_local = clock, faults, is_local
         self.is_dead = False
         self.nodes: dict[str, Node] = {}
+        self._home = _HEAD  # the node of the driver, without cores unless the cluster is its own
         self._board: BoardHandle | None = None
         self.computed: list[tuple[str, int, float]] = []  # (digest, attempt, began)
         self._names: set[str] = set()
@@ -233,6 +234,8 @@ class SimulatedRay:
         self._names.clear()
         for _ in range(1 if self.is_local else 1 + int(3 * self.faults.rng.random())):
             self.add_node()
+        if self.is_local:
+            (self._home,) = self.nodes
 
     def add_node(self) -> None:
         """Let a machine join."""
@@ -310,13 +313,16 @@ class SimulatedRay:
 
     def _nodes(self) -> list[dict[str, Any]]:
         self.touch()
+        nodes = [(node.id, node.is_seen, node.cpus) for node in self.nodes.values()]
+        if not self.is_local:
+            nodes.append((self._home, True, 0))
         return [
-            {"NodeID": node.id, "Alive": node.is_seen, "Resources": {"CPU": float(node.cpus)}}
-            for node in self.nodes.values()
+            {"NodeID": id, "Alive": is_seen, "Resources": {"CPU": float(cpus)}}
+            for id, is_seen, cpus in nodes
         ]
 
     def _context(self) -> Any:
-        return SimpleNamespace(get_node_id=lambda: _HEAD)
+        return SimpleNamespace(get_node_id=lambda: self._home)
 
     def _remote(self, kind: type) -> Any:
         def options(**given: Any) -> Any:
@@ -340,6 +346,7 @@ class SimulatedCluster:
     """The `Cluster` of a dispatcher, in a simulated Ray."""
 
     dashboard_url = None
+    remedy = "as the schedule has it"
 
     def __init__(self, world: SimulatedRay):
         self._world, self.is_local = world, world.is_local
@@ -349,12 +356,12 @@ class SimulatedCluster:
         return not self._world.is_dead
 
     def start(self) -> None:
-        """Start a local cluster, or join the one that is there."""
-        if self._world.is_local or not self._world.nodes:
+        """Start a local cluster, or join the one that is there, if it lives."""
+        if self._world.is_local or self._world.is_dead or not self._world.nodes:
             self._world.begin()
 
     def restart(self) -> None:
-        """Start a local cluster again, which may fail."""
+        """Start a cluster again, or join another in the place of one that died, which may fail."""
         self._world.end()
         if self._world.faults.happens("Ray does not start"):
             raise ClusterUnavailable("Ray did not start: as the schedule has it")

@@ -3,6 +3,7 @@
 figures = World(rng, MemoryLedger()).play()     # Violation if something must never be, and is
 """
 
+import threading
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -99,6 +100,13 @@ def _shared_stages() -> list[AnyStage]:
 _episode = cache(episode)
 
 
+class _Impatient(threading.Event):
+    """Waits for nobody: a dispatcher that looks for Ray again stands still meanwhile."""
+
+    def wait(self, timeout: float | None = None) -> bool:
+        return self.is_set()
+
+
 class World:
     """One schedule. All its random numbers come from `rng`."""
 
@@ -134,6 +142,7 @@ class World:
         """Start it on an empty Ray; unfinished runs begin anew."""
         options = RayOptions(address="local" if self.ray.is_local else "auto", keep_idle_s=20.0)
         self.dispatcher = Dispatcher(options, self.witness, lambda _: SimulatedCluster(self.ray))
+        self.dispatcher._stop = _Impatient()
         self.dispatcher._start_ray()
         self._unwanted.clear()
         self.ledger.drop_all()
@@ -143,8 +152,6 @@ class World:
 
     def _kill_service(self) -> None:
         self.ray.end()
-        if self.ray.is_local:
-            self.ray.is_dead = False
         self._start_service()
 
     def _round(self) -> None:
@@ -275,8 +282,7 @@ class World:
         self.clock.after(40.0 * self.rng.random(), self.ray.add_node)
 
     def _kill_ray(self) -> None:
-        if self.ray.is_local:
-            self.ray.is_dead = True
+        self.ray.is_dead = True
 
     def _lose_database(self) -> None:
         self.witness.is_away = True
