@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from itertools import combinations
 from typing import Any, TypeVar
@@ -179,33 +179,40 @@ def final_outcomes(
         rounds.setdefault(outcome.iteration.iteration, []).append(outcome)
     final: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
     for place, columns in places.items():
-        shared = last_shared(
-            {
-                name: {i: len(found) for i, found in rounds.items()}
-                for name, rounds in columns.items()
-            }
-        )
+        seeds = {
+            name: {number: len(found) for number, found in rounds.items()}
+            for name, rounds in columns.items()
+        }
+        level = {
+            name
+            for name, rounds in columns.items()
+            if any(o.spec.method.is_level for found in rounds.values() for o in found)
+        }
+        shared = last_shared(seeds, level)
         final[place] = {name: columns[name][number] for name, number in shared.items()}
     return final
 
 
-def last_shared(seeds: Mapping[Column, Mapping[int, int]]) -> dict[Column, int]:
+def last_shared(
+    seeds: Mapping[Column, Mapping[int, int]], level: Collection[Column]
+) -> dict[Column, int]:
     """The iteration after which each column is compared: the last that all seeds of all columns
-    have, so that an unfinished benchmark compares what learned from equal amounts of data.
+    have, so that a benchmark which is not finished compares what learned from equal amounts of
+    data. Without the columns that have no such iteration.
 
-    `seeds`: by column, the number of seeds that have each iteration. A column that has none but
-    iteration 0, as a reference has, is compared there.
+    `seeds`: by column, the number of seeds that have each iteration; a seed that has none is not
+    known. `level`: the columns without iterations, which are compared as they are.
     """
-    whole = {
-        column: max(number for number, count in counts.items() if count == max(counts.values()))
-        for column, counts in seeds.items()
-    }
-    shared = min((number for number in whole.values() if number > 0), default=0)
-    ends = {column: min(number, shared) for column, number in whole.items()}
-    return {
-        column: max((number for number in counts if number <= ends[column]), default=min(counts))
-        for column, counts in seeds.items()
-    }
+    shared = min(
+        (
+            max(number for number, count in counts.items() if count == max(counts.values()))
+            for column, counts in seeds.items()
+            if column not in level
+        ),
+        default=0,
+    )
+    numbers = {c: max(counts) if c in level else shared for c, counts in seeds.items()}
+    return {column: number for column, number in numbers.items() if number in seeds[column]}
 
 
 def estimates(outcomes: Sequence[Outcome]) -> list[ParameterEstimate]:

@@ -83,8 +83,8 @@ def benchmark_variants(
     at 0.8 of it (`outside`).
 
     Estimates whose means are clipped show it there: the paper's bounds hold the truth far inside.
-    Only the three, if `unmodeled` freezes nothing, or the bounds of what it freezes do not hold
-    0.8 of the truth.
+    Only the three, if `unmodeled` freezes nothing, or the bounds of what it freezes do not hold the
+    truth and 0.8 of it.
     """
     source, values = Source(space), frozen(truth)
     hidden = Hidden(source, values, 0.0)
@@ -94,7 +94,8 @@ def benchmark_variants(
         "unmodeled": Variant(unmodeled, hidden),
     }
     missing = [n for n, name in enumerate(space.names) if name not in unmodeled.space.names]
-    if missing and all(space.low[n] < _WRONG * truth[n] < truth[n] for n in missing):
+    is_within = (space.low[n] < _WRONG * truth[n] < truth[n] <= space.high[n] for n in missing)
+    if missing and all(is_within):
         for name, share in (("edge", 1.0), ("outside", _WRONG)):
             variants[name] = Variant(Source(_ending(space, truth, missing, share)), hidden)
     return variants

@@ -69,7 +69,7 @@ def robot(
 
 def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
     from adr_service.client.robot.environment import check_environment, load_environment
-    from adr_service.client.robot.playback import about, check_commands, play
+    from adr_service.client.robot.playback import Player, about, check_commands
     from adr_service.criticism.plans import read_plan
     from adr_service.simulation.batch import control_period
     from adr_service.tasks.catalogue import get_task
@@ -82,23 +82,30 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)  # before anything moves
     out.touch()
 
-    def give_up(why: str, played: "Playback | None") -> None:
+    player = Player(robot, known, limits)
+
+    def give_up(why: str) -> None:
         """Keep what was played, and end the process: nothing else ends the call that hangs."""
-        console.print(f"{why}; see to the robot")
-        if played is None:
-            out.unlink()
-        else:
-            out.write_bytes(played.measurement.to_npz())
-            console.print(f"{out}: the {len(played.measurement.spans())} episodes before")
-        os._exit(1)
+        try:
+            console.print(f"{why}; see to the robot")
+            _save(player.played, out)
+        finally:
+            os._exit(1)
 
     try:
-        played = play(robot, known, limits, commands, give_up, start)
-    except BaseException:
+        player.play(commands, give_up, start)
+    finally:  # whatever ended it
+        _save(player.played, out)
+
+
+def _save(played: "Playback | None", out: Path) -> None:
+    """Write what was played, and say what it is; without any, there is no file."""
+    if played is None:
         out.unlink()
-        raise
-    out.write_bytes(played.measurement.to_npz())
-    console.print(f"{out}: {len(commands)} episodes, {len(played.measurement.time)} rows")
+        return
+    data = played.measurement
+    out.write_bytes(data.to_npz())
+    console.print(f"{out}: {len(data.spans())} episodes, {len(data.time)} rows")
     if played.limited:
         console.print(f"{played.limited} commands were beyond your limit, and were sent at it")
     for why, count in Counter(played.shortened).items():

@@ -90,13 +90,14 @@ def final_rows(rows: Sequence[Json]) -> list[Json]:
     for row in rows:
         columns = places.setdefault((row["task"], row["variant"]), {})
         columns.setdefault((row["method"], row["collector"]), {})[row["iteration"]] = row
-    final = [
-        columns[name][number]
-        for columns in places.values()
-        for name, number in last_shared(
-            {name: {i: row["seeds"] for i, row in found.items()} for name, found in columns.items()}
-        ).items()
-    ]
+    final: list[Json] = []
+    for columns in places.values():
+        seeds = {
+            name: {i: row["seeds"] for i, row in found.items()} for name, found in columns.items()
+        }
+        # a stored table outlives a method's package
+        level = {key for key in columns if (m := methods().get(key[0])) is None or m.is_level}
+        final += [columns[name][number] for name, number in last_shared(seeds, level).items()]
     return sorted(final, key=lambda row: (row["task"], row["variant"], -row["normalised_return"]))
 
 

@@ -50,7 +50,13 @@ def test_the_search_ends_at_the_truth_of_what_would_be_frozen_or_before_it():
 
 
 @pytest.mark.parametrize(
-    ("truth", "frozen"), [(TRUTH, []), ((0.6, 2.0, 3.0), ["a"]), ((-1.0, 2.0, 3.0), ["a"])]
+    ("truth", "frozen"),
+    [
+        (TRUTH, []),
+        ((0.6, 2.0, 3.0), ["a"]),
+        ((-1.0, 2.0, 3.0), ["a"]),
+        ((11.0, 2.0, 3.0), ["a"]),
+    ],
 )
 def test_there_are_three_variants_where_no_search_can_end_before_the_truth(truth, frozen):
     variants = benchmark_variants(SPACE, truth, 0.1, freeze(SPACE, truth, frozen))

@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Self
 
 from adr_service.client.connection import AdrClient, Json, Refused, Unreachable
@@ -14,10 +14,21 @@ _LONGEST_BEAT_S = 1.0  # between two looks at the clock
 
 class Watch:
     """Calls `hangs(reason)` once, from a thread of its own, if a `step` or a `reset` of an
-    environment takes too long: nothing can end that call in this process."""
+    environment takes too long: nothing can end that call in this process.
 
-    def __init__(self, hangs: Callable[[str], None], beat_s: float = _LONGEST_BEAT_S):
-        self._hangs, self._beat_s = hangs, min(_LONGEST_BEAT_S, beat_s)
+    The thread also calls `beat` every `beat_s` seconds, and `late(name, since)` may know another
+    reason why a call that began then takes too long.
+    """
+
+    def __init__(
+        self,
+        hangs: Callable[[str], None],
+        beat_s: float = _LONGEST_BEAT_S,
+        beat: Callable[[], None] = lambda: None,
+        late: Callable[[str, float], str] = lambda name, since: "",
+    ):
+        self._hangs, self._beat, self._late = hangs, beat, late
+        self._beat_s = min(_LONGEST_BEAT_S, beat_s)
         self._watched: tuple[str, float, float] | None = None  # name, start and longest time
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -42,23 +53,22 @@ class Watch:
 
     def _run(self) -> None:
         while not self._ended.wait(self._beat_s):
-            watched, now = self._watched, time.monotonic()
-            if watched is not None and (late := self._late(*watched, now)):
-                self._hangs(late)
+            if why := self._why_hanging():
+                self._hangs(why)
                 return
             self._beat()
 
-    def _late(self, name: str, since: float, seconds: float, now: float) -> str:
+    def _why_hanging(self) -> str:
         """Return why the environment hangs, or nothing."""
-        if now - since <= seconds:
+        if (watched := self._watched) is None:
             return ""
-        return f"the environment's {name} did not return within {seconds:.1f} s"
+        name, since, seconds = watched
+        if time.monotonic() - since > seconds:
+            return f"the environment's {name} did not return within {seconds:.1f} s"
+        return self._late(name, since)
 
-    def _beat(self) -> None:
-        """Do what is to be done from time to time."""
 
-
-class Heart(Watch):
+class Heart:
     """Renews the lease while an episode goes on and the environment answers, and says when the
     episode should stop."""
 
@@ -67,11 +77,12 @@ class Heart(Watch):
             self._stop(why)
             hangs(why)
 
-        super().__init__(stop, claimed["lease_s"] / 3)
         self._client, self._task_id, self._lease = client, claimed["task"]["id"], claimed["lease"]
         self._lease_s: float = claimed["lease_s"]
+        self.watch = Watch(stop, self._lease_s / 3, self._beat, self._late)
         self._good_until = time.monotonic() + self._lease_s
         self._why, self._stopped_at = "", 0.0
+        self._open = ExitStack()
 
     def why_stop(self) -> str:
         """Return why the episode should stop, or nothing; never waits."""
@@ -82,14 +93,19 @@ class Heart(Watch):
     def _stop(self, why: str) -> None:
         self._why, self._stopped_at = why, time.monotonic()
 
-    def _run(self) -> None:
-        with self._client:
-            super()._run()
+    def __enter__(self) -> Self:
+        self._open.enter_context(self._client)
+        self._open.enter_context(self.watch)
+        return self
 
-    def _late(self, name: str, since: float, seconds: float, now: float) -> str:
-        if self._why and name == "step" and now - max(since, self._stopped_at) > STOP_S:
-            return f"{self._why}, and the environment's {name} does not return"
-        return super()._late(name, since, seconds, now)
+    def __exit__(self, *_: object) -> None:
+        self._open.close()
+
+    def _late(self, name: str, since: float) -> str:
+        if not self._why or name != "step":
+            return ""
+        is_late = time.monotonic() - max(since, self._stopped_at) > STOP_S
+        return f"{self._why}, and the environment's {name} does not return" if is_late else ""
 
     def _beat(self) -> None:
         if not self._why:
@@ -110,6 +126,6 @@ class Heart(Watch):
 
     def _send(self) -> None:
         """Report the steps so far, and stop if the run is cancelled."""
-        answer = self._client.heartbeat(self._task_id, self._lease, self.steps)
+        answer = self._client.heartbeat(self._task_id, self._lease, self.watch.steps)
         if answer["cancel_requested"]:
             self._stop("its run was asked to stop")

@@ -60,47 +60,51 @@ def check_commands(task: Task, plan: Sequence[Matrix]) -> None:
         )
 
 
-def play(
-    env: Env,
-    task: Task,
-    limits: Limits,
-    plan: Sequence[Matrix],
-    hangs: Callable[[str, Playback | None], None],
-    start: Vector | None = None,
-) -> Playback:
-    """Reset the robot and send the commands (rows, nu), for each episode.
+class Player:
+    """Plays plans on a robot; what has been recorded is there however that ends."""
 
-    `start` (nq,) is the pose from which the plan begins: nothing is sent from another one. An
-    episode ends early where the environment ends it, after the owner's `limits.seconds`, or at an
-    observation that is not finite. Where a call of the environment does not return, another thread
-    calls `hangs` with the reason and what was played before. Raises InvalidInput for commands
-    beyond the task's bounds before anything moves, if the first episode begins in another pose, and
-    if none has a transition.
-    """
-    check_commands(task, plan)
-    machine, episodes = Machine("the robot", env, about(task), limits), list[_Episode]()
-    with Watch(lambda why: hangs(why, _whole(task, episodes))) as watch:
-        try:
-            for number, commands in enumerate(plan):
-                episodes.append(_episode(machine, task, watch, commands, number, start))
-        except KeyboardInterrupt:
-            pass  # what there is, is kept
-    played = _whole(task, episodes)
-    if played is None:
-        raise InvalidInput("no episode of the plan has a single transition")
-    return played
+    def __init__(self, env: Env, task: Task, limits: Limits):
+        self._machine, self._task = Machine("the robot", env, about(task), limits), task
+        self._episodes: list[_Episode] = []
 
+    def play(
+        self,
+        plan: Sequence[Matrix],
+        hangs: Callable[[str], None],
+        start: Vector | None = None,
+    ) -> None:
+        """Reset the robot and send the commands (rows, nu), for each episode.
 
-def _whole(task: Task, episodes: Sequence[_Episode]) -> Playback | None:
-    """The episodes together; None if there is no transition."""
-    parts = [episode.data for episode in episodes if episode.data is not None]
-    if not parts:
-        return None
-    return Playback(
-        as_measurement(task, TransitionDataset.concatenate(parts)),
-        sum(episode.limited for episode in episodes),
-        tuple(episode.why_short for episode in episodes if episode.why_short),
-    )
+        `start` (nq,) is the pose from which the plan begins: nothing is sent from another one. An
+        episode ends early where the environment ends it, after the owner's `limits.seconds`, or at
+        an observation that is not finite. Where a call of the environment does not return, another
+        thread calls `hangs` with the reason. Raises InvalidInput for commands beyond the task's
+        bounds before anything moves, if the first episode begins in another pose, and if none has a
+        transition.
+        """
+        check_commands(self._task, plan)
+        with Watch(hangs) as watch:
+            try:
+                for number, commands in enumerate(plan):
+                    episode = _episode(self._machine, self._task, watch, commands, number, start)
+                    self._episodes.append(episode)
+            except KeyboardInterrupt:
+                pass  # what there is, is kept
+        if self.played is None:
+            raise InvalidInput("no episode of the plan has a single transition")
+
+    @property
+    def played(self) -> Playback | None:
+        """The episodes so far; None if there is no transition."""
+        episodes = list(self._episodes)
+        parts = [episode.data for episode in episodes if episode.data is not None]
+        if not parts:
+            return None
+        return Playback(
+            as_measurement(self._task, TransitionDataset.concatenate(parts)),
+            sum(episode.limited for episode in episodes),
+            tuple(episode.why_short for episode in episodes if episode.why_short),
+        )
 
 
 def _check_start(task: Task, shown: Vector, start: Vector) -> None:

@@ -79,7 +79,7 @@ class Robot:
             why_stop = partial(self._why_stop, heart)
             machine = Machine(self._name, self._env, self._about, self._limits)
             try:
-                episode = run_episode(machine, task, self._actor(task), heart, why_stop)
+                episode = run_episode(machine, task, self._actor(task), heart.watch, why_stop)
             except BaseException:  # whatever broke, the robot's owner must see to it
                 self._release(task, lease)
                 raise

@@ -35,7 +35,7 @@ class Service:
 def test_heartbeats_renew_the_lease_with_the_number_of_steps():
     service = Service({"cancel_requested": False})
     with Heart(service, CLAIMED, pytest.fail) as heart:
-        heart.steps = 7
+        heart.watch.steps = 7
         assert service.asked.wait(20)
     assert service.beats[-1] == ("task_a", "lease_a", 7)
 
@@ -78,7 +78,7 @@ def test_a_call_that_does_not_return_is_reported_once():
 
     with (
         Heart(Service({"cancel_requested": False}), CLAIMED, hangs) as heart,
-        heart.watching("step", 0.01),
+        heart.watch.watching("step", 0.01),
     ):
         assert reported.wait(20)
     assert reports == ["the environment's step did not return within 0.0 s"]

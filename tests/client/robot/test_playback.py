@@ -8,7 +8,7 @@ import pytest
 
 import adr_service  # noqa: F401, as it registers the environments
 from adr_service.client.robot.limits import Limits
-from adr_service.client.robot.playback import Playback, check_commands, play
+from adr_service.client.robot.playback import Player, check_commands
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.plans import read_plan
@@ -33,8 +33,14 @@ def plan(episodes=10, rows=30, scale=1.0, period=PERIOD):
     )
 
 
-def never(why, played):
+def never(why):
     pytest.fail(why)
+
+
+def play(env, task, limits, commands, hangs, start=None):
+    player = Player(env, task, limits)
+    player.play(commands, hangs, start)
+    return player.played
 
 
 @pytest.fixture
@@ -106,18 +112,37 @@ class Stuck(gymnasium.Wrapper):
         return super().step(action)
 
 
-def test_what_was_played_is_handed_on_when_the_robot_does_not_answer(robot):
+def test_what_was_played_is_there_when_the_robot_does_not_answer(robot):
     stuck, heard = Stuck(robot), []
+    player = Player(stuck, TASK, Limits(seconds=30 * PERIOD))
 
-    def hangs(why, played):
-        heard.append((why, played))
+    def hangs(why):
+        heard.append((why, player.played))
         stuck.let_go.set()
 
-    play(stuck, TASK, Limits(seconds=30 * PERIOD), read_plan(plan(), 2, PERIOD)[0], hangs)
+    player.play(read_plan(plan(), 2, PERIOD)[0], hangs)
     [(why, played)] = heard
     assert "the environment's step did not return within" in why
-    assert isinstance(played, Playback)
     assert len(played.measurement.spans()) == 2
+
+
+class Broken(gymnasium.Wrapper):
+    """A robot that fails in its third reset."""
+
+    episodes = 0
+
+    def reset(self, **options):
+        self.episodes += 1
+        if self.episodes == 3:
+            raise OSError("the bus is gone")
+        return super().reset(**options)
+
+
+def test_what_was_played_is_there_when_the_robot_fails(robot):
+    player = Player(Broken(robot), TASK, Limits())
+    with pytest.raises(OSError, match="the bus is gone"):
+        player.play(read_plan(plan(), 2, PERIOD)[0], never)
+    assert len(player.played.measurement.spans()) == 2
 
 
 def test_commands_beyond_the_tasks_bounds_are_refused():
