@@ -51,7 +51,7 @@ class Settings(BaseSettings):
     ray_address: str = Field(
         "local",
         validation_alias=AliasChoices("adr_ray_address", "ray_address"),
-        description="local, auto, or the address of a cluster; or in RAY_ADDRESS",
+        description="local, auto, or HOST:PORT of a cluster; or in RAY_ADDRESS",
     )
     cpus: int | None = Field(None, ge=1, description="of a local cluster; default: all")
     max_cores: int | None = Field(
@@ -102,6 +102,14 @@ class Settings(BaseSettings):
                 "in ADR_RAY_ADDRESS, or set ADR_CPUS for one of your own"
             )
         return self
+
+    @field_validator("ray_address")
+    @classmethod
+    def _is_an_address(cls, given: str) -> str:
+        host, _, port = given.rpartition(":")
+        if given in {"local", "auto"} or (host and port.isdigit()):
+            return given
+        raise ValueError(f"{given!r} is no address; accepted are local, auto, and HOST:PORT")
 
     @field_validator("rate")
     @classmethod

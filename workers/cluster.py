@@ -48,6 +48,7 @@ class Cluster:
         self.is_local = options.address == "local"
         self._options = options
         self._sessions = Sessions(options.folder) if self.is_local else None
+        self._is_joined = False
         self._raylet: psutil.Process | None = None  # of a local cluster
         is_named = not self.is_local and options.address != "auto"
         self._ours: OwnGcs | None = None
@@ -91,24 +92,26 @@ class Cluster:
                 raise ClusterUnavailable("Ray did not start: there is no raylet")
         elif self._joined is None:
             self._joined = JoinedGcs(context.address_info["gcs_address"])
+        self._is_joined = True
 
     @property
     def remedy(self) -> str:
         """What is done about a death of Ray, for people."""
         if self.is_local:
             return "starting it again"
+        address = self._options.address if self._joined is None else self._joined.address
         return (
-            f"waiting until its head answers again at {self._options.address}, and a node of the "
+            f"waiting until its head answers again at {address}, and a node of the "
             "cluster is on this machine (ray start --address=HEAD:6379 --num-cpus=0)"
         )
 
     @property
     def is_alive(self) -> bool:
-        """True while Ray can be asked: its GCS lives, and the raylet of a local cluster.
+        """True while Ray can be asked: we have joined, its GCS lives, and our own raylet if any.
 
         It does not ask Ray itself, whose calls to a dead GCS block.
         """
-        if self._raylet is not None and not lives(self._raylet):
+        if not self._is_joined or (self._raylet is not None and not lives(self._raylet)):
             return False
         gcs = self._ours or self._joined
         return gcs is not None and gcs.is_alive
@@ -122,7 +125,7 @@ class Cluster:
 
     def stop(self) -> None:
         """`ray.shutdown`."""
-        self._raylet = None
+        self._is_joined, self._raylet = False, None
         ours, self._ours = self._ours, None
         if ours is not None:
             ours.leave_alone()

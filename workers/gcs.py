@@ -60,6 +60,9 @@ class OwnGcs:
     def _run(self) -> None:
         try:
             self._keep()
+        except Exception:
+            log.exception("Ray's GCS cannot be looked after any more")
+            self.is_alive = False
         finally:
             self._left.set()
         self._over.wait()  # a GCS that was started here dies with this thread

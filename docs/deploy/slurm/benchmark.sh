@@ -1,10 +1,13 @@
 #!/bin/bash
 # Serve, bring one benchmark to its end, write its archive: benchmark.sh benchmark.json DATA_DIR
 #
-# On a machine of a Ray cluster. Run again, it goes on where it was stopped.
+# On a machine of a Ray cluster. Run again, it goes on where it was stopped, and tries again what
+# has failed. DATA_DIR has one archive for each content of such a file.
 set -euo pipefail
 
 benchmark=$1
+sum=$(sha256sum "$benchmark")
+name=$2/$(basename "$benchmark" .json)-${sum:0:8}
 export ADR_DATA_DIR=$2 ADR_RAY_ADDRESS=${ADR_RAY_ADDRESS:-auto}
 
 adr serve &
@@ -17,12 +20,15 @@ until adr list >/dev/null 2>&1; do
 done
 echo "serving on $(hostname): ssh -L 8000:127.0.0.1:${ADR_PORT:-8000} $(hostname)"
 
-if [[ ! -s $ADR_DATA_DIR/benchmark ]]; then
-    adr submit "$benchmark" --json >"$ADR_DATA_DIR/submitted.json"
-    python -c 'import json, sys; print(json.load(sys.stdin)["id"])' \
-        <"$ADR_DATA_DIR/submitted.json" >"$ADR_DATA_DIR/benchmark"
+if [[ -s $name.id ]]; then
+    adr resume "$(<"$name.id")"
+else
+    adr submit "$benchmark" --json >"$name.submitted"
+    python -c 'import json, sys; print(json.load(sys.stdin)["id"])' <"$name.submitted" >"$name.id"
 fi
-id=$(<"$ADR_DATA_DIR/benchmark")
+id=$(<"$name.id") status=0
 adr watch "$id" & # a signal ends `wait`, and would not end a command
-wait $!
-adr archive export "$id" "$ADR_DATA_DIR/results.adr"
+wait $! || status=$?
+rm -f "$name.adr"
+adr archive export "$id" "$name.adr"
+exit "$status"
