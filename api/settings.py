@@ -66,10 +66,13 @@ class Settings(BaseSettings):
         description="of the nodes for stages: Ray's name for it, one for each core",
     )
     keep_idle_s: float = Field(
-        600.0, ge=0, description="for which a process without a stage keeps its core of a node"
+        600.0, ge=0, description="seconds for which a process without a stage is kept"
     )
     runs_at_once: int | None = Field(
-        None, ge=1, le=10_000, description="that compute; default: 64, or two for each core if more"
+        None,
+        ge=1,
+        le=10_000,
+        description="runs that compute; default: 64, or two for each core if more",
     )
     dashboard: bool = True
     ray_dashboard_url: str = Field("", description="where browsers reach it, if not where Ray says")

@@ -39,6 +39,7 @@ COMPILED = {
     "adr_service.benchmark.improvements",
     "db.archive_checks",
     "db.visits",
+    "workers.demand",
     "workers.dispatcher",
     "workers.heartbeats",
     "workers.job_table",

@@ -40,7 +40,7 @@ _TICK_S = 0.05
 _STARTS = 3  # of a cluster of ours that has died
 _AGAIN_S = 3.0  # between two attempts at a start
 _NODES_S = 0.5  # between two looks at the nodes of a cluster that was joined
-_OWN_NODE_S = 5.0  # the same of our own cluster, whose processes are watched besides
+_OWN_NODE_S = 5.0  # the same for our own cluster, whose processes are watched as well
 
 
 class Dispatcher:
@@ -204,7 +204,7 @@ class Dispatcher:
             if actor is not None:
                 taken.append((job, actor))
             elif job.avoid is None:
-                break  # no core is free, for whichever job
+                break  # no core is free for any other job either
         return taken
 
     def _place(self, job: Job, actor: Actor) -> None:

@@ -1,9 +1,8 @@
 """Ray's control process (GCS), which may die under a service that goes on.
 
-A call to a dead GCS blocks, and Ray ends a process whose call has blocked for a minute.
-
-    OwnGcs       starts the GCS of a local cluster again, with its tables: nobody else notices
-    JoinedGcs    says that another's GCS is dead, before anything is asked of it
+A call to a dead GCS blocks, and Ray ends a process whose call has blocked for a minute. `OwnGcs`
+starts the GCS of a local cluster again, with its tables, so that nobody else notices. `JoinedGcs`
+says that another's GCS is dead, before anything is asked of it.
 """
 
 import ctypes

@@ -12,24 +12,27 @@ from workers.gcs import child
 pytestmark = RAY
 
 
-class Counter:
-    """An actor that has a state to lose."""
+def start_counter(**options):
+    """Start an actor that has a state to lose; its process knows nothing of this module."""
 
-    def __init__(self):
-        self.count = 0
+    class Counter:
+        def __init__(self):
+            self.count = 0
 
-    def add(self):
-        self.count += 1
-        return self.count
+        def add(self):
+            self.count += 1
+            return self.count
+
+    return ray.remote(Counter).options(num_cpus=0.5, **options).remote()
 
 
 def test_actors_go_on_under_a_gcs_that_was_killed(cluster):
-    counter = ray.remote(Counter).options(num_cpus=0.5).remote()
+    counter = start_counter()
     assert ray.get(counter.add.remote()) == 1
     killed = child("gcs_server")
     killed.kill()
     until(lambda: child("gcs_server") not in (None, killed))
-    another = ray.remote(Counter).options(num_cpus=0.5, name="another").remote()
+    another = start_counter(name="another")
     assert ray.get([counter.add.remote(), another.add.remote()]) == [2, 1]
     assert [node["Alive"] for node in ray.nodes()] == [True]
     assert cluster.is_alive

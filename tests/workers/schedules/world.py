@@ -364,11 +364,11 @@ class World:
         if self.ledger.stored(list(self.witness.asked)) != self.witness.stored.keys():
             raise Violation("a stored result was lost")
         for run in self.runs:
-            told = self.ledger.finished(run.id)
-            if len(told) != len(set(told)):
+            finished = self.ledger.finished(run.id)
+            if len(finished) != len(set(finished)):
                 raise Violation("a stage has finished twice on a run's record")
             wanted = {stage.digest for stages in run.rounds for stage in stages}
-            if run.state == RunState.SUCCEEDED and set(told) != wanted:
+            if run.state == RunState.SUCCEEDED and set(finished) != wanted:
                 raise Violation("a run's record lacks a stage that it was given")
         self._audit_cost()
 
