@@ -7,6 +7,7 @@ with start_head(environment, nodes=2) as head:       # whose autoscaler may add 
 import json
 import os
 import subprocess
+import sys
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from ray.util import get_node_ip_address
 
 from tests.service import free_port, until
 
+RAY = str(Path(sys.executable).parent / "ray")
 MEMORY = 100_000_000
 RESOURCE = "adr_trainer"  # of the autoscaler's nodes, one for their one core
 # Ray's AutoscalingCluster ends every Ray on the machine, so this is its configuration without it
@@ -75,7 +77,7 @@ def _address(port: int) -> str:
 def _command(folder: Path, port: int, cores: int, nodes: int) -> list[str]:
     config = folder / "autoscaler.json"
     config.write_text(json.dumps(_configuration(_address(port), nodes)))
-    command = ["ray", "start", "--head", "--block", f"--port={port}", f"--num-cpus={cores}"]
+    command = [RAY, "start", "--head", "--block", f"--port={port}", f"--num-cpus={cores}"]
     command += ["--include-dashboard=false", f"--object-store-memory={MEMORY}"]
     return [*command, f"--temp-dir={folder}", f"--autoscaling-config={config}"]
 
