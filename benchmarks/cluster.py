@@ -1,4 +1,4 @@
-"""How many stages per second the service keeps up with, and what limits it.
+"""Stages per second that the service keeps up with.
 
     python -m benchmarks.cluster [seconds per row, 20]
 

@@ -96,7 +96,7 @@ class Cluster:
 
     @property
     def remedy(self) -> str:
-        """What is done about a death of Ray, for people."""
+        """How we go on after a death of Ray, for the log."""
         if self.is_local:
             return "starting it again"
         address = self._options.address if self._joined is None else self._joined.address

@@ -1,4 +1,4 @@
-"""What the tests of clusters share."""
+"""A secret for the tests of clusters."""
 
 import pytest
 

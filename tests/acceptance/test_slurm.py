@@ -1,4 +1,4 @@
-"""What Slurm runs on a job's first machine; Slurm itself is not here."""
+"""The script that Slurm runs on a job's first machine, without Slurm."""
 
 import os
 import signal

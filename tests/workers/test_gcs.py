@@ -1,13 +1,16 @@
 """A GCS that dies: ours is started again under running stages, another's is waited for."""
 
+import socket
+
 import psutil
 import pytest
 import ray
 
 from tests.service import free_port, until
 from tests.workers.marks import RAY
+from workers import gcs
 from workers.cluster import Cluster, ClusterUnavailable, RayOptions
-from workers.gcs import child
+from workers.gcs import OwnGcs, child
 
 pytestmark = RAY
 
@@ -47,6 +50,23 @@ def test_a_gcs_that_was_started_again_ends_with_the_cluster(cluster):
     cluster.restart()
     assert not psutil.pid_exists(following.pid)
     assert ray.nodes()
+
+
+def test_a_watch_over_the_gcs_that_fails_says_so_and_lets_the_cluster_end(tmp_path, monkeypatch):
+    def fail():
+        raise OSError("no memory")
+
+    monkeypatch.setattr(gcs, "_found", fail)
+    watched = OwnGcs(tmp_path)
+    watched.start()
+    until(lambda: not watched.is_alive)
+    watched.leave_alone()
+    watched.end()
+
+
+def test_a_head_that_answers_is_not_asked_before_we_have_joined():
+    with socket.create_server(("127.0.0.1", 0)) as head:
+        assert not Cluster(RayOptions(address=f"127.0.0.1:{head.getsockname()[1]}")).is_alive
 
 
 def test_joining_where_no_cluster_answers_says_so_at_once():

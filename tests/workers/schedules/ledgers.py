@@ -1,4 +1,4 @@
-"""Where results, events and visits are kept: dictionaries, or the service's database.
+"""The store of results, events and visits: dictionaries, or the service's database.
 
 Both are written by one dispatcher at a time, and by runs and robots.
 """
@@ -47,7 +47,7 @@ class Claim:
 
 
 class Ledger(Results, Protocol):
-    """What the service keeps."""
+    """The store of a service."""
 
     def submit(self) -> str:
         """The id of a new run."""
@@ -78,7 +78,7 @@ class Ledger(Results, Protocol):
         ...
 
     def stored(self, digests: Sequence[str]) -> set[str]:
-        """Those of these stages that have a result."""
+        """The digests among these that have a result."""
         ...
 
     def finished(self, run_id: str) -> list[str]:

@@ -168,7 +168,7 @@ class World:
     # runs
 
     def _go_on(self, run: Run) -> None:
-        """What the orchestrator and `RayStages` do for a run, without waiting."""
+        """Go on with a run as the orchestrator and `RayStages` would, without waiting."""
         run.has_news = False
         if run.is_cancelled:
             self._end(run, RunState.CANCELLED)
@@ -345,20 +345,20 @@ class World:
         return not self._left()
 
     def _left(self) -> list[str]:
-        """What the dispatcher still has to do."""
+        """The work that the dispatcher still has."""
         jobs = self.dispatcher._jobs
         left = [job.stage.kind for job in jobs._jobs.values()]
         return [*left, *("a retry" for _ in jobs.retries._actions)]
 
     def _check(self) -> None:
-        """What must hold after every round."""
+        """Raise Violation for anything that must not be after a round."""
         now, jobs = self.clock.now, self.dispatcher._jobs
         self._unwanted = {digest: self._unwanted.get(digest, now) for digest in jobs.unwanted()}
         if any(now - since > _UNWANTED_S for since in self._unwanted.values()):
             raise Violation("a stage that no run wants keeps its core")
 
     def _audit(self) -> None:
-        """What must hold at the end."""
+        """Raise Violation for anything that must not be at the end."""
         if claimed := self.ledger.claimed():
             raise Violation(f"{len(claimed)} visits are claimed by nobody")
         if self.ledger.stored(list(self.witness.asked)) != self.witness.stored.keys():
