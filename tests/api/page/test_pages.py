@@ -7,7 +7,7 @@ from contextlib import closing
 
 import pytest
 
-from api.page.benchmarks import best_of
+from api.page.benchmarks import best_of, final_rows
 from tests.api.smoke import SMOKE
 from tests.recordings import recording
 from tests.service import until
@@ -179,6 +179,18 @@ def test_a_running_stage_links_to_its_actor_in_rays_dashboard(service, http):
     found = until(lambda: link.search(http.get(f"/runs/{run}").text))
     assert found.group(1) == http.get("/readyz").json()["dashboard"]
     http.post(f"/v1/runs/{run}/cancel")
+
+
+def test_a_leaderboard_has_all_methods_after_the_same_iteration():
+    def row(method, iteration, seeds):
+        place = {"task": "arm", "variant": "vanilla", "method": method, "collector": "simopt"}
+        return {**place, "iteration": iteration, "seeds": seeds, "normalised_return": 1.0}
+
+    dropo = [row("dropo", number, 3) for number in range(4)]
+    simopt = [row("simopt", number, seeds) for number, seeds in enumerate((3, 3, 1))]
+    final = final_rows([*dropo, *simopt, row("oracle", 0, 2), row("median_best", 0, 3)])
+    found = {each["method"]: each["iteration"] for each in final}
+    assert found == {"dropo": 1, "simopt": 1, "oracle": 0, "median_best": 0}
 
 
 def test_only_methods_that_can_be_compared_are_marked_as_best():
