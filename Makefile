@@ -34,9 +34,9 @@ test-slow: setup
 	$(BIN)/pytest -m slow --timeout 3600
 
 # the dispatcher in 100,000 simulated schedules (ten minutes), then the service dies at every
-# transaction in turn (half an hour), then processes are killed, then a node
+# transaction in turn (half an hour), then processes are killed, then a node, then everything
 test-faults: setup
-	$(BIN)/pytest -s --timeout 7200 tests/workers/test_schedules.py tests/acceptance/test_faults.py tests/acceptance/test_kills.py tests/acceptance/test_cluster.py
+	$(BIN)/pytest -s --timeout 7200 tests/workers/test_schedules.py tests/acceptance/test_faults.py tests/acceptance/test_kills.py tests/acceptance/test_cluster.py tests/acceptance/test_soak.py
 
 protocol: setup
 	ADR_KEEP=build/protocol $(BIN)/pytest -m slow --timeout 10800 tests/test_protocol.py

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 
+import psutil
 import pytest
 from sqlalchemy import NullPool, create_engine
 
@@ -24,7 +25,34 @@ class Server:
     """Databases in a folder, reached through its socket alone."""
 
     folder: Path
+    pg_ctl: str
     _numbers: count = field(default_factory=count)
+
+    @property
+    def data(self) -> Path:
+        return self.folder / "data"
+
+    def start(self) -> None:
+        """Start it, or start it again after it was killed."""
+        options = f"-k {self.folder} -c listen_addresses= -c fsync=off"
+        log = self.folder / "log"
+        self.run(self.pg_ctl, "--pgdata", self.data, "--log", log, "-o", options, "start")
+
+    def stop(self) -> None:
+        self.run(self.pg_ctl, "--pgdata", self.data, "--mode", "immediate", "stop")
+
+    def kill(self) -> None:
+        """SIGKILL; its processes notice that their parent has died, and end."""
+        pid = int((self.data / "postmaster.pid").read_text().split()[0])
+        processes = [psutil.Process(pid), *psutil.Process(pid).children(recursive=True)]
+        processes[0].kill()
+        psutil.wait_procs(processes, timeout=30)
+
+    def run(self, *command: object) -> None:
+        """Run one of PostgreSQL's commands, which refuse to run as root."""
+        user = "postgres" if getpass.getuser() == "root" else None
+        told = subprocess.DEVNULL  # no pipe, which the server would keep open
+        subprocess.run([*map(str, command)], check=True, stdout=told, cwd=self.folder, user=user)
 
     def new_database(self) -> str:
         """The URL of an empty one."""
@@ -74,31 +102,14 @@ def start_server() -> Generator[Server]:
     initdb, pg_ctl = (shutil.which(name, path=path) for name in ("initdb", "pg_ctl"))
     if initdb is None or pg_ctl is None:
         pytest.skip("PostgreSQL is not installed (Debian's package postgresql)")
-    # it refuses to run as root
-    user = {"user": "postgres"} if getpass.getuser() == "root" else {}
     with tempfile.TemporaryDirectory(prefix="adr-pg-") as name:
-        folder = Path(name)  # short, as a socket's path must be
-        if user:
-            shutil.chown(folder, user["user"])
-
-        def run(*command: object) -> None:
-            told = subprocess.DEVNULL  # no pipe, which the server would keep open
-            subprocess.run([*map(str, command)], check=True, stdout=told, cwd=folder, **user)
-
-        run(
-            initdb,
-            "--pgdata",
-            folder / "data",
-            "--username",
-            _USER,
-            "--auth",
-            "trust",
-            "-E",
-            "UTF8",
-        )
-        options = f"-k {folder} -c listen_addresses= -c fsync=off"
-        run(pg_ctl, "--pgdata", folder / "data", "--log", folder / "log", "-o", options, "start")
+        server = Server(Path(name), pg_ctl)  # short, as a socket's path must be
+        if getpass.getuser() == "root":
+            shutil.chown(name, "postgres")
+        initial = ("--username", _USER, "--auth", "trust", "-E", "UTF8")
+        server.run(initdb, "--pgdata", server.data, *initial)
+        server.start()
         try:
-            yield Server(folder)
+            yield server
         finally:
-            run(pg_ctl, "--pgdata", folder / "data", "--mode", "immediate", "stop")
+            server.stop()

@@ -50,8 +50,7 @@ class RunningService:
     @property
     def attempts(self) -> list[tuple[str, int]]:
         """(digest, number of the attempt) of the same."""
-        found = re.findall(r"stage begun .*attempt=(\d+) .*stage=(\w{64})", self.log.read_text())
-        return [(digest, int(number)) for number, digest in found]
+        return attempts_in(self.log)
 
     @property
     def children(self) -> dict[int, str]:
@@ -99,6 +98,12 @@ def start_service(
         if process.poll() is None:
             process.terminate()
             process.wait(timeout=60)
+
+
+def attempts_in(log: Path) -> list[tuple[str, int]]:
+    """(digest, number of the attempt) of the stages that a service has begun, from its log."""
+    found = re.findall(r"stage begun .*attempt=(\d+) .*stage=(\w{64})", log.read_text())
+    return [(digest, int(number)) for number, digest in found]
 
 
 def free_port() -> int:
