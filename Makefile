@@ -58,7 +58,7 @@ bench-dropo: setup
 bench-recovery: setup
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/recovery.py
 
-# an hour on two cores
+# half an hour on two cores
 bench-calibration: setup
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.calibration
 

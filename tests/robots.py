@@ -66,6 +66,10 @@ def fast_arm():
     return SlowArm(0.0)
 
 
+def steady_arm():
+    return SlowArm(0.03)
+
+
 def slow_arm():
     return SlowArm(0.02)
 
