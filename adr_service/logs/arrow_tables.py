@@ -6,7 +6,9 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.errors import InvalidInput
-from adr_service.logs.base import Stream, check_size
+from adr_service.logs.base import Stream, check_size, is_number
+
+_SHOWN = 40  # characters of a text
 
 
 def stream_of(source: str, table: Any) -> tuple[Stream, dict[str, str]]:
@@ -44,7 +46,7 @@ def _places(name: str, column: Any) -> dict[str, Vector] | str:
     kind = column.type
     if not (pa.types.is_list(kind) or pa.types.is_large_list(kind) or _is_fixed(kind)):
         values = _numbers(column)
-        return f"it holds {kind}" if values is None else {name: values}
+        return _what_it_holds(column) if values is None else {name: values}
     lengths = np.unique(column.value_lengths().drop_null().to_numpy(zero_copy_only=False))
     values = _numbers(column.flatten())
     if values is None:
@@ -53,6 +55,21 @@ def _places(name: str, column: Any) -> dict[str, Vector] | str:
         return "its lists are not all of one length"
     table = values.reshape(len(column), int(lengths[0]))
     return {f"{name}_{i}": place for i, place in enumerate(table.T.copy())}
+
+
+def _what_it_holds(column: Any) -> str:
+    """The first text that is no number, perhaps one odd cell among numbers; or else the type."""
+    import pyarrow as pa
+    from pyarrow import csv
+
+    kind = column.type
+    if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
+        return f"it holds {kind}"
+    empty = {None, *csv.ConvertOptions().null_values}
+    cells = enumerate(column.to_pylist(), 1)
+    odd = ((row, cell) for row, cell in cells if cell not in empty and not is_number(cell))
+    row, cell = next(odd, (0, ""))
+    return f"it holds the text {cell[:_SHOWN]!r} in row {row}" if row else f"it holds {kind}"
 
 
 def _is_fixed(kind: Any) -> bool:

@@ -45,8 +45,14 @@ def test_an_empty_cell_is_no_reading():
 
 def test_texts_are_listed_and_dates_are_seconds():
     found, texts = columns("stamp,mode,q\n2026-01-01 00:00:00.5,on,1\n2026-01-01 00:00:01,on,2\n")
-    assert texts == {"mode": "it holds string"}
+    assert texts == {"mode": "it holds the text 'on' in row 1"}
     np.testing.assert_allclose(np.diff(found["stamp"]), 0.5)
+
+
+def test_the_odd_cell_of_a_column_is_named():
+    found, texts = columns("time,q\n0,1\n1,\n2,NaN\n3,overflow!\n4,2\n")
+    assert list(found) == ["time"]
+    assert texts == {"q": "it holds the text 'overflow!' in row 4"}
 
 
 @pytest.mark.parametrize(
