@@ -55,11 +55,7 @@ class RunningService:
     @property
     def children(self) -> dict[int, str]:
         """Pids and titles of the Ray workers under this process."""
-        found: dict[int, str] = {}
-        for child in psutil.Process(self.process.pid).children(recursive=True):
-            with suppress(psutil.NoSuchProcess):  # it has ended meanwhile
-                found[child.pid] = " ".join(child.cmdline()).strip()
-        return found
+        return children_of(self.process.pid)
 
 
 @contextmanager
@@ -98,6 +94,15 @@ def start_service(
         if process.poll() is None:
             process.terminate()
             process.wait(timeout=60)
+
+
+def children_of(pid: int) -> dict[int, str]:
+    """Pids and titles of the processes under another."""
+    found: dict[int, str] = {}
+    for child in psutil.Process(pid).children(recursive=True):
+        with suppress(psutil.NoSuchProcess):  # it has ended meanwhile
+            found[child.pid] = " ".join(child.cmdline()).strip()
+    return found
 
 
 def attempts_in(log: Path) -> list[tuple[str, int]]:

@@ -1,6 +1,7 @@
 """Processes that are started again when they die, as systemd or a container engine does it."""
 
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -11,7 +12,7 @@ from typing import Self
 
 import psutil
 
-from tests.service import free_port
+from tests.service import children_of, free_port
 
 _RESTART_S = 1.0
 
@@ -44,10 +45,10 @@ class Supervised:
 
     def kill_child(self, title: str) -> bool:
         """Kill a process under it with these words in its title; False if there is none."""
-        with suppress(psutil.NoSuchProcess):  # they end meanwhile
-            for child in psutil.Process(self._process.pid).children(recursive=True):
-                if title in " ".join(child.cmdline()):
-                    child.kill()
+        with suppress(psutil.NoSuchProcess, ProcessLookupError):  # they end meanwhile
+            for pid, words in children_of(self._process.pid).items():
+                if title in words:
+                    os.kill(pid, signal.SIGKILL)
                     return True
         return False
 
