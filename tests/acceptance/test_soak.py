@@ -6,6 +6,7 @@ that nothing disturbs, and the robots' leases were exclusive.
 """
 
 import itertools
+import re
 import signal
 import sys
 import time
@@ -201,14 +202,19 @@ def answered(ask: Callable[[], object]) -> object:
 
 
 def stages_in(url: str) -> dict[str, tuple[str, dict[str, str]]]:
-    """Every stage's result and its blobs' hashes, by digest."""
+    """Every stage's result and its blobs' hashes, by what it computes (a robot's episode without
+    the id of its run, of which each run has a new one)."""
     database = open_database(url)
     with database.read() as session:
-        found = {row.digest: (row.result, {}) for row in session.scalars(select(StageRow))}
+        rows = session.execute(select(StageRow.digest, StageRow.document, StageRow.result)).all()
+        blobs: dict[str, dict[str, str]] = {digest: {} for digest, _, _ in rows}
         for blob in session.scalars(select(StageArtifactRow)):
-            found[blob.digest][1][blob.name] = blob.sha256
+            blobs[blob.digest][blob.name] = blob.sha256
     database.close()
-    return found
+    return {
+        re.sub(r'"run":"run_\w+"', '"run":""', document): (result, blobs[digest])
+        for digest, document, result in rows
+    }
 
 
 def visits_in(url: str) -> list[TargetTaskRow]:
