@@ -72,7 +72,7 @@ study: setup
 
 # five minutes
 bench-coverage: setup
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage results/hopper/study.adr
 
 # hours on two cores
 bench-criticism: setup
