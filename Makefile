@@ -35,6 +35,7 @@ test-slow: setup
 
 # the dispatcher in 100,000 simulated schedules (ten minutes), then the service dies at every
 # transaction in turn (half an hour), then processes are killed, then a node, then everything
+# again and again (a quarter of an hour)
 test-faults: setup
 	$(BIN)/pytest -s --timeout 7200 tests/workers/test_schedules.py tests/acceptance/test_faults.py tests/acceptance/test_kills.py tests/acceptance/test_cluster.py tests/acceptance/test_soak.py
 

@@ -124,13 +124,16 @@ def drop_simulated(database: Database, digest: str | None = None) -> None:
 def heartbeat(
     database: Database, id: str, lease: str, steps: int, now: datetime, lease_s: float
 ) -> Visit:
-    """Note the steps of an episode that goes on; its lease expires `lease_s` after `now`.
+    """Note the steps of an episode that goes on; its lease lasts until `lease_s` after `now`.
 
     Raises NotFound and LeaseLost.
     """
     with database.write("heartbeat") as session:
         row = _held(session, id, lease)
-        row.steps, row.expires_at = steps, now + timedelta(seconds=lease_s)
+        row.steps = steps
+        until = now + timedelta(seconds=lease_s)
+        # one that waited for the database may come after a later one
+        row.expires_at = max(until, row.expires_at or until)
         return _visit(session, row)
 
 

@@ -46,11 +46,12 @@ class Server:
         pid = int((self.data / "postmaster.pid").read_text().split()[0])
         processes = [psutil.Process(pid), *psutil.Process(pid).children(recursive=True)]
         processes[0].kill()
-        psutil.wait_procs(processes, timeout=30)
+        _, alive = psutil.wait_procs(processes, timeout=30)
+        assert not alive
 
     def run(self, *command: object) -> None:
         """Run one of PostgreSQL's commands, which refuse to run as root."""
-        user = "postgres" if getpass.getuser() == "root" else None
+        user = "postgres" if _is_root() else None
         told = subprocess.DEVNULL  # no pipe, which the server would keep open
         subprocess.run([*map(str, command)], check=True, stdout=told, cwd=self.folder, user=user)
 
@@ -93,6 +94,10 @@ class Server:
             return done.scalar() if done.returns_rows else None
 
 
+def _is_root() -> bool:
+    return getpass.getuser() == "root"
+
+
 @contextmanager
 def start_server() -> Generator[Server]:
     """Skips the test where PostgreSQL is not installed, or psycopg."""
@@ -104,7 +109,7 @@ def start_server() -> Generator[Server]:
         pytest.skip("PostgreSQL is not installed (Debian's package postgresql)")
     with tempfile.TemporaryDirectory(prefix="adr-pg-") as name:
         server = Server(Path(name), pg_ctl)  # short, as a socket's path must be
-        if getpass.getuser() == "root":
+        if _is_root():
             shutil.chown(name, "postgres")
         initial = ("--username", _USER, "--auth", "trust", "-E", "UTF8")
         server.run(initdb, "--pgdata", server.data, *initial)

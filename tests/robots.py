@@ -66,7 +66,7 @@ def fast_arm():
     return SlowArm(0.0)
 
 
-def steady_arm():
+def slowest_arm():
     return SlowArm(0.03)
 
 

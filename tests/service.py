@@ -76,9 +76,7 @@ def start_service(
     """
     port = free_port()
     log = data_dir / f"service-{port}.log"
-    command = [*wrapper, *adr, "serve", "--port", str(port)]
-    command += ["--data-dir", str(data_dir)]
-    command += [] if cpus is None else ["--cpus", str(cpus)]  # None: of a cluster that is there
+    command = [*wrapper, *serve_command(data_dir, port, cpus, adr)]
     command += ["--dashboard" if dashboard else "--no-dashboard"]
     # Ray's default folder is shared by everyone on the machine; ours must be short for sockets
     its_own = {**os.environ, "HOME": str(data_dir), **(environment or {})}
@@ -109,6 +107,17 @@ def attempts_in(log: Path) -> list[tuple[str, int]]:
     """(digest, number of the attempt) of the stages that a service has begun, from its log."""
     found = re.findall(r"stage begun .*attempt=(\d+) .*stage=(\w{64})", log.read_text())
     return [(digest, int(number)) for number, digest in found]
+
+
+def serve_command(
+    data_dir: Path,
+    port: int,
+    cpus: int | None,
+    adr: Sequence[str] = (sys.executable, "-m", "api"),
+) -> list[str]:
+    """`adr serve`; `cpus` None: of a cluster that is there."""
+    command = [*adr, "serve", "--port", str(port), "--data-dir", str(data_dir)]
+    return command if cpus is None else [*command, "--cpus", str(cpus)]
 
 
 def free_port() -> int:

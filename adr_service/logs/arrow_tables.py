@@ -1,14 +1,16 @@
 """Columns of numbers of an Arrow table; lists of numbers become one column for each place."""
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.errors import InvalidInput
-from adr_service.logs.base import Stream, check_size, is_number
+from adr_service.logs.base import Stream, check_size
 
 _SHOWN = 40  # characters of a text
+_NUMBER = r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*$"
 
 
 def stream_of(source: str, table: Any) -> tuple[Stream, dict[str, str]]:
@@ -58,18 +60,21 @@ def _places(name: str, column: Any) -> dict[str, Vector] | str:
 
 
 def _what_it_holds(column: Any) -> str:
-    """The first text that is no number, perhaps one odd cell among numbers; or else the type."""
+    """Describe a column without numbers: the first odd cell among numbers, else its type."""
     import pyarrow as pa
     from pyarrow import csv
 
+    pc: Any = import_module("pyarrow.compute")  # its functions are made when it is imported
     kind = column.type
     if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
         return f"it holds {kind}"
-    empty = {None, *csv.ConvertOptions().null_values}
-    cells = enumerate(column.to_pylist(), 1)
-    odd = ((row, cell) for row, cell in cells if cell not in empty and not is_number(cell))
-    row, cell = next(odd, (0, ""))
-    return f"it holds the text {cell[:_SHOWN]!r} in row {row}" if row else f"it holds {kind}"
+    cells = column.filter(pc.invert(pc.is_in(column, pa.array(csv.ConvertOptions().null_values))))
+    are_numbers = pc.match_substring_regex(cells, _NUMBER)
+    if 2 * pc.sum(are_numbers).as_py() <= len(cells):
+        return f"it holds {kind}"
+    odd = cells[pc.index(are_numbers, False).as_py()]
+    row = pc.index(column, odd).as_py() + 1
+    return f"it holds the text {odd.as_py()[:_SHOWN]!r}, first in row {row} below the header"
 
 
 def _is_fixed(kind: Any) -> bool:

@@ -159,12 +159,3 @@ def check_size(source: str, columns: int, numbers: int) -> None:
             f"{MOST_COLUMNS:,} columns and {MOST_NUMBERS:,} numbers (cut the log, or keep only the "
             "columns that are needed)"
         )
-
-
-def is_number(text: str) -> bool:
-    """True if a text can be read as a number."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

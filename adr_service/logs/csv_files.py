@@ -2,9 +2,11 @@
 
 import io
 
+import numpy as np
+
 from adr_service.errors import InvalidInput
 from adr_service.logs.arrow_tables import stream_of
-from adr_service.logs.base import Log, is_number
+from adr_service.logs.base import Log
 
 _DELIMITERS = ("\t", ";", ",")
 _COMMENT = "#"  # before a header, as NumPy writes it
@@ -35,9 +37,16 @@ def read_csv(source: str, content: bytes) -> Log:
 
 
 def _check_header(source: str, names: list[str]) -> None:
-    numbers = [name for name in names if is_number(name)]
+    numbers = [name for name in names if _is_number(name)]
     if len(numbers) > len(names) / 2:
         raise InvalidInput(
             f"{source} begins with numbers ({', '.join(numbers[:3])}, …); expected are names of "
             "columns in its first line"
         )
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return bool(np.isfinite(float(text)))
+    except ValueError:
+        return False

@@ -1,4 +1,4 @@
-"""What robots asked for under leases, what they were told, and whether all of it can be true.
+"""Check that the requests of robots, and the answers, fit exclusive leases.
 
 Each request is written down when it begins, and again once it is answered. One whose answer
 nobody heard, as its robot or the service was killed, may have been carried out or not.
@@ -17,15 +17,16 @@ from uuid import uuid4
 
 import httpx2
 
-from adr_service.client import AdrClient, Refused
+from adr_service.client import AdrClient, Json, Refused
 
 _TASKS = "/v1/target_tasks/"
 _RENEWALS = {"claim", "heartbeat"}
 _ENDS = {"release", "fail"}
+_WAIT_S = 0.5
 
 
 @dataclass(frozen=True)
-class Asked:
+class Request:
     """A request; times are seconds of the machine's monotonic clock.
 
     A claim has the visit and the lease that it was given, and `attempt`, its number among the
@@ -51,11 +52,18 @@ class Asked:
 
 
 class RecordedClient(AdrClient):
-    """A client that writes its requests for tasks into a file, and the answers."""
+    """A client that writes its requests for tasks into a file, and the answers.
+
+    All requests of a client go through `_request`, so that none is missed.
+    """
 
     def __init__(self, url: str, timeout_s: float, file: IO[str]):
         super().__init__(url, "", timeout_s)
         self._file = file
+
+    def claim_task(self, worker: str, tasks: Sequence[str], wait_s: float = 20.0) -> Json | None:
+        """Wait briefly, so that the beginning of a lease is known to `_WAIT_S`."""
+        return super().claim_task(worker, tasks, min(wait_s, _WAIT_S))
 
     def _request(self, method: str, path: str, **more: Any) -> httpx2.Response:
         if method == "GET" or not path.startswith(_TASKS):
@@ -69,12 +77,12 @@ class RecordedClient(AdrClient):
         except Refused as error:
             self._write(id, answered=time.monotonic(), status=error.status)
             raise
-        told: dict[str, Any] = {"answered": time.monotonic(), "status": response.status_code}
+        answer: dict[str, Any] = {"answered": time.monotonic(), "status": response.status_code}
         if kind == "claim" and response.content:
             given = response.json()
             task = given["task"]
-            told |= {"visit": task["id"], "attempt": task["attempt"], "lease": given["lease"]}
-        self._write(id, **told)
+            answer |= {"visit": task["id"], "attempt": task["attempt"], "lease": given["lease"]}
+        self._write(id, **answer)
         return response
 
     def _write(self, id: str, **facts: Any) -> None:
@@ -83,25 +91,25 @@ class RecordedClient(AdrClient):
         self._file.flush()
 
 
-def read_history(files: Iterable[Path]) -> list[Asked]:
+def read_history(files: Iterable[Path]) -> list[Request]:
     """All requests of several robots, in the order in which they began."""
     facts: dict[str, dict[str, Any]] = defaultdict(dict)
     for file in files:
         for line in file.read_text().splitlines():
-            told = json.loads(line)
-            facts[told.pop("id")] |= told
-    return sorted((Asked(**told) for told in facts.values()), key=lambda asked: asked.began)
+            part = json.loads(line)
+            facts[part.pop("id")] |= part
+    return sorted((Request(**whole) for whole in facts.values()), key=lambda request: request.began)
 
 
-def violations(history: Sequence[Asked], lease_s: float) -> list[str]:
-    """Sentences about answers that no service with exclusive leases of `lease_s` can give."""
-    claims = [asked for asked in history if asked.kind == "claim" and asked.lease]
+def violations(history: Sequence[Request], lease_s: float) -> list[str]:
+    """Contradictions between a history and exclusive leases of `lease_s`."""
+    claims = [request for request in history if request.kind == "claim" and request.lease]
     given = Counter(claim.lease for claim in claims)
     found = [f"lease {lease} was given {n} times" for lease, n in given.items() if n > 1]
-    under: dict[str, list[Asked]] = defaultdict(list)
-    for asked in history:
-        under[asked.lease].append(asked)
-    of_visits: dict[str, list[Asked]] = defaultdict(list)
+    under: dict[str, list[Request]] = defaultdict(list)
+    for request in history:
+        under[request.lease].append(request)
+    of_visits: dict[str, list[Request]] = defaultdict(list)
     for claim in sorted(claims, key=lambda claim: claim.attempt):
         of_visits[claim.visit].append(claim)
     for visit, its_claims in of_visits.items():
@@ -113,21 +121,26 @@ def violations(history: Sequence[Asked], lease_s: float) -> list[str]:
 
 
 def _wrong_of_two(
-    earlier: Asked, later: Asked, under: Sequence[Asked], lease_s: float
+    earlier: Request, later: Request, under: Sequence[Request], lease_s: float
 ) -> Iterator[str]:
     """What cannot be true of two claims of a visit, and of the requests under the earlier one."""
     if earlier.attempt == later.attempt:
         yield "two claims have one number"
     if later.answered < earlier.began:
         yield "their numbers are not in order"
-    accepted = [asked for asked in under if asked.is_accepted]
-    for asked in accepted:
-        if asked.kind == "trajectory":
+    accepted = [request for request in under if request.is_accepted]
+    for request in accepted:
+        if request.kind == "trajectory":
             yield "the trajectory of the earlier one was accepted"
-        elif asked.began > later.answered:
-            yield f"a {asked.kind} of the earlier one was accepted after the later one"
-    if any(asked.kind in _ENDS and asked.began < later.answered for asked in under):
+        elif request.began > later.answered:
+            yield f"a {request.kind} of the earlier one was accepted after the later one"
+    may_have_ended = (
+        request.kind in _ENDS and (request.is_accepted or request.is_unknown)
+        for request in under
+        if request.began < later.answered
+    )
+    if any(may_have_ended):
         return
-    until = lease_s + max(asked.began for asked in accepted if asked.kind in _RENEWALS)
+    until = lease_s + max(request.began for request in accepted if request.kind in _RENEWALS)
     if later.answered < until:
         yield f"they overlap by {until - later.answered:.3g} s"

@@ -14,7 +14,7 @@ def main(url: str, log: Path) -> None:
         robot = Robot(
             lambda timeout_s: RecordedClient(url, timeout_s, file),
             "arm",
-            "tests.robots:steady_arm",
+            "tests.robots:slowest_arm",
             "soak",
             Limits(),
             lambda line: sys.stderr.write(f"{line}\n"),

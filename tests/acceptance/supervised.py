@@ -3,7 +3,6 @@
 import os
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -12,7 +11,7 @@ from typing import Self
 
 import psutil
 
-from tests.service import children_of, free_port
+from tests.service import children_of, free_port, serve_command
 
 _RESTART_S = 1.0
 
@@ -71,6 +70,5 @@ class SupervisedService(Supervised):
     def __init__(self, folder: Path, environment: Mapping[str, str]):
         port = free_port()
         self.url = f"http://127.0.0.1:{port}"
-        command = [sys.executable, "-m", "api", "serve", "--port", port, "--data-dir", folder]
-        command += ["--cpus", 2, "--no-dashboard"]
+        command = [*serve_command(folder, port, cpus=2), "--no-dashboard"]
         super().__init__(command, folder / "service.log", {**environment, "HOME": str(folder)})

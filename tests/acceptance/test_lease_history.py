@@ -3,41 +3,41 @@
 import pytest
 
 from adr_service.client import Refused, Unreachable
-from tests.acceptance.lease_history import Asked, RecordedClient, read_history, violations
+from tests.acceptance.lease_history import RecordedClient, Request, read_history, violations
 
 LEASE_S = 2.0
 
 
-def asked(kind, lease, began, status=200, attempt=0):
+def request(kind, lease, began, status=200, attempt=0):
     answered = {} if status is None else {"answered": began + 0.1, "status": status}
-    return Asked(kind, "task_1", lease, began, attempt=attempt, **answered)
+    return Request(kind, "task_1", lease, began, attempt=attempt, **answered)
 
 
 def first(*more, until=0.0):
     """A claim that is renewed until some second, and more requests."""
-    beats = [asked("heartbeat", "a", second) for second in range(1, int(until) + 1)]
-    return [asked("claim", "a", 0.0, attempt=1), *beats, *more]
+    beats = [request("heartbeat", "a", second) for second in range(1, int(until) + 1)]
+    return [request("claim", "a", 0.0, attempt=1), *beats, *more]
 
 
 def second(began, attempt=2, lease="b"):
-    return asked("claim", lease, began, attempt=attempt)
+    return request("claim", lease, began, attempt=attempt)
 
 
 @pytest.mark.parametrize(
     "history",
     [
-        first(asked("trajectory", "a", 3.0), until=2),
-        first(asked("trajectory", "a", 3.0), asked("trajectory", "a", 4.0)),
-        first(second(3.1), asked("heartbeat", "a", 4.0, status=409), until=1),
-        first(asked("release", "a", 1.0), second(1.2)),
-        first(asked("release", "a", 1.0, status=None), second(1.2)),  # it may have been heard
-        first(asked("heartbeat", "a", 1.0, status=None), second(2.5)),  # or not
-        first(second(2.0), asked("heartbeat", "a", 2.05, status=None)),
-        first(asked("trajectory", "a", 1.0, status=503), second(2.5)),
-        [asked("claim", "", 0.0, status=204), asked("claim", "", 1.0, status=None)],
+        first(request("trajectory", "a", 3.0), until=2),
+        first(request("trajectory", "a", 3.0), request("trajectory", "a", 4.0)),
+        first(second(3.1), request("heartbeat", "a", 4.0, status=409), until=1),
+        first(request("release", "a", 1.0), second(1.2)),
+        first(request("release", "a", 1.0, status=None), second(1.2)),  # it may have been heard
+        first(request("heartbeat", "a", 1.0, status=None), second(2.5)),  # or not
+        first(second(2.0), request("heartbeat", "a", 2.05, status=None)),
+        first(request("trajectory", "a", 1.0, status=503), second(2.5)),
+        [request("claim", "", 0.0, status=204), request("claim", "", 1.0, status=None)],
     ],
 )
-def test_what_a_right_service_answers_is_no_violation(history):
+def test_histories_of_exclusive_leases_have_no_violations(history):
     assert violations(history, LEASE_S) == []
 
 
@@ -46,16 +46,17 @@ def test_what_a_right_service_answers_is_no_violation(history):
     [
         (first(second(3.0, lease="a")), "lease a was given 2 times"),
         (first(second(2.5, attempt=1)), "two claims have one number"),
-        ([asked("claim", "a", 9.0, attempt=1), second(1.0)], "not in order"),
-        (first(asked("trajectory", "a", 1.0), second(3.0)), "trajectory of the earlier"),
-        (first(second(3.0), asked("trajectory", "a", 4.0)), "trajectory of the earlier"),
-        (first(second(3.0), asked("heartbeat", "a", 4.0)), "a heartbeat of the earlier one was"),
+        ([request("claim", "a", 9.0, attempt=1), second(1.0)], "not in order"),
+        (first(request("trajectory", "a", 1.0), second(3.0)), "trajectory of the earlier"),
+        (first(second(3.0), request("trajectory", "a", 4.0)), "trajectory of the earlier"),
+        (first(second(3.0), request("heartbeat", "a", 4.0)), "a heartbeat of the earlier one was"),
         (first(second(3.0), until=2), "they overlap by 0.9 s"),
-        (first(second(2.0), asked("heartbeat", "a", 2.05)), "they overlap by 1.95 s"),
+        (first(second(2.0), request("heartbeat", "a", 2.05)), "they overlap by 1.95 s"),
         (first(second(1.0)), "they overlap by 0.9 s"),
+        (first(request("release", "a", 1.0, status=409), second(1.2)), "they overlap by 0.7 s"),
     ],
 )
-def test_each_wrong_answer_is_named(history, message):
+def test_each_contradiction_is_named(history, message):
     assert any(message in found for found in violations(history, LEASE_S))
 
 

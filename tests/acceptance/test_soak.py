@@ -1,8 +1,8 @@
-"""Everything that can die dies, again and again, under two thousand stages of many runs.
+"""Soak test: each part of the service is killed at random moments under 2,000 stages of many runs.
 
-The service, its database, Ray's processes, the workers and the robots are killed at random
-moments, and robots fall asleep with a lease. All results are, to the byte, those of a service
-that nothing disturbs, and the robots' leases were exclusive.
+The service, its database, Ray's processes, the workers and the robots die, and robots stop for
+longer than a lease. All results are, to the byte, those of a service that nothing disturbs, and
+the robots' leases were exclusive.
 """
 
 import itertools
@@ -23,7 +23,7 @@ from sqlalchemy import select
 from adr_service.client import AdrClient, Refused, Unreachable, is_finished
 from db.models import StageArtifactRow, StageRow, TargetTaskRow
 from db.session import open_database
-from tests.acceptance.lease_history import Asked, read_history, violations
+from tests.acceptance.lease_history import Request, read_history, violations
 from tests.acceptance.supervised import Supervised, SupervisedService
 from tests.postgresql import Server
 from tests.service import attempts_in, start_service, until, wait_until_finished
@@ -69,15 +69,19 @@ def test_whatever_dies_results_are_the_same_and_leases_exclusive(tmp_path, postg
     history = read_history(histories)
     stages, visits = stages_in(url), visits_in(url)
     begun = Counter(Counter(digest for digest, _ in attempts_in(log)).values())
+    unknown = sum(request.is_unknown for request in history)
+    lost = sum(request.status == 409 for request in history)
     sys.stderr.write(
         f"seed {SEED}: {len(stages)} stages in {(time.monotonic() - began) / 60:.0f} minutes; "
         f"killed {dict(killed)}; stages begun once, twice, …: {dict(sorted(begun.items()))}; "
         f"{len(visits)} tasks of robots, {sum(visit.attempt for visit in visits)} leases, "
-        f"{len(history)} requests, {sum(asked.is_unknown for asked in history)} without an answer "
-        f"and {sum(asked.status == 409 for asked in history)} refused, as the lease was lost\n"
+        f"{len(history)} requests, {unknown} without an answer and {lost} under a lost lease\n"
     )
     assert len(stages) >= STAGES
     assert all(killed.values())
+    assert max(begun) > 1, "no stage was lost"
+    assert any(visit.attempt > 1 for visit in visits), "no lease was lost"
+    assert lost, "nobody request under a lost lease"
     assert stages == stages_in(f"sqlite:///{quiet / 'adr.sqlite'}")
     assert violations(history, LEASE_S) == []
     assert contradictions(visits, history) == []
@@ -96,7 +100,7 @@ def undisturbed(folder: Path) -> list[str]:
 def disturbed(
     folder: Path, url: str, server: Server, tables: list[str]
 ) -> tuple[Counter[str], Path, list[Path]]:
-    """Compute the same where everything dies; deaths by name, and logs."""
+    """Compute the same where everything dies; deaths by name, the service's log and histories."""
     rng = np.random.default_rng(SEED)
     with ExitStack() as stack:
         environment = {**ENVIRONMENT, "ADR_DATABASE_URL": url}
@@ -105,7 +109,7 @@ def disturbed(
         until(lambda: answered(client.ready))
         at_work = robots(stack, service.url, folder)
         ids = submit(client)
-        killed = disturb(ways(service, at_work, server, rng), client, ids, rng)
+        killed = disturb(ways_to_kill(service, at_work, server, rng), client, ids, rng)
         for id, table in zip(ids, tables, strict=True):
             seen = client.get(id)
             assert set(seen.get("states", [seen.get("state")])) == {"succeeded"}, seen
@@ -131,13 +135,13 @@ def robots(stack: ExitStack, url: str, folder: Path) -> list[RecordedRobot]:
 
 
 def disturb(
-    given: Mapping[str, Callable[[], bool]],
+    kills: Mapping[str, Callable[[], bool]],
     client: AdrClient,
     ids: list[str],
     rng: np.random.Generator,
 ) -> Counter[str]:
     """Kill one thing after the other until all runs have finished; how often each was killed."""
-    killed = Counter(dict.fromkeys(given, 0))
+    killed = Counter(dict.fromkeys(kills, 0))
 
     def finished_within(seconds: float) -> bool:
         deadline = time.monotonic() + seconds
@@ -147,17 +151,17 @@ def disturb(
             time.sleep(min(1.0, seconds))
         return False
 
-    for name in itertools.chain.from_iterable(rng.permutation([*given]) for _ in itertools.count()):
+    for name in itertools.chain.from_iterable(rng.permutation([*kills]) for _ in itertools.count()):
         if finished_within(rng.uniform(*BETWEEN_S)):
             break
-        while not given[name]():  # it starts just now
+        while not kills[name]():  # it starts just now
             if finished_within(0.1):
                 return killed
         killed[name] += 1
     return killed
 
 
-def ways(
+def ways_to_kill(
     service: SupervisedService,
     at_work: list[RecordedRobot],
     server: Server,
@@ -211,10 +215,12 @@ def stages_in(url: str) -> dict[str, tuple[str, dict[str, str]]]:
         for blob in session.scalars(select(StageArtifactRow)):
             blobs[blob.digest][blob.name] = blob.sha256
     database.close()
-    return {
+    found = {
         re.sub(r'"run":"run_\w+"', '"run":""', document): (result, blobs[digest])
         for digest, document, result in rows
     }
+    assert len(found) == len(rows)
+    return found
 
 
 def visits_in(url: str) -> list[TargetTaskRow]:
@@ -227,19 +233,20 @@ def visits_in(url: str) -> list[TargetTaskRow]:
     return visits
 
 
-def contradictions(visits: list[TargetTaskRow], history: list[Asked]) -> list[str]:
-    """Sentences about tasks, as they are stored, that no robot was told of."""
-    claims = [asked for asked in history if asked.kind == "claim"]
+def contradictions(visits: list[TargetTaskRow], history: list[Request]) -> list[str]:
+    """Contradictions between tasks, as they are stored, and the robots' history."""
+    claims = [request for request in history if request.kind == "claim"]
     heard = Counter(claim.visit for claim in claims if claim.lease)
     found = [f"{visit.id} is {visit.state}" for visit in visits if visit.state != "done"]
     unheard = {visit.id: visit.attempt - heard[visit.id] for visit in visits}
     found += [f"{id} has fewer claims than were answered" for id, n in unheard.items() if n < 0]
     if sum(unheard.values()) > sum(claim.is_unknown for claim in claims):
         found.append(f"more leases than robots can have been given: {unheard}")
-    leases = {visit.id: visit.lease for visit in visits}
+    accepted = [r for r in history if r.kind == "trajectory" and r.is_accepted]
+    stored = {(visit.id, visit.lease) for visit in visits}
     found += [
-        f"{asked.visit} has the result of another lease than was accepted"
-        for asked in history
-        if asked.kind == "trajectory" and asked.is_accepted and asked.lease != leases[asked.visit]
+        f"{request.visit} has the result of another lease than was accepted"
+        for request in accepted
+        if (request.visit, request.lease) not in stored
     ]
     return found

@@ -68,6 +68,14 @@ class TestLeases:
         assert (beaten.steps, beaten.expires_at) == (7, later + timedelta(seconds=LEASE_S))
         assert claim(database, "b", START + timedelta(seconds=100)) is None
 
+    def test_a_heartbeat_that_is_late_does_not_shorten_the_lease(self, database, run_id):
+        publish(database, run_id)
+        task = claim(database)
+        later = START + timedelta(seconds=LEASE_S / 2)
+        beaten = visits.heartbeat(database, task.id, task.lease, 7, later, LEASE_S)
+        late = visits.heartbeat(database, task.id, task.lease, 7, START, LEASE_S)
+        assert late.expires_at == beaten.expires_at
+
     @pytest.mark.parametrize("hours", [-1, 24 * 400])
     def test_leases_do_not_follow_a_wall_clock_that_is_set(self, database, run_id, hours):
         wall, steady = [START], [1000.0]

@@ -45,14 +45,19 @@ def test_an_empty_cell_is_no_reading():
 
 def test_texts_are_listed_and_dates_are_seconds():
     found, texts = columns("stamp,mode,q\n2026-01-01 00:00:00.5,on,1\n2026-01-01 00:00:01,on,2\n")
-    assert texts == {"mode": "it holds the text 'on' in row 1"}
+    assert texts == {"mode": "it holds string"}
     np.testing.assert_allclose(np.diff(found["stamp"]), 0.5)
 
 
 def test_the_odd_cell_of_a_column_is_named():
     found, texts = columns("time,q\n0,1\n1,\n2,NaN\n3,overflow!\n4,2\n")
     assert list(found) == ["time"]
-    assert texts == {"q": "it holds the text 'overflow!' in row 4"}
+    assert texts == {"q": "it holds the text 'overflow!', first in row 4 below the header"}
+
+
+def test_a_column_of_decimal_commas_with_an_odd_cell_has_no_cell_to_blame():
+    _, texts = columns("t;q\n0,5;1,5\n1,5;overflow!\n")
+    assert texts == {"q": "it holds string"}
 
 
 @pytest.mark.parametrize(
