@@ -19,7 +19,7 @@ from tests.contracts.canned import CannedStages
 from tests.stages.examples import evaluation, policy
 
 SPEC = RunSpec.model_validate({"task": "arm", "method": "dropo", "preset": "smoke"})
-STAGE = evaluation(1, policy().to_bytes())
+STAGE = replace(evaluation(1, policy().to_bytes()), episodes=3)
 ROLLOUT = TargetRollout(task="arm", variant="vanilla", transitions=10, iteration=0, seed=0)
 
 
@@ -29,9 +29,10 @@ def stored():
 
 
 def changed(stored, by):
-    """The result with its first return larger by a share."""
-    returns = list(stored.values["returns"])
-    returns[0] += by * max(1.0, abs(returns[0]))
+    """The result with its mean return larger by a share, and single ones by more."""
+    returns = np.array(stored.values["returns"])
+    returns += [10 * by, -10 * by, *[0.0] * (len(returns) - 2)]
+    returns = (returns + by * max(1.0, abs(returns.mean()))).tolist()
     return StageResult({**stored.values, "returns": returns}, stored.blobs)
 
 
