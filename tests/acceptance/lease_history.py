@@ -123,7 +123,7 @@ def violations(history: Sequence[Request], lease_s: float) -> list[str]:
 def _wrong_of_two(
     earlier: Request, later: Request, under: Sequence[Request], lease_s: float
 ) -> Iterator[str]:
-    """What cannot be true of two claims of a visit, and of the requests under the earlier one."""
+    """Contradictions between two claims of a visit, and the requests under the earlier one."""
     if earlier.attempt == later.attempt:
         yield "two claims have one number"
     if later.answered < earlier.began:

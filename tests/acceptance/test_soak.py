@@ -167,7 +167,7 @@ def ways_to_kill(
     server: Server,
     rng: np.random.Generator,
 ) -> dict[str, Callable[[], bool]]:
-    """What can be killed, and how; False if it was not there to be killed."""
+    """Functions that kill one part each, by name; False if it was not there."""
 
     def one() -> RecordedRobot:
         return at_work[rng.integers(len(at_work))]
@@ -206,8 +206,10 @@ def answered(ask: Callable[[], object]) -> object:
 
 
 def stages_in(url: str) -> dict[str, tuple[str, dict[str, str]]]:
-    """Every stage's result and its blobs' hashes, by what it computes (a robot's episode without
-    the id of its run, of which each run has a new one)."""
+    """Every stage's result and its blobs' hashes, by its document without ids of runs.
+
+    A robot's episode belongs to one run, whose id no other service gives.
+    """
     database = open_database(url)
     with database.read() as session:
         rows = session.execute(select(StageRow.digest, StageRow.document, StageRow.result)).all()
