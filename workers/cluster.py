@@ -96,7 +96,7 @@ class Cluster:
 
     @property
     def remedy(self) -> str:
-        """How we go on after a death of Ray, for the log."""
+        """The next step after Ray has died, for the log."""
         if self.is_local:
             return "starting it again"
         address = self._options.address if self._joined is None else self._joined.address
