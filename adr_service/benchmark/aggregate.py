@@ -5,9 +5,11 @@
 
 After Agarwal et al., arXiv 2108.13264, Sec. 4: the scores of all cells together, with a bootstrap
 that draws seeds within each cell. A cell is a task's variant. Only cells that all methods have
-count, after the last iteration that all seeds of all methods have, and with SimOpt's data.
+count, after the iteration of `final_outcomes`, and with SimOpt's data. A method that lacks a cell
+that most others have is left out, so that one which has just begun does not empty the tables.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -86,7 +88,11 @@ def _common(outcomes: Sequence[Outcome]) -> dict[str, _Cells]:
     """Returns by method, in the cells that all methods have."""
     found = [o for o in outcomes if o.spec.collector == "simopt"]
     cells = dict(sorted(final_outcomes(found).items()))
-    names = [name for name in methods() if any(name in columns for columns in cells.values())]
+    having = {name: {c for c in cells if name in cells[c]} for name in methods()}
+    having = {name: found for name, found in having.items() if found}
+    held = Counter(cell for found in having.values() for cell in found)
+    most = {cell for cell, count in held.items() if 2 * count > len(having)}
+    names = [name for name, found in having.items() if found >= most]
     shared = [columns for columns in cells.values() if all(name in columns for name in names)]
     if not shared:
         return {}

@@ -2,10 +2,11 @@
 
 import csv
 import io
-from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from itertools import combinations
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -29,8 +30,6 @@ from adr_service.methods.catalogue import methods
 from adr_service.randomness import stream
 from adr_service.specs import RunSpec, SimulatedTarget
 from adr_service.tasks.catalogue import get_task, hidden_of, source_of
-
-Column = TypeVar("Column", bound=Hashable)  # a method, with the data that it has learned from
 
 
 @dataclass(frozen=True)
@@ -144,7 +143,7 @@ class Comparison:
 
 
 def comparisons(outcomes: Sequence[Outcome]) -> list[Comparison]:
-    """Every pair of methods on a task's variant, after `last_shared` iterations."""
+    """Every pair of methods on a task's variant, of its `final_outcomes`."""
     order = list(methods())
     compared: list[Comparison] = []
     for (task, variant), columns in sorted(final_outcomes(outcomes).items()):
@@ -171,48 +170,51 @@ def _compared(
 def final_outcomes(
     outcomes: Sequence[Outcome],
 ) -> dict[tuple[str, str], dict[str, list[Outcome]]]:
-    """Evaluated outcomes after `last_shared` iterations, by task and variant, then by column."""
-    places: dict[tuple[str, str], dict[str, dict[int, list[Outcome]]]] = {}
+    """The evaluated outcomes that are compared, by task and variant, then by column: those after
+    the iteration of `last_shared`."""
+    places: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
     for outcome in (outcome for outcome in outcomes if outcome.iteration.returns):
-        spec = outcome.spec
-        rounds = places.setdefault((spec.task, spec.variant), {}).setdefault(spec.column, {})
-        rounds.setdefault(outcome.iteration.iteration, []).append(outcome)
-    final: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
-    for place, columns in places.items():
-        seeds = {
-            name: {number: len(found) for number, found in rounds.items()}
-            for name, rounds in columns.items()
+        columns = places.setdefault((outcome.spec.task, outcome.spec.variant), {})
+        columns.setdefault(outcome.spec.column, []).append(outcome)
+    return {
+        place: {
+            name: [o for o in columns[name] if o.iteration.iteration == number]
+            for name, number in _shared(columns).items()
         }
-        level = {
-            name
-            for name, rounds in columns.items()
-            if any(o.spec.method.is_level for found in rounds.values() for o in found)
-        }
-        shared = last_shared(seeds, level)
-        final[place] = {name: columns[name][number] for name, number in shared.items()}
-    return final
+        for place, columns in places.items()
+    }
+
+
+def _shared(columns: Mapping[str, Sequence[Outcome]]) -> dict[str, int]:
+    seeds = {
+        name: Counter(outcome.iteration.iteration for outcome in found)
+        for name, found in columns.items()
+    }
+    specs = {name: found[0].spec for name, found in columns.items()}
+    level = {name for name, spec in specs.items() if spec.method.is_level}
+    return last_shared(seeds, level, max(spec.iterations for spec in specs.values()))
 
 
 def last_shared(
-    seeds: Mapping[Column, Mapping[int, int]], level: Collection[Column]
-) -> dict[Column, int]:
-    """The iteration after which each column is compared: the last that all seeds of all columns
-    have, so that a benchmark which is not finished compares what learned from equal amounts of
-    data. Without the columns that have no such iteration.
+    seeds: Mapping[str, Mapping[int, int]], level: Collection[str], planned: int
+) -> dict[str, int]:
+    """The iteration after which each column is compared. Without the columns that lack it.
+
+    That is the last one planned, once all seeds of two columns have it: to those the others come
+    as they finish. Before, it is the last that all seeds of all columns have, so that a benchmark
+    which is not finished compares what learned from equal amounts of data.
 
     `seeds`: by column, the number of seeds that have each iteration; a seed that has none is not
     known. `level`: the columns without iterations, which are compared as they are.
     """
-    shared = min(
-        (
-            max(number for number, count in counts.items() if count == max(counts.values()))
-            for column, counts in seeds.items()
-            if column not in level
-        ),
-        default=0,
-    )
-    numbers = {c: max(counts) if c in level else shared for c, counts in seeds.items()}
-    return {column: number for column, number in numbers.items() if number in seeds[column]}
+    last = {
+        column: max(number for number, count in counts.items() if count == max(counts.values()))
+        for column, counts in seeds.items()
+    }
+    learned = [number for column, number in last.items() if column not in level]
+    shared = planned if learned.count(planned) > 1 else min(learned, default=0)
+    compared = {c: number if c in level else shared for c, number in last.items()}
+    return {c: number for c, number in compared.items() if number in seeds[c] and number <= last[c]}
 
 
 def estimates(outcomes: Sequence[Outcome]) -> list[ParameterEstimate]:

@@ -10,7 +10,7 @@ from fastapi.responses import HTMLResponse, RedirectResponse
 from pydantic import ValidationError
 
 from adr_service.benchmark.claims import reports
-from adr_service.benchmark.comparison import Outcome, last_shared, table
+from adr_service.benchmark.comparison import Outcome, final_outcomes, table
 from adr_service.benchmark.figures import FIGURES, drawable
 from adr_service.benchmark.improvements import improvement_matrices
 from adr_service.errors import InvalidInput
@@ -68,10 +68,11 @@ def _tables(
         claims = [asdict(report) for report in reports(outcomes)]
     else:
         rows, aggregates, matrices, claims = _rows(outcomes), [], [], []
-    final = final_rows(rows)
+    final = final_rows(rows, outcomes)
     return {
         "rows": rows,
         "final": final,
+        "still_learning": still_learning(rows, final),
         "best": best_of(final),
         "aggregates": sorted(aggregates, key=lambda each: -each["interquartile_mean"]),
         "matrices": matrices,
@@ -83,22 +84,28 @@ def _rows(outcomes: Sequence[Outcome]) -> list[Json]:
     return [asdict(row) for row in table(outcomes)]
 
 
-def final_rows(rows: Sequence[Json]) -> list[Json]:
-    """The row of each method on each task's variant and data after `last_shared` iterations, the
-    best first."""
-    places: dict[tuple[str, str], dict[tuple[str, str], dict[int, Json]]] = {}
-    for row in rows:
-        columns = places.setdefault((row["task"], row["variant"]), {})
-        columns.setdefault((row["method"], row["collector"]), {})[row["iteration"]] = row
-    final: list[Json] = []
-    for columns in places.values():
-        seeds = {
-            name: {i: row["seeds"] for i, row in found.items()} for name, found in columns.items()
-        }
-        # a stored table outlives a method's package
-        level = {key for key in columns if (m := methods().get(key[0])) is None or m.is_level}
-        final += [columns[name][number] for name, number in last_shared(seeds, level).items()]
+def final_rows(rows: Sequence[Json], outcomes: Sequence[Outcome]) -> list[Json]:
+    """The row of each method on each task's variant and data that is compared, the best first."""
+    columns = [column for place in final_outcomes(outcomes).values() for column in place.values()]
+    compared = {
+        (spec.task, spec.variant, spec.method.name, spec.collector, o.iteration.iteration)
+        for column in columns
+        for o in column
+        for spec in [o.spec]
+    }
+    final = [row for row in rows if (*_column(row), row["iteration"]) in compared]
     return sorted(final, key=lambda row: (row["task"], row["variant"], -row["normalised_return"]))
+
+
+def still_learning(rows: Sequence[Json], final: Sequence[Json]) -> list[str]:
+    """The methods that the final rows lack, with where they do: "bayrn on arm noisy"."""
+    compared = {_column(row) for row in final}
+    left_out = dict.fromkeys(_column(row) for row in rows if _column(row) not in compared)
+    return [f"{method} on {task} {variant}" for task, variant, method, _ in left_out]
+
+
+def _column(row: Json) -> tuple[str, str, str, str]:
+    return row["task"], row["variant"], row["method"], row["collector"]
 
 
 def best_of(final: Sequence[Json]) -> list[Json]:
@@ -163,7 +170,8 @@ def compare(
     for each in ids:
         records = _runs_of(service, each)
         presets = {r.spec.preset for r in records if isinstance(r.spec, RunSpec)}
-        final = final_rows(_rows(outcomes_of(service, records)))
+        outcomes = outcomes_of(service, records)
+        final = final_rows(_rows(outcomes), outcomes)
         rows += [(each, ", ".join(sorted(presets)), row) for row in final]
     rows.sort(key=lambda row: (row[2]["task"], row[2]["variant"], row[2]["method"]))
     return show(request, "compare.html", ids=ids, rows=rows)

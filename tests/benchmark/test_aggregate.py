@@ -41,6 +41,13 @@ def test_only_cells_that_all_methods_have_count():
     assert aggregates(world(apart)) == profiles(world(apart)) == []
 
 
+def test_a_method_that_has_begun_in_one_cell_does_not_leave_out_the_other_cells():
+    begun = {**TWO, ("udr", "vanilla"): (0.9,) * 3}
+    assert aggregates(world(begun)) == aggregates(world(TWO))
+    every = {**begun, ("udr", "noisy"): (0.9,) * 3}
+    assert [each.method for each in aggregates(world(every))] == ["udr", "simopt", "dropo"]
+
+
 def test_a_cell_of_two_seeds_has_no_interval():
     few = {key: values[:2] for key, values in TWO.items()}
     assert {(each.low, each.high) for each in aggregates(world(few))} == {(None, None)}

@@ -73,25 +73,49 @@ def test_every_pair_of_methods_is_compared_after_the_last_iteration(benchmark):
         ({5: 3}, {0: 3, 1: 3}, (None, 1)),
     ],
 )
-def test_methods_are_compared_after_the_last_iteration_that_all_seeds_have(simopt, dropo, after):
+@pytest.mark.parametrize("planned", [2, 9])
+def test_methods_are_compared_after_the_last_iteration_that_all_seeds_have(
+    simopt, dropo, after, planned
+):
     seeds = {"simopt": simopt, "dropo": dropo, "oracle": {0: 2}}
     expected = {"simopt": after[0], "dropo": after[1], "oracle": 0}
     compared = {name: number for name, number in expected.items() if number is not None}
-    assert last_shared(seeds, {"oracle"}) == compared
+    assert last_shared(seeds, {"oracle"}, planned) == compared
+
+
+@pytest.mark.parametrize("bayrn", [{}, {0: 3}, {0: 3, 1: 3, 2: 2}])
+def test_what_still_learns_does_not_hold_back_what_has_finished(bayrn):
+    done = {0: 3, 1: 3, 2: 3}
+    seeds = {"simopt": done, "dropo": done, "oracle": {0: 2}} | ({"bayrn": bayrn} if bayrn else {})
+    assert last_shared(seeds, {"oracle"}, 2) == {"simopt": 2, "dropo": 2, "oracle": 0}
 
 
 def test_a_benchmark_that_is_not_finished_compares_equal_amounts_of_data(benchmark):
     outcomes = [
         outcome
         for outcome in benchmark[2]
-        if outcome.iteration.iteration < ITERATIONS or outcome.spec.column != "simopt"
+        if outcome.iteration.iteration < ITERATIONS
+        or (outcome.spec.column, outcome.spec.seed) == ("simopt", 0)
     ]
-    outcomes += [o for o in benchmark[2] if o not in outcomes and o.spec.seed == 0]
     for columns in final_outcomes(outcomes).values():
         for name, found in columns.items():
             expected = 0 if methods()[name.split()[0]].is_level else ITERATIONS - 1
             assert {outcome.iteration.iteration for outcome in found} == {expected}, name
             assert len(found) == 2
+
+
+def test_a_method_that_still_learns_is_not_compared_with_those_that_have_finished(benchmark):
+    outcomes = [
+        outcome
+        for outcome in benchmark[2]
+        if outcome.iteration.iteration < ITERATIONS
+        or (outcome.spec.column, outcome.spec.seed) != ("bayrn", 1)
+    ]
+    whole, partial = final_outcomes(benchmark[2]), final_outcomes(outcomes)
+    assert list(partial) == list(whole)
+    for place, columns in partial.items():
+        assert set(whole[place]) - set(columns) == {"bayrn"}
+        assert all(found == whole[place][name] for name, found in columns.items())
 
 
 def test_the_prior_is_iteration_zero_of_every_method(benchmark):

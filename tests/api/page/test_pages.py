@@ -7,8 +7,9 @@ from contextlib import closing
 
 import pytest
 
-from api.page.benchmarks import best_of, final_rows
+from api.page.benchmarks import best_of, final_rows, still_learning
 from tests.api.smoke import SMOKE
+from tests.benchmark.test_claims import outcome
 from tests.recordings import recording
 from tests.service import until
 
@@ -181,16 +182,22 @@ def test_a_running_stage_links_to_its_actor_in_rays_dashboard(service, http):
     http.post(f"/v1/runs/{run}/cancel")
 
 
-def test_a_leaderboard_has_all_methods_after_the_same_iteration():
-    def row(method, iteration, seeds):
-        place = {"task": "arm", "variant": "vanilla", "method": method, "collector": "simopt"}
-        return {**place, "iteration": iteration, "seeds": seeds, "normalised_return": 1.0}
+def test_a_leaderboard_has_what_is_compared_and_names_what_still_learns():
+    def row(found):
+        spec = found.spec
+        place = (spec.task, spec.variant, spec.method.name, spec.collector)
+        names = ("task", "variant", "method", "collector", "iteration", "normalised_return")
+        return dict(zip(names, (*place, found.iteration.iteration, 1.0), strict=True))
 
-    dropo = [row("dropo", number, 3) for number in range(4)]
-    simopt = [row("simopt", number, seeds) for number, seeds in enumerate((3, 3, 1))]
-    final = final_rows([*dropo, *simopt, row("oracle", 0, 2), row("median_best", 0, 3)])
-    found = {each["method"]: each["iteration"] for each in final}
-    assert found == {"dropo": 1, "simopt": 1, "oracle": 0, "median_best": 0}
+    both = ("simopt", "dropo")
+    done = [outcome(1.0, method=name, iteration=number) for name in both for number in range(3)]
+    begun = [outcome(1.0, method="bayrn", iteration=number) for number in range(2)]
+    found = [*done, *begun, outcome(1.0, method="oracle", iteration=0)]
+    rows = [row(each) for each in found]
+    final = final_rows(rows, found)
+    iterations = {each["method"]: each["iteration"] for each in final}
+    assert iterations == {"dropo": 2, "simopt": 2, "oracle": 0}
+    assert still_learning(rows, final) == ["bayrn on hopper vanilla"]
 
 
 def test_only_methods_that_can_be_compared_are_marked_as_best():
