@@ -18,6 +18,7 @@ from adr_service.benchmark.comparison import (
     comparisons,
     costs,
     estimates,
+    not_compared,
     table,
 )
 from adr_service.benchmark.cost import Execution, Utilisation, utilisation
@@ -47,6 +48,9 @@ class ResultsView(BaseModel):
     rows: list[dict[str, Any]]
     aggregates: list[dict[str, Any]]  # methods over all tasks and variants that all of them have
     comparisons: list[dict[str, Any]]  # differences and probabilities of improvement, by pair
+    not_compared: list[
+        str
+    ]  # methods with too few seeds for that, and where: "bayrn (hopper noisy)"
     estimates: list[dict[str, Any]]  # by parameter, of methods that infer
     costs: list[dict[str, Any]]  # of the inferences
 
@@ -121,6 +125,7 @@ def results_view(outcomes: Sequence[Outcome]) -> ResultsView:
         rows=[asdict(row) for row in table(outcomes)],
         aggregates=[asdict(each) for each in aggregates(outcomes)],
         comparisons=[asdict(pair) for pair in comparisons(outcomes)],
+        not_compared=not_compared(outcomes),
         estimates=[asdict(estimate) for estimate in estimates(outcomes)],
         costs=[asdict(cost) for cost in costs(outcomes)],
     )

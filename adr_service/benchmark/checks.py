@@ -264,19 +264,20 @@ def conjunction(answers: Sequence[Evidence]) -> Evidence:
         gaps.append("measured in part")
     lines = list(dict.fromkeys(line for answer in answers for line in answer.lines))
     against = [answer for answer in answers if not answer.leans_to_support]
-    judged = max(1, sum(each.gap is None or each.contradicts < 1 for each in answers))
+    judged = [each for each in answers if each.gap is None or each.contradicts < 1]
+    count = max(1, len(judged))
 
     def needed(level: float) -> float:
         if against:
-            return min(answer.needed(level / judged) for answer in against)
+            return min(answer.needed(level / count) for answer in against)
         return max(answer.needed(level) for answer in answers)
 
     return Evidence(
         max(answer.supports for answer in answers),
-        min(1.0, judged * min(answer.contradicts for answer in answers)),
+        min(1.0, count * min(answer.contradicts for answer in answers)),
         lines,
         min(gaps, default=None, key=GAPS.index),
-        any(answer.is_tested for answer in answers),
+        any(answer.is_tested for answer in judged or answers),
         needed,
     )
 

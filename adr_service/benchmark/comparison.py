@@ -12,6 +12,7 @@ import numpy as np
 
 from adr_service.arrays import Matrix
 from adr_service.benchmark.statistics import (
+    FEWEST_SEEDS,
     bootstrap_interval,
     improvement,
     interquartile_mean,
@@ -185,6 +186,19 @@ def final_outcomes(
     }
 
 
+def not_compared(outcomes: Sequence[Outcome]) -> list[str]:
+    """What has been evaluated, but is not among the `final_outcomes`: "bayrn (hopper noisy)"."""
+    final = final_outcomes(outcomes)
+    specs = [outcome.spec for outcome in outcomes if outcome.iteration.returns]
+    return sorted(
+        {
+            f"{spec.column} ({spec.task} {spec.variant})"
+            for spec in specs
+            if spec.column not in final[spec.task, spec.variant]
+        }
+    )
+
+
 def _shared(columns: Mapping[str, Sequence[Outcome]]) -> dict[str, int]:
     seeds = {
         name: Counter(outcome.iteration.iteration for outcome in found)
@@ -198,23 +212,32 @@ def _shared(columns: Mapping[str, Sequence[Outcome]]) -> dict[str, int]:
 def last_shared(
     seeds: Mapping[str, Mapping[int, int]], level: Collection[str], planned: int
 ) -> dict[str, int]:
-    """The iteration after which each column is compared. Without the columns that lack it.
+    """The iteration after which each column is compared. Without the columns that are not.
 
-    That is the last one planned, once all seeds of two columns have it: to those the others come
-    as they finish. Before, it is the last that all seeds of all columns have, so that a benchmark
-    which is not finished compares what learned from equal amounts of data.
+    That is the last one planned, once two columns have it for all their seeds, or for as many as an
+    interval takes: to those the others come as they finish. Before, it is the last that all seeds
+    of all columns have, so that a benchmark which is not finished compares what learned from equal
+    amounts of data.
 
     `seeds`: by column, the number of seeds that have each iteration; a seed that has none is not
     known. `level`: the columns without iterations, which are compared as they are.
     """
-    last = {
-        column: max(number for number, count in counts.items() if count == max(counts.values()))
-        for column, counts in seeds.items()
-    }
-    learned = [number for column, number in last.items() if column not in level]
-    shared = planned if learned.count(planned) > 1 else min(learned, default=0)
-    compared = {c: number if c in level else shared for c, number in last.items()}
-    return {c: number for c, number in compared.items() if number in seeds[c] and number <= last[c]}
+    compared = {column: max(seeds[column]) for column in seeds if column in level}
+    learning = {column: counts for column, counts in seeds.items() if column not in level}
+    finished = [
+        column
+        for column, counts in learning.items()
+        if counts.get(planned, 0) >= min(FEWEST_SEEDS, max(counts.values()))
+    ]
+    if len(finished) > 1:
+        return compared | dict.fromkeys(finished, planned)
+    shared = min(map(_last_of_all, learning.values()), default=0)
+    return compared | {column: shared for column, counts in learning.items() if shared in counts}
+
+
+def _last_of_all(counts: Mapping[int, int]) -> int:
+    """The last iteration that all seeds have."""
+    return max(number for number, count in counts.items() if count == max(counts.values()))
 
 
 def estimates(outcomes: Sequence[Outcome]) -> list[ParameterEstimate]:

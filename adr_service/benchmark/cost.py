@@ -72,7 +72,8 @@ class Utilisation(Wire):
     @property
     def useful(self) -> float:
         """Share of the core seconds that computed, start-up and preparation left out."""
-        return self.computing / (self.computing + self.waiting + self.orchestration)
+        had = self.computing + self.waiting + self.orchestration
+        return self.computing / had if had else 0.0
 
     @computed_field
     @property

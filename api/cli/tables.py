@@ -97,6 +97,8 @@ def comparisons_table(results: Json) -> RenderableType:
         "after the last iteration (until two methods have finished: after the last that all seeds "
         "of all methods have), seed by seed; ties count half; fewer than three seeds tell nothing"
     )
+    if results["not_compared"]:
+        note += f"; too few seeds of {', '.join(results['not_compared'])} have come so far"
     return Group(*_by_place(results["comparisons"], _pairs), Text(note, style="dim"))
 
 

@@ -10,7 +10,7 @@ from fastapi.responses import HTMLResponse, RedirectResponse
 from pydantic import ValidationError
 
 from adr_service.benchmark.claims import reports
-from adr_service.benchmark.comparison import Outcome, final_outcomes, table
+from adr_service.benchmark.comparison import Outcome, final_outcomes, not_compared, table
 from adr_service.benchmark.figures import FIGURES, drawable
 from adr_service.benchmark.improvements import improvement_matrices
 from adr_service.errors import InvalidInput
@@ -72,7 +72,7 @@ def _tables(
     return {
         "rows": rows,
         "final": final,
-        "still_learning": still_learning(rows, final),
+        "not_compared": not_compared(outcomes),
         "best": best_of(final),
         "aggregates": sorted(aggregates, key=lambda each: -each["interquartile_mean"]),
         "matrices": matrices,
@@ -86,26 +86,15 @@ def _rows(outcomes: Sequence[Outcome]) -> list[Json]:
 
 def final_rows(rows: Sequence[Json], outcomes: Sequence[Outcome]) -> list[Json]:
     """The row of each method on each task's variant and data that is compared, the best first."""
-    columns = [column for place in final_outcomes(outcomes).values() for column in place.values()]
     compared = {
-        (spec.task, spec.variant, spec.method.name, spec.collector, o.iteration.iteration)
-        for column in columns
-        for o in column
-        for spec in [o.spec]
+        (spec.task, spec.variant, spec.method.name, spec.collector, found[0].iteration.iteration)
+        for columns in final_outcomes(outcomes).values()
+        for found in columns.values()
+        for spec in [found[0].spec]
     }
-    final = [row for row in rows if (*_column(row), row["iteration"]) in compared]
+    names = ("task", "variant", "method", "collector", "iteration")
+    final = [row for row in rows if tuple(row[name] for name in names) in compared]
     return sorted(final, key=lambda row: (row["task"], row["variant"], -row["normalised_return"]))
-
-
-def still_learning(rows: Sequence[Json], final: Sequence[Json]) -> list[str]:
-    """The methods that the final rows lack, with where they do: "bayrn on arm noisy"."""
-    compared = {_column(row) for row in final}
-    left_out = dict.fromkeys(_column(row) for row in rows if _column(row) not in compared)
-    return [f"{method} on {task} {variant}" for task, variant, method, _ in left_out]
-
-
-def _column(row: Json) -> tuple[str, str, str, str]:
-    return row["task"], row["variant"], row["method"], row["collector"]
 
 
 def best_of(final: Sequence[Json]) -> list[Json]:

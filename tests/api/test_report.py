@@ -64,6 +64,28 @@ def test_the_report_has_the_results_costs_versions_and_spec(service, benchmark, 
         assert archive.manifest.benchmark == benchmark
 
 
+class WithFailure:
+    """The client of a service in whose benchmark one run has failed."""
+
+    def __init__(self, client):
+        self._client = client
+
+    def __getattr__(self, name):
+        return getattr(self._client, name)
+
+    def get(self, id):
+        found = self._client.get(id)
+        found["runs"][0]["error"] = {"code": "worker_lost", "message": "the node is gone"}
+        return found
+
+
+def test_the_report_names_a_run_that_failed(service, benchmark, tmp_path):
+    text = write_report(WithFailure(service.client), benchmark, tmp_path / "report").read_text()
+    spec = service.client.get(benchmark)["runs"][0]["spec"]
+    place = f"{spec['method']['name']} on {spec['task']} {spec['variant']}, seed {spec['seed']}"
+    assert f"{place}, failed:</strong> the node is gone" in text
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium in the path")
 @pytest.mark.parametrize("width", [1440, 390])
 def test_a_browser_shows_the_page_from_disk_without_errors(page, width, tmp_path):

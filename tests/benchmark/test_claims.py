@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from adr_service.benchmark.checks import Evidence
+from adr_service.benchmark.cells import Measured
+from adr_service.benchmark.checks import Evidence, conjunction
 from adr_service.benchmark.claims import CLAIMS, _judged, reports
 from adr_service.benchmark.comparison import Outcome
 from adr_service.distributions import Gaussian
@@ -332,3 +333,46 @@ def test_other_settings_of_a_method_have_their_own_report():
 
 def test_of_equal_runs_the_latest_counts():
     assert verdict("V1", hopper({"udr": 0.4}) + hopper({})) == "supported"
+
+
+@pytest.mark.parametrize("preset", ["quick", "fast"])
+def test_tasks_whose_trainings_differ_by_the_preset_are_judged_together(preset):
+    given = {"preset": preset, "iterations": 2}
+    found = [
+        outcome(1.0, method=method, task=task, seed=seed, iteration=iteration, **given)
+        for task in TASKS
+        for seed in SEEDS
+        for method, iteration in (("oracle", 0), ("dropo", 1), ("simopt", 2))
+    ]
+    (report,) = reports(found)
+    assert {each.claim: each.verdict for each in report.findings}["V2"] == "supported"
+
+
+def test_what_learns_from_another_simopts_data_is_compared_with_that_simopt():
+    def run(level, method, **given):
+        return [outcome(level, method=method, iteration=2, seed=s, **given) for s in SEEDS]
+
+    more = {"samples": 300}
+    found = [
+        *run(1.0, "simopt", settings=more),
+        *run(1.0, "dropo", simopt=more),
+        *run(0.5, "simopt"),
+        *run(1.0, "dropo"),
+        *[outcome(1.0, method="oracle", iteration=0, seed=s) for s in SEEDS],
+    ]
+    usual, other = reports(found)
+    assert (usual.changed, other.changed) == ({}, {"simopt.samples": 300})
+    for report, level in ((usual, "0.50"), (other, "1.00")):
+        assert f"simopt on hopper vanilla: {level}" in " ".join(report.findings[0].evidence)
+
+
+def test_a_cost_that_is_judged_in_part_is_no_test():
+    found = [
+        outcome(1.0, steps=STEPS[m], method=m, iteration=1, seed=s)
+        for m in ("dropo", "simopt", "droid")
+        for s in (0, 1)
+    ]
+    measured = Measured(found)
+    cost = next(claim for claim in CLAIMS if claim.name == "C1")
+    answer = conjunction([check(measured) for check in cost.checks])
+    assert (answer.gap, answer.is_tested) == ("measured in part", False)

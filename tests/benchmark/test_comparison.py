@@ -10,6 +10,7 @@ from adr_service.benchmark.comparison import (
     estimates,
     final_outcomes,
     last_shared,
+    not_compared,
     table,
     to_csv,
 )
@@ -90,6 +91,15 @@ def test_what_still_learns_does_not_hold_back_what_has_finished(bayrn):
     assert last_shared(seeds, {"oracle"}, 2) == {"simopt": 2, "dropo": 2, "oracle": 0}
 
 
+@pytest.mark.parametrize("new", [{0: 5}, {0: 5, 1: 4, 2: 3}])
+def test_seeds_that_still_learn_do_not_hold_back_those_that_have_finished(new):
+    extended = {1: 3, 2: 3} | new
+    seeds = {"simopt": extended, "dropo": extended, "oracle": {0: 5}}
+    assert last_shared(seeds, {"oracle"}, 2) == {"simopt": 2, "dropo": 2, "oracle": 0}
+    failed = {0: 3, 1: 3, 2: 2}  # and are too few for an interval
+    assert "bayrn" not in last_shared({**seeds, "bayrn": failed}, {"oracle"}, 2)
+
+
 def test_a_benchmark_that_is_not_finished_compares_equal_amounts_of_data(benchmark):
     outcomes = [
         outcome
@@ -113,8 +123,10 @@ def test_a_method_that_still_learns_is_not_compared_with_those_that_have_finishe
     ]
     whole, partial = final_outcomes(benchmark[2]), final_outcomes(outcomes)
     assert list(partial) == list(whole)
+    assert not_compared(benchmark[2]) == []
     for place, columns in partial.items():
         assert set(whole[place]) - set(columns) == {"bayrn"}
+        assert f"bayrn ({' '.join(place)})" in not_compared(outcomes)
         assert all(found == whole[place][name] for name, found in columns.items())
 
 
