@@ -14,11 +14,14 @@ from numpy.typing import ArrayLike
 
 from adr_service.errors import InvalidInput
 from adr_service.json_values import is_a_line
-from adr_service.zips import BROKEN, check_size
+from adr_service.zips import BROKEN, check_directory, check_size
 
 _MOST_NUMBERS = 2**25  # of all arrays together: 256 MB as float64
 _MOST_TEXTS = 10_000
 _WIDEST = 8  # bytes of a number
+_LONGEST_LIST = 100_000  # bytes of the zip's list of members
+_LONGEST_HEADER = 20_000  # bytes of an array; NumPy reads 10,000 of those that say more
+_BAD_HEADER = (IndexError, KeyError, TypeError, MemoryError)  # by NumPy, beside its ValueError
 _KINDS = "biufU"  # booleans, integers, floats, texts; never objects
 
 
@@ -33,7 +36,7 @@ def read_arrays(
     if not content.startswith(b"PK"):  # a zip file may hide behind something else
         raise InvalidInput("not a readable .npz: it does not begin as one")
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        with _opened(content) as archive:
             members = archive.infolist()
             _check_names([member.filename for member in members], accepted)
             check_size(members, len(content), ".npz")
@@ -58,10 +61,15 @@ def write_arrays(arrays: Mapping[str, ArrayLike]) -> bytes:
 def names_in(content: bytes) -> list[str]:
     """The names of an `.npz`'s arrays; an empty list if it cannot be read."""
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        with _opened(content) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist()]
-    except BROKEN:
+    except (*BROKEN, InvalidInput):
         return []
+
+
+def _opened(content: bytes) -> zipfile.ZipFile:
+    check_directory(io.BytesIO(content), _LONGEST_LIST, ".npz")
+    return zipfile.ZipFile(io.BytesIO(content))
 
 
 def _check_names(names: Sequence[str], accepted: Sequence[str]) -> None:
@@ -74,22 +82,26 @@ def _check_names(names: Sequence[str], accepted: Sequence[str]) -> None:
 
 def _check_header(archive: zipfile.ZipFile, member: zipfile.ZipInfo, longest: int | None) -> int:
     """Check an array's header, and return how many numbers the array has."""
-    with archive.open(member) as file:
-        version = npy.read_magic(file)
-        read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    with archive.open(member) as packed:
+        file = io.BytesIO(packed.read(_LONGEST_HEADER))
+    version = npy.read_magic(file)
+    read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    try:
         shape, _, dtype = read_header(file)
-        count = math.prod(shape)
-        if longest is not None and shape and shape[0] > longest:
-            raise InvalidInput(
-                f"{member.filename} has {shape[0]} rows; accepted are {longest} at most"
-            )
-        wide = dtype.kind != "U" and dtype.itemsize > _WIDEST
-        if dtype.hasobject or dtype.kind not in _KINDS or dtype.itemsize == 0 or wide:
-            raise InvalidInput(f"{member.filename} holds {dtype}; accepted are numbers and texts")
-        if dtype.kind == "U" and count > _MOST_TEXTS:
-            raise InvalidInput(f"{member.filename} holds {count} texts; accepted: {_MOST_TEXTS}")
-        if file.tell() + count * dtype.itemsize != member.file_size:
-            raise InvalidInput(f"{member.filename} is not as long as its shape {shape} says")
+    except _BAD_HEADER as error:
+        raise InvalidInput(f"{member.filename} has an unreadable header: {error}") from error
+    if not all(type(length) is int for length in shape):
+        raise InvalidInput(f"{member.filename} has the shape {shape}; accepted are whole numbers")
+    count = math.prod(shape)
+    if longest is not None and shape and shape[0] > longest:
+        raise InvalidInput(f"{member.filename} has {shape[0]} rows; accepted are {longest} at most")
+    wide = dtype.kind != "U" and dtype.itemsize > _WIDEST
+    if dtype.hasobject or dtype.kind not in _KINDS or dtype.itemsize == 0 or wide:
+        raise InvalidInput(f"{member.filename} holds {dtype}; accepted are numbers and texts")
+    if dtype.kind == "U" and count > _MOST_TEXTS:
+        raise InvalidInput(f"{member.filename} holds {count} texts; accepted: {_MOST_TEXTS}")
+    if file.tell() + count * dtype.itemsize != member.file_size:
+        raise InvalidInput(f"{member.filename} is not as long as its shape {shape} says")
     # a character takes the room of a number
     return count * (dtype.itemsize // 4 if dtype.kind == "U" else 1)
 

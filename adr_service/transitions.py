@@ -18,6 +18,9 @@ from adr_service.json_values import sha256
 from adr_service.npz import read_arrays, write_arrays
 
 MOST_EPISODES = 100_000
+MOST_COLUMNS = 1_000  # of observations, and of actions
+_LONGEST_NAME = 200  # characters of a column's name
+_LONGEST_ORIGIN = 10_000  # characters
 _NEEDED = ("observations", "actions", "next_observations", "dt")
 UNKNOWN_ORIGIN = "unknown"
 _OPTIONAL = ("episodes", "terminals", "columns", "origin")
@@ -247,6 +250,27 @@ def _check_fields(fields: Mapping[str, np.ndarray]) -> None:
             raise InvalidInput(f"{name} must hold numbers; given {fields[name].dtype}")
     if fields["dt"].ndim != 0:
         raise InvalidInput(f"dt must be one number; its shape is {fields['dt'].shape}")
+    for name in ("observations", "actions", "next_observations"):
+        if max(fields[name].shape[1:], default=0) > MOST_COLUMNS:
+            raise InvalidInput(
+                f"{name} has the shape {fields[name].shape}; accepted are {MOST_COLUMNS} columns"
+            )
+    _check_texts(fields, "columns", 1, _LONGEST_NAME)
+    _check_texts(fields, "origin", 0, _LONGEST_ORIGIN)
+
+
+def _check_texts(
+    fields: Mapping[str, np.ndarray], name: str, dimensions: int, longest: int
+) -> None:
+    """Raise InvalidInput unless an optional array holds texts of `longest` characters at most."""
+    texts = fields.get(name, np.array(""))
+    if texts.size and (texts.dtype.kind != "U" or texts.ndim > dimensions):
+        raise InvalidInput(
+            f"{name} must be {'one text' if dimensions == 0 else 'a list of texts'}; given "
+            f"{texts.dtype} {texts.shape}"
+        )
+    if (length := max(map(len, texts.ravel().tolist()), default=0)) > longest:
+        raise InvalidInput(f"{name} has a text of {length} characters; accepted are {longest}")
 
 
 def _episodes(fields: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -12,6 +12,7 @@ import time
 from limits import parse
 from limits.storage import MemoryStorage
 from limits.strategies import FixedWindowRateLimiter
+from python_multipart.multipart import parse_options_header
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware.body_limit import MAX_BODY_SIZE_SCOPE_KEY, RequestBodyLimitMiddleware
 from starlette.requests import cookie_parser
@@ -70,6 +71,7 @@ class Guard:
             self._unknown_host(headers.get("host", ""))
             or self._too_many(scope["client"][0] if scope.get("client") else "")
             or _from_elsewhere(headers, scope["method"])
+            or _strange_charset(headers)
             or self._not_allowed(headers, scope["method"], scope["path"])
         )
 
@@ -153,6 +155,16 @@ def _from_elsewhere(headers: Headers, method: str) -> Response | None:
         return None
     detail = f"pages of {origin[:_LONGEST]!r} may not change anything here"
     return problem(403, "foreign_origin", detail)
+
+
+def _strange_charset(headers: Headers) -> Response | None:
+    """Refuse forms in a charset of their own: to decode some takes minutes (punycode)."""
+    given = headers.get("content-type", "")
+    charset = parse_options_header(given)[1].get(b"charset", b"utf-8")
+    if charset.lower() in (b"utf-8", b"utf8"):
+        return None
+    detail = f"bodies are in utf-8 here; given {given[:_LONGEST]!r}"
+    return problem(415, "unknown_charset", detail)
 
 
 def _hosts(settings: Settings) -> set[str] | None:

@@ -2,6 +2,7 @@
 
 import io
 import struct
+import tracemalloc
 import zipfile
 
 import numpy as np
@@ -65,6 +66,50 @@ def test_compressed_arrays_in_fortran_order_are_read_back():
     buffer, values = io.BytesIO(), np.asfortranarray(np.arange(6.0).reshape(2, 3))
     np.savez_compressed(buffer, a=values)
     np.testing.assert_array_equal(read_arrays(buffer.getvalue(), "a")["a"], values)
+
+
+def with_header(text, version=b"\x01\x00"):
+    length = struct.pack("<H" if version == b"\x01\x00" else "<I", len(text))
+    return zipped("a.npy", b"\x93NUMPY" + version + length + text + bytes(8))
+
+
+HEADER = "{{'descr': {}, 'fortran_order': False, 'shape': {}}}\n"
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        HEADER.format("('<f8',)", "()"),
+        HEADER.format("'<f8'", "(True,)"),
+        HEADER.format("'<f8'", "(-1,)"),
+        "{[]: 1}\n",
+        "-" * 9000 + "1\n",
+    ],
+    ids=lambda header: header[:40],
+)
+def test_a_header_that_numpy_cannot_read_is_refused(header):
+    with pytest.raises(InvalidInput):
+        read_arrays(with_header(header.encode()), "a")
+
+
+def test_a_header_that_says_it_is_long_is_not_read_to_its_end():
+    """A file of three megabytes took one gigabyte of memory."""
+    packed = with_header(b" " * 7_000_000 + b"\n", b"\x03\x00")
+    tracemalloc.start()
+    with pytest.raises(InvalidInput, match="not a readable"):
+        read_arrays(packed, "a")
+    assert tracemalloc.get_traced_memory()[1] < 2_000_000
+    tracemalloc.stop()
+
+
+def test_a_list_of_many_members_is_not_read():
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for number in range(2500):
+            archive.writestr(f"{number}.npy", b"")
+    with pytest.raises(InvalidInput, match=r"list of members has .* bytes; accepted are 100000"):
+        read_arrays(buffer.getvalue(), "a")
+    assert names_in(buffer.getvalue()) == []
 
 
 def test_a_pickle_is_never_loaded(tmp_path):

@@ -120,6 +120,12 @@ def npz(**changes):
         ({"episodes": np.array([0, 0, 0.5, 1])}, "episodes must be .* integers"),
         ({"dt": np.array([0.02, 0.02])}, "dt must be one number"),
         ({"observations": np.float64(1)}, "observations must be a matrix"),
+        ({"observations": np.zeros((4, 1001))}, "accepted are 1000 columns"),
+        ({"columns": np.array([1.0, 2.0])}, "columns must be a list of texts; given float64"),
+        ({"columns": np.array([["a", "b"]])}, r"columns must be a list of texts; given <U1 \(1, 2"),
+        ({"columns": np.array(["a", "b" * 201])}, "columns has a text of 201 characters"),
+        ({"origin": np.array(["a", "b"])}, "origin must be one text"),
+        ({"origin": np.array("x" * 10_001)}, "origin has a text of 10001 characters"),
     ],
     ids=lambda given: next(iter(given)) if isinstance(given, dict) else "",
 )

@@ -16,7 +16,6 @@ the migrations of later versions apply to archives too. The same content gives t
 import json
 import os
 import re
-import struct
 import zipfile
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
@@ -27,7 +26,7 @@ from pydantic import Field, ValidationError
 
 from adr_service.errors import InvalidInput
 from adr_service.json_values import Line, Wire, canonical_json, explain, sha256
-from adr_service.zips import BROKEN, check_size
+from adr_service.zips import BROKEN, check_directory, check_size
 
 _MANIFEST = "manifest.json"
 _NAME = re.compile(r"manifest\.json|tables/[a-z_]{1,40}\.jsonl|blobs/[0-9a-f]{64}")
@@ -36,10 +35,6 @@ _LONGEST_LINE = 16_000_000  # bytes of a row
 _LARGEST_BLOB = 256_000_000  # bytes
 _LARGEST_MANIFEST = 10_000_000  # bytes
 _LARGEST_DIRECTORY = 200_000_000  # bytes of the zip's list of members, which is read at once
-_END = struct.Struct("<4s4H2LH")  # the end of a zip: APPNOTE.TXT 4.3.16
-_END_64 = struct.Struct("<4sQ2H2L4Q")  # of a large one: 4.3.14
-_LOCATOR_64 = struct.Struct("<4sLQL")  # says where that is: 4.3.15
-_IN_64 = 2**32 - 1  # a size that stands in `_END_64`
 
 
 class Manifest(Wire):
@@ -92,7 +87,7 @@ class ArchiveReader:
     def __init__(self, file: IO[bytes]):
         size = file.seek(0, os.SEEK_END)
         with _readable():
-            _check_directory(file, size)
+            check_directory(file, _LARGEST_DIRECTORY, "archive")
             self._zip = zipfile.ZipFile(file)
         try:
             self._check_members(size)
@@ -188,24 +183,6 @@ def _largest(name: str) -> int | None:
     if name == _MANIFEST:
         return _LARGEST_MANIFEST
     return _LARGEST_BLOB if name.startswith("blobs/") else None
-
-
-def _check_directory(file: IO[bytes], size: int) -> None:
-    """Refuse a zip whose list of members is too large for the memory."""
-    length = min(size, _END.size + 2**16)  # a comment may follow
-    file.seek(size - length)
-    tail = file.read(length)
-    place = tail.rfind(b"PK\x05\x06")
-    if place < 0 or len(tail) - place < _END.size:
-        raise zipfile.BadZipFile("it is no zip, or is cut short")
-    listed = int(_END.unpack_from(tail, place)[5])
-    if listed == _IN_64 and place >= _LOCATOR_64.size:
-        file.seek(int(_LOCATOR_64.unpack_from(tail, place - _LOCATOR_64.size)[2]))
-        listed = int(_END_64.unpack(file.read(_END_64.size))[8])
-    if listed > _LARGEST_DIRECTORY:
-        raise InvalidInput(
-            f"the archive's list of members has {listed} bytes; accepted are {_LARGEST_DIRECTORY}"
-        )
 
 
 def _parsed(text: bytes, name: str) -> dict[str, Any]:

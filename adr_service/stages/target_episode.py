@@ -15,9 +15,7 @@ from adr_service.simulation.replay import check_recorded
 from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage
 from adr_service.stages.stand_ins import trajectory
 from adr_service.tasks.catalogue import get_task
-from adr_service.transitions import TransitionDataset
-
-_MOST_COLUMNS = 1_000  # of observations
+from adr_service.transitions import MOST_COLUMNS, TransitionDataset
 
 
 class RobotEpisode(Result):
@@ -66,7 +64,7 @@ def read_episode(task_name: str, transitions: int, content: bytes) -> RobotEpiso
     `content` is the `.npz` of a TransitionDataset with `rewards` (N,). Raises InvalidInput where
     it is not of the task, is not one episode, or is longer than was asked for.
     """
-    longest = max(transitions, _MOST_COLUMNS)  # a name for each column takes rows too
+    longest = max(transitions, MOST_COLUMNS)  # a name for each column takes rows too
     fields = read_arrays(content, (*TransitionDataset.ARRAYS, "rewards"), longest)
     rewards = fields.pop("rewards", None)
     data = TransitionDataset.from_arrays(fields)

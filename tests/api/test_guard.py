@@ -65,6 +65,18 @@ def test_a_large_body_is_refused_with_the_limit(size, status):
     assert ("the body may have 1000000 bytes here" in answer.text) == (status == 413)
 
 
+@pytest.mark.parametrize(
+    ("charset", "status"),
+    [("", 422), ("; charset=UTF-8", 422), ("; charset=punycode", 415), ("; charset=utf-7", 415)],
+)
+def test_forms_are_in_utf_8(charset, status):
+    """Half a megabyte of punycode stopped the service for ten seconds, without a token."""
+    body = b'--x\r\nContent-Disposition: form-data; name="token"\r\n\r\na-b\r\n--x--\r\n'
+    kind = f"multipart/form-data; boundary=x{charset}"
+    answer = guarded().post("/v1/runs", content=body, headers={"Content-Type": kind})
+    assert answer.status_code == status
+
+
 def test_every_answer_protects_browsers():
     client = guarded(token=TOKEN)
     for answer in (client.get("/v1/tasks"), client.get("/nowhere"), client.get("/healthz")):
