@@ -13,6 +13,8 @@ from pydantic import Field, TypeAdapter
 
 from adr_service.json_values import Wire
 
+MOST_RETURN = 1e12  # of an episode, and least
+
 
 class RunState(StrEnum):
     """State of a run: the fold of its events."""
@@ -64,6 +66,10 @@ class TrainingEvaluated(Wire):
         return f"training_evaluated:{self.digest}:{self.steps}"
 
 
+# Undiscounted; the bound keeps means and spreads of what strangers send finite.
+EpisodeReturn = Annotated[float, Field(ge=-MOST_RETURN, le=MOST_RETURN)]
+
+
 class IterationFinished(Wire):
     """The method's answer after `iteration` rounds of target data, evaluated on the target.
 
@@ -83,7 +89,7 @@ class IterationFinished(Wire):
     training_steps: list[int]
     inference_steps: int  # simulated control steps of the inference
     inferences: list[str] = Field([], description="digests of the stages")
-    returns: list[list[float]]
+    returns: list[Annotated[list[EpisodeReturn], Field(min_length=1)]]
     diverged_episodes: int = 0  # of those, simulations that stopped being finite
     diagnostics: dict[str, Any]
 

@@ -42,7 +42,8 @@ from db.stages import find_result, has_unreferenced, is_readable
 from db.staging import Staged
 
 _RUN_ID, _BENCHMARK_ID = re.compile(r"run_[0-9a-f]{16}"), re.compile(r"bench_[0-9a-f]{16}")
-_LIFECYCLE = (RunQueued, RunStarted, RunSucceeded, RunFailed, RunStopped)
+_Lifecycle = RunQueued | RunStarted | RunSucceeded | RunFailed | RunStopped
+_LONGEST_EVENTS = 20_000_000  # characters of a run's events, which are read at once
 _DERIVED = ("benchmark_id", "dataset_id", "task", "variant", "method", "seed")  # from the spec
 
 
@@ -94,11 +95,12 @@ def _check_stages(session: Session) -> None:
 def _replay(session: Session, run_id: str, spec: RunSpec, benchmark_id: str) -> CheckedRun:
     row = session.scalars(select(RunRow).where(RunRow.id == run_id)).one()
     events = _events(session, run_id)
-    lifecycle = [event for event in events if isinstance(event, _LIFECYCLE)]
-    if not _RUN_ID.fullmatch(run_id) or _facts(row) != _expected(spec, benchmark_id, lifecycle):
+    lifecycle = [event for event in events if isinstance(event, _Lifecycle)]
+    is_its_own = _facts(row) == _expected(spec, benchmark_id, lifecycle)
+    if not _RUN_ID.fullmatch(run_id) or not is_its_own or not _is_a_life(lifecycle):
         raise InvalidInput(f"the row of run {run_id} in the archive contradicts its spec or events")
     replay = replay_run(run_id, spec, lambda digest: find_result(session, digest))
-    science = {event.key: event for event in events if not isinstance(event, _LIFECYCLE)}
+    science = {event.key: event for event in events if not isinstance(event, _Lifecycle)}
     if wrong := replay.disagreements(science):
         raise InvalidInput(
             f"event {wrong[0]} of {run_id} in the archive does not follow from the stored results"
@@ -109,9 +111,16 @@ def _replay(session: Session, run_id: str, spec: RunSpec, benchmark_id: str) -> 
 
 def _events(session: Session, run_id: str) -> list[RunEvent]:
     """The events of a run, in order."""
-    rows = session.scalars(select(EventRow).where(EventRow.run_id == run_id).order_by(EventRow.seq))
+    mine = select(EventRow).where(EventRow.run_id == run_id).order_by(EventRow.seq)
+    rows = session.scalars(mine, execution_options={"yield_per": 100})
     events: list[RunEvent] = []
+    length = 0
     for number, row in enumerate(rows, start=1):
+        length += len(row.body)
+        if length > _LONGEST_EVENTS:
+            raise InvalidInput(
+                f"the events of {run_id} in the archive have more than {_LONGEST_EVENTS} characters"
+            )
         try:
             event = event_from_json(row.body)
         except ValidationError as error:
@@ -122,6 +131,19 @@ def _events(session: Session, run_id: str) -> list[RunEvent]:
             raise InvalidInput(f"event {number} of {run_id} in the archive has another's columns")
         events.append(event)
     return events
+
+
+def _is_a_life(lifecycle: Sequence[_Lifecycle]) -> bool:
+    """True if each event is of the submission that was queued last."""
+    submission = 0
+    for event in lifecycle:
+        if isinstance(event, RunQueued):
+            if event.submission <= submission:
+                return False
+            submission = event.submission
+        elif not isinstance(event, RunSucceeded) and event.submission != submission:
+            return False
+    return True
 
 
 def _expected(spec: RunSpec, benchmark_id: str, lifecycle: Sequence[RunEvent]) -> dict[str, Any]:

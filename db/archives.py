@@ -10,7 +10,7 @@ adds run by run, so an import that was interrupted is finished by another.
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import IO, Any, Literal
 
@@ -63,14 +63,19 @@ class Imported(Wire):
     resumable: int  # runs of the benchmark that stopped before their end, and can be resumed
 
 
-def export_benchmark(database: Database, benchmark_id: str, file: IO[bytes]) -> None:
-    """Write a benchmark as it is at one moment, finished or not. Raises NotFound."""
+def export_benchmark(
+    database: Database, benchmark_id: str, file: IO[bytes], check: Callable[[], None] | None = None
+) -> None:
+    """Write a benchmark as it is at one moment, finished or not. Raises NotFound, and what `check`
+    raises, which is called before each artifact."""
     get_benchmark(database, benchmark_id)
     with database.read() as session, ArchiveWriter(file) as archive:
         for table, query in _tables(benchmark_id):
             rows = session.execute(query, execution_options=_IN_BATCHES).mappings()
             archive.add_rows(table.__tablename__, map(_as_json, rows))
         for content in session.scalars(_artifacts(benchmark_id), execution_options=_ONE_BY_ONE):
+            if check is not None:
+                check()
             archive.add_blob(content)
         provenance = select(StageRow.provenance).where(_is_mine(benchmark_id)).distinct()
         manifest = Manifest(

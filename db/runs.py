@@ -30,6 +30,7 @@ from db.results import delete_results
 from db.session import Database
 
 T = TypeVar("T")
+_LONG = 100_000  # characters of a spec that is read again each time
 _AT_ONCE = 100  # runs that one transaction changes
 _ANY_RUN: TypeAdapter[AnyRun] = TypeAdapter(AnyRun)
 Accept = Callable[[int], None]  # raises if this number of unfinished runs is too large
@@ -250,8 +251,7 @@ def document_of(text: str, kind: str) -> dict[str, Any]:
     return cast(dict[str, Any], document)
 
 
-@lru_cache(maxsize=2 * MAX_RUNS)  # parsing costs more than reading, and they never change
-def _spec(text: str) -> AnyRun | str:
+def _read(text: str) -> AnyRun | str:
     """The spec, or the reason why it cannot be read any more."""
     try:
         return _ANY_RUN.validate_json(text)
@@ -259,9 +259,13 @@ def _spec(text: str) -> AnyRun | str:
         return reason_of(document_of(text, "run"), error)
 
 
+# parsing costs more than reading, and specs never change
+_kept = lru_cache(maxsize=2 * MAX_RUNS)(_read)
+
+
 def _spec_of(row: RunRow) -> AnyRun | LostRun:
     """The spec of a row, or what is known of it."""
-    spec = _spec(row.spec)
+    spec = _kept(row.spec) if len(row.spec) < _LONG else _read(row.spec)
     if not isinstance(spec, str):
         return spec
     own = {name: getattr(row, name) for name in ("task", "variant", "method", "seed")}

@@ -36,6 +36,7 @@ _PROVENANCE = TypeAdapter(dict[Line, Line])
 _NUMBERS = TypeAdapter(dict[str, bool | int | FiniteFloat | None])
 _UNMENTIONED = ~exists().where(_MENTIONED)
 _MEASURED = StageRow.timing.is_not(None)
+_LATEST = 4e9  # seconds since 1970: the year 2096
 _STORED_LATE_S = 3600.0  # a result is stored at most so long after it was computed
 
 _ExecutionRow = Row[str, str, int, str, str | None, str]
@@ -133,7 +134,9 @@ def is_readable(row: StageRow) -> bool:
         return False
     if timing is None:
         return True
-    return timing.keys() == set(_TIMING) and all(timing[name] is not None for name in _TIMING[:4])
+    if timing.keys() != set(_TIMING) or None in (timing[name] for name in _TIMING[:4]):
+        return False
+    return all(0 <= number < _LATEST for number in timing.values() if number is not None)
 
 
 def policy_of_training(database: Database, digest: str) -> bytes | None:

@@ -5,10 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from adr_service.events import RunEvent
+from adr_service.errors import InvalidInput
+from adr_service.events import EpisodeReturn, RunEvent
 from adr_service.progress import Progress
 from adr_service.simulation.target import simulate_evaluation
-from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage
+from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage, StageResult
 from adr_service.tasks.catalogue import get_task
 from adr_service.training.policy import Policy
 
@@ -16,7 +17,7 @@ from adr_service.training.policy import Policy
 class TargetEvaluation(Result):
     """Returns of full target episodes. No method may see them."""
 
-    returns: list[float]  # undiscounted
+    returns: list[EpisodeReturn]
     diverged_episodes: int
 
 
@@ -39,6 +40,14 @@ class Evaluate(Stage[TargetEvaluation]):
         episodes = simulate_evaluation(task, self.variant, act, self.episodes, rng)
         diverged = int(episodes.diverged.sum())
         return TargetEvaluation(returns=episodes.returns.tolist(), diverged_episodes=diverged)
+
+    def read(self, stored: StageResult) -> TargetEvaluation:
+        found = super().read(stored)
+        if len(found.returns) != self.episodes:
+            raise InvalidInput(
+                f"an evaluation of {self.episodes} episodes has {len(found.returns)} returns"
+            )
+        return found
 
     def events(self, result: TargetEvaluation) -> list[RunEvent]:
         return []

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from adr_service.errors import InvalidInput
-from adr_service.events import RunEvent
+from adr_service.events import MOST_RETURN, RunEvent
 from adr_service.npz import read_arrays
 from adr_service.progress import Progress
 from adr_service.simulation.batch import control_period
@@ -86,6 +86,6 @@ def _return_of(rewards: np.ndarray | None, steps: int) -> float:
         raise InvalidInput(f"rewards must be ({steps},) numbers; given {given}")
     with np.errstate(over="ignore", invalid="ignore"):  # the sum is refused below
         earned = float(np.sum(rewards, dtype=np.float64))
-    if not np.isfinite(earned):
-        raise InvalidInput("rewards must be finite, and their sum")
+    if not abs(earned) <= MOST_RETURN:  # nor is a sum that is no number
+        raise InvalidInput(f"rewards must be finite, and their sum at most {MOST_RETURN:g}")
     return earned

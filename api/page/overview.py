@@ -1,10 +1,12 @@
 """The first page: what runs, what waits, and the newest benchmarks and runs."""
 
 import json
+import logging
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
+from adr_service.errors import AdrError
 from adr_service.methods.catalogue import methods
 from api.page.names import titles
 from api.page.rendering import show
@@ -17,6 +19,7 @@ from db.models import VisitState
 
 router = APIRouter(include_in_schema=False)
 _SHOWN = 50  # of each list; the API has the rest
+log = logging.getLogger(__name__)
 _MOST_KEPT = 1000
 # by benchmark and the states of its runs: a page that renews itself must be cheap
 _leaders: dict[tuple[str, tuple[tuple[str, int], ...]], dict[str, Any] | None] = {}
@@ -55,7 +58,11 @@ def _leader(service: Service, benchmark: BenchmarkSummary) -> dict[str, Any] | N
         if len(_leaders) > _MOST_KEPT:
             _leaders.clear()
         runs = benchmark_store.runs_of(service.database, benchmark.id)
-        found = json.loads(results_json(service, benchmark.id, runs))["aggregates"]
+        try:
+            found = json.loads(results_json(service, benchmark.id, runs))["aggregates"]
+        except AdrError as error:  # events of an archive whose results are not there say anything
+            log.warning("%s has no table: %s", benchmark.id, error)
+            found = []
         # a stored table outlives the package of a method
         kinds = ((row, methods().get(row["method"])) for row in found)
         ranked = [row for row, kind in kinds if kind is not None and not kind.is_reference]

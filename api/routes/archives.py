@@ -36,7 +36,7 @@ def export(benchmark_id: str, service: ServiceDependency) -> StreamingResponse:
         # it has no name, so nothing is left of it whatever happens
         folder = service.settings.data_dir
         file = unless_sent.enter_context(tempfile.TemporaryFile(dir=folder))
-        export_benchmark(service.database, benchmark_id, file)
+        export_benchmark(service.database, benchmark_id, file, service.check_disk)
         unless_sent.pop_all()
     size = file.seek(0, os.SEEK_END)
     headers = {**attachment(f"{benchmark_id}.adr"), "Content-Length": str(size)}

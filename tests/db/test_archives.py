@@ -1,5 +1,6 @@
 """Benchmarks that leave a database as a file and come into another."""
 
+import io
 import json
 import zipfile
 from contextlib import closing
@@ -306,6 +307,15 @@ def test_what_a_killed_service_left_is_cleared(tmp_path):
     assert [each.name for each in tmp_path.iterdir()] == ["adr.sqlite"]
 
 
+def test_an_export_ends_where_the_disk_fills_up(file_database):
+    def fills_up():
+        raise DiskFull("the disk is full")
+
+    id = finished_benchmark(file_database)
+    with pytest.raises(DiskFull):
+        archives.export_benchmark(file_database, id, io.BytesIO(), fills_up)
+
+
 def test_an_unknown_benchmark_cannot_be_exported(file_database, tmp_path):
     with pytest.raises(NotFound, match="bench_nothing"):
         exported(file_database, "bench_nothing", tmp_path / "a.adr")
@@ -343,7 +353,50 @@ def _moved(rows):
     return [{**rows[0], "document": json.dumps(changed)}, *rows[1:]]
 
 
+def _lives(*ends):
+    """The first run ends with these events, whose submissions may be of none that was queued."""
+
+    def change(rows):
+        first = rows[0]["run_id"]
+        mine = [r for r in rows if r["run_id"] == first and r["type"] != "run_succeeded"]
+        for type, submission in ends:
+            body = {"type": type, "submission": submission}
+            body |= {"code": "x", "message": "y"} if type == "run_failed" else {}
+            key = f"{type}:{submission}"
+            new = {"seq": len(mine) + 1, "key": key, "type": type, "body": json.dumps(body)}
+            mine.append({**mine[-1], **new})
+        return [*mine, *(row for row in rows if row["run_id"] != first)]
+
+    return change
+
+
+def _timed(**changes):
+    def change(rows):
+        return [{**row, "timing": json.dumps(json.loads(row["timing"]) | changes)} for row in rows]
+
+    return change
+
+
+def _evaluated(*returns):
+    """All evaluations have other returns."""
+
+    def change(rows):
+        for row in rows:
+            if row["kind"] == "evaluate":
+                row["result"] = json.dumps(json.loads(row["result"]) | {"returns": returns})
+        return rows
+
+    return change
+
+
 HOSTILE = {
+    "a long row": ("events", _first(body=" " * 2_000_000), "cut short or too long"),
+    "an end of a later submission": ("events", _lives(("run_failed", 2)), "contradicts its spec"),
+    "an end of long ago": ("events", _lives(("run_queued", 2), ("run_stopped", 1)), "contradicts"),
+    "an end of the far future": ("stages", _timed(ended=1e12), "unreadable execution"),
+    "an execution of no time": ("stages", _timed(cpu=-1.0), "unreadable execution"),
+    "no returns": ("stages", _evaluated(), "has 0 returns"),
+    "returns without end": ("stages", _evaluated(1.7e308, 1.0), "less than or equal to"),
     "a column more": ("runs", _first(evil=1), "has the columns"),
     "a column less": ("stages", _unlabelled, "has the columns"),
     "a list in a column": ("runs", _first(task=["arm"]), "nested values"),
@@ -388,6 +441,12 @@ def test_an_archive_that_contradicts_itself_is_refused(name, path, other, tmp_pa
         imported(other, rewritten(path, with_rows(table, change)))
     assert count(other, "runs") == count(other, "benchmarks") == count(other, "stages") == 0
     assert not list(tmp_path.glob("archive-*"))
+
+
+def test_more_events_of_a_run_than_fit_in_memory_are_refused(path, other, monkeypatch):
+    monkeypatch.setattr("db.archive_checks._LONGEST_EVENTS", 1_000)
+    with pytest.raises(InvalidInput, match="in the archive have more than 1000 characters"):
+        imported(other, path)
 
 
 def test_an_archive_of_a_later_version_is_refused(path, other):
