@@ -7,7 +7,6 @@ restore(path, copy)             # with the database's lock held
 """
 
 import os
-import shutil
 import sqlite3
 from collections.abc import Generator
 from contextlib import closing, contextmanager
@@ -101,9 +100,9 @@ def restore(path: Path, copy: Path) -> Path | None:
         raise InvalidInput("\n".join([f"{copy} is damaged itself, and was not restored", *wrong]))
     aside = path.with_name(f"{path.name}.{datetime.now(UTC):%Y%m%dT%H%M%S%f}.replaced")
     part = path.with_name(f"{path.name}.part")
+    part.unlink(missing_ok=True)
     try:
-        shutil.copyfile(copy, part)
-        part.chmod(0o600)
+        backup(copy, part)  # with what its log holds
         with part.open("rb") as written:
             os.fsync(written.fileno())
         if path.exists() and path.stat().st_size:

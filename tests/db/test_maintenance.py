@@ -1,5 +1,6 @@
 """Upkeep of an SQLite file, beside a service that has it open."""
 
+import shutil
 import sqlite3
 from contextlib import closing
 
@@ -41,6 +42,20 @@ def test_a_backup_has_everything_and_overwrites_nothing(database, tmp_path):
         maintenance.backup(tmp_path / "adr.sqlite", copy)
     with pytest.raises(InvalidInput, match=r"could not be copied to .*nowhere"):
         maintenance.backup(tmp_path / "adr.sqlite", tmp_path / "nowhere" / "copy.sqlite")
+
+
+def test_what_a_restore_replaced_can_be_restored_with_its_log(database, tmp_path):
+    """The log of a service that was killed holds what it stored last."""
+    path, killed, copy = (tmp_path / name for name in ("adr.sqlite", "killed.sqlite", "copy"))
+    maintenance.backup(path, copy)
+    run = runs.create_run(database, SPEC)
+    for suffix in ("", "-wal"):
+        shutil.copyfile(f"{path}{suffix}", f"{killed}{suffix}")
+    aside = maintenance.restore(killed, copy)
+    assert maintenance.counts(killed)["runs"] == 0
+    maintenance.restore(killed, aside)
+    with closing(open_database(f"sqlite:///{killed}")) as restored:
+        assert runs.get_run(restored, run.id) == run
 
 
 def test_a_file_that_is_no_database_is_refused(tmp_path):
