@@ -49,7 +49,7 @@ def read_value(text: str) -> Any:
     """A value that is JSON, or else text."""
     try:
         return json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return text
 
 

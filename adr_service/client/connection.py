@@ -45,7 +45,12 @@ class AdrClient:
     def __init__(self, url: str = DEFAULT_URL, token: str = "", timeout_s: float = 60.0):
         headers = {"Authorization": f"Bearer {token}"} if token else {}
         self.url = url.rstrip("/")
-        self._http = httpx2.Client(base_url=self.url, headers=headers, timeout=timeout_s)
+        if not token.isascii():
+            raise InvalidInput("ADR_TOKEN has characters that no token has")
+        try:
+            self._http = httpx2.Client(base_url=self.url, headers=headers, timeout=timeout_s)
+        except httpx2.InvalidURL as error:
+            raise InvalidInput(f"{url!r} is no address of a service: {error}") from error
 
     def __enter__(self) -> Self:
         return self
@@ -292,7 +297,13 @@ class AdrClient:
             params[token_name] = page["next_page_token"]
 
     def _json(self, method: str, path: str, **more: Any) -> Any:
-        return self._request(method, path, **more).json()
+        answer = self._request(method, path, **more)
+        try:
+            return answer.json()
+        except ValueError as error:
+            raise Unreachable(
+                f"what answers at {self.url} is not the service: {method} {path} gave no JSON"
+            ) from error
 
     def _request(self, method: str, path: str, **more: Any) -> httpx2.Response:
         with self._answering():

@@ -68,11 +68,13 @@ def _what_it_holds(column: Any) -> str:
     kind = column.type
     if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
         return f"it holds {kind}"
-    cells = column.filter(pc.invert(pc.is_in(column, pa.array(csv.ConvertOptions().null_values))))
+    empty = pa.array([*csv.ConvertOptions().null_values, None])
+    cells = column.filter(pc.invert(pc.is_in(column, empty)))
     are_numbers = pc.match_substring_regex(cells, _NUMBER)
-    if 2 * pc.sum(are_numbers).as_py() <= len(cells):
+    first = pc.index(are_numbers, False).as_py()
+    if first < 0 or 2 * pc.sum(are_numbers).as_py() <= len(cells):
         return f"it holds {kind}"
-    odd = cells[pc.index(are_numbers, False).as_py()]
+    odd = cells[first]
     row = pc.index(column, odd).as_py() + 1
     return f"it holds the text {odd.as_py()[:_SHOWN]!r}, first in row {row} below the header"
 

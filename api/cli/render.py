@@ -37,9 +37,14 @@ def render(
     data: Data = None,
     variant: Annotated[str, typer.Option(help="One of the task's variants.")] = "vanilla",
     setting: Parameters = None,
-    episode: Annotated[int, typer.Option(help="Episode of the recording, from 0.")] = 0,
+    episode: Annotated[
+        int | None, typer.Option(help="With --data: the episode to film; default: 0, the first.")
+    ] = None,
     steps: Annotated[int | None, typer.Option(help="Steps at most; default: all.", min=1)] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the initial state and the noise.")] = 0,
+    seed: Annotated[
+        int | None,
+        typer.Option(help="With --policy: seed of the initial state and the noise; default: 0."),
+    ] = None,
     fps: Annotated[
         float | None, typer.Option(help="Pictures a second of an .mp4, at most.", min=1)
     ] = None,
@@ -50,7 +55,9 @@ def render(
     check_absent(out)
     dynamics: dict[str, Any] = {}
     assign(dynamics, setting)
-    scene = films.Scene(task, variant, dynamics, steps, seed, fps)
+    if (policy and episode is not None) or (data and seed is not None):
+        raise InvalidInput("--episode goes with --data, and --seed with --policy")
+    scene = films.Scene(task, variant, dynamics, steps, seed or 0, fps)
     if distribution is not None and (policy is None or setting):
         raise InvalidInput("--distribution goes with --policy, and without --set")
     if policy is not None and data is None and distribution is not None:
@@ -58,7 +65,7 @@ def render(
     elif policy is not None and data is None:
         count = films.film_policy(scene, policy, out)
     elif data is not None and policy is None:
-        count = films.film_recording(scene, data, episode, out)
+        count = films.film_recording(scene, data, episode or 0, out)
     else:
         raise InvalidInput("give either --policy or --data")
     console.print(f"{out}: {count} pictures", highlight=False)

@@ -49,6 +49,8 @@ def results(
     asked |= {"--policy": policy, "--cost": cost, "--compare": compare, "--csv": csv}
     if len(given := [name for name, value in asked.items() if value]) > 1:
         raise InvalidInput(f"give one of {', '.join(given)}; --json has all tables")
+    if as_json and given and given[0] not in ("--cost", "--compare"):
+        raise InvalidInput(f"--json goes without {given[0]}, which writes another form")
     if (policy or distribution) and not id.startswith("run_"):
         raise InvalidInput(f"{id} is no run, and has no single policy or distribution; adr list")
     for file in (figure, distribution, policy):

@@ -63,7 +63,9 @@ def robot(
     if play is not None and out is not None:
         _play(env, task, limits, play, out)
         return
-    worker = Robot(partial(connect, url), task, env, name, limits, console.print)
+    worker = Robot(
+        partial(connect, url), task, env, name, limits, partial(console.print, markup=False)
+    )
     worker.work(episodes)
 
 

@@ -12,6 +12,7 @@ import anyio
 from fastapi import APIRouter, Body, Depends, Header, Query, Request, Response, status
 from pydantic import BaseModel, Field
 
+from adr_service.errors import UnknownName
 from adr_service.json_values import Line, Paragraphs, Wire
 from adr_service.tasks import catalogue
 from api.routes.downloads import bytes_response
@@ -36,7 +37,8 @@ class TaskView(BaseModel):
     task: str
     kind: str  # of the episode: rollout, return, evaluation; else of the stage
     number: int
-    transitions: int  # at most
+    # at most; null: an episode of a task that is not installed any more
+    transitions: int | None
     seed: int
     has_policy: bool  # else random actions
     external: bool
@@ -98,7 +100,7 @@ def task_view(task: Visit) -> TaskView:
         task=task.task,
         kind=inputs.get("purpose", task.kind),
         number=inputs.get("number", inputs.get("iteration", 0)),
-        transitions=inputs.get("transitions", catalogue.get_task(task.task).horizon),
+        transitions=_transitions(task),
         seed=inputs["seed"],
         has_policy=task.has_policy,
         external=task.external,
@@ -116,6 +118,14 @@ def task_view(task: Visit) -> TaskView:
             **({"policy": f"{here}/policy"} if task.has_policy else {}),
         },
     )
+
+
+def _transitions(task: Visit) -> int | None:
+    asked: int | None = task.inputs.get("transitions")
+    try:
+        return asked or catalogue.get_task(task.task).horizon
+    except UnknownName:
+        return None
 
 
 def claim_view(task: Visit) -> ClaimView:

@@ -26,6 +26,12 @@ def test_an_assignment_sets_one_field(assignment, spec):
     assert given == spec
 
 
+def test_a_value_nested_without_end_is_a_text():
+    spec = {}
+    assign(spec, ["x=" + "[" * 100_000])
+    assert spec["x"].startswith("[[")
+
+
 def test_later_assignments_win_and_others_stay():
     spec = {}
     assign(spec, ["training.gamma=0.9", "training.max_steps=1", "training.gamma=0.8"])

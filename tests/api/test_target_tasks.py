@@ -1,9 +1,10 @@
 """/v1/target_tasks: what a robot's client asks over HTTP."""
 
 import asyncio
+from dataclasses import replace
 from types import SimpleNamespace
 
-from api.routes.target_tasks import Claim
+from api.routes.target_tasks import Claim, task_view
 from api.routes.target_tasks import claim as claim_route
 from db import runs, visits
 from tests.db.leases import SPEC, claim, publish
@@ -21,6 +22,14 @@ def test_a_claim_whose_client_has_gone_is_given_back(database):
     assert visits.get_visit(database, id).state == "pending"
     there = SimpleNamespace(is_disconnected=coroutine(False))
     assert asyncio.run(claim_route(asked, service, there)).task.id == id
+
+
+def test_a_visit_of_a_task_that_is_not_installed_any_more_is_shown(database):
+    """One of them had broken every list of visits."""
+    visit = visits.get_visit(database, publish(database, runs.create_run(database, SPEC).id))
+    assert task_view(replace(visit, task="gone")).transitions == visit.inputs["transitions"]
+    unknown = replace(visit, task="gone", inputs={"seed": 0})
+    assert task_view(unknown).transitions is None
 
 
 def coroutine(*answers):

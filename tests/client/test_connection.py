@@ -41,6 +41,24 @@ def test_a_proxy_without_its_service_is_not_a_refusal(status):
         client.ready()
 
 
+def test_another_server_is_not_taken_for_the_service():
+    refused = pytest.raises(Unreachable, match="is not the service: GET /readyz gave no JSON")
+    with server(200) as url, AdrClient(url) as client, refused:
+        client.ready()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"url": "http://127.0.0.1:abc"}, "'http://127.0.0.1:abc' is no address of a service"),
+        ({"token": "geheim-ü"}, "ADR_TOKEN has characters that no token has"),
+    ],
+)
+def test_an_address_or_a_token_that_cannot_be_one_is_refused(given, message):
+    with pytest.raises(InvalidInput, match=message):
+        AdrClient(**given)
+
+
 def test_a_slow_answer_is_not_reported_as_an_absent_service():
     refused = pytest.raises(Unreachable, match="did not answer in time")
     with server(200, seconds=30) as url, AdrClient(url, timeout_s=0.2) as client, refused:

@@ -37,6 +37,13 @@ def test_lists_of_different_lengths_are_listed_as_unread():
     assert log.unread == {"state": "its lists are not all of one length"}
 
 
+@pytest.mark.parametrize("cells", [[], [None, None], ["3", "4", None]], ids=str)
+def test_texts_with_nothing_odd_among_them_are_listed_as_unread(cells):
+    column = pa.array(cells, pa.string())
+    log = read_parquet("log.parquet", content(pa.table({"t": [0.0] * len(cells), "s": column})))
+    assert log.unread == {"s": "it holds string"}
+
+
 @pytest.mark.parametrize("damage", [b"", b"PAR1", b"PAR1" + b"\0" * 40 + b"PAR1"])
 def test_what_is_no_parquet_is_refused(damage):
     with pytest.raises(InvalidInput, match=r"log\.parquet is no Parquet table that can be read"):

@@ -8,6 +8,7 @@ import pytest
     [
         (["results", "bench_x", "--policy", "p"], "bench_x is no run, and has no single policy"),
         (["results", "bench_x", "--distribution", "d"], "no single policy or distribution"),
+        (["results", "bench_x", "--csv", "--json"], "--json goes without --csv"),
         (["results", "bench_x", "--compare", "--csv"], "give one of --compare, --csv; --json has"),
     ],
 )
