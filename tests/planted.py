@@ -16,10 +16,10 @@ PROBLEM = Problem(ARM, SOURCE)
 PLANTED = np.array([1.6, 1.2, 3.0, 2.0])  # not the task's own truth
 
 
-def waving_policy(seed=3):
+def waving_policy(seed=3, units=16):
     """A random network: it waves the arm about without turning it over at once."""
     rng = np.random.default_rng(seed)
-    shapes = ((16, 4), (16, 16), (2, 16))
+    shapes = ((units, 4), (units, units), (2, units))
     layers = tuple(
         (rng.normal(0, 0.5, shape).astype(np.float32), np.zeros(shape[0], np.float32))
         for shape in shapes

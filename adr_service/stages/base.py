@@ -19,6 +19,7 @@ from typing import Annotated, Any, ClassVar, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, PlainSerializer, PlainValidator, ValidationInfo
+from threadpoolctl import threadpool_limits
 
 from adr_service.distributions import Distribution, distribution_from_json
 from adr_service.events import RunEvent, StageFinished
@@ -157,8 +158,12 @@ AnyStage = Stage[Any]
 
 
 def compute(stage: AnyStage, progress: Progress = silent) -> StageResult:
-    """Run a stage here and now; its random numbers come from its digest."""
-    return stage.compute(stream("stage", stage.digest), progress).to_stored()
+    """Run a stage here and now; its random numbers come from its digest.
+
+    On one thread, because the last bits of a BLAS product depend on how many share it.
+    """
+    with threadpool_limits(1):
+        return stage.compute(stream("stage", stage.digest), progress).to_stored()
 
 
 def events_of(stage: Stage[R], result: R) -> list[RunEvent]:
