@@ -1,4 +1,4 @@
-"""Names of array roles; shapes are stated where an array is made."""
+"""Array roles, rows and columns; shapes are stated where an array is made."""
 
 from itertools import pairwise
 from typing import Any
@@ -18,6 +18,12 @@ def frozen(values: Any) -> NDArray[np.float64]:
     array = np.array(values, dtype=np.float64, order="C")
     array.flags.writeable = False
     return array
+
+
+def column_scales(values: Matrix) -> Vector:
+    """Standard deviations of the columns, (n, d) -> (d,), and 1 where all values are equal."""
+    # rounding of the mean gives equal values a deviation of about 1e-17
+    return np.where(np.ptp(values, axis=0) > 0, values.std(axis=0), 1.0)
 
 
 def spans(episodes: Indices) -> list[tuple[int, int]]:

@@ -1,5 +1,7 @@
 """An arm with planted dynamics, for methods to recover from recordings of a waving policy."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from adr_service.methods.base import Problem
@@ -42,6 +44,13 @@ def recorded(policy, dynamics=PLANTED, episodes=1, steps=120, noise=0.0, seed=0)
     draw = (lambda: noise * rng.standard_normal((episodes, 4))) if noise else None
     run = run_episodes(ARM, simulations, policy.act, ARM.initial(episodes, rng), steps, draw)
     return TransitionDataset.concatenate([_episode(run, row) for row in range(episodes)])
+
+
+def stuck(data, column, value):
+    """The recording with one sensor that always reads the same."""
+    seen, seen_next = data.observations.copy(), data.next_observations.copy()
+    seen[:, column] = seen_next[:, column] = value
+    return replace(data, observations=seen, next_observations=seen_next)
 
 
 def _episode(run, row):

@@ -1,11 +1,11 @@
-"""Frozen arrays and the row ranges of episodes."""
+"""Frozen arrays, scales of columns, and the row ranges of episodes."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adr_service.arrays import frozen, spans
+from adr_service.arrays import column_scales, frozen, spans
 
 episode_ids = st.lists(st.integers(0, 3), max_size=30).map(lambda ids: np.array(sorted(ids), int))
 
@@ -19,6 +19,13 @@ def test_a_frozen_array_is_a_read_only_copy_in_float64():
     assert copy.tolist() == [[1, 2], [3, 4]]
     with pytest.raises(ValueError, match="read-only"):
         copy[0, 0] = 9
+
+
+@pytest.mark.parametrize("value", [0.0, 0.1, 0.3, 0.7])
+def test_a_constant_column_has_the_scale_one_whatever_its_value(value):
+    varying = np.linspace(0, 1, 41)
+    scales = column_scales(np.stack([varying, np.full(41, value)], axis=1))
+    assert scales.tolist() == [varying.std(), 1.0]
 
 
 @given(episode_ids)

@@ -31,7 +31,7 @@ from scipy.linalg import eigh
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 
-from adr_service.arrays import Array3, Matrix, Vector
+from adr_service.arrays import Array3, Matrix, Vector, column_scales
 from adr_service.citations import Paper
 from adr_service.distributions import Gaussian
 from adr_service.errors import InvalidInput
@@ -185,9 +185,7 @@ class ClosedLoop:
             np.concatenate([part.observations, part.next_observations[-1:]])
             for part in evidence.data.split()
         ]
-        deviation = np.concatenate(self._episodes).std(axis=0)
-        # a constant column has no scale of its own
-        self._weights: Vector = 1 / np.where(deviation > 0, deviation, 1.0)  # diagonal of W
+        self._weights = 1 / column_scales(np.concatenate(self._episodes))  # diagonal of W
         self.diverged = 0  # simulations in the last call
 
     def costs(self, dynamics: Matrix, progress: Progress) -> Vector:

@@ -25,7 +25,7 @@ from pydantic import Field
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import qmc
 
-from adr_service.arrays import Matrix, Vector
+from adr_service.arrays import Matrix, Vector, column_scales
 from adr_service.distributions import Distribution, Gaussian, Uniform
 from adr_service.errors import InvalidInput
 from adr_service.methods.base import Estimate, OfflineSettings, Problem, ReplayFrom
@@ -184,9 +184,7 @@ class _Residuals:
 
     def __init__(self, replay: Replay, problem: Problem):
         self._replay, self._space = replay, problem.source.space
-        deviation = replay.targets.std(axis=0)
-        # a constant column has no scale of its own
-        self._scale: Vector = np.where(deviation > 0, deviation, 1.0)
+        self._scale = column_scales(replay.targets)
         self.replayed = 0  # points
 
     def value(self, x: Vector) -> Vector:

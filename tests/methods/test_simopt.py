@@ -8,10 +8,16 @@ import pytest
 from adr_service.distributions import Gaussian
 from adr_service.errors import InvalidInput
 from adr_service.methods.base import Evidence
-from adr_service.methods.simopt import SimOpt, SimOpt1Settings, SimOptSettings, reps
+from adr_service.methods.simopt import (
+    ClosedLoop,
+    SimOpt,
+    SimOpt1Settings,
+    SimOptSettings,
+    reps,
+)
 from adr_service.progress import silent
 from adr_service.randomness import stream
-from tests.planted import PLANTED, PROBLEM, SPACE, recorded, waving_policy
+from tests.planted import PLANTED, PROBLEM, SPACE, recorded, stuck, waving_policy
 
 
 class TestReps:
@@ -130,6 +136,12 @@ class TestUpdates:
         assert both.simulated_steps == 200 * (len(self.evidence.data) + len(other.data))
         masses = [SPACE.denormalise(np.array(each.state["location"]))[:2] for each in (alone, both)]
         assert np.all(masses[1] > masses[0])
+
+    def test_a_stuck_sensor_does_not_outweigh_the_others(self):
+        """Its own cost is the distance of the simulated angles from it, in radians."""
+        data = stuck(self.evidence.data, column=1, value=0.1)
+        loop = ClosedLoop(PROBLEM, Evidence(self.policy, data), SimOptSettings(), 1)
+        assert loop.costs(PLANTED[None], silent)[0] < 10
 
     def test_every_update_is_in_the_diagnostics_and_in_the_cost(self):
         update = self.update(SimOptSettings(updates=3, samples=20))

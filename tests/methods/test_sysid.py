@@ -19,7 +19,7 @@ from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.progress import silent
 from adr_service.randomness import stream
 from adr_service.tasks.base import Source
-from tests.planted import ARM, PLANTED, PROBLEM, SPACE, recorded, waving_policy
+from tests.planted import ARM, PLANTED, PROBLEM, SPACE, distance, recorded, stuck, waving_policy
 
 
 def fitted(settings, data):
@@ -34,6 +34,12 @@ def test_the_answer_is_one_point():
     estimate = fit(recorded(waving_policy(), steps=20), starts=1)
     assert isinstance(estimate.distribution, Uniform)
     assert np.all(estimate.distribution.std == 0)
+
+
+def test_a_stuck_sensor_does_not_outweigh_the_others():
+    estimate = fit(stuck(recorded(waving_policy(), steps=40), column=1, value=0.1), starts=1)
+    assert distance(estimate.distribution.mean) < 0.5
+    assert not SPACE.at_bound(estimate.distribution.mean)
 
 
 def test_standard_deviations_are_those_of_repeated_recordings():
