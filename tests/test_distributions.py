@@ -63,6 +63,13 @@ def test_an_impossible_covariance_is_refused(covariance):
         Gaussian(SPACE, np.array([2.0, 2.0]), covariance)
 
 
+def test_a_covariance_that_rounding_makes_indefinite_is_accepted():
+    covariance = np.array([[1.0, 1.0], [1.0, 1.0 - 1e-15]])
+    assert np.linalg.eigvalsh(covariance)[0] < 0
+    draws = Gaussian(SPACE, np.array([2.0, 2.0]), covariance).sample(20, np.random.default_rng(0))
+    np.testing.assert_allclose(*SPACE.normalise(draws.values).T, atol=1e-6)
+
+
 def test_an_unknown_kind_is_refused():
     with pytest.raises(UnknownName, match="uniform, gaussian, truncated_gaussian"):
         distribution_from_json(SPACE, {"kind": "cauchy"})

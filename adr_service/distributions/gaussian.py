@@ -10,6 +10,8 @@ from adr_service.distributions.base import Draws, finite_vector
 from adr_service.errors import InvalidInput
 from adr_service.parameters import ParameterSpace
 
+_ROUNDING = 1e-12  # of the largest variance, by which a variance of 0 may be computed as negative
+
 
 @dataclass(frozen=True)
 class Gaussian:
@@ -28,7 +30,8 @@ class Gaussian:
         d = len(self.space)
         if self.covariance.shape != (d, d) or not np.all(np.isfinite(self.covariance)):
             raise InvalidInput(f"covariance must be finite and ({d}, {d}): {self.covariance}")
-        if np.linalg.eigvalsh(self.covariance)[0] < 0:
+        variances = np.linalg.eigvalsh(self.covariance)  # along the axes, in ascending order
+        if variances[0] < -_ROUNDING * variances[-1]:
             raise InvalidInput(f"covariance must be positive semi-definite: {self.covariance}")
 
     @classmethod

@@ -18,6 +18,8 @@ Where we differ, and why:
 - The search for the temperature starts at 1 instead of 10, because costs have that scale.
 - The new covariance is that of the weighted samples, as in REPS. Guided policy search damps it by
   default, so that it keeps its shape; the setting `covariance_damping` does (docs/decisions.md).
+- No variance of it is below 1e-12 of the largest, so that a parameter on which the data do not
+  depend leaves it regular.
 - While the new covariance is singular, the temperature doubles. Their code adds 1e-4, then twice as
   much each time.
 """
@@ -43,6 +45,9 @@ from adr_service.simulation.rollout import follow
 from adr_service.tasks.base import State
 
 _LEAST_RATIO = 1e-9  # of the new variance to the old, below which the fit is singular
+# Of the largest variance. Where the data leave a parameter open, its variance stays while others
+# shrink at every update, until rounding makes the covariance singular.
+_LEAST_SHARE = 1e-12
 _FIRST_TEMPERATURE = 1.0  # of the search for the best one
 _MOST_TEMPERATURE = 1e12  # beyond which weights are equal
 _SPREAD_PERCENTILE = 90  # of the costs, whose distance from the best is the unit
@@ -240,7 +245,7 @@ def reps(
         # ratios of the new variances to the old ones, in the directions in which they are extreme
         ratios = eigh(likely, covariance, eigvals_only=True)
         if settings.covariance_damping == 0 and ratios[0] > _LEAST_RATIO:
-            return mean, likely, eta
+            return mean, _conditioned(likely), eta
         ratio = ratios.mean()  # tr(S_old^-1 S) / d
         if settings.covariance_damping > 0 and ratio > _LEAST_RATIO:
             # S_new = (tr(S_old^-1 S) / d)^(1 / damping) S_old: the shape never changes
@@ -250,6 +255,15 @@ def reps(
         f"{len(samples)} samples of {len(covariance)} parameters have no spread in some direction; "
         "SimOpt needs more samples than parameters, or covariance_damping above 0"
     )
+
+
+def _conditioned(covariance: Matrix) -> Matrix:
+    """The covariance (d, d), with no variance in its axes below `_LEAST_SHARE` of the largest."""
+    variances, axes = np.linalg.eigh(covariance)
+    least = _LEAST_SHARE * variances[-1]
+    if variances[0] >= least:
+        return covariance
+    return (axes * np.maximum(variances, least)) @ axes.T
 
 
 def _temperature(costs: Vector, settings: _Settings) -> float:

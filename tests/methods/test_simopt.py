@@ -61,6 +61,20 @@ class TestReps:
         assert np.sqrt(np.mean((mean - optimum) ** 2)) < 1e-3
         assert np.all(np.sqrt(np.diag(covariance)) < 0.02)
 
+    def test_parameters_without_influence_leave_the_covariance_regular(self):
+        """Their variance stays, while that of the others shrinks to a fifth per update."""
+        rng = np.random.default_rng(0)
+        axes = np.linalg.qr(rng.normal(size=(4, 4)))[0]
+        belief = Gaussian.prior(SPACE)
+        for _ in range(40):
+            samples = SPACE.normalise(belief.sample(1000, rng).values)
+            costs = np.sum(((samples - 2.5) @ axes[:, :2]) ** 2, axis=1)
+            mean, covariance, _ = reps(samples, costs, belief.covariance, self.settings)
+            belief = Gaussian(SPACE, mean, covariance)
+        np.testing.assert_allclose((mean - 2.5) @ axes[:, :2], 0, atol=1e-5)
+        variances = np.linalg.eigvalsh(covariance)
+        np.testing.assert_allclose(variances[:2] / variances[-1], 1e-12, rtol=1e-3)
+
     @pytest.mark.parametrize(("scale", "shift"), [(1000.0, 0.0), (1.0, 50.0), (0.01, -3.0)])
     def test_the_unit_of_costs_does_not_matter(self, scale, shift):
         samples = np.random.default_rng(0).normal(size=(500, 3))
