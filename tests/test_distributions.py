@@ -100,6 +100,24 @@ def test_a_gaussians_density_is_scipys_in_si_units():
     np.testing.assert_allclose(belief.log_prob(draws), reference.logpdf(draws))
 
 
+def test_a_narrow_direction_counts_in_a_gaussians_density():
+    """SciPy's function leaves out deviations below 1.5e-5 of the largest."""
+    axes, deviations = np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([1.0, 1e-6])
+    belief = Gaussian(SPACE, np.array([2.0, 2.0]), (axes * deviations**2) @ axes.T)
+    away = np.array([[0.0, 0.0], [0.0, 3.0], [1.0, 3.0]])  # in deviations
+    values = SPACE.denormalise(2.0 + (away * deviations) @ axes.T)
+    expected = stats.norm.logpdf(away * deviations, 0, deviations).sum(axis=1)
+    expected -= np.log((SPACE.high - SPACE.low) / 4).sum()
+    np.testing.assert_allclose(belief.log_prob(values), expected, atol=0.01)
+
+
+def test_a_singular_gaussian_has_a_density_on_the_line_of_its_draws_alone():
+    belief = Gaussian(SPACE, np.array([2.0, 2.0]), np.diag([1.0, 0.0]))
+    on, off = belief.log_prob(SPACE.denormalise(np.array([[2.5, 2.0], [2.5, 2.1]])))
+    assert on == pytest.approx(stats.norm.logpdf(0.5) - np.log((SPACE.high - SPACE.low) / 4).sum())
+    assert off == -np.inf
+
+
 def test_bounds_in_the_wrong_order_are_refused():
     with pytest.raises(InvalidInput, match="low <= high"):
         Uniform(SPACE, np.array([2.0, 2.0]), np.array([1.0, 3.0]))

@@ -55,12 +55,21 @@ class Gaussian:
         return Draws(frozen(self.space.denormalise(inside)), adjusted)
 
     def log_prob(self, values: Matrix) -> Vector:
-        """Log density of the unclipped Gaussian, per SI unit."""
-        from scipy import stats
+        """Log density of the unclipped Gaussian, per SI unit.
 
-        x, mean = self.space.normalise(values), self.location
-        cov: Any = self.covariance  # annotated as a number in SciPy
-        density = np.atleast_1d(stats.multivariate_normal.logpdf(x, mean, cov, allow_singular=True))
+        A singular one has SciPy's: a density on the plane of its draws, and none elsewhere.
+        """
+        from scipy import linalg
+
+        x = self.space.normalise(values)
+        variances, axes = linalg.eigh(self.covariance)
+        if variances[0] > 0:
+            white = (x - self.location) @ (axes * np.sqrt(1 / variances))
+            log_det = np.sum(np.log(variances))
+            squares = np.sum(white**2, axis=1)
+            density = -0.5 * (len(variances) * np.log(2 * np.pi) + log_det + squares)
+        else:
+            density = _singular_log_prob(x, self.location, self.covariance)
         # p(value) = p(x) |dx / dvalue|
         return density - np.sum(np.log(self._scale))
 
@@ -75,3 +84,12 @@ class Gaussian:
     def _scale(self) -> Vector:
         """SI units per normalised coordinate, (d,)."""
         return (self.space.high - self.space.low) / self.space.WIDTH
+
+
+def _singular_log_prob(x: Matrix, mean: Vector, covariance: Any) -> Vector:
+    """SciPy's log density (n,), which takes variances below 2e-10 of the largest for 0."""
+    from scipy import stats
+
+    # the covariance is annotated as a number in SciPy
+    density = stats.multivariate_normal.logpdf(x, mean, covariance, allow_singular=True)
+    return np.atleast_1d(density)
