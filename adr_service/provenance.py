@@ -5,11 +5,13 @@ Results are equal to the byte where these are.
 
 import importlib.metadata
 import platform
+from collections.abc import Mapping
 from pathlib import Path
 
 _PACKAGES = (
     *("adr-service", "mujoco", "numpy", "scipy", "cma"),
-    *("stable-baselines3", "torch", "sbx-rl", "jax"),
+    *("stable-baselines3", "sb3-contrib", "torch", "botorch", "gpytorch", "sbi", "zuko"),
+    *("sbx-rl", "jax", "flax"),
 )
 
 
@@ -18,9 +20,18 @@ _OF_CPU = ("model name", "cpu family", "model")  # a name alone may stand for se
 
 def provenance() -> dict[str, str]:
     """Return versions by package, and Python's, and the type of the CPU."""
-    installed = {d.name: d.version for d in importlib.metadata.distributions()}
+    found = importlib.metadata.distributions()
+    installed = {each.name.replace("_", "-"): each.version for each in found}  # stable_baselines3
     versions = {name: installed[name] for name in _PACKAGES if name in installed}
     return {"python": platform.python_version(), "cpu": _cpu_type(), **versions}
+
+
+def is_same_machine(stored: Mapping[str, str], here: Mapping[str, str]) -> bool:
+    """True if a result's provenance is that of this process, in all that was noted with it.
+
+    Older results note fewer packages.
+    """
+    return bool(stored) and stored.items() <= here.items()
 
 
 def _cpu_type() -> str:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from adr_service.provenance import cpu_type, provenance
+from adr_service.provenance import cpu_type, is_same_machine, provenance
 
 
 def test_the_provenance_names_versions_and_the_cpu():
@@ -10,6 +10,22 @@ def test_the_provenance_names_versions_and_the_cpu():
     assert facts["numpy"] == np.__version__
     assert facts["cpu"]
     assert facts == provenance()
+
+
+def test_the_libraries_of_trainings_and_of_searches_are_named():
+    """Two of them have an underscore in their package's own name."""
+    names = {"stable-baselines3", "sb3-contrib", "torch", "botorch", "gpytorch", "scipy", "cma"}
+    assert names <= set(provenance())
+
+
+def test_only_what_was_noted_with_a_result_is_compared():
+    here = {"cpu": "AMD EPYC", "numpy": "2.4.6", "botorch": "0.18.1"}
+    older = {"cpu": "AMD EPYC", "numpy": "2.4.6"}
+    assert is_same_machine(here, here)
+    assert is_same_machine(older, here)
+    assert not is_same_machine({**older, "numpy": "2.4.5"}, here)
+    assert not is_same_machine({**older, "sbi": "0.27.0"}, here)
+    assert not is_same_machine({}, here)
 
 
 def test_two_generations_of_cpus_with_one_name_are_two_types():

@@ -95,7 +95,7 @@ def verify(
 def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]":
     """Stages of the archive, drawn at random and computed again."""
     from adr_service.benchmark.verification import sampled, verify
-    from adr_service.provenance import provenance
+    from adr_service.provenance import is_same_machine, provenance
     from adr_service.randomness import stream
     from db.archive_checks import replays
     from db.stages import find_result, provenance_of
@@ -104,7 +104,7 @@ def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]
     with archived.database.read() as session:
 
         def is_same(digest: str) -> bool:
-            return provenance_of(session, digest) == here
+            return is_same_machine(provenance_of(session, digest), here)
 
         unverified: list[str] = []
 
