@@ -77,17 +77,21 @@ class TestCost:
         assert evaluations < 30 + 20  # CMA-ES evaluates whole generations
         assert estimate.simulated_steps == evaluations * 8 * len(data)
 
-    @pytest.mark.parametrize("search", ["trust_region", "cma_es"])
-    def test_the_plan_is_about_the_cost(self, search):
-        """Within a factor of four: a trust-region search takes 6 to 35 evaluations."""
-        data = recorded(waving_policy(), steps=20)
-        budget = 60 if search == "cma_es" else 5000
-        settings = DropoSettings(
-            budget=budget, epsilon=1e-5, search=search, samples_per_parameter=3
-        )
+    @pytest.mark.parametrize("noise", [0.0, 0.03])
+    def test_a_trust_region_search_costs_at_most_what_was_planned(self, noise):
+        """Noise makes the loss rough, and the search long."""
+        data = recorded(waving_policy(), steps=20, noise=noise, seed=2)
+        settings = DropoSettings(epsilon=1e-5, samples_per_parameter=3)
         estimate = Dropo(settings).fit(PROBLEM, data, stream("plan"), silent)
         planned = settings.planned_steps(len(SPACE), len(data))
-        assert 0.25 < estimate.simulated_steps / planned < 4
+        assert planned / 8 < estimate.simulated_steps <= planned
+
+    def test_a_search_by_cma_es_costs_its_budget(self):
+        data = recorded(waving_policy(), steps=20)
+        settings = DropoSettings(budget=60, epsilon=1e-5, search="cma_es", samples_per_parameter=3)
+        estimate = Dropo(settings).fit(PROBLEM, data, stream("plan"), silent)
+        planned = settings.planned_steps(len(SPACE), len(data))
+        assert planned <= estimate.simulated_steps < 1.25 * planned  # whole generations
 
 
 class TestSearches:
