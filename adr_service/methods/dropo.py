@@ -12,7 +12,8 @@ Where we differ from that code, and why:
 - One set of random numbers (a Latin hypercube) serves all candidates. So the objective is a
   deterministic function of the distribution, and the best evaluation is not a lucky one.
 - Every recorded transition counts, also the last of an episode: its next observation is recorded.
-- One diverged draw makes a candidate the worst. Diagnostics count those candidates.
+- One diverged draw makes a candidate the worst, and so do draws so wide that rounding loses
+  epsilon. Diagnostics count both as `diverged_evaluations`.
 - pycma's transformation keeps its search inside the bounds, not the 'bouncing' of nevergrad.
 - Draws below the feasible bound are excluded by inversion, not clamped after 20 redraws.
 """
@@ -37,7 +38,7 @@ from adr_service.search.trust_region import Bounds, Evaluation, TrustRegion
 from adr_service.simulation.replay import Replay
 from adr_service.transitions import TransitionDataset
 
-_WORST = 1e12  # loss of a candidate whose simulation diverged; CMA-ES compares ranks only
+_WORST = 1e12  # in the place of an infinite loss; CMA-ES compares ranks only
 _TOGETHER = 16  # simulations at a time; changes no bit
 # Of one trust-region search, for plans: 218 of the Hopper study's 225 take no more, one takes 105.
 _EVALUATIONS = 35
@@ -204,13 +205,18 @@ def log_likelihood(predictions: Array3, targets: Matrix, epsilon: float) -> floa
     `_L_target_given_phi_trajectories` is the negative of this sum:
 
         sum_w log N(s'_w; m_w, C_w + epsilon I), m_w and C_w over the k draws
+
+    Minus infinity where the draws are so wide that rounding loses epsilon, and C_w is singular.
     """
     k, _, s = predictions.shape
     mean = predictions.mean(axis=0)
     centred = (predictions - mean).transpose(1, 2, 0)  # (w, s, k)
     covariance = centred @ centred.transpose(0, 2, 1) / (k - 1)  # unbiased, as np.cov
     covariance[:, np.arange(s), np.arange(s)] += epsilon
-    factor = np.linalg.cholesky(covariance)
+    try:
+        factor = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        return -np.inf
     white = np.linalg.solve(factor, (targets - mean)[..., None])[..., 0]
     log_det = 2 * np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)))
     return float(-0.5 * (np.sum(white**2) + log_det + targets.size * np.log(2 * np.pi)))
@@ -253,10 +259,13 @@ class Likelihood:
         self.space, self.replay, self.epsilon, self.bonus = space, replay, epsilon, bonus
         self._levels = levels
         self.evaluations = 0  # Gaussians that were simulated
-        self.diverged = 0  # those of them with a diverged draw
+        self.diverged = 0  # those of them with an infinite loss
 
     def evaluate(self, mean: Vector, std: Vector) -> Evaluation:
-        """The loss and the simulated draws; the loss is infinite if one of them diverged."""
+        """The loss and the simulated draws.
+
+        The loss is infinite if a draw diverged, or if the likelihood is 0 (`log_likelihood`).
+        """
         draws = TruncatedGaussian(self.space, mean, std).quantile(self._levels)
         predictions = self.replay.predict(draws)
         self.evaluations += 1
@@ -266,8 +275,7 @@ class Likelihood:
             if self.bonus:
                 entropy = np.log(normalised_std(TruncatedGaussian(self.space, mean, std)))
                 loss -= self.bonus * float(entropy.sum())
-        else:
-            self.diverged += 1
+        self.diverged += int(np.isinf(loss))
         return Evaluation(mean, std, loss, draws, predictions)
 
 
@@ -327,7 +335,10 @@ def by_cma_es(
             spent = min(likelihood.evaluations / budget, 1.0)
             progress(spent, evaluations=likelihood.evaluations, loss=min(losses))
     if best is None or not np.isfinite(best.loss):
-        raise InvalidInput(f"all {likelihood.evaluations} candidates diverged in simulation")
+        raise InvalidInput(
+            f"all {likelihood.evaluations} candidates diverged in simulation, or have draws too "
+            f"wide for an epsilon of {likelihood.epsilon:g}"
+        )
     return best, {"searches": searches}
 
 

@@ -41,7 +41,7 @@ class Evaluation:
 
     mean: Vector  # (d,)
     std: Vector  # (d,)
-    loss: float  # negative log likelihood [nat], less a bonus; infinite if a draw diverged
+    loss: float  # negative log likelihood [nat], less a bonus; infinite if none can be computed
     draws: Matrix  # (k, d)
     predictions: Array3  # (k, w, s)
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from adr_service.errors import InvalidInput
-from adr_service.methods.dropo import Dropo, DropoSettings, decode, log_likelihood
+from adr_service.methods.dropo import Dropo, DropoSettings, Likelihood, decode, log_likelihood
 from adr_service.progress import silent
 from adr_service.randomness import stream
 from adr_service.simulation.replay import Replay
@@ -65,6 +65,29 @@ class TestSearchSpace:
         middle = decode(SPACE, np.full(8, 2.0))
         np.testing.assert_allclose(middle.mean, (SPACE.low + SPACE.high) / 2)
         np.testing.assert_allclose(middle.std, np.sqrt(1e-5 * (SPACE.high - SPACE.low) / 4))
+
+
+class TestWideDraws:
+    """Three columns that move together by some 1e7, so that rounding loses the epsilon."""
+
+    epsilon, targets = 1e-6, np.zeros((20, 3))
+    levels = np.random.default_rng(0).random((40, 4))
+
+    def predict(self, draws):
+        line = 1e7 * draws @ np.random.default_rng(1).random((4, 20))
+        return np.stack([line, 1.7 * line, -0.3 * line], axis=2)
+
+    def test_they_have_no_likelihood(self):
+        predictions = self.predict(self.levels)
+        assert log_likelihood(predictions, self.targets, self.epsilon) == -np.inf
+        assert np.isfinite(log_likelihood(predictions, self.targets, 1e6))
+
+    @pytest.mark.parametrize("bonus", [0.0, 0.5])
+    def test_they_are_counted_with_the_diverged(self, bonus):
+        likelihood = Likelihood(SPACE, self.levels, self, self.epsilon, bonus)
+        wide = likelihood.evaluate(SPACE.denormalise(np.full(4, 2.0)), np.ones(4))
+        assert wide.loss == np.inf
+        assert (likelihood.evaluations, likelihood.diverged) == (1, 1)
 
 
 class TestCost:
