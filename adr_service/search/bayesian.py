@@ -32,7 +32,7 @@ class Surrogate:
         x = torch.tensor(points, dtype=torch.float64)
         y = torch.tensor(values, dtype=torch.float64)[:, None]
         kernel = ScaleKernel(
-            # the priors that BoTorch had with this kernel when BayRn was published
+            # the priors that BoTorch had with this kernel when BayRn was published; not the noise's
             MaternKernel(nu=2.5, ard_num_dims=self._d, lengthscale_prior=GammaPrior(3.0, 6.0)),
             outputscale_prior=GammaPrior(2.0, 0.15),
         )
