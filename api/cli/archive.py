@@ -1,5 +1,6 @@
 """`adr archive`: benchmarks as files, to carry, publish and verify."""
 
+import os
 import secrets
 import tempfile
 from collections.abc import Iterator
@@ -70,12 +71,15 @@ def verify(
 ) -> None:
     """Check an archive, and compute some of its stages again; no service is needed."""
     from db.staging import staged
+    from workers.cluster import worker_environment
 
     with (
         tempfile.TemporaryDirectory(prefix="adr-") as folder,
         _opened(file) as archive,
         staged(archive, Path(folder)) as archived,
     ):
+        # JAX is not imported yet, and reads there how many threads it may take
+        os.environ.update(worker_environment(Path(folder) / "jax"))
         drawn = secrets.randbelow(2**31) if seed is None else seed
         different, computed = list[str](), 0
         console.print(f"sample {drawn} (--seed {drawn} repeats it)")
