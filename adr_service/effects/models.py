@@ -30,6 +30,7 @@ _OF_SLIDES = {
     "rad/s": "m/s",
 }
 _Inferred = mujoco.mjtInertiaFromGeom
+_ON_JOINTS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 
 
 def with_effects(
@@ -146,14 +147,28 @@ def sensible(effect: Effect, values: Vector) -> Effect:
 
 
 def unit_of(model: mujoco.MjModel, location: str, unit: str) -> str:
-    """Unit of a strength at a place; the catalogue has the units of hinges."""
-    place, _, name = location.partition(":")
-    joint = name.rpartition(".")[0] if place == "sensor" else name
-    if place == "actuator":
-        joint = model.joint(int(model.actuator_trnid[model.actuator(name).id, 0])).name
-    is_slide = place in ("joint", "actuator", "sensor") and (
-        model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE
-    )
+    """Unit of a strength at a place; the catalogue has the units of hinges.
+
+    An actuator on a tendon or a site moves no joint of its own and has the catalogue's unit.
+    """
     if unit == "of the sensor":
-        unit = "rad/s" if name.endswith(".velocity") else "rad"
+        unit = "rad/s" if location.endswith(".velocity") else "rad"
+    joint = _joint_at(model, location)
+    is_slide = joint is not None and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
     return _OF_SLIDES.get(unit, unit) if is_slide else unit
+
+
+def _joint_at(model: mujoco.MjModel, location: str) -> int | None:
+    """Number of the joint at a location, or that a sensor reads or an actuator moves."""
+    place, _, name = location.partition(":")
+    match place:
+        case "joint":
+            return model.joint(name).id
+        case "sensor":
+            return model.joint(name.rpartition(".")[0]).id
+        case "actuator":
+            actuator = model.actuator(name).id
+            is_on_joint = int(model.actuator_trntype[actuator]) in _ON_JOINTS
+            return int(model.actuator_trnid[actuator, 0]) if is_on_joint else None
+        case _:
+            return None

@@ -30,6 +30,31 @@ def test_a_hinge_has_the_units_of_the_catalogue():
     assert unit_of(model, "sensor:elbow.position", "of the sensor") == "rad"
 
 
+def test_an_actuator_on_a_tendon_or_a_site_has_the_units_of_the_catalogue():
+    model = mujoco.MjModel.from_xml_string("""
+        <mujoco>
+          <worldbody>
+            <body>
+              <joint name="x" type="slide"/>
+              <geom size="0.1"/>
+              <site name="tip"/>
+            </body>
+          </worldbody>
+          <tendon>
+            <fixed name="first"><joint joint="x" coef="1"/></fixed>
+            <fixed name="second"><joint joint="x" coef="1"/></fixed>
+          </tendon>
+          <actuator>
+            <motor name="first" tendon="first"/>
+            <motor name="second" tendon="second"/>
+            <motor name="tip" site="tip"/>
+          </actuator>
+        </mujoco>
+    """)
+    units = [unit_of(model, f"actuator:{name}", "N m") for name in ("first", "second", "tip")]
+    assert units == ["N m", "N m", "N m"]
+
+
 def test_a_location_is_an_elements_number(cart):
     model = cart()
     assert element_of(model, "global") == 0
