@@ -52,6 +52,12 @@ class Stream:
     stamps: Vector | None = None  # (n,) [s] times of the rows, where the format states them
     dated: frozenset[str] = frozenset()  # columns of dates, which are in seconds since 1970
 
+    def of_rows(self, rows: slice) -> "Stream":
+        """The stream of some of its rows."""
+        columns = {name: values[rows] for name, values in self.columns.items()}
+        stamps = None if self.stamps is None else self.stamps[rows]
+        return replace(self, columns=columns, stamps=stamps)
+
 
 @dataclass(frozen=True)
 class Log:
@@ -113,7 +119,7 @@ class Log:
         return [
             Log(
                 f"{self.source}, {column} {value[first]:g}",
-                (replace(stream, columns={n: v[first:last] for n, v in stream.columns.items()}),),
+                (stream.of_rows(slice(first, last)),),
                 self.unread,
             )
             for first, last in pairwise(edges)

@@ -66,6 +66,14 @@ def test_a_log_parts_where_a_column_changes():
     np.testing.assert_array_equal(second.streams[0].columns["time"], [3, 4, 5])
 
 
+def test_parts_of_a_bag_of_one_topic_keep_the_stamps_of_their_rows():
+    columns = {"q": np.arange(6.0), "trial": np.array([1.0, 1, 1, 2, 2, 2])}
+    bag = Log("a.mcap", (Stream(columns, stamps=np.arange(10.0, 16)),))
+    second = bag.parts("trial")[1].signal("q", SECONDS)
+    np.testing.assert_array_equal(second.time, [13, 14, 15])
+    np.testing.assert_array_equal(second.value, [3, 4, 5])
+
+
 def test_a_part_without_a_number_is_refused():
     columns = {**motion(np.arange(3.0)), "trial": np.array([1.0, np.nan, 2])}
     with pytest.raises(InvalidInput, match=r"'trial' of rows.episode has no number at row 1"):
