@@ -202,7 +202,14 @@ class Measurement:
             moved = self.qpos[inside + 1, column] - self.qpos[inside, column]
             mean = (self.qvel[inside + 1, column] + self.qvel[inside, column]) / 2
             expected = self.period() * mean
-            if not np.any(expected) or np.corrcoef(moved, expected)[0, 1] < _ALIKE:
+            alike = np.corrcoef(moved, expected)[0, 1] if np.any(expected) else 0.0
+            if alike < -_ALIKE:
+                raise InvalidInput(
+                    f"column {column} of qpos moves against the same column of qvel (their "
+                    f"correlation is {alike:.2f}): the sign of one of them is wrong, or the "
+                    "columns are not in the model's order"
+                )
+            if not alike >= _ALIKE:
                 continue  # too little motion to judge by
             ratio = float(moved @ expected / (expected @ expected))
             if not 1 / _OFF < ratio < _OFF:
@@ -300,7 +307,7 @@ def _check_episodes(episode: Indices, time: Vector) -> None:
             f"episode has shape {episode.shape} and type {episode.dtype}; expected are {rows} "
             "whole numbers"
         )
-    if (back := np.flatnonzero(np.diff(episode) < 0)).size:
+    if (back := np.flatnonzero(episode[1:] < episode[:-1])).size:  # unsigned differences wrap
         raise InvalidInput(f"episode numbers must not decrease; they do at row {back[0] + 1}")
     if not rows:
         raise InvalidInput("the measurement has no rows")

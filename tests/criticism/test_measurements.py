@@ -13,6 +13,7 @@ from adr_service.errors import InvalidInput
         ("qvel", lambda a: a[:-1], "qvel has shape .* expected are 2280 rows"),
         ("qpos", lambda a: np.where(np.arange(len(a))[:, None] == 5, np.nan, a), "row 5"),
         ("episode", lambda a: a[::-1], "must not decrease; they do at row 76"),
+        ("episode", lambda a: a[::-1].astype(np.uint8), "must not decrease; they do at row 76"),
         ("episode", lambda a: a.astype(float), "whole numbers"),
         ("time", lambda a: a[:, None], "in 1 dimension"),
         (
@@ -45,6 +46,7 @@ def test_an_episode_of_one_row_is_refused(good):
     [
         ("time", lambda a: 2 * a, "column 0 of qpos moves 0.5 times as far as"),
         ("qvel", np.degrees, "qpos moves 0.0175 times as far"),
+        ("qvel", np.negative, r"qpos moves against .* correlation is -1.00\): the sign"),
     ],
 )
 def test_velocities_that_are_not_the_rates_of_positions_are_refused(good, name, change, message):
