@@ -57,7 +57,7 @@ class StageActor:
 
         `placed` is its execution as far as the dispatcher knows it.
         """
-        reporter, clock = _Reporter(stage.digest, board), _Clock()
+        reporter, clock = _Reporter(stage.digest, placed.attempt, board), _Clock()
         try:
             with reporter:
                 result = compute(stage, reporter.progress)
@@ -97,8 +97,8 @@ class _Clock:
 class _Reporter:
     """Sends the latest progress from a thread, so that compiling code shows life as well."""
 
-    def __init__(self, digest: str, board: Any):
-        self._digest, self._board = digest, board
+    def __init__(self, digest: str, attempt: int, board: Any):
+        self._computed, self._board = (digest, attempt), board
         self._latest: tuple[float, dict[str, Any]] = (0.0, {})
         self._checkpoint: Checkpoint | None = None
         self._unwanted, self._done = threading.Event(), threading.Event()
@@ -125,7 +125,7 @@ class _Reporter:
         while not self._done.is_set():
             checkpoint = self._checkpoint
             news = None if checkpoint is reported else checkpoint
-            sign = SignOfLife(self._digest, *self._latest, actor_id, os.getpid(), news)
+            sign = SignOfLife(*self._computed, *self._latest, actor_id, os.getpid(), news)
             try:
                 if ray.get(self._board.report.remote(sign)):
                     self._unwanted.set()

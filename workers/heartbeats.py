@@ -33,6 +33,7 @@ class SignOfLife:
     """The latest report from inside a running stage."""
 
     digest: str
+    attempt: int
     fraction: float  # of the stage that is done
     facts: dict[str, Any]  # for people
     actor_id: str
@@ -47,13 +48,13 @@ class Board:
     """Takes reports of running stages, and answers whether to stop. Needs no CPU of its own."""
 
     def __init__(self) -> None:
-        self._latest: dict[str, SignOfLife] = {}
+        self._latest: dict[tuple[str, int], SignOfLife] = {}  # by digest and attempt
         self._checkpoint: dict[str, Checkpoint] = {}  # new since the last call of `news`
         self._unwanted: Set[str] = frozenset()
 
     def report(self, sign: SignOfLife) -> bool:
         """Note a sign of life; True if no run wants the stage any more."""
-        self._latest[sign.digest] = replace(sign, checkpoint=None)
+        self._latest[sign.digest, sign.attempt] = replace(sign, checkpoint=None)
         if sign.checkpoint is not None:
             self._checkpoint[sign.digest] = sign.checkpoint
         return sign.digest in self._unwanted

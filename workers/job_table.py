@@ -135,8 +135,9 @@ class JobTable:
         return [False] * len(jobs)
 
     def hear(self, sign: SignOfLife) -> None:
-        """Note a sign of life."""
-        if (job := self._jobs.get(sign.digest)) is not None:
+        """Note a sign of life of the attempt that goes on; a lost process may have left one."""
+        job = self._jobs.get(sign.digest)
+        if job is not None and job.ref is not None and job.attempt == sign.attempt:
             job.sign, job.heard = sign, time.monotonic()
 
     def note(self, digest: str, checkpoint: Checkpoint) -> None:

@@ -110,6 +110,6 @@ def test_signs_of_life_have_the_progress_and_the_last_checkpoint(actor, board):
     ray.get(board.news.remote({stage.digest}))
     actor.compute(stage, PLACED, board)
     (sign,), checkpoints = ray.get(board.news.remote(set()))
-    assert sign.digest == stage.digest
+    assert (sign.digest, sign.attempt) == (stage.digest, PLACED.attempt)
     assert 0 <= sign.fraction <= 0.75
     assert set(checkpoints) <= {stage.digest}

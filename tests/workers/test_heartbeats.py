@@ -14,7 +14,7 @@ from workers.heartbeats import (
     patience_s,
 )
 
-SIGN = SignOfLife("digest", 0.5, {"steps": 10}, "actor", 1)
+SIGN = SignOfLife("digest", 1, 0.5, {"steps": 10}, "actor", 1)
 CHECKPOINT = Checkpoint(10, b"weights", ())
 
 
@@ -30,6 +30,13 @@ def test_news_are_the_latest_signs_since_the_last_call(board):
     signs, _ = board.news(set())
     assert {sign.digest: sign.fraction for sign in signs} == {"digest": 0.2, "another": 0.5}
     assert board.news(set()) == ([], {})
+
+
+def test_a_lost_process_that_still_reports_does_not_hide_the_next_attempt(board):
+    attempts = [replace(SIGN, attempt=2), SIGN]
+    for sign in attempts:
+        board.report(sign)
+    assert board.news(set())[0] == attempts
 
 
 def test_a_checkpoint_outlives_later_signs_without_one(board):

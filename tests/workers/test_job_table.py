@@ -223,13 +223,28 @@ def test_activities_show_running_stages_first_with_their_last_sign(table):
         table.ask(criticism(seed))
     table.ask(TRAINING, "run_b")
     job = table.start()
-    table.jobs.hear(SignOfLife(job.stage.digest, 0.5, {"steps": 7}, "actor_id", 1234))
-    table.jobs.hear(SignOfLife("gone meanwhile", 0.5, {}, "actor_id", 1234))
+    table.jobs.hear(SignOfLife(job.stage.digest, 1, 0.5, {"steps": 7}, "actor_id", 1234))
+    table.jobs.hear(SignOfLife("gone meanwhile", 1, 0.5, {}, "actor_id", 1234))
     first, second = table.jobs.activities("run_a")
     assert (first.state, first.fraction, first.pid) == ("running", 0.5, 1234)
     assert first.facts == {"steps": 7}
     assert (second.state, second.attempt, second.actor_id) == ("waiting", 0, None)
     assert len(table.jobs.activities()) == 3
+
+
+def test_a_sign_that_a_lost_process_left_is_not_of_the_next_attempt(table):
+    table.ask(TRAINING)
+    job = table.start()
+    late = SignOfLife(TRAINING.digest, job.attempt, 0.5, {}, "actor_id", 1)
+    job.leave()
+    table.jobs.lose(job, "killed")
+    table.jobs.hear(late)
+    assert job.sign is None
+    table.start()
+    table.jobs.hear(late)
+    assert job.sign is None
+    table.jobs.hear(own := replace(late, attempt=job.attempt))
+    assert job.sign is own
 
 
 def test_a_service_that_stops_ends_every_wait(table):

@@ -14,7 +14,7 @@ from workers.heartbeats import SignOfLife
 from workers.jobs import Job, Waiter, activity_of
 from workers.pool import Actor, Core
 
-SIGN = SignOfLife("digest", 0.5, {"steps": 10}, "actor_id", 42)
+SIGN = SignOfLife("digest", 1, 0.5, {"steps": 10}, "actor_id", 42)
 ACTOR = Actor("adr:run_a:trainer:1", "trainer", None, Core("node"))
 LATER = 1e9  # a monotonic time that never comes
 

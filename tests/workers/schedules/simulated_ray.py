@@ -171,7 +171,8 @@ class Process:
             return
         has_more = call.stage.role == "trainer" and self._world.faults.rng.random() < 0.1
         checkpoint = Checkpoint(int(now), b"so far", ()) if has_more else None
-        unwanted = board.report(SignOfLife(call.stage.digest, 0.5, {}, "actor", 1, checkpoint))
+        attempt = (call.stage.digest, call.placed.attempt)
+        unwanted = board.report(SignOfLife(*attempt, 0.5, {}, "actor", 1, checkpoint))
         if unwanted and not call.is_stopping:
             call.is_stopping = True
             stops = 5.0 * self._world.faults.rng.random()
