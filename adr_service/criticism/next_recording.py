@@ -158,8 +158,10 @@ def next_recording(
 
 
 def check_limits(limits: Matrix, simulator: Simulator) -> None:
-    """Raises InvalidInput unless each command has limits that its actuator obeys."""
+    """Raises InvalidInput unless there are commands, with limits that their actuators obey."""
     count = simulator.data.ctrl.shape[1]
+    if not count:
+        raise InvalidInput("the model has no actuators, so that a plan has nothing to command")
     is_good = limits.shape == (count, 2) and bool(np.all(np.isfinite(limits)))
     if not is_good or not np.all(limits[:, 0] <= limits[:, 1]):
         raise InvalidInput(

@@ -89,7 +89,8 @@ class Simulator:
         followed = self.measured.copy()
         for (first, last), (begin, end) in zip(self.data.spans(), self.transitions(), strict=True):
             control = np.zeros((1, (end - begin) * self.steps, model.nu))
-            control[0, :, : commands.shape[2]] = commands[begin:end].reshape(-1, commands.shape[2])
+            given = control[..., : commands.shape[2]]
+            given[:] = commands[begin:end].reshape(given.shape)
             start = np.concatenate([[0.0], true[first]])[None]
             after = self._rollout(model, start, control, mujoco.mjtState.mjSTATE_CTRL)
             ends = _finite(after[0, self.steps - 1 :: self.steps, 1:])

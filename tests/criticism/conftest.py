@@ -8,6 +8,7 @@ import pytest
 from adr_service.blind_test.planting import draw_case, hide
 from adr_service.criticism.evidence import fit, refine, smoothed
 from adr_service.criticism.extension import extend
+from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.simulator import Simulator
@@ -23,6 +24,21 @@ from tests.hidden import arm, recorded
 def good():
     """The arrays of a measurement of an arm with nothing wrong."""
     return recorded(draw_case(*arm(), np.random.default_rng(1), 0.3, count=0).measurement)
+
+
+@pytest.fixture(scope="session")
+def swinging():
+    """A pendulum without actuators, and ten rows of one episode of it."""
+    body = '<body><joint axis="0 1 0"/><geom size="0.1" pos="0.5 0 0"/></body>'
+    xml = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
+    data = Measurement(
+        time=0.02 * np.arange(10),
+        qpos=np.linspace(0, 1, 10)[:, None],
+        qvel=np.ones((10, 1)),
+        ctrl=np.empty((10, 0)),
+        episode=np.zeros(10, dtype=int),
+    )
+    return Nominal.of_model(xml, ParameterSpace(())), data
 
 
 @pytest.fixture(scope="session")

@@ -10,11 +10,13 @@ from adr_service.blind_test.planting import hide
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.next_recording import (
     _summed,
+    check_limits,
     next_recording,
     recorded_limits,
 )
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.plans import read_plan
+from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.errors import InvalidInput
 from adr_service.npz import read_arrays
@@ -151,6 +153,14 @@ def test_a_plan_says_what_it_could_show_that_the_recording_cannot():
 def test_wrong_limits_are_refused(tied, limits):
     with pytest.raises(InvalidInput, match="must be 2 pairs of numbers, the lower first"):
         next_recording(tied[2], limits, np.random.default_rng(0))
+
+
+def test_a_model_without_actuators_has_no_plan(swinging):
+    with (
+        Simulator(*swinging, threads=1) as simulator,
+        pytest.raises(InvalidInput, match="no actuators, so that a plan has nothing to command"),
+    ):
+        check_limits(recorded_limits(simulator), simulator)
 
 
 def test_a_difference_that_refitting_can_absorb_is_no_evidence():

@@ -59,6 +59,19 @@ def test_whole_episodes_are_followed_as_step_after_step(good):
         np.testing.assert_allclose(whole[begin : begin + 4], states[begin : begin + 4], rtol=1e-9)
 
 
+def test_a_model_without_actuators_is_followed_as_step_after_step(swinging):
+    nominal, data = swinging
+    with Simulator(nominal, data, threads=1) as simulator:
+        states = simulator.measured.copy()
+        for _ in range(3):
+            ends = simulator.predict(nominal.start, (), states)
+            states[simulator.starts + 1] = ends
+            states[0] = simulator.measured[0]
+        np.testing.assert_allclose(
+            simulator.follow(nominal.start, ())[:4], states[:4], rtol=1e-12, atol=1e-15
+        )
+
+
 def test_predictions_are_equal_at_any_number_of_threads(good):
     nominal, data = arm()[1], Measurement(**good)
     effects = [Effect("joint_spring", "joint:elbow", (2.0,))]
