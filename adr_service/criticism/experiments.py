@@ -74,7 +74,8 @@ def _trials(simulator: Simulator) -> list[_Trial]:
 
 def _motions(simulator: Simulator) -> Iterator[tuple[Matrix, str]]:
     """Commands (_STEPS, nu) within those recorded, and their description."""
-    low, high = simulator.data.ctrl.min(axis=0), simulator.data.ctrl.max(axis=0)
+    recorded = simulator.data.ctrl[simulator.starts]
+    low, high = recorded.min(axis=0), recorded.max(axis=0)
     phase = 2 * np.pi * np.arange(_STEPS) / _STEPS
     rest = np.clip(np.zeros_like(low), low, high)
     for actuator in range(len(low)):

@@ -148,7 +148,7 @@ class Simulator:
 
     def largest_command(self, actuator: int) -> float:
         """Largest recorded command to an actuator, in its unit; one if it was never moved."""
-        return float(np.abs(self.data.ctrl[:, actuator]).max()) or 1.0
+        return float(np.abs(self.data.ctrl[self.starts, actuator]).max()) or 1.0
 
     def commands(self, effects: Sequence[Effect], steps: int) -> Array3:
         """(N, steps, nu) what the actuators obey in each of so many steps between two rows."""
