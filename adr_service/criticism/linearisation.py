@@ -194,7 +194,8 @@ def _folded(
         )
     folded[~mask] = 0.0
     measured = simulator.data.is_measured()
-    chain = Chain(mask, folded[..., 1 : m + 1], layout.fold(stiff), measured)
+    exact = (_TINY**2 * spread(simulator)) ** 2  # differences reach _TINY: an error of second order
+    chain = Chain(mask, folded[..., 1 : m + 1], layout.fold(stiff), measured, exact)
     return with_priors(chain, folded[..., 0], folded[..., m + 1 :], parameters)
 
 

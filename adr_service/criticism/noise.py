@@ -59,6 +59,7 @@ class Chain:
     transition: np.ndarray  # (E, T, m, m) F, zero where there is none
     stiff: Mask  # (E, T) whether a contact or a limit acts
     measured: Mask  # (m,) true for sensors that have readings
+    exact: Vector  # (m,) variance below which residuals are errors of computing them
     memory: Memory | None = None  # None: each transition's misfit is its own
 
     def where(self, mask: Mask) -> "Chain":
@@ -90,6 +91,7 @@ class Chain:
             self.transition[which],
             self.stiff[which],
             self.measured,
+            self.exact,
             memory and replace(memory, linked=memory.linked[which], earlier=memory.earlier[which]),
         )
 
@@ -250,7 +252,7 @@ class Ascent:
         moment = spread + spread**2 * (adjoint**2 - expected)  # E[w²] given the residuals
         energy = np.sum(moment / (spread * noise.weights[..., None]), axis=2)
         weights = np.where(mask, (DEGREES + m) / (DEGREES + energy), 1.0)
-        floor = _LEAST * np.maximum(np.mean(residual[mask] ** 2, axis=0), 1e-30)
+        floor = np.maximum(_LEAST * np.mean(residual[mask] ** 2, axis=0), chain.exact)
         bend = rows.T @ rows / 2
         return cls(noise, gradient, bend, weights, regimes, floor, chain.measured)
 
@@ -327,7 +329,7 @@ def _least_misfit(sensor: Vector, floor: Vector, measured: Mask) -> Vector:
 def _typical_variance(chain: Chain, residual: Array3) -> Vector:
     """(m,) robust variance of the residuals."""
     spread = 1.4826 * np.median(np.abs(residual[chain.mask]), axis=0)
-    return np.maximum(spread**2, 1e-24)
+    return np.maximum(spread**2, chain.exact)
 
 
 def misfit_variance(chain: Chain, noise: Noise) -> Array3:

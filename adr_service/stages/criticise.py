@@ -47,8 +47,9 @@ class Criticise(Stage[Criticised]):
     # inferred velocities have a unit of their own, lines to change in one's MJCF, null for noise of
     # sensors that are not there, 7: errors over steps of measured columns alone, the report has
     # data, seed, versions and refined evidence, 8: units of free parameters, and changes of the
-    # file without the attributes that MuJoCo's writer adds
-    version: ClassVar = 8
+    # file without the attributes that MuJoCo's writer adds, 9: data without noise, ranges of
+    # commands without those that nobody obeys, and unmeasured columns that hold a constant
+    version: ClassVar = 9
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 

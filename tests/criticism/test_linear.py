@@ -24,7 +24,7 @@ def linear():
     rng = np.random.default_rng(0)
     mask = np.ones((EPISODES, STEPS), dtype=bool)
     still = np.zeros((EPISODES, STEPS, WIDTH, WIDTH))
-    chain = Chain(mask, still, ~mask, np.ones(WIDTH, bool))
+    chain = Chain(mask, still, ~mask, np.ones(WIDTH, bool), np.zeros(WIDTH))
     columns = rng.standard_normal((EPISODES, STEPS, WIDTH, COLUMNS))
     noise = rng.standard_normal((EPISODES, STEPS, WIDTH))
     residual = columns @ np.array([1.0, -2.0, 0.5]) + noise
@@ -121,7 +121,7 @@ def pushed(share):
         force[:, k] = share * before + np.sqrt(1 - share**2) * rng.standard_normal(30)
         if k > 0:
             state[:, k] = 0.8 * state[:, k - 1] + force[:, k - 1]
-    chain = Chain(mask, still, ~mask, np.ones(1, bool))
+    chain = Chain(mask, still, ~mask, np.ones(1, bool), np.zeros(1))
     columns = state[..., None, None]
     return Linear(chain, force[..., None], columns, np.zeros(1), np.zeros(1))
 

@@ -9,6 +9,7 @@ from adr_service.criticism.linear import Linear, estimate
 from adr_service.criticism.noise import Ascent, Chain, Noise, Whitener, at_start, lifted
 
 EPISODES, STEPS, WIDTH = 20, 30, 2
+EXACT = np.full(WIDTH, 1e-24)
 
 
 def drawn(sensor, misfit, rng):
@@ -22,7 +23,7 @@ def drawn(sensor, misfit, rng):
     wrong = np.sqrt(misfit)[stiff.astype(int)] * rng.standard_normal((EPISODES, STEPS, WIDTH))
     passed = (transition @ errors[:, :-1, :, None])[..., 0]
     residual = np.where(mask[..., None], errors[:, 1:] - passed + wrong, 0.0)
-    return Chain(mask, transition, stiff, np.ones(transition.shape[2], bool)), residual, errors
+    return Chain(mask, transition, stiff, np.ones(WIDTH, bool), EXACT), residual, errors
 
 
 def dense(chain, noise, episode, share=0.0):
@@ -194,7 +195,7 @@ def test_the_inverse_of_a_long_episode_is_exact_with_memory():
     count = 150
     mask = np.ones((1, count), dtype=bool)
     turned = np.broadcast_to([[1.0, 0.01], [-0.2, 0.99]], (1, count, WIDTH, WIDTH))
-    chain = Chain(mask, turned, ~mask, np.ones(WIDTH, bool)).remembering(0.8)
+    chain = Chain(mask, turned, ~mask, np.ones(WIDTH, bool), EXACT).remembering(0.8)
     noise = Noise(np.array([1e-8, 4e-6]), np.full((2, WIDTH), 1e-10), np.ones(mask.shape))
     whitener = Whitener.of(chain, noise)
     unit = np.eye(count * WIDTH).reshape(1, count, WIDTH, -1)

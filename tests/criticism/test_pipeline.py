@@ -1,17 +1,59 @@
 """From a measurement to a verdict: planted effects are named, and nothing else is."""
 
+import mujoco
 import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import draw_case, hide
 from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise, split
 from adr_service.effects.base import Effect
 from adr_service.errors import InvalidInput
+from adr_service.parameters import ParameterSpace
 from tests.hidden import arm, recorded
 
 # frozen before any threshold was chosen: the seeds of a battery on the small task
 BATTERY = range(100, 106)
+
+
+LINK = """
+<mujoco>
+  <worldbody>
+    <body>
+      <joint name="shoulder" axis="0 1 0" damping="0.1" stiffness="0"/>
+      <geom type="capsule" fromto="0 0 0 0.5 0 0" size="0.03" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="motor" joint="shoulder" gear="5"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def swings(stiffness, noise):
+    """Arrays of a link with a spring [N m/rad], and noise of its position [rad] and, ten times as
+    much, of its velocity."""
+    model = mujoco.MjModel.from_xml_string(LINK)
+    model.jnt_stiffness[0] = stiffness
+    data, rng, rows = mujoco.MjData(model), np.random.default_rng(0), []
+    for episode in range(12):
+        mujoco.mj_resetData(model, data)
+        data.qpos[0] = rng.uniform(-1, 1)
+        for _ in range(75):
+            data.ctrl[0] = rng.uniform(-1, 1)
+            q, v = (data.qpos[0], data.qvel[0]) + noise * np.array([1, 10]) * rng.normal(size=2)
+            rows.append((episode, data.time, q, v, data.ctrl[0]))
+            mujoco.mj_step(model, data, nstep=5)
+    episode, time, qpos, qvel, ctrl = (column[:, None] for column in np.array(rows).T)
+    ids = episode[:, 0].astype(int)
+    return {"time": time[:, 0], "qpos": qpos, "qvel": qvel, "ctrl": ctrl, "episode": ids}
+
+
+def verdict_on(arrays):
+    nominal = Nominal.of_model(LINK, ParameterSpace(()))
+    return criticise(nominal, Measurement(**arrays), np.random.default_rng(0), threads=1).verdict
 
 
 def case(seed, ratio=0.3, **how):
@@ -44,6 +86,10 @@ def test_where_nothing_is_hidden_the_verdict_has_only_detection_limits(seed):
     assert (0 < size < 0.1, unit) == (True, "N m")  # of a motor of 12
     # the parameters were off by up to 10 %, and are found
     np.testing.assert_allclose(found.final.parameters, hidden.truth, rtol=0.01)
+
+
+def test_where_data_have_no_noise_errors_of_computing_them_are_no_evidence():
+    assert verdict_on(swings(stiffness=0.0, noise=0.0)).conclusion == "none"
 
 
 @pytest.mark.parametrize(
