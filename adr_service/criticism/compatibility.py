@@ -13,10 +13,10 @@ _MOST_NUMBERS = 2e8  # of one array of a criticism: 1.6 GB
 
 def check_measurement(nominal: Nominal, data: Measurement) -> None:
     """Raises InvalidInput if the data are too few, or do not belong to the simulator."""
-    data.check_usable()
-    data.check_velocities()
     model = nominal.model(nominal.start)
     check_columns(model, data)
+    data.check_usable()
+    data.check_velocities()
     check_size(model, data)
 
 

@@ -175,6 +175,32 @@ class Measurement:
         known = [np.zeros(v.shape[1]) if std is None else std for v, std in stds]
         return ~np.isinf(np.concatenate(known))
 
+    def completed(self) -> "Measurement":
+        """The measurement with unmeasured columns inferred, where they hold a constant.
+
+        For a model with as many positions as velocities. Unmeasured columns that change stay: their
+        file has inferred them already.
+        """
+        positions, velocities = np.split(~self.is_measured(), 2)
+        positions &= np.ptp(self.qpos, axis=0) == 0
+        velocities &= np.ptp(self.qvel, axis=0) == 0
+        return self.inferring(positions, velocities, self.period())
+
+    def inferring(self, positions: Mask, velocities: Mask, period: float) -> "Measurement":
+        """The measurement with these velocities as the rates of their positions, and these
+        positions, from each episode's first on, as the integrals of their velocities.
+
+        `positions`, `velocities`: masks (nv,); `period` [s] between rows.
+        """
+        qpos, qvel = self.qpos.copy(), self.qvel.copy()
+        for first, last in self.spans():
+            qvel[first:last, velocities] = np.gradient(qpos[first:last, velocities], period, axis=0)
+            moved = period * (qvel[first : last - 1] + qvel[first + 1 : last]) / 2
+            qpos[first + 1 : last, positions] = qpos[first, positions] + np.cumsum(
+                moved[:, positions], axis=0
+            )
+        return replace(self, qpos=qpos, qvel=qvel)
+
     def check_usable(self) -> None:
         """Raises InvalidInput for too few data to separate effects from noise, and for a stuck
         sensor."""
@@ -193,10 +219,16 @@ class Measurement:
                 _check_moves(name, values)
 
     def check_velocities(self) -> None:
-        """Raises InvalidInput unless velocities are the rates of the positions, by joint."""
+        """Raises InvalidInput unless velocities are the rates of the positions, by joint, and one
+        of the two is measured."""
         inside = np.flatnonzero(np.diff(self.episode) == 0)
         measured, nv = self.is_measured(), self.qvel.shape[1]
         for column in range(nv):
+            if not (measured[column] or measured[nv + column]):
+                raise InvalidInput(
+                    f"column {column} is measured neither in qpos nor in qvel: both have an "
+                    "infinite standard deviation; needed is one of the two for each joint"
+                )
             if not (measured[column] and measured[nv + column]):
                 continue
             moved = self.qpos[inside + 1, column] - self.qpos[inside, column]

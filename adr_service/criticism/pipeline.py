@@ -100,6 +100,7 @@ def criticise(
     """
     started = time.perf_counter()
     check_measurement(nominal, data)
+    data = data.completed()
     learned, sealed = split(data)
     with ExitStack() as simulators:
         simulators.enter_context(threadpool_limits(1))

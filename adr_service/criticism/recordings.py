@@ -55,14 +55,8 @@ def as_measurement(task: Task, data: TransitionDataset) -> Measurement:
     check_recorded(task, data)
     measurement = measurement_of(task, data)
     position, velocity = np.split(is_measured(task), 2)
-    qpos, qvel = measurement.qpos.copy(), measurement.qvel.copy()
-    for first, last in measurement.spans():
-        qvel[first:last, ~velocity] = np.gradient(qpos[first:last, ~velocity], data.dt, axis=0)
-        qpos[first:last, ~position] = _integral(qvel[first:last, ~position], data.dt)
     return replace(
-        measurement,
-        qpos=qpos,
-        qvel=qvel,
+        measurement.inferring(~position, ~velocity, data.dt),
         qpos_std=_deviations(position),
         qvel_std=_deviations(velocity),
     )
@@ -152,12 +146,6 @@ def _named(model: mujoco.MjModel, chosen: Mask) -> str:
 
 def _readings(episode: TransitionDataset) -> Matrix:
     return np.concatenate([episode.observations, episode.next_observations[-1:]])
-
-
-def _integral(velocities: Matrix, period: float) -> Matrix:
-    """Positions (N, nv), from 0, at these velocities."""
-    moved = period * (velocities[:-1] + velocities[1:]) / 2
-    return np.cumsum(np.pad(moved, ((1, 0), (0, 0))), axis=0)
 
 
 def _deviations(is_shown: Mask) -> Vector | None:

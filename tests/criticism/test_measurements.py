@@ -81,6 +81,37 @@ def test_an_unmeasured_column_has_its_variance_over_the_recording(good):
     assert measurement.sensor_variance()[0] == pytest.approx(expected, rel=1e-12)
 
 
+def test_constants_in_unmeasured_columns_give_way_to_what_the_other_column_implies(good):
+    """A derivative in place of a velocity, and an integral in place of a position."""
+    qpos, qvel, period = good["qpos"].copy(), good["qvel"].copy(), 0.02
+    qpos[:, 0], qvel[:, 1] = 0.3, 0.0
+    known = {"qpos_std": [np.inf, 0.01], "qvel_std": [0.01, np.inf]}
+    completed = Measurement(**{**good, "qpos": qpos, "qvel": qvel}, **known).completed()
+    for first, last in completed.spans():
+        rows = slice(first, last)
+        steps = period * (qvel[first : last - 1, 0] + qvel[first + 1 : last, 0]) / 2
+        np.testing.assert_allclose(np.diff(completed.qpos[rows, 0]), steps, atol=1e-12)
+        assert completed.qpos[first, 0] == 0.3
+        rates = np.gradient(qpos[rows, 1], period)
+        np.testing.assert_allclose(completed.qvel[rows, 1], rates, atol=1e-9)
+    np.testing.assert_array_equal(completed.qpos[:, 1], qpos[:, 1])
+    np.testing.assert_array_equal(completed.qvel[:, 0], qvel[:, 0])
+
+
+def test_unmeasured_columns_that_change_are_kept(good):
+    measurement = Measurement(**good, qpos_std=[np.inf, 0.1], qvel_std=[0.1, np.inf])
+    completed = measurement.completed()
+    np.testing.assert_array_equal(completed.qpos, measurement.qpos)
+    np.testing.assert_array_equal(completed.qvel, measurement.qvel)
+
+
+def test_a_joint_of_which_nothing_is_measured_is_refused(good):
+    unread = [0.1, np.inf]
+    measurement = Measurement(**good, qpos_std=unread, qvel_std=unread)
+    with pytest.raises(InvalidInput, match="column 1 is measured neither in qpos nor in qvel"):
+        measurement.check_velocities()
+
+
 def test_chosen_episodes_keep_their_order_and_rows(good):
     measurement = Measurement(**good)
     first, last = measurement.spans()[5]

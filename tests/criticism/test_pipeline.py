@@ -88,6 +88,13 @@ def test_where_nothing_is_hidden_the_verdict_has_only_detection_limits(seed):
     np.testing.assert_allclose(found.final.parameters, hidden.truth, rtol=0.01)
 
 
+def test_velocities_that_nobody_measured_may_be_zeros():
+    spring = swings(stiffness=1.5, noise=1e-4)
+    spring["qvel"][:] = 0.0
+    verdict = verdict_on({**spring, "qvel_std": np.inf})
+    assert [cause.kind for cause in verdict.causes] == ["joint_spring"]
+
+
 def test_where_data_have_no_noise_errors_of_computing_them_are_no_evidence():
     assert verdict_on(swings(stiffness=0.0, noise=0.0)).conclusion == "none"
 
