@@ -5,10 +5,11 @@ import mujoco
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.effects.base import is_added
+from adr_service.effects.catalogue import MECHANISMS
 from adr_service.errors import InvalidInput
 
 _MOST_STEPS = 500  # of the simulator between two rows
-_MOST_NUMBERS = 2e8  # of one array of a criticism: 1.6 GB
+_MOST_NUMBERS = 5e8  # that are kept at a time: 4 GB
 
 
 def check_measurement(nominal: Nominal, data: Measurement) -> None:
@@ -17,20 +18,32 @@ def check_measurement(nominal: Nominal, data: Measurement) -> None:
     check_columns(model, data)
     data.check_usable()
     data.check_velocities()
-    check_size(model, data)
+    check_size(model, data, 2 * model.nv * _tried_strengths(model))
 
 
-def check_size(model: mujoco.MjModel, data: Measurement) -> None:
-    """Raises InvalidInput if the data would take too much memory."""
+def check_size(model: mujoco.MjModel, data: Measurement, kept: int) -> None:
+    """Raises InvalidInput if the data would take too much memory.
+
+    `kept`: how many numbers are kept of each transition; episodes are padded to the longest.
+    """
     steps = steps_between(data.period(), model.opt.timestep)
     lengths = [last - first for first, last in data.spans()]
-    needed = max(len(lengths) * max(lengths) * model.nv, len(data.time) * steps) * model.nv
+    needed = max(len(lengths) * max(lengths) * kept, len(data.time) * steps * 2 * model.nv)
     if needed > _MOST_NUMBERS:
         raise InvalidInput(
             f"{len(lengths)} episodes, the longest of {max(lengths)} rows, with {steps} steps of "
             f"the model between rows, would take {needed:.2g} numbers at a time; accepted are "
             f"{_MOST_NUMBERS:.2g} (give fewer rows, in episodes of about the same length)"
         )
+
+
+def _tried_strengths(model: mujoco.MjModel) -> int:
+    """Number of strengths whose responses a scan keeps: of all effects, at all places and sizes."""
+    return sum(
+        len(mechanism.locations(model)) * len(mechanism.sizes) * len(mechanism.strengths)
+        for mechanism in MECHANISMS.values()
+        if not mechanism.only_spreads
+    )
 
 
 def check_state(model: mujoco.MjModel) -> None:

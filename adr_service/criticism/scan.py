@@ -100,9 +100,8 @@ class Scan:
         """`tried`: all effects, at all sizes where their responses may differ."""
         self._base, self._without = fit.simulator.base, fit.held_out
         self.own = list(range(fit.linear.columns.shape[3]))
-        mask = fit.linear.chain.mask[..., None, None]  # an earlier fit may have simulated more
-        known = ((effect, np.where(mask, responses.of(effect), 0.0)) for effect in tried)
-        finite = {effect: response for effect, response in known if np.isfinite(response).all()}
+        mask, known = fit.linear.chain.mask, {effect: responses.of(effect) for effect in tried}
+        finite = {effect: each for effect, each in known.items() if np.isfinite(each[mask]).all()}
         ends = len(self.own) + np.cumsum([len(effect.values) for effect in finite])
         self.columns = {
             effect: list(range(end - len(effect.values), end))
@@ -180,6 +179,7 @@ def _beside(fit: Fit, responses: Sequence[np.ndarray], precision: Vector) -> Nor
         which = slice(first, first + step)
         columns = np.concatenate([linear.columns[which], *(r[which] for r in responses)], axis=3)
         part = whitener.of_episodes(which)
+        columns[~part.chain.mask] = 0.0  # responses may be those of an earlier fit that has more
         some = Linear(part.chain, linear.residual[which], columns, mean, precision)
         parts.append(Normal.of(part, some))
     return Normal.joined(parts)

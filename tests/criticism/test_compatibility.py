@@ -62,19 +62,29 @@ def test_a_model_that_cannot_be_criticised_is_refused(good, xml, message):
         Simulator(Nominal.of_model(xml, ParameterSpace(())), Measurement(**good))
 
 
-def test_more_than_memory_holds_is_refused():
-    """One long episode among many short ones: all are padded to the longest."""
-    short, long = 4000, 60_000
+def one_long(short, long):
+    """A measurement of an arm with episodes of two rows, and one of `long` rows."""
     rows = 2 * short + long
-    measurement = Measurement(
+    return Measurement(
         time=np.arange(rows) * 0.02,
         qpos=np.random.default_rng(0).standard_normal((rows, 2)),
         qvel=np.random.default_rng(1).standard_normal((rows, 2)),
         ctrl=np.zeros((rows, 2)),
         episode=np.append(np.repeat(np.arange(short), 2), np.full(long, short)),
     )
+
+
+def test_more_than_memory_holds_is_refused():
+    """One long episode among many short ones: all are padded to the longest."""
     with pytest.raises(InvalidInput, match="4001 episodes, the longest of 60000 rows"):
-        check_measurement(arm()[1], measurement)
+        check_measurement(arm()[1], one_long(4000, 60_000))
+
+
+def test_the_responses_to_all_effects_must_fit_in_memory():
+    """105 strengths to try and 4 numbers of a state: 4 GB at 1.2 million transitions, padded."""
+    check_measurement(arm()[1], one_long(499, 2000))
+    with pytest.raises(InvalidInput, match=r"would take 5.5e\+08 numbers .* are 5e\+08"):
+        check_measurement(arm()[1], one_long(649, 2000))
 
 
 def test_steps_between_rows_are_a_whole_number():
