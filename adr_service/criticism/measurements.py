@@ -18,13 +18,14 @@ import numpy as np
 from adr_service.arrays import Array3, Indices, Mask, Matrix, Vector, frozen, spans
 from adr_service.errors import InvalidInput
 from adr_service.npz import names_in, read_arrays, write_arrays
-from adr_service.transitions import MOST_EPISODES
+from adr_service.transitions import MOST_COLUMNS, MOST_EPISODES
 
 _NEEDED = ("time", "qpos", "qvel", "ctrl", "episode")
 _OPTIONAL = ("qpos_std", "qvel_std", "ctrl_within")
 _SAME = 1e-6  # of the largest command: how near the mean of its parts a row's command must be
 _ALIKE, _OFF = 0.5, 1.5  # correlation of positions' changes and velocities; their ratio
 _STUCK = 0.2  # of all rows, with the very same extreme value
+_LATEST = 1e12  # seconds
 _LEAST_EPISODES, _LEAST_TRANSITIONS = 8, 200
 
 
@@ -45,10 +46,11 @@ class Measurement:
     origin: Indices | None = None  # (N,) rows of the recording that this is a part of; None: whole
 
     def __post_init__(self) -> None:
+        rows = np.size(self.time)
         for name, dimensions in (("time", 1), ("qpos", 2), ("qvel", 2), ("ctrl", 2)):
             values = frozen(getattr(self, name))
             object.__setattr__(self, name, values)
-            _check_array(name, values, len(self.time), dimensions)
+            _check_array(name, values, rows, dimensions)
         episode = np.array(self.episode)
         _check_episodes(episode, self.time)
         object.__setattr__(self, "episode", episode.astype(np.int64))
@@ -268,10 +270,11 @@ class Measurement:
 
 
 def _check_array(name: str, values: Matrix, rows: int, dimensions: int) -> None:
-    if values.ndim != dimensions or len(values) != rows:
+    if values.ndim != dimensions or len(values) != rows or values[:1].size > MOST_COLUMNS:
         raise InvalidInput(
             f"{name} has shape {values.shape}; expected are {rows} rows, as many as `time`"
-            f" has, in {dimensions} dimension{'s' * (dimensions > 1)}"
+            f" has, in {dimensions} dimension{'s' * (dimensions > 1)}, and at most {MOST_COLUMNS} "
+            "columns"
         )
     if not np.all(np.isfinite(values)):
         where = np.argwhere(~np.isfinite(values))[0].tolist()
@@ -343,6 +346,8 @@ def _check_episodes(episode: Indices, time: Vector) -> None:
         raise InvalidInput(f"episode numbers must not decrease; they do at row {back[0] + 1}")
     if not rows:
         raise InvalidInput("the measurement has no rows")
+    if (longest := np.abs(time).max()) > _LATEST:
+        raise InvalidInput(f"time is in seconds, up to {_LATEST:g}; given up to {longest:g}")
     late = (np.diff(time) <= 0) & (np.diff(episode) == 0)
     if late.any():
         row = int(np.flatnonzero(late)[0])

@@ -22,6 +22,9 @@ from adr_service.errors import InvalidInput
             "time must increase within an episode; it goes from 0.12 to 0.04 s at row 7",
         ),
         ("time", np.zeros_like, "time must increase"),
+        ("time", lambda a: a[0], r"time has shape \(\); expected are 1 rows"),
+        ("time", lambda a: 1e300 * a, "time is in seconds, up to 1e.12; given up to"),
+        ("ctrl", lambda a: np.zeros((len(a), 1001)), "at most 1000 columns"),
     ],
 )
 def test_arrays_that_do_not_fit_are_refused_with_the_row(good, name, change, message):
