@@ -15,6 +15,7 @@ from botorch.acquisition import LogExpectedImprovement
 from botorch.fit import fit_gpytorch_mll
 from botorch.models import SingleTaskGP
 from botorch.models.transforms import Standardize
+from botorch.models.utils.gpytorch_modules import get_gaussian_likelihood_with_gamma_prior
 from botorch.optim import optimize_acqf
 from gpytorch.kernels import MaternKernel, ScaleKernel
 from gpytorch.mlls import ExactMarginalLogLikelihood
@@ -32,13 +33,17 @@ class Surrogate:
         x = torch.tensor(points, dtype=torch.float64)
         y = torch.tensor(values, dtype=torch.float64)[:, None]
         kernel = ScaleKernel(
-            # the priors that BoTorch had with this kernel when BayRn was published; not the noise's
+            # the priors that BoTorch had when BayRn was published, and that of the noise below
             MaternKernel(nu=2.5, ard_num_dims=self._d, lengthscale_prior=GammaPrior(3.0, 6.0)),
             outputscale_prior=GammaPrior(2.0, 0.15),
         )
         with seeded(rng):
             self._model = SingleTaskGP(
-                x, y, covar_module=kernel, outcome_transform=Standardize(m=1)
+                x,
+                y,
+                likelihood=get_gaussian_likelihood_with_gamma_prior(),
+                covar_module=kernel,
+                outcome_transform=Standardize(m=1),
             )
             fit_gpytorch_mll(ExactMarginalLogLikelihood(self._model.likelihood, self._model))
         self._best = float(y.max())

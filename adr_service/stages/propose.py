@@ -31,7 +31,7 @@ class Propose(Stage[Proposed]):
     """One proposal of a method that learns from returns."""
 
     kind: ClassVar = "propose"
-    version: ClassVar = 1
+    version: ClassVar = 2  # 2: BayRn's noise has the prior of 2021
     role: ClassVar[Role] = "inference"
     result: ClassVar = Proposed
 
