@@ -13,7 +13,7 @@ from pydantic import Field, TypeAdapter
 
 from adr_service.json_values import Wire
 
-MOST_RETURN = 1e12  # of an episode, and least
+MOST_RETURN = 1e12  # bound on an episode's return, of either sign
 
 
 class RunState(StrEnum):
@@ -67,7 +67,7 @@ class TrainingEvaluated(Wire):
 
 
 # Undiscounted; the bound keeps means and spreads of what strangers send finite.
-EpisodeReturn = Annotated[float, Field(ge=-MOST_RETURN, le=MOST_RETURN)]
+BoundedReturn = Annotated[float, Field(ge=-MOST_RETURN, le=MOST_RETURN)]
 
 
 class IterationFinished(Wire):
@@ -89,7 +89,7 @@ class IterationFinished(Wire):
     training_steps: list[int]
     inference_steps: int  # simulated control steps of the inference
     inferences: list[str] = Field([], description="digests of the stages")
-    returns: list[Annotated[list[EpisodeReturn], Field(min_length=1)]]
+    returns: list[Annotated[list[BoundedReturn], Field(min_length=1)]]
     diverged_episodes: int = 0  # of those, simulations that stopped being finite
     diagnostics: dict[str, Any]
 

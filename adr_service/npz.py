@@ -5,6 +5,7 @@ arrays = read_arrays(content, ["time", "qpos"])     # InvalidInput says what is 
 
 import io
 import math
+import tokenize
 import zipfile
 from collections.abc import Mapping, Sequence
 
@@ -21,7 +22,8 @@ _MOST_TEXTS = 10_000
 _WIDEST = 8  # bytes of a number
 _LONGEST_LIST = 100_000  # bytes of the zip's list of members
 _LONGEST_HEADER = 20_000  # bytes of an array; NumPy reads 10,000 of those that say more
-_BAD_HEADER = (IndexError, KeyError, TypeError, MemoryError)  # by NumPy, beside its ValueError
+# by NumPy, beside its ValueError
+_BAD_HEADER = (IndexError, KeyError, TypeError, MemoryError, SyntaxError, tokenize.TokenError)
 _KINDS = "biufU"  # booleans, integers, floats, texts; never objects
 
 

@@ -21,12 +21,13 @@ _OF_CPU = ("model name", "cpu family", "model")  # a name alone may stand for se
 def provenance() -> dict[str, str]:
     """Return versions by package, and Python's, and the type of the CPU."""
     found = importlib.metadata.distributions()
-    installed = {each.name.replace("_", "-"): each.version for each in found}  # stable_baselines3
+    # stable_baselines3 is installed by another name, and a broken package has none
+    installed = {(each.name or "").replace("_", "-"): each.version for each in found}
     versions = {name: installed[name] for name in _PACKAGES if name in installed}
     return {"python": platform.python_version(), "cpu": _cpu_type(), **versions}
 
 
-def is_same_machine(stored: Mapping[str, str], here: Mapping[str, str]) -> bool:
+def has_same_provenance(stored: Mapping[str, str], here: Mapping[str, str]) -> bool:
     """True if a result's provenance is that of this process, in all that was noted with it.
 
     Older results note fewer packages.

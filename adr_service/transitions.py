@@ -203,7 +203,7 @@ class TransitionDataset:
             episodes=np.concatenate(episodes),
             dt=parts[0].dt,
             columns=parts[0].columns,
-            origin="; ".join(dict.fromkeys(p.origin for p in parts)),
+            origin=_cut("; ".join(dict.fromkeys(p.origin for p in parts))),
         )
 
     def _rows(self, rows: slice) -> "TransitionDataset":
@@ -226,6 +226,13 @@ def dataset_id(content: bytes) -> str:
 def unnamed(width: int) -> np.ndarray:
     """The column names of data without names, (width,)."""
     return np.array([f"observation_{i}" for i in range(width)], dtype=str)
+
+
+def _cut(origin: str) -> str:
+    """An origin that can be read back."""
+    end = " …"
+    is_short = len(origin) <= _LONGEST_ORIGIN
+    return origin if is_short else origin[: _LONGEST_ORIGIN - len(end)] + end
 
 
 def _finite_matrix(name: str, values: np.ndarray) -> Matrix:

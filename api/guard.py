@@ -158,7 +158,7 @@ def _from_elsewhere(headers: Headers, method: str) -> Response | None:
 
 
 def _strange_charset(headers: Headers) -> Response | None:
-    """Refuse forms in a charset of their own: to decode some takes minutes (punycode)."""
+    """Refuse bodies in another charset: to decode a form in punycode takes minutes."""
     given = headers.get("content-type", "")
     charset = parse_options_header(given)[1].get(b"charset", b"utf-8")
     if charset.lower() in (b"utf-8", b"utf8"):

@@ -48,9 +48,8 @@ class ResultsView(BaseModel):
     rows: list[dict[str, Any]]
     aggregates: list[dict[str, Any]]  # methods over all tasks and variants that all of them have
     comparisons: list[dict[str, Any]]  # differences and probabilities of improvement, by pair
-    not_compared: list[
-        str
-    ]  # methods with too few seeds for that, and where: "bayrn (hopper noisy)"
+    # methods of which too few seeds have come so far, and where: "bayrn (hopper noisy)"
+    not_compared: list[str]
     estimates: list[dict[str, Any]]  # by parameter, of methods that infer
     costs: list[dict[str, Any]]  # of the inferences
 

@@ -43,7 +43,7 @@ from db.staging import Staged
 
 _RUN_ID, _BENCHMARK_ID = re.compile(r"run_[0-9a-f]{16}"), re.compile(r"bench_[0-9a-f]{16}")
 _Lifecycle = RunQueued | RunStarted | RunSucceeded | RunFailed | RunStopped
-_LONGEST_EVENTS = 20_000_000  # characters of a run's events, which are read at once
+_LONGEST_EVENTS = 50_000_000  # characters of a run's events, which are read at once
 _DERIVED = ("benchmark_id", "dataset_id", "task", "variant", "method", "seed")  # from the spec
 
 
@@ -97,7 +97,7 @@ def _replay(session: Session, run_id: str, spec: RunSpec, benchmark_id: str) -> 
     events = _events(session, run_id)
     lifecycle = [event for event in events if isinstance(event, _Lifecycle)]
     is_its_own = _facts(row) == _expected(spec, benchmark_id, lifecycle)
-    if not _RUN_ID.fullmatch(run_id) or not is_its_own or not _is_a_life(lifecycle):
+    if not _RUN_ID.fullmatch(run_id) or not is_its_own or not _is_in_order(lifecycle):
         raise InvalidInput(f"the row of run {run_id} in the archive contradicts its spec or events")
     replay = replay_run(run_id, spec, lambda digest: find_result(session, digest))
     science = {event.key: event for event in events if not isinstance(event, _Lifecycle)}
@@ -133,7 +133,7 @@ def _events(session: Session, run_id: str) -> list[RunEvent]:
     return events
 
 
-def _is_a_life(lifecycle: Sequence[_Lifecycle]) -> bool:
+def _is_in_order(lifecycle: Sequence[_Lifecycle]) -> bool:
     """True if each event is of the submission that was queued last."""
     submission = 0
     for event in lifecycle:

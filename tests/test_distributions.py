@@ -118,6 +118,13 @@ def test_a_singular_gaussian_has_a_density_on_the_line_of_its_draws_alone():
     assert off == -np.inf
 
 
+def test_what_rounding_leaves_of_a_singular_direction_does_not_count():
+    along = np.array([[0.8], [0.6]])
+    belief = Gaussian(SPACE, np.array([2.0, 2.0]), along @ along.T + 1e-17 * np.eye(2))
+    on = belief.log_prob(SPACE.denormalise(np.array([[2.4, 2.3]])))
+    assert on == pytest.approx(stats.norm.logpdf(0.5) - np.log((SPACE.high - SPACE.low) / 4).sum())
+
+
 def test_bounds_in_the_wrong_order_are_refused():
     with pytest.raises(InvalidInput, match="low <= high"):
         Uniform(SPACE, np.array([2.0, 2.0]), np.array([1.0, 3.0]))

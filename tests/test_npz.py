@@ -83,6 +83,8 @@ HEADER = "{{'descr': {}, 'fortran_order': False, 'shape': {}}}\n"
         HEADER.format("'<f8'", "(True,)"),
         HEADER.format("'<f8'", "(-1,)"),
         "{[]: 1}\n",
+        "{'descr':\n",
+        "  1\n 2\n",
         "-" * 9000 + "1\n",
     ],
     ids=lambda header: header[:40],

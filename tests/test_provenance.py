@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from adr_service.provenance import cpu_type, is_same_machine, provenance
+from adr_service.provenance import cpu_type, has_same_provenance, provenance
 
 
 def test_the_provenance_names_versions_and_the_cpu():
@@ -18,14 +18,20 @@ def test_the_libraries_of_trainings_and_of_searches_are_named():
     assert names <= set(provenance())
 
 
+def test_a_package_that_pip_left_half_installed_is_passed_over(tmp_path, monkeypatch):
+    (tmp_path / "broken-1.0.dist-info").mkdir()
+    monkeypatch.syspath_prepend(tmp_path)
+    assert "numpy" in provenance()
+
+
 def test_only_what_was_noted_with_a_result_is_compared():
     here = {"cpu": "AMD EPYC", "numpy": "2.4.6", "botorch": "0.18.1"}
     older = {"cpu": "AMD EPYC", "numpy": "2.4.6"}
-    assert is_same_machine(here, here)
-    assert is_same_machine(older, here)
-    assert not is_same_machine({**older, "numpy": "2.4.5"}, here)
-    assert not is_same_machine({**older, "sbi": "0.27.0"}, here)
-    assert not is_same_machine({}, here)
+    assert has_same_provenance(here, here)
+    assert has_same_provenance(older, here)
+    assert not has_same_provenance({**older, "numpy": "2.4.5"}, here)
+    assert not has_same_provenance({**older, "sbi": "0.27.0"}, here)
+    assert not has_same_provenance({}, here)
 
 
 def test_two_generations_of_cpus_with_one_name_are_two_types():

@@ -56,6 +56,14 @@ def test_concatenated_episodes_stay_apart():
     assert [len(part) for part in both.split()] == [3, 2, 3, 2]
 
 
+def test_many_origins_together_can_still_be_read():
+    """A run joins what robots have sent it one by one."""
+    parts = [dataset(origin=f"robot {number} " + "x" * 130) for number in range(80)]
+    joined = TransitionDataset.concatenate(parts)
+    assert joined.origin.endswith(" …")
+    assert TransitionDataset.from_npz(joined.to_npz()).origin == joined.origin
+
+
 def test_arrays_are_read_only():
     with pytest.raises(ValueError, match="read-only"):
         dataset().observations[0, 0] = 1.0

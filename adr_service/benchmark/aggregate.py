@@ -70,7 +70,7 @@ def profiles(outcomes: Sequence[Outcome]) -> list[ProfilePoint]:
 
 
 def has_common_cells(outcomes: Sequence[Outcome]) -> bool:
-    """True if there is a task's variant that all methods have been evaluated on."""
+    """True if there is a task's variant that all methods but those left out have."""
     return bool(_common(outcomes))
 
 
@@ -85,14 +85,14 @@ def _share_above(scores: Matrix, level: float) -> Vector:
 
 
 def _common(outcomes: Sequence[Outcome]) -> dict[str, _Cells]:
-    """Returns by method, in the cells that all methods have."""
-    found = [o for o in outcomes if o.spec.collector == "simopt"]
-    cells = dict(sorted(final_outcomes(found).items()))
+    """Returns by method, in the cells that all these methods have; see the module."""
+    collected = [o for o in outcomes if o.spec.collector == "simopt"]
+    cells = dict(sorted(final_outcomes(collected).items()))
     having = {name: {c for c in cells if name in cells[c]} for name in methods()}
-    having = {name: found for name, found in having.items() if found}
-    held = Counter(cell for found in having.values() for cell in found)
+    having = {name: own for name, own in having.items() if own}
+    held = Counter(cell for own in having.values() for cell in own)
     most = {cell for cell, count in held.items() if 2 * count > len(having)}
-    names = [name for name, found in having.items() if found >= most]
+    names = [name for name, own in having.items() if own >= most]
     shared = [columns for columns in cells.values() if all(name in columns for name in names)]
     if not shared:
         return {}

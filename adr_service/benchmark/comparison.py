@@ -214,10 +214,10 @@ def last_shared(
 ) -> dict[str, int]:
     """The iteration after which each column is compared. Without the columns that are not.
 
-    That is the last one planned, once two columns have it for all their seeds, or for as many as an
-    interval takes: to those the others come as they finish. Before, it is the last that all seeds
-    of all columns have, so that a benchmark which is not finished compares what learned from equal
-    amounts of data.
+    That is the last one planned, once two columns (or the only one) have it for all their seeds, or
+    for as many as an interval takes: to those the others come as they finish. Before, it is the
+    last that all seeds of all columns have, so that a benchmark which is not finished compares what
+    learned from equal amounts of data.
 
     `seeds`: by column, the number of seeds that have each iteration; a seed that has none is not
     known. `level`: the columns without iterations, which are compared as they are.
@@ -229,7 +229,7 @@ def last_shared(
         for column, counts in learning.items()
         if counts.get(planned, 0) >= min(FEWEST_SEEDS, max(counts.values()))
     ]
-    if len(finished) > 1:
+    if len(finished) > 1 or (finished and len(learning) == 1):
         return compared | dict.fromkeys(finished, planned)
     shared = min(map(_last_of_all, learning.values()), default=0)
     return compared | {column: shared for column, counts in learning.items() if shared in counts}

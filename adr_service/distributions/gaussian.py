@@ -63,7 +63,7 @@ class Gaussian:
 
         x = self.space.normalise(values)
         variances, axes = linalg.eigh(self.covariance)
-        if variances[0] > 0:
+        if variances[0] > len(variances) * np.finfo(np.float64).eps * variances[-1]:
             white = (x - self.location) @ (axes * np.sqrt(1 / variances))
             log_det = np.sum(np.log(variances))
             squares = np.sum(white**2, axis=1)

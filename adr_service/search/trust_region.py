@@ -119,7 +119,7 @@ class TrustRegion:
     def _start(
         self, mean: Vector, std: Vector, budget: int, progress: Progress
     ) -> tuple[Evaluation, int]:
-        """The first Gaussian that does not diverge, and the evaluations until it."""
+        """The first Gaussian whose loss is finite, and the evaluations until it."""
         for spent in range(1, budget + 1):
             start = self.evaluate(mean, std)
             progress(_fraction(spent, budget), evaluations=spent)
@@ -129,8 +129,8 @@ class TrustRegion:
                 break
             std = np.maximum(std / _NARROWER, self.bounds.std_low)
         raise InvalidInput(
-            f"simulation diverged for draws around {mean.tolist()} with every standard deviation "
-            f"that was tried, down to {std.tolist()}"
+            f"simulation diverged for draws around {mean.tolist()}, or they spread too far for "
+            f"epsilon, with every standard deviation that was tried, down to {std.tolist()}"
         )
 
     def _room(self, at: Evaluation, radius: float, notable: Vector) -> tuple[Vector, Vector]:

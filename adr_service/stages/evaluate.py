@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from adr_service.errors import InvalidInput
-from adr_service.events import EpisodeReturn, RunEvent
+from adr_service.events import BoundedReturn, RunEvent
 from adr_service.progress import Progress
 from adr_service.simulation.target import simulate_evaluation
 from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage, StageResult
@@ -17,7 +17,7 @@ from adr_service.training.policy import Policy
 class TargetEvaluation(Result):
     """Returns of full target episodes. No method may see them."""
 
-    returns: list[EpisodeReturn]
+    returns: list[BoundedReturn]
     diverged_episodes: int
 
 

@@ -44,7 +44,9 @@ class Infer(Stage[Inferred]):
     """
 
     kind: ClassVar = "infer"
-    version: ClassVar = 3  # DROPO's trust region, SimOpt's full covariance
+    # 3: DROPO's trust region, SimOpt's full covariance. Mends for constant columns and singular
+    # covariances kept it (docs/decisions.md, "Mends that keep a version")
+    version: ClassVar = 3
     role: ClassVar[Role] = "inference"
     result: ClassVar = Inferred
 

@@ -3,7 +3,8 @@
 import os
 import secrets
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
 
@@ -77,9 +78,9 @@ def verify(
         tempfile.TemporaryDirectory(prefix="adr-") as folder,
         _opened(file) as archive,
         staged(archive, Path(folder)) as archived,
+        # where JAX, unless it is imported already, reads how many threads it may take
+        _environment(worker_environment(Path(folder) / "jax")),
     ):
-        # JAX is not imported yet, and reads there how many threads it may take
-        os.environ.update(worker_environment(Path(folder) / "jax"))
         drawn = secrets.randbelow(2**31) if seed is None else seed
         different, computed = list[str](), 0
         console.print(f"sample {drawn} (--seed {drawn} repeats it)")
@@ -99,7 +100,7 @@ def verify(
 def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]":
     """Stages of the archive, drawn at random and computed again."""
     from adr_service.benchmark.verification import sampled, verify
-    from adr_service.provenance import is_same_machine, provenance
+    from adr_service.provenance import has_same_provenance, provenance
     from adr_service.randomness import stream
     from db.archive_checks import replays
     from db.stages import find_result, provenance_of
@@ -108,7 +109,7 @@ def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]
     with archived.database.read() as session:
 
         def is_same(digest: str) -> bool:
-            return is_same_machine(provenance_of(session, digest), here)
+            return has_same_provenance(provenance_of(session, digest), here)
 
         unverified: list[str] = []
 
@@ -132,6 +133,18 @@ def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]
             stored = find_result(session, stage.digest)
             assert stored is not None, "it was drawn from the stored ones"
             yield verify(stage, stored, is_same(stage.digest))
+
+
+@contextmanager
+def _environment(variables: dict[str, str]) -> Generator[None]:
+    """Set environment variables for a while."""
+    before = dict(os.environ)
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 def _opened(file: Path) -> IO[bytes]:

@@ -6,7 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
-from adr_service.errors import AdrError
+from adr_service.errors import InvalidInput
 from adr_service.methods.catalogue import methods
 from api.page.names import titles
 from api.page.rendering import show
@@ -60,7 +60,7 @@ def _leader(service: Service, benchmark: BenchmarkSummary) -> dict[str, Any] | N
         runs = benchmark_store.runs_of(service.database, benchmark.id)
         try:
             found = json.loads(results_json(service, benchmark.id, runs))["aggregates"]
-        except AdrError as error:  # events of an archive whose results are not there say anything
+        except InvalidInput as error:  # an imported run without its results may have any events
             log.warning("%s has no table: %s", benchmark.id, error)
             found = []
         # a stored table outlives the package of a method

@@ -96,6 +96,8 @@ def test_seeds_that_still_learn_do_not_hold_back_those_that_have_finished(new):
     extended = {1: 3, 2: 3} | new
     seeds = {"simopt": extended, "dropo": extended, "oracle": {0: 5}}
     assert last_shared(seeds, {"oracle"}, 2) == {"simopt": 2, "dropo": 2, "oracle": 0}
+    alone = {"simopt": extended, "oracle": {0: 5}}
+    assert last_shared(alone, {"oracle"}, 2) == {"simopt": 2, "oracle": 0}
     failed = {0: 3, 1: 3, 2: 2}  # and are too few for an interval
     assert "bayrn" not in last_shared({**seeds, "bayrn": failed}, {"oracle"}, 2)
 

@@ -390,7 +390,6 @@ def _evaluated(*returns):
 
 
 HOSTILE = {
-    "a long row": ("events", _first(body=" " * 2_000_000), "cut short or too long"),
     "an end of a later submission": ("events", _lives(("run_failed", 2)), "contradicts its spec"),
     "an end of long ago": ("events", _lives(("run_queued", 2), ("run_stopped", 1)), "contradicts"),
     "an end of the far future": ("stages", _timed(ended=1e12), "unreadable execution"),
@@ -443,9 +442,16 @@ def test_an_archive_that_contradicts_itself_is_refused(name, path, other, tmp_pa
     assert not list(tmp_path.glob("archive-*"))
 
 
-def test_more_events_of_a_run_than_fit_in_memory_are_refused(path, other, monkeypatch):
-    monkeypatch.setattr("db.archive_checks._LONGEST_EVENTS", 1_000)
-    with pytest.raises(InvalidInput, match="in the archive have more than 1000 characters"):
+@pytest.mark.parametrize(
+    ("limit", "message"),
+    [
+        ("db.archive_checks._LONGEST_EVENTS", "in the archive have more than 1000 characters"),
+        ("adr_service.benchmark.archive._LONGEST_LINE", "is cut short or too long"),
+    ],
+)
+def test_more_than_fits_in_memory_at_once_is_refused(limit, message, path, other, monkeypatch):
+    monkeypatch.setattr(limit, 1_000)
+    with pytest.raises(InvalidInput, match=message):
         imported(other, path)
 
 

@@ -21,7 +21,7 @@ ROW = {"task": "half_cheetah", "variant": "unmodeled", "method": "simopt", "iter
 ROW |= {"collector": "simopt", "normalised_return": 0.99, "low": 0.12, "high": 1.03}
 ROW |= {"seeds": 3, "episodes": 150, "target_transitions": 1000}
 ROW |= {"estimation_error": 0.12, "posterior_std": 0.012}
-EMPTY = {"rows": [], "estimates": [], "comparisons": [], "note": "a note"}
+EMPTY = {"rows": [], "estimates": [], "comparisons": [], "not_compared": [], "note": "a note"}
 PLAN = {"runs": 2, "trainings": 3, "environment_steps": 12_000, "target_transitions": 40}
 PLAN |= {
     "stored": 0,
@@ -61,7 +61,7 @@ def test_long_names_are_whole_on_80_columns():
     estimate = {"seed": 0, "iteration": 5, "parameter": "foot_left_friction", "unit": "kg m2"}
     for text in (
         shown(results_table({"rows": [{**ROW, **method}], "note": ""})),
-        shown(comparisons_table({"comparisons": [{**ROW, **method, **pair}]})),
+        shown(comparisons_table({**EMPTY, "comparisons": [{**ROW, **method, **pair}]})),
         shown(results_table({**EMPTY, "estimates": [method | estimate | {"mean": 1, "std": 0.1}]})),
     ):
         words = text.split()
@@ -103,7 +103,9 @@ def test_a_comparison_has_its_interval():
     pair = {"task": "arm", "variant": "noisy", "method": "simopt", "other": "udr", "seeds": 3}
     pair |= {"probability": 0.8, "low": 0.5, "high": 1.0}
     pair |= {"difference": 0.25, "difference_low": -0.1, "difference_high": 0.6}
-    text = shown(comparisons_table({"comparisons": [pair]}))
+    some = {**EMPTY, "comparisons": [pair], "not_compared": ["bayrn (arm noisy)"]}
+    text = shown(comparisons_table(some))
+    assert "bayrn (arm noisy)" in text
     assert "+0.25" in text
     assert "[-0.10, 0.60]" in text
     assert "0.80" in text
