@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adr_service.benchmark.replay import agree, replay_run
-from adr_service.benchmark.verification import TOLERANCE, sampled, verify
+from adr_service.benchmark.verification import TOLERANCE, _deviation, sampled, verify
 from adr_service.errors import InvalidInput
 from adr_service.npz import read_arrays, write_arrays
 from adr_service.programs import run
@@ -67,6 +67,17 @@ def test_a_result_of_another_form_is_different_everywhere(stored):
     ):
         verified = verify(STAGE, other, False)
         assert (verified.agreement, verified.deviation) == ("different", np.inf)
+
+
+def test_what_a_search_took_is_not_compared():
+    """Rounding ended one after 195 replays in place of 198."""
+    values = {"distribution": {"low": [3.99]}, "simulated_steps": 39_600}
+    stored = StageResult({**values, "diagnostics": {"replays": 198}})
+    other = StageResult({**values, "simulated_steps": 39_000, "diagnostics": {"replays": 195}})
+    assert _deviation("infer", stored, other) == 0.0
+    assert _deviation("target_rollout", stored, other) > TOLERANCE
+    moved = StageResult({**stored.values, "distribution": {"low": [4.09]}})
+    assert _deviation("infer", stored, moved) > TOLERANCE
 
 
 def test_arrays_within_blobs_are_compared_number_by_number():
