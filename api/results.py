@@ -48,7 +48,7 @@ class ResultsView(BaseModel):
     rows: list[dict[str, Any]]
     aggregates: list[dict[str, Any]]  # methods over all tasks and variants that all of them have
     comparisons: list[dict[str, Any]]  # differences and probabilities of improvement, by pair
-    # methods of which too few seeds have come so far, and where: "bayrn (hopper noisy)"
+    # methods with too few seeds to be compared, and where: "bayrn (hopper noisy)"
     not_compared: list[str]
     estimates: list[dict[str, Any]]  # by parameter, of methods that infer
     costs: list[dict[str, Any]]  # of the inferences

@@ -187,7 +187,7 @@ def final_outcomes(
 
 
 def not_compared(outcomes: Sequence[Outcome]) -> list[str]:
-    """What has been evaluated, but is not among the `final_outcomes`: "bayrn (hopper noisy)"."""
+    """Name the evaluated columns that `final_outcomes` leaves out, as "bayrn (hopper noisy)"."""
     final = final_outcomes(outcomes)
     specs = [outcome.spec for outcome in outcomes if outcome.iteration.returns]
     return sorted(

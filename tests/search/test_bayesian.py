@@ -21,7 +21,7 @@ def test_the_mean_follows_smooth_data():
 
 
 def test_values_of_noise_alone_are_not_followed():
-    """With BoTorch's prior of today the means spread .78 times as much as the values, not .35."""
+    """The means spread .35 times as far as the values; with the noise's prior of today, .78."""
     shares = []
     for number in range(8):
         rng = stream("noise", number)
