@@ -390,8 +390,6 @@ def _evaluated(*returns):
 
 
 HOSTILE = {
-    "an end of a later submission": ("events", _lives(("run_failed", 2)), "contradicts its spec"),
-    "an end of long ago": ("events", _lives(("run_queued", 2), ("run_stopped", 1)), "contradicts"),
     "an end of the far future": ("stages", _timed(ended=1e12), "unreadable execution"),
     "an execution of no time": ("stages", _timed(cpu=-1.0), "unreadable execution"),
     "no returns": ("stages", _evaluated(), "has 0 returns"),
@@ -440,6 +438,29 @@ def test_an_archive_that_contradicts_itself_is_refused(name, path, other, tmp_pa
         imported(other, rewritten(path, with_rows(table, change)))
     assert count(other, "runs") == count(other, "benchmarks") == count(other, "stages") == 0
     assert not list(tmp_path.glob("archive-*"))
+
+
+@pytest.mark.parametrize(
+    ("ends", "submission", "is_possible"),
+    [
+        ([("run_stopped", 1)], 1, True),
+        ([("run_queued", 2), ("run_stopped", 2)], 2, True),
+        ([("run_queued", 2), ("run_stopped", 1)], 2, False),
+        ([("run_failed", 2), ("run_stopped", 2)], 1, False),
+    ],
+    ids=str,
+)
+def test_a_run_ends_in_the_submission_that_was_queued_last(
+    ends, submission, is_possible, path, other
+):
+    """With an end of a later submission stored, a resumed run could neither end nor be deleted."""
+    rewritten(path, with_rows("events", _lives(*ends)))
+    rewritten(path, with_rows("runs", _first(state="cancelled", submission=submission)))
+    if is_possible:
+        assert imported(other, path).resumable == 1
+        return
+    with pytest.raises(InvalidInput, match="contradicts its spec or events"):
+        imported(other, path)
 
 
 @pytest.mark.parametrize(
