@@ -4,10 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from adr_service.errors import InvalidInput
 from adr_service.transitions import TransitionDataset
-from api.cli.data import read_recording
+from api.cli.data import _datasets_table, read_recording
 from tests.recordings import recording
 
 
@@ -69,3 +70,14 @@ def test_a_recording_is_uploaded_and_learned_from(adr, tmp_path, data):
     assert [p["unit"] for p in distribution["parameters"]][:2] == ["kg", "kg"]
     save_npy(tmp_path / "dropo", data)
     assert adr("upload", "dropo", "--task", "arm")[1].startswith("data_")
+
+
+def test_the_origin_of_a_recording_is_shown_as_it_is():
+    """It may look like Rich's markup, which was left out or ended the command."""
+    data = {"id": "data_1", "transitions": 2, "episodes": 1, "dt": 0.02}
+    table = _datasets_table([{**data, "origin": name} for name in ("log[a].npz", "log[/run].npz")])
+    console = Console(width=120)
+    with console.capture() as captured:
+        console.print(table)
+    assert "log[a].npz" in captured.get()
+    assert "log[/run].npz" in captured.get()
