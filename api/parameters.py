@@ -3,7 +3,7 @@
 from fastapi import Request
 from fastapi.dependencies.utils import get_flat_params
 from fastapi.exceptions import RequestValidationError
-from fastapi.params import Query
+from fastapi.params import Cookie, Header, Path
 from fastapi.routing import APIRoute
 
 
@@ -13,7 +13,8 @@ async def check_parameters(request: Request) -> None:
     route = request.scope["route"]
     assert isinstance(route, APIRoute)
     fields = get_flat_params(route.dependant)
-    known = {field.alias for field in fields if isinstance(field.field_info, Query)}
+    elsewhere = (Path, Header, Cookie)  # fields of a model of parameters are none of FastAPI's own
+    known = {field.alias for field in fields if not isinstance(field.field_info, elsewhere)}
     accepted = f"accepted: {', '.join(sorted(known))}" if known else "there are none here"
     unknown = [(name, value) for name, value in request.query_params.items() if name not in known]
     if unknown:

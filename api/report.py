@@ -9,6 +9,7 @@ All links are relative and nothing is a script, so any web host can show it, and
 
 import json
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -16,16 +17,22 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from adr_service.benchmark.archive import ArchiveReader, Manifest
 from adr_service.benchmark.figures import FIGURES
 from adr_service.benchmark.improvements import improvement_matrices
-from adr_service.client import AdrClient, check_benchmark
+from adr_service.client import AdrClient, Json, check_benchmark
 from adr_service.errors import InvalidInput
 
 _PAGE = Path(__file__).parent / "page"  # without the service, which imports Ray
 
 
-def write_report(client: AdrClient, benchmark_id: str, folder: Path) -> Path:
-    """Write a benchmark's report, with its archive, into a new or empty folder; return the page.
+WHOLE: Mapping[str, Json] = {"study.adr": {}}
 
-    Raises InvalidInput if something is in the folder.
+
+def write_report(
+    client: AdrClient, benchmark_id: str, folder: Path, archives: Mapping[str, Json] = WHOLE
+) -> Path:
+    """Write a benchmark's report, with its archives, into a new or empty folder; return the page.
+
+    `archives` are names of files, and the part of the benchmark that each has, as
+    `AdrClient.export_archive` takes it. Raises InvalidInput if something is in the folder.
     """
     check_benchmark(benchmark_id, "a report is")
     if folder.exists() and any(folder.iterdir()):
@@ -39,6 +46,10 @@ def write_report(client: AdrClient, benchmark_id: str, folder: Path) -> Path:
     (folder / "results.csv").write_text(client.results_csv(benchmark_id))
     for name, content in (("results", found), ("claims", claims), ("spec", benchmark["spec"])):
         (folder / f"{name}.json").write_text(json.dumps(content, indent=1))
+    manifests = [
+        _archive(client, benchmark_id, folder / name, part) for name, part in archives.items()
+    ]
+    versions = [combination for each in manifests for combination in each.computed_with]
     page = _templates().get_template("report.html")
     text = page.render(
         benchmark=benchmark,
@@ -48,7 +59,9 @@ def write_report(client: AdrClient, benchmark_id: str, folder: Path) -> Path:
         captions={name: kind.caption for name, kind in FIGURES.items()},
         matrices=improvement_matrices(found["comparisons"]),
         cost=client.cost(benchmark_id),
-        manifest=_archive(client, benchmark_id, folder / "study.adr"),
+        archives=list(archives),
+        adr_service=manifests[0].adr_service,
+        computed_with=[one for i, one in enumerate(versions) if one not in versions[:i]],
         spec=json.dumps(benchmark["spec"], indent=1),
     )
     (folder / "index.html").write_text(text)
@@ -56,9 +69,9 @@ def write_report(client: AdrClient, benchmark_id: str, folder: Path) -> Path:
     return folder / "index.html"
 
 
-def _archive(client: AdrClient, benchmark_id: str, path: Path) -> Manifest:
+def _archive(client: AdrClient, benchmark_id: str, path: Path, part: Json) -> Manifest:
     with path.open("w+b") as file:
-        client.export_archive(benchmark_id, file)
+        client.export_archive(benchmark_id, file, part)
         with ArchiveReader(file) as archive:
             return archive.manifest
 

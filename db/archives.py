@@ -1,6 +1,6 @@
 """Benchmarks leave the database as one file, and come back into any other.
 
-    export_benchmark(database, benchmark_id, file)
+    export_benchmark(database, benchmark_id, file)      # or a part of it
     with staged(file, folder) as archived:
         imported = import_benchmark(database, archived)
 
@@ -22,9 +22,9 @@ from adr_service.benchmark.archive import ArchiveWriter, Manifest
 from adr_service.errors import InvalidInput
 from adr_service.events import RunState, RunStopped
 from adr_service.json_values import Wire
-from adr_service.specs import BenchmarkSpec, CriticismSpec, RunSpec
+from adr_service.specs import BenchmarkPart, BenchmarkSpec, CriticismSpec, RunSpec
 from db.archive_checks import replays
-from db.benchmarks import cell_of, get_benchmark, readable, runs_of
+from db.benchmarks import cell_of, get_benchmark, part_of, readable, runs_of, stored
 from db.errors import NotPossible
 from db.events import append, run_row
 from db.models import (
@@ -44,6 +44,7 @@ from db.stages import copy_result, has_other_result, is_mentioned_by, mentioned_
 from db.staging import Staged
 
 _IN_BATCHES = {"yield_per": 100}
+_WHOLE = BenchmarkPart()
 _STOPPED = "run_stopped"  # the type of these events
 _ONE_BY_ONE = {"yield_per": 1}  # artifacts may be large
 Change = Literal["added", "continued", "unchanged", "left"]
@@ -64,20 +65,31 @@ class Imported(Wire):
 
 
 def export_benchmark(
-    database: Database, benchmark_id: str, file: IO[bytes], check: Callable[[], None] | None = None
+    database: Database,
+    benchmark_id: str,
+    file: IO[bytes],
+    part: BenchmarkPart = _WHOLE,
+    check: Callable[[], None] | None = None,
 ) -> None:
-    """Write a benchmark as it is at one moment, finished or not. Raises NotFound, and what `check`
-    raises, which is called before each artifact."""
+    """Write a benchmark as it is at one moment, finished or not.
+
+    A part is written as a benchmark of these members alone; imported one after the other, parts
+    are one benchmark again. Raises NotFound, InvalidInput for a part that the benchmark has not,
+    Lost where runs of a part cannot be read, and what `check` raises, which is called before each
+    artifact.
+    """
     get_benchmark(database, benchmark_id)
     with database.read() as session, ArchiveWriter(file) as archive:
-        for table, query in _tables(benchmark_id):
+        benchmark, runs = _chosen(session, benchmark_id, part)
+        archive.add_rows(BenchmarkRow.__tablename__, [benchmark])
+        for table, query in _tables(runs):
             rows = session.execute(query, execution_options=_IN_BATCHES).mappings()
             archive.add_rows(table.__tablename__, map(_as_json, rows))
-        for content in session.scalars(_artifacts(benchmark_id), execution_options=_ONE_BY_ONE):
+        for content in session.scalars(_artifacts(runs), execution_options=_ONE_BY_ONE):
             if check is not None:
                 check()
             archive.add_blob(content)
-        provenance = select(StageRow.provenance).where(_is_mine(benchmark_id)).distinct()
+        provenance = select(StageRow.provenance).where(_is_mine(runs)).distinct()
         manifest = Manifest(
             benchmark=benchmark_id,
             adr_service=adr_service.__version__,
@@ -120,18 +132,29 @@ def import_benchmark(database: Database, archived: Staged) -> Imported:
     )
 
 
-def _tables(benchmark_id: str) -> list[tuple[type[Base], Select[Any]]]:
-    """The queries of a benchmark's rows, parents first."""
-    mine = _is_mine(benchmark_id)
+def _chosen(
+    session: Session, benchmark_id: str, part: BenchmarkPart
+) -> tuple[dict[str, Any], ColumnElement[bool]]:
+    """The row of a benchmark or of its part, and the condition of its runs."""
+    mine = _rows(BenchmarkRow).where(BenchmarkRow.id == benchmark_id)
+    row = _as_json(session.execute(mine).mappings().one())
+    if part.is_whole:
+        return row, RunRow.benchmark_id == benchmark_id
+    spec, chosen = part_of(session, benchmark_id, part)
+    return row | {"spec": stored(spec)}, RunRow.id.in_(chosen)
+
+
+def _tables(runs: ColumnElement[bool]) -> list[tuple[type[Base], Select[Any]]]:
+    """The queries of the rows of a benchmark's runs, parents first."""
+    mine = _is_mine(runs)
     parts = StageArtifactRow.digest.in_(select(StageRow.digest).where(mine))
     return [
-        (BenchmarkRow, _rows(BenchmarkRow).where(BenchmarkRow.id == benchmark_id)),
-        (RunRow, _rows(RunRow).where(RunRow.benchmark_id == benchmark_id).order_by(RunRow.number)),
+        (RunRow, _rows(RunRow).where(runs).order_by(RunRow.number)),
         (
             EventRow,
             _rows(EventRow)
             .join(RunRow, RunRow.id == EventRow.run_id)
-            .where(RunRow.benchmark_id == benchmark_id)
+            .where(runs)
             .order_by(RunRow.number, EventRow.seq),
         ),
         (StageRow, _rows(StageRow).where(mine).order_by(StageRow.digest)),
@@ -144,15 +167,15 @@ def _tables(benchmark_id: str) -> list[tuple[type[Base], Select[Any]]]:
     ]
 
 
-def _artifacts(benchmark_id: str) -> Select[bytes]:
-    parts = StageArtifactRow.digest.in_(select(StageRow.digest).where(_is_mine(benchmark_id)))
+def _artifacts(runs: ColumnElement[bool]) -> Select[bytes]:
+    parts = StageArtifactRow.digest.in_(select(StageRow.digest).where(_is_mine(runs)))
     owned = ArtifactRow.sha256.in_(select(StageArtifactRow.sha256).where(parts))
     return select(ArtifactRow.content).where(owned).order_by(ArtifactRow.sha256)
 
 
-def _is_mine(benchmark_id: str) -> ColumnElement[bool]:
-    """The condition that a run of the benchmark mentions the stage."""
-    return is_mentioned_by(select(RunRow.id).where(RunRow.benchmark_id == benchmark_id))
+def _is_mine(runs: ColumnElement[bool]) -> ColumnElement[bool]:
+    """The condition that one of the runs mentions the stage."""
+    return is_mentioned_by(select(RunRow.id).where(runs))
 
 
 def _rows(table: type[Base]) -> Select[Any]:
@@ -202,11 +225,15 @@ def _add_benchmark(database: Database, source: Database, id: str) -> None:
         if row is None:
             session.add(copy_of(theirs))
         elif row.spec != theirs.spec:
-            ours, new = (_cells(readable(each)) for each in (get_benchmark(database, id), archived))
-            if ours < new:
-                row.spec = theirs.spec
-            elif not new < ours:
-                raise NotPossible(f"{id} has other members here than in the archive")
+            ours, new = readable(get_benchmark(database, id)), readable(archived)
+            joined = ours.joined(new)
+            if lacking := _cells(joined) - _cells(ours) - _cells(new):
+                one = " ".join(map(str, min(lacking)))
+                raise NotPossible(
+                    f"{id} has other members here than in the archive, and together they lack "
+                    f"{len(lacking)} runs, {one} for one: import an archive with these first"
+                )
+            row.spec = stored(joined)
 
 
 def _add_run(

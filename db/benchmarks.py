@@ -15,7 +15,14 @@ from sqlalchemy.orm import Session
 
 from adr_service.events import FINISHED, RunState
 from adr_service.json_values import explain
-from adr_service.specs import BenchmarkExtension, BenchmarkSpec, LostBenchmark, LostRun, RunSpec
+from adr_service.specs import (
+    BenchmarkExtension,
+    BenchmarkPart,
+    BenchmarkSpec,
+    LostBenchmark,
+    LostRun,
+    RunSpec,
+)
 from adr_service.specs.lost import Lost
 from db.errors import DatabaseDamaged, NotFound, NotPossible
 from db.events import run_row
@@ -57,9 +64,7 @@ def create_benchmark(
     accept: Accept | None = None,
 ) -> BenchmarkRecord:
     """Store a benchmark and all its runs, or nothing. Raises as `create_run` does."""
-    # as it was submitted: its runs are stored complete, and mean the same when presets change
-    text = spec.model_dump_json(exclude_unset=True)
-    row = BenchmarkRow(id=new_id("bench"), created_at=datetime.now(UTC), spec=text)
+    row = BenchmarkRow(id=new_id("bench"), created_at=datetime.now(UTC), spec=stored(spec))
     members = [new_run(run, row.id) for run in spec.runs()]  # before the lock: it takes a while
     with database.write("create_benchmark") as session:
         session.add(row)
@@ -135,7 +140,7 @@ def extend_benchmark(
         row = _row(session, benchmark_id)
         if _spec(row.spec) != now.spec:
             raise NotPossible(f"{benchmark_id} was extended by another request just now; try again")
-        row.spec = spec.model_dump_json(exclude_unset=True)
+        row.spec = stored(spec)
         added = set(insert_runs(session, new))
         check_live(session, accept)
     return [run for run in runs_of(database, benchmark_id) if run.id in added]
@@ -219,10 +224,7 @@ def _missing(spec: BenchmarkSpec, present: Sequence[RunRecord], benchmark_id: st
 
     Raises NotPossible if a run of `present` differs from the one that `spec` has in its place.
     """
-    for run in present:
-        if isinstance(run.spec, LostRun):  # its place is taken, and nobody knows by what
-            raise Lost(run.spec.reason)
-    known = {cell_of(run.spec): run.spec for run in present if isinstance(run.spec, RunSpec)}
+    known = {cell_of(before): before for before in map(_member, present)}
     new: list[RunSpec] = []
     for run in spec.runs():
         before = known.get(cell_of(run))
@@ -236,6 +238,35 @@ def _missing(spec: BenchmarkSpec, present: Sequence[RunRecord], benchmark_id: st
                 f"{run.preset!r} has changed since, or the SimOpt that others learn from"
             )
     return new
+
+
+def _member(run: RunRecord) -> RunSpec:
+    """The spec of a benchmark's run; raises Lost where nobody knows what takes its place."""
+    if isinstance(run.spec, LostRun):
+        raise Lost(run.spec.reason)
+    assert isinstance(run.spec, RunSpec), "criticisms belong to no benchmark"
+    return run.spec
+
+
+def part_of(
+    session: Session, benchmark_id: str, part: BenchmarkPart
+) -> tuple[BenchmarkSpec, list[str]]:
+    """A benchmark of some members alone, and the ids of its runs; inside a transaction.
+
+    Raises NotFound, Lost where runs cannot be read, and InvalidInput for other members.
+    """
+    spec = readable(_record(_row(session, benchmark_id))).part(part)
+    cells = {cell_of(run) for run in spec.runs()}
+    rows = session.scalars(select(RunRow).where(RunRow.benchmark_id == benchmark_id))
+    return spec, [run.id for run in map(record_of, rows) if cell_of(_member(run)) in cells]
+
+
+def stored(spec: BenchmarkSpec) -> str:
+    """The text of a benchmark's spec: as it was submitted.
+
+    Its runs are stored complete, and mean the same when presets change.
+    """
+    return spec.model_dump_json(exclude_unset=True)
 
 
 def cell_of(spec: RunSpec) -> tuple[str, str, str, int]:

@@ -120,10 +120,14 @@ class AdrClient:
         """
         return self._pages(f"/v1/{collection}", "page_token", **filters)
 
-    def export_archive(self, benchmark_id: str, file: IO[bytes]) -> None:
-        """Write a benchmark with all its results to a file."""
+    def export_archive(self, benchmark_id: str, file: IO[bytes], part: Json | None = None) -> None:
+        """Write a benchmark with all its results to a file.
+
+        Of a part, `{"methods": ["bayrn"], "seeds": [0, 1]}` for example, these alone.
+        """
         path = f"{_path(benchmark_id)}/archive"
-        with self._answering(), self._http.stream("GET", path, timeout=_LONG_S) as response:
+        sent = self._http.stream("GET", path, params=part, timeout=_LONG_S)
+        with self._answering(), sent as response:
             if response.is_error:
                 response.read()
             _check(response, self.url)

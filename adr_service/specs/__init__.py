@@ -6,7 +6,12 @@ A run's spec is complete: validation fills from the preset what was not given, s
 means the same when presets change. Given fields win over the preset, one by one.
 """
 
-from adr_service.specs.benchmark import MAX_RUNS, BenchmarkExtension, BenchmarkSpec
+from adr_service.specs.benchmark import (
+    MAX_RUNS,
+    BenchmarkExtension,
+    BenchmarkPart,
+    BenchmarkSpec,
+)
 from adr_service.specs.lost import LostBenchmark, LostRun
 from adr_service.specs.run import AnyRun, CriticismSpec, RunSpec
 from adr_service.specs.target import (
@@ -23,6 +28,7 @@ __all__ = [
     "AnyRun",
     "AnyTarget",
     "BenchmarkExtension",
+    "BenchmarkPart",
     "BenchmarkSpec",
     "CriticismSpec",
     "ExternalTarget",

@@ -40,6 +40,25 @@ class BenchmarkExtension(Wire):
     seeds: Members[Seed] = Field([], description="seeds to add")
 
 
+class BenchmarkPart(Wire):
+    """Members of a benchmark, each by its name; of those that are left empty, all."""
+
+    tasks: Members[str] = Field(default=[], description="only these tasks")
+    variants: Members[str] = Field(default=[], description="only these variants")
+    methods: Members[str] = Field(default=[], description="only these methods, and the references")
+    collectors: Members[str] = Field(default=[], description="only these collectors")
+    seeds: Members[str] = Field(default=[], description="only these seeds")
+
+    @property
+    def is_whole(self) -> bool:
+        """True if it leaves nothing out."""
+        return not any(names for _, names in self)
+
+
+def _name(member: Any) -> str:
+    return str(getattr(member, "name", member))
+
+
 class BenchmarkSpec(Wire):
     """Tasks x variants x methods x seeds under one budget."""
 
@@ -71,9 +90,9 @@ class BenchmarkSpec(Wire):
         if self.size > MAX_RUNS:
             raise ValueError(f"a benchmark may have {MAX_RUNS} runs at most; this has {self.size}")
         for name in ("tasks", "variants", "methods", "collectors", "seeds"):
-            values = [getattr(m, "name", m) for m in getattr(self, name)]
+            values = [_name(m) for m in getattr(self, name)]
             if repeated := [value for value, count in Counter(values).items() if count > 1]:
-                raise ValueError(f"{name} must not repeat a member; {repeated[0]!r} comes twice")
+                raise ValueError(f"{name} must not repeat a member; {repeated[0]} comes twice")
         list(self.runs())
         return self
 
@@ -106,12 +125,38 @@ class BenchmarkSpec(Wire):
             accepted = ", ".join(BenchmarkExtension.model_fields)
             raise InvalidInput(f"nothing to add was given; accepted: {accepted}")
         for name, members in added.items():
-            had = {getattr(member, "name", member) for member in getattr(self, name)}
-            if again := [str(n) for m in members if (n := getattr(m, "name", m)) in had]:
+            had = {_name(member) for member in getattr(self, name)}
+            if again := [_name(m) for m in members if _name(m) in had]:
                 raise InvalidInput(f"the benchmark has the {name} {', '.join(again)} already")
-        wider = {name: [*getattr(self, name), *value] for name, value in added.items()}
+        return self._with({name: [*getattr(self, name), *new] for name, new in added.items()})
+
+    def part(self, chosen: BenchmarkPart) -> "BenchmarkSpec":
+        """This benchmark with some of its members alone."""
+        narrower: dict[str, list[Any]] = {}
+        for field, names in chosen:
+            members = {_name(member): member for member in getattr(self, field)}
+            if unknown := [name for name in names if name not in members]:
+                raise InvalidInput(
+                    f"the benchmark has not the {field} {', '.join(unknown)}; it has "
+                    f"{', '.join(members)}"
+                )
+            if names and members.keys() - set(names):
+                narrower[field] = [members[name] for name in members if name in names]
+        return self._with(narrower)
+
+    def joined(self, other: "BenchmarkSpec") -> "BenchmarkSpec":
+        """This benchmark with the members of another one too."""
+        wider: dict[str, list[Any]] = {}
+        for field in BenchmarkExtension.model_fields:
+            mine = getattr(self, field)
+            names = {_name(member) for member in mine}
+            if more := [member for member in getattr(other, field) if _name(member) not in names]:
+                wider[field] = [*mine, *more]
+        return self._with(wider)
+
+    def _with(self, members: dict[str, list[Any]]) -> "BenchmarkSpec":
         try:
-            return BenchmarkSpec.model_validate(self.model_dump(exclude_unset=True) | wider)
+            return BenchmarkSpec.model_validate(self.model_dump(exclude_unset=True) | members)
         except ValidationError as error:
             raise InvalidInput(explain(error, "benchmark")) from error
 

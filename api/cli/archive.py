@@ -13,7 +13,7 @@ import typer
 from adr_service.client import Json, check_benchmark, connect
 from adr_service.errors import AdrError, InvalidInput
 from api.cli.files import check_new
-from api.cli.options import AsJson, Url
+from api.cli.options import AsJson, Url, members
 from api.cli.terminal import console
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Write benchmarks to files, and read and verify them.", no_args_is_help=True)
 File = Annotated[Path, typer.Argument(help="An archive, as `adr archive export` writes it.")]
+_ONLY = "Only this one; may be repeated."
+Only = Annotated[list[str] | None, typer.Option(help=_ONLY)]
 _SHORT = 12  # digits of a digest in tables
 
 
@@ -36,18 +38,27 @@ class NotVerified(AdrError):
 def export_(
     benchmark: Annotated[str, typer.Argument(help="Id of a benchmark, finished or not.")],
     file: Annotated[Path, typer.Argument(help="The file to write.")],
+    seed: Annotated[list[int] | None, typer.Option(help=_ONLY)] = None,
+    method: Only = None,
+    variant: Only = None,
+    task: Only = None,
+    collector: Only = None,
     url: Url = None,
 ) -> None:
-    """Write a benchmark with all its results and policies to one file."""
+    """Write a benchmark, or a part of it, with all results and policies to one file.
+
+    Parts that are imported one after the other are one benchmark again.
+    """
     check_benchmark(benchmark, "an archive is")
     check_new(file)
-    part = file.with_name(f"{file.name}.part")
+    unfinished = file.with_name(f"{file.name}.part")
+    part = members(seed=seed, method=method, variant=variant, task=task, collector=collector)
     try:
-        with connect(url) as client, part.open("wb") as written:
-            client.export_archive(benchmark, written)
-        part.rename(file)
+        with connect(url) as client, unfinished.open("wb") as written:
+            client.export_archive(benchmark, written, part)
+        unfinished.rename(file)
     finally:
-        part.unlink(missing_ok=True)
+        unfinished.unlink(missing_ok=True)
     console.print(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
 
 

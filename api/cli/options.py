@@ -1,6 +1,6 @@
 """Options and arguments that several commands have."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,3 +14,8 @@ Url = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print the service's JSON.")]
 Id = Annotated[str, typer.Argument(help="Id of a run or a benchmark.")]
 Watch = Annotated[bool, typer.Option(help="Follow it to its end.")]
+
+
+def members(**given: list[Any] | None) -> dict[str, list[Any]]:
+    """Members of a benchmark from repeated options: `method` gives `methods`, if there are any."""
+    return {f"{name}s": value for name, value in given.items() if value}

@@ -11,7 +11,7 @@ from adr_service.client import AdrClient, Json, connect, is_finished
 from adr_service.client.progress import label
 from adr_service.errors import InvalidInput
 from api.cli.follow import follow
-from api.cli.options import AsJson, Id, Url, Watch
+from api.cli.options import AsJson, Id, Url, Watch, members
 from api.cli.tables import plan_table
 from api.cli.terminal import console
 from api.specs import assign, read_effects, read_spec
@@ -117,10 +117,8 @@ def extend(
     """Add runs to a benchmark; its results so far stay."""
     if not id.startswith("bench_"):
         raise InvalidInput(f"only a benchmark can be extended; given {id}")
-    given: dict[str, Any] = {"seeds": seed, "methods": method, "variants": variant}
-    given |= {"tasks": task, "collectors": collector}
+    extension = members(seed=seed, method=method, variant=variant, task=task, collector=collector)
     with connect(url) as client:
-        extension = {name: value for name, value in given.items() if value}
         answer = client.extend_benchmark(id, extension, dry_run=dry_run)
         is_followed = watch and not dry_run
         if as_json and not is_followed:

@@ -4,12 +4,13 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
-from typing import IO
+from typing import IO, Annotated
 
 import anyio.to_thread
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import StreamingResponse
 
+from adr_service.specs import BenchmarkPart
 from api.routes.downloads import attachment
 from api.service import Service, ServiceDependency
 from api.uploads import OCTETS, octets
@@ -29,14 +30,20 @@ class ImportView(Imported):
 
 
 @router.get("/benchmarks/{benchmark_id}/archive", response_class=StreamingResponse)
-def export(benchmark_id: str, service: ServiceDependency) -> StreamingResponse:
-    """The benchmark as one file, finished or not: specs, events, results and policies."""
+def export(
+    benchmark_id: str, part: Annotated[BenchmarkPart, Query()], service: ServiceDependency
+) -> StreamingResponse:
+    """The benchmark, or a part of it, as one file, finished or not.
+
+    It has specs, events, results and policies. Parts that are imported one after the other are one
+    benchmark again.
+    """
     service.check_disk()
     with ExitStack() as unless_sent:
         # it has no name, so nothing is left of it whatever happens
         folder = service.settings.data_dir
         file = unless_sent.enter_context(tempfile.TemporaryFile(dir=folder))
-        export_benchmark(service.database, benchmark_id, file, service.check_disk)
+        export_benchmark(service.database, benchmark_id, file, part, service.check_disk)
         unless_sent.pop_all()
     size = file.seek(0, os.SEEK_END)
     headers = {**attachment(f"{benchmark_id}.adr"), "Content-Length": str(size)}

@@ -64,6 +64,16 @@ def test_the_report_has_the_results_costs_versions_and_spec(service, benchmark, 
         assert archive.manifest.benchmark == benchmark
 
 
+def test_archives_of_parts_are_linked_and_listed(service, benchmark, tmp_path):
+    parts = {"study.adr": {"seeds": ["0"]}, "study-dropo.adr": {"methods": ["dropo"]}}
+    text = write_report(service.client, benchmark, tmp_path, parts).read_text()
+    for name in parts:
+        assert (tmp_path / name).exists()
+        assert f'<a href="{name}">' in text
+        assert f"\nadr archive import {name} " in text
+    assert text.count("mujoco 4") == 1  # equal versions are listed once
+
+
 class WithFailure:
     """The client of a service in whose benchmark one run has failed."""
 

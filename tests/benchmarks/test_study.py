@@ -50,4 +50,5 @@ def test_a_stopped_study_is_finished_on_another_machine(tmp_path):
     assert {row["method"] for row in rows} == {"sysid", "udr", "prior", "oracle"}
     assert "4 runs succeeded" in (folder / "index.html").read_text()
     assert (folder / "discussion.md").read_text() == "by hand"
+    assert {path.name for path in folder.glob("*.adr")} == {"study.adr", "study-udr.adr"}
     assert folder.stat().st_mode & 0o777 == 0o755

@@ -12,7 +12,7 @@ from sqlalchemy import select
 from adr_service.errors import InvalidInput
 from adr_service.events import TrainingEvaluated
 from adr_service.programs.references import reference_training
-from adr_service.specs import BenchmarkExtension
+from adr_service.specs import BenchmarkExtension, BenchmarkPart
 from db import archives, benchmarks, events, runs, staging
 from db.errors import DiskFull, NotFound, NotPossible
 from db.models import ArtifactRow, StageRow
@@ -48,9 +48,9 @@ def path(archive, tmp_path):
     return tmp_path / "a.adr"
 
 
-def exported(database, id, path):
+def exported(database, id, path, **members):
     with path.open("wb") as file:
-        archives.export_benchmark(database, id, file)
+        archives.export_benchmark(database, id, file, BenchmarkPart(**members))
     return path
 
 
@@ -175,6 +175,49 @@ def test_an_extension_travels_in_both_directions(file_database, other, tmp_path)
     assert 7 in benchmarks.get_benchmark(other, id).spec.seeds
     imported(file_database, exported(other, id, tmp_path / "b.adr"))
     assert content_of(file_database, id) == content_of(other, id)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_parts_are_one_benchmark_again_in_any_order(order, file_database, other, tmp_path):
+    id = finished_benchmark(file_database, methods=["udr", "simopt", "dropo"])
+    chosen = [{"methods": ["simopt", "dropo"]}, {"methods": ["udr"]}]
+    for number, members in list(enumerate(chosen))[::order]:
+        report = imported(other, exported(file_database, id, tmp_path / f"{number}.adr", **members))
+        assert (report.unverified, report.resumable) == ([], 0)
+    here, there = content_of(other, id), content_of(file_database, id)
+    assert set(here["benchmark"].methods) == set(there["benchmark"].methods)
+    assert (here["stages"], here["blobs"]) == (there["stages"], there["blobs"])
+    assert sorted(here["runs"], key=str) == sorted(there["runs"], key=str)
+
+
+def test_a_part_has_the_runs_of_its_members_and_the_references(file_database, other, tmp_path):
+    id = finished_benchmark(file_database, methods=["udr", "simopt"], seeds=[0, 1])
+    members = {"methods": ["udr"], "seeds": ["1"]}
+    imported(other, exported(file_database, id, tmp_path / "a.adr", **members))
+    runs = [run.spec for run in benchmarks.runs_of(other, id)]
+    assert {(run.method.name, run.seed) for run in runs} == {
+        (method, 1) for method in ("udr", "prior", "oracle")
+    }
+    assert benchmarks.get_benchmark(other, id).spec.seeds == [1]
+    assert 0 < count(other, "stages") < count(file_database, "stages")
+
+
+def test_a_part_that_the_benchmark_has_not_is_refused(file_database, tmp_path):
+    id = finished_benchmark(file_database)
+    with pytest.raises(InvalidInput, match="has not the methods bayrn; it has "):
+        exported(file_database, id, tmp_path / "a.adr", methods=["bayrn"])
+
+
+def test_parts_that_leave_a_gap_together_are_refused(file_database, other, tmp_path):
+    id = finished_benchmark(file_database, methods=["udr", "simopt"], seeds=[0, 1])
+    for name, method, seed in (("a", "udr", "0"), ("b", "simopt", "1")):
+        members = {"methods": [method], "seeds": [seed]}
+        exported(file_database, id, tmp_path / f"{name}.adr", **members)
+    imported(other, tmp_path / "a.adr")
+    before = content_of(other, id)
+    with pytest.raises(NotPossible, match="together they lack 2 runs"):
+        imported(other, tmp_path / "b.adr")
+    assert content_of(other, id) == before
 
 
 def test_a_benchmark_that_was_extended_on_both_sides_is_refused(file_database, other, tmp_path):
@@ -313,7 +356,7 @@ def test_an_export_ends_where_the_disk_fills_up(file_database):
 
     id = finished_benchmark(file_database)
     with pytest.raises(DiskFull):
-        archives.export_benchmark(file_database, id, io.BytesIO(), fills_up)
+        archives.export_benchmark(file_database, id, io.BytesIO(), check=fills_up)
 
 
 def test_an_unknown_benchmark_cannot_be_exported(file_database, tmp_path):
