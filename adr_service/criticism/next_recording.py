@@ -14,9 +14,10 @@ chosen one by one. Where nothing is tied, they are chosen to show as many effect
 sizes that sensible simulators lack.
 """
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
@@ -24,7 +25,14 @@ from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import Fit, expected_errors
 from adr_service.criticism.excitation import gained_by_effects
 from adr_service.criticism.linearisation import by_parameters, by_strengths
-from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.motions import (
+    drawn,
+    followed,
+    from_starts,
+    pose_of,
+    possible_motions,
+    reach_of,
+)
 from adr_service.criticism.pipeline import Criticism
 from adr_service.criticism.plans import Plan, Separation
 from adr_service.criticism.scan import location_of
@@ -33,12 +41,7 @@ from adr_service.criticism.weighing import Weighed
 from adr_service.effects.models import plausible_of
 from adr_service.errors import InvalidInput
 
-_CANDIDATES = 96  # motions to choose from
-_PACES = (0.5, 0.8, 0.9, 0.95, 0.98)  # share of a command that is left after a control step
-_ALONE = 0.3  # of the motions move one actuator
-_LEAST = 1e-6  # ridge, in squares of an error; range of a position
-_BEYOND = 0.5  # of a recorded range, that a plan may go further to both sides
-_RESTING = 0.3  # of the usual speed, below which recorded episodes begin after a reset
+_LEAST = 1e-6  # ridge, in squares of an error
 _Settings = tuple[int | None, int]  # threads, steps for one of the model's
 
 
@@ -102,38 +105,24 @@ def next_recording(
     stay finite in simulation.
     """
     final, recorded = criticism.final, criticism.final.simulator.data
-    check_limits(limits, final.simulator)
+    check_limits(limits, final.simulator.base)
     rows = max(round(seconds / recorded.period()), 2)
-    commands = _motions(limits, rows, rng)
-    pose = _pose(final, start)
-    motions = _from_starts(final, commands, pose)
+    commands = drawn(limits, rows, rng)
+    pose = pose_of(final, start)
+    motions = from_starts(final, commands, pose)
     pairs = [(alike[0], other) for alike in criticism.named for other in alike[1:]]
     nominal, settings = final.simulator.nominal, (threads, final.simulator.finer)
     with (
         Simulator(nominal, recorded, *settings) as before,
         Simulator(nominal, motions, *settings) as free,
     ):
-        planned = _followed(free, final)
+        planned = followed(free, final)
         compared: list[tuple[_Comparison, _Comparison]] = []
         for one, other in pairs:
             if_one = _compare(one.fit, other.fit, before, free, settings)
             if_other = _compare(other.fit, one.fit, before, free, settings)
             compared.append((if_one, if_other))
-    finite = _that_stay_finite(planned)
-    possible = _within(planned, finite, allowed or {})
-    if len(possible) < episodes:
-        alone = [
-            f"{final.simulator.base.joint(joint).name} stays there in "
-            f"{len(_within(planned, finite, {joint: bounds}))}"
-            for joint, bounds in (allowed or {}).items()
-        ]
-        raise InvalidInput(
-            f"of {_CANDIDATES} motions within these limits, {len(finite)} stay finite in "
-            f"simulation, and {len(possible)} of them within the allowed positions"
-            f"{' (' + ', '.join(alone) + ')' if alone else ''}; {episodes} are needed: give "
-            "narrower limits of commands, allow more positions, or start elsewhere"
-        )
-    possible = _near(planned, recorded, possible, allowed or {}, episodes)
+    possible = possible_motions(planned, recorded, allowed or {}, episodes, final.simulator.base)
     newly_shown: tuple[str, ...] = ()
     if compared:
         chosen = _best(compared, possible, episodes)
@@ -152,14 +141,14 @@ def next_recording(
         ),
         newly_shown,
         pose,
-        _reach(planned.episodes(sorted(chosen))),
-        _reach(recorded),
+        reach_of(planned.episodes(sorted(chosen))),
+        reach_of(recorded),
     )
 
 
-def check_limits(limits: Matrix, simulator: Simulator) -> None:
+def check_limits(limits: Matrix, model: mujoco.MjModel) -> None:
     """Raises InvalidInput unless there are commands, with limits that their actuators obey."""
-    count = simulator.data.ctrl.shape[1]
+    count = model.nu
     if not count:
         raise InvalidInput("the model has no actuators, so that a plan has nothing to command")
     is_good = limits.shape == (count, 2) and bool(np.all(np.isfinite(limits)))
@@ -169,7 +158,7 @@ def check_limits(limits: Matrix, simulator: Simulator) -> None:
             f"{limits.tolist()}"
         )
     for number, (low, high) in enumerate(limits.tolist()):
-        actuator = simulator.base.actuator(number)
+        actuator = model.actuator(number)
         least, most = actuator.ctrlrange
         if actuator.ctrllimited[0] and (low < least or high > most):
             raise InvalidInput(
@@ -184,131 +173,12 @@ def recorded_limits(simulator: Simulator) -> Matrix:
     return np.column_stack([obeyed.min(axis=(0, 1)), obeyed.max(axis=(0, 1))])
 
 
-def _motions(limits: Matrix, rows: int, rng: np.random.Generator) -> Array3:
-    """(candidates, rows, nu) coloured noise, in all commands or in one."""
-    low, high = limits.T
-    commands = np.empty((_CANDIDATES, rows, len(limits)))
-    for motion in commands:
-        keep = rng.choice(_PACES)
-        noise = rng.standard_normal((rows, len(limits)))
-        state = noise[0]
-        for row in range(rows):
-            state = keep * state + np.sqrt(1 - keep**2) * noise[row]
-            motion[row] = state
-        if rng.uniform() < _ALONE:
-            still = np.arange(len(limits)) != rng.integers(len(limits))
-            motion[:, still] = 0.0
-        motion[:] = np.clip((low + high) / 2 + motion * (high - low) / 2, low, high)
-    return commands
-
-
-def _recorded_starts(fit: Fit) -> Matrix:
-    """(episodes, 2 nv) states in which recorded episodes begin."""
-    return fit.states[[first for first, _ in fit.simulator.data.spans()]]
-
-
-def _pose(fit: Fit, start: Mapping[int, float] | None) -> Vector | None:
-    """(nq,) positions at rest to start from; None: recorded episodes begin at rest, so as they do.
-
-    Episodes that are pieces of a longer recording begin in the middle of a motion, in which no
-    robot can be put.
-    """
-    first, speed = np.split(_recorded_starts(fit), 2, axis=1)
-    usual = np.sqrt(np.mean(np.split(fit.states, 2, axis=1)[1] ** 2, axis=0))
-    if start is None and np.all(np.sqrt(np.mean(speed**2, axis=0)) <= _RESTING * usual):
-        return None
-    pose = first[0].copy()
-    for joint, position in (start or {}).items():
-        pose[joint] = position
-    return pose
-
-
-def _from_starts(fit: Fit, commands: Array3, pose: Vector | None) -> Measurement:
-    """Motions from a pose at rest, or from the states in which recorded episodes begin, in turn."""
-    count, rows, width = commands.shape
-    data, recorded = fit.simulator.data, _recorded_starts(fit)
-    if pose is None:
-        starts = recorded[np.arange(count) % len(recorded)]
-    else:
-        starts = np.tile(np.concatenate([pose, np.zeros_like(pose)]), (count, 1))
-    qpos, qvel = np.split(np.repeat(starts, rows, axis=0), 2, axis=1)
-    return Measurement(
-        time=np.tile(data.period() * np.arange(rows), count),
-        qpos=qpos,
-        qvel=qvel,
-        ctrl=commands.reshape(-1, width),
-        episode=np.repeat(np.arange(count), rows),
-        qpos_std=data.qpos_std,
-        qvel_std=data.qvel_std,
-    )
-
-
-def _followed(simulator: Simulator, fit: Fit) -> Measurement:
-    """The simulator's motions as a fit simulates them; one that diverges stays where it was."""
-    data = simulator.data
-    path = simulator.follow(fit.parameters, fit.effects)
-    for first, last in data.spans():
-        broken = np.flatnonzero(np.isnan(path[first:last]).any(axis=1))
-        if broken.size:
-            path[first + broken[0] : last] = path[first + broken[0] - 1]
-    qpos, qvel = np.split(path, 2, axis=1)
-    return replace(data, qpos=qpos, qvel=qvel)
-
-
-def _that_stay_finite(motions: Measurement) -> list[int]:
-    """Numbers of the motions that did not diverge: these never stand still to the last bit."""
-    state = np.hstack([motions.qpos, motions.qvel])
-    ends = enumerate(last for _, last in motions.spans())
-    return [n for n, end in ends if not np.array_equal(state[end - 1], state[end - 2])]
-
-
-def _within(
-    motions: Measurement, possible: Sequence[int], allowed: Mapping[int, tuple[float, float]]
-) -> list[int]:
-    """Motions that never leave the positions which their joints are allowed."""
-    spans = motions.spans()
-    return [
-        number
-        for number in possible
-        if all(
-            np.all((low <= positions) & (positions <= high))
-            for joint, (low, high) in allowed.items()
-            for positions in [motions.qpos[slice(*spans[number]), joint]]
-        )
-    ]
-
-
-def _near(
-    motions: Measurement,
-    recorded: Measurement,
-    possible: Sequence[int],
-    allowed: Collection[int],
-    episodes: int,
-) -> list[int]:
-    """Motions that stay near the recorded positions, or those that leave them least.
-
-    Joints with positions that are `allowed` do not count.
-    """
-    low, high = recorded.qpos.min(axis=0), recorded.qpos.max(axis=0)
-    span = np.maximum(high - low, _LEAST)
-    beyond = np.maximum(low - motions.qpos, motions.qpos - high) / span
-    beyond[:, list(allowed)] = 0.0
-    beyond, spans = beyond.max(axis=1), motions.spans()
-    excess = {number: float(beyond[slice(*spans[number])].max()) for number in possible}
-    near = [number for number in possible if excess[number] <= _BEYOND]
-    return (
-        near
-        if len(near) >= episodes
-        else sorted(sorted(possible, key=lambda n: excess[n])[:episodes])
-    )
-
-
 def _compare(
     true: Fit, other: Fit, before: Simulator, free: Simulator, settings: _Settings
 ) -> _Comparison:
     """Compare two explanations in the recorded data and in each motion, if `true` is true."""
     (recorded,) = _squares(true, other, before, true.states, [(0, len(before.starts))])
-    with Simulator(free.nominal, _followed(free, true), *settings) as after:
+    with Simulator(free.nominal, followed(free, true), *settings) as after:
         motions = _squares(true, other, after, after.measured, after.transitions())
     return _Comparison(recorded, motions)
 
@@ -383,7 +253,3 @@ def _most_shown(
 
 def _name(weighed: Weighed) -> str:
     return f"{weighed.effects[0].kind} {location_of(weighed.effects)}"
-
-
-def _reach(motions: Measurement) -> Matrix:
-    return np.column_stack([motions.qpos.min(axis=0), motions.qpos.max(axis=0)])

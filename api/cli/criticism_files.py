@@ -13,7 +13,11 @@ import numpy as np
 from adr_service.arrays import Vector
 from adr_service.criticism.extension import written_out
 from adr_service.criticism.measurements import Measurement, is_measurement
-from adr_service.criticism.next_recording import next_recording, recorded_limits
+from adr_service.criticism.next_recording import (
+    check_limits,
+    next_recording,
+    recorded_limits,
+)
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import Criticism, criticise
 from adr_service.criticism.plans import Plan, Separation
@@ -159,10 +163,18 @@ def _expected(each: Separation) -> str:
 
 
 def limits_of(texts: Sequence[str], nominal: Nominal) -> Bounds:
-    """Limits of commands of texts NAME=LOW:HIGH, by the actuator's number."""
+    """Limits of commands of texts NAME=LOW:HIGH, by the actuator's number.
+
+    Raises InvalidInput for a model that has none, and for limits that an actuator does not obey.
+    """
     model = nominal.model(nominal.start)
     names = [model.actuator(i).name for i in range(model.nu)]
-    return dict(_bounds("limit", "actuator", text, names) for text in texts)
+    given = dict(_bounds("limit", "actuator", text, names) for text in texts)
+    limits = model.actuator_ctrlrange.copy()
+    for number, bounds in given.items():
+        limits[number] = bounds
+    check_limits(limits, model)
+    return given
 
 
 def reach_of(texts: Sequence[str], nominal: Nominal) -> Bounds:
