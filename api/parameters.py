@@ -13,7 +13,7 @@ async def check_parameters(request: Request) -> None:
     route = request.scope["route"]
     assert isinstance(route, APIRoute)
     fields = get_flat_params(route.dependant)
-    elsewhere = (Path, Header, Cookie)  # fields of a model of parameters are none of FastAPI's own
+    elsewhere = (Path, Header, Cookie)  # a model's fields are pydantic's, and no `Query`
     known = {field.alias for field in fields if not isinstance(field.field_info, elsewhere)}
     accepted = f"accepted: {', '.join(sorted(known))}" if known else "there are none here"
     unknown = [(name, value) for name, value in request.query_params.items() if name not in known]

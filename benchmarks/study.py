@@ -2,13 +2,13 @@
 
     python -m benchmarks.study docs/studies/hopper.json results/hopper [--hours 2]
 
-Starts a service on data/studies/<name>, imports results/hopper/*.adr if the service lacks
-something of them, and goes on: first the benchmark `first`, then its extensions, one after the
-other. Every half an hour, at the end, and when it is stopped (SIGINT, SIGTERM, or after `--hours`),
-the report and the archives are written into the folder; other files there stay as they are. The
-runs of `first` are in study.adr, and those of each extension in an archive of their own, so that
-what is finished keeps its bytes. What a training had done when the study was stopped is lost,
-nothing else.
+Starts a service on data/studies/<name>, imports the archives in results/hopper if the service
+lacks something of them, and goes on: first the benchmark `first`, then its extensions, one after
+the other. Every half an hour, at the end, and when it is stopped (SIGINT, SIGTERM, or after
+`--hours`), the report and the archives are written into the folder; other files there stay as they
+are. The runs of `first` are in study.adr, and those of each extension in an archive of their own,
+so that what is finished keeps its bytes. What a training had done when the study was stopped is
+lost, nothing else.
 """
 
 import argparse
@@ -17,16 +17,18 @@ import signal
 import sys
 import tempfile
 import time
+from collections.abc import Collection
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from adr_service.client import AdrClient, Json, is_finished
-from adr_service.specs import BenchmarkExtension, BenchmarkSpec
+from adr_service.specs import BenchmarkExtension, BenchmarkSpec, members_of
 from api.cli.own_service import free_port, own_service
 from api.report import write_report
 
 _EXPORT_S, _LOOK_S = 1800.0, 5.0
+_KINDS = BenchmarkExtension.model_fields  # of members
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -37,15 +39,16 @@ class Stopped(Exception):
 def main(given: argparse.Namespace) -> bool:
     """Go on with a study; False if runs failed."""
     study: dict[str, Any] = json.loads(Path(given.study).read_text())
+    parts = parts_of(study)
     folder, deadline = Path(given.folder), time.monotonic() + 3600 * given.hours
     for number in _SIGNALS:
         signal.signal(number, _stop)
     data = Path("data/studies") / Path(given.study).stem
     with own_service(data, free_port()) as client:
-        parts = parts_of(study)
-        id = benchmark_of(client, study["first"], [folder / name for name in parts])
+        id = benchmark_of(client, study["first"], folder, parts)
+        first = {kind: given for kind, given in study["first"].items() if kind in _KINDS}
         try:
-            for extension in [{}, *study["then"]]:
+            for extension in [first, *study["then"]]:
                 extend(client, id, extension)
                 finish(client, id, folder, parts, deadline)
         except Stopped:
@@ -57,46 +60,61 @@ def main(given: argparse.Namespace) -> bool:
 def parts_of(study: Json) -> dict[str, Json]:
     """The members of the first benchmark and of each extension, by the name of their archive."""
     spec = BenchmarkSpec.model_validate(study["first"])
-    parts = {"study.adr": members_of(spec)}
+    parts = {"study.adr": names_of(spec)}
     for given in study["then"]:
         extension = BenchmarkExtension.model_validate(given)
-        added = {field: names for field, names in members_of(extension).items() if names}
+        added = {kind: names for kind, names in names_of(extension).items() if names}
+        if len(added) != 1:
+            sys.exit(f"an extension adds members of one kind, so that its runs are a grid: {given}")
         spec = spec.extended(extension)
-        parts[f"study-{'-'.join(chain(*added.values()))}.adr"] = members_of(spec) | added
+        parts[f"study-{'-'.join(chain(*added.values()))}.adr"] = names_of(spec) | added
     return parts
 
 
-def members_of(spec: BenchmarkSpec | BenchmarkExtension) -> dict[str, list[str]]:
-    """The names of tasks, variants, methods, collectors and seeds."""
-    return {
-        field: [str(getattr(member, "name", member)) for member in getattr(spec, field)]
-        for field in BenchmarkExtension.model_fields
-    }
+def present_in(client: AdrClient, id: str) -> dict[str, list[str]]:
+    """The names of a stored benchmark's members of each kind."""
+    return names_of(BenchmarkSpec.model_validate(client.get(id)["spec"]))
 
 
-def benchmark_of(client: AdrClient, spec: Json, archives: list[Path]) -> str:
-    """The study's benchmark: stored, imported or new; runs that were stopped go on."""
-    for archive in (path for path in archives if path.exists()):
-        with archive.open("rb") as file:
-            added = client.import_archive(file)
-        print(added, file=sys.stderr, flush=True)
-        if added["left"]:
-            sys.exit(f"these runs went on apart here and in {archive}: {added['left']}")
-    stored = client.list_all("benchmarks")
-    id = str((stored[0] if stored else client.submit_benchmark(spec))["id"])
+def names_of(spec: BenchmarkSpec | BenchmarkExtension) -> dict[str, list[str]]:
+    """The names of the members of each kind."""
+    return {kind: list(members) for kind, members in members_of(spec).items()}
+
+
+def benchmark_of(client: AdrClient, spec: Json, folder: Path, parts: Collection[str]) -> str:
+    """The study's benchmark: imported, stored or new; runs that were stopped go on."""
+    present = {path.name for path in folder.glob("*.adr")}
+    if strange := sorted(present - set(parts)):
+        sys.exit(f"{folder} has {strange}, which are no archives of this study: {list(parts)}")
+    ids = {import_archive(client, folder / name) for name in parts if name in present}
+    if len(ids) > 1:
+        sys.exit(f"the archives in {folder} are of several benchmarks: {sorted(ids)}")
+    stored = [benchmark["id"] for benchmark in client.list_all("benchmarks")]
+    id = str([*ids, *stored][0] if ids or stored else client.submit_benchmark(spec)["id"])
     client.resume(id)
     return id
 
 
+def import_archive(client: AdrClient, archive: Path) -> str:
+    """Add what the service lacks of an archive, and return its benchmark's id."""
+    with archive.open("rb") as file:
+        added = client.import_archive(file)
+    print(added, file=sys.stderr, flush=True)
+    if added["left"]:
+        sys.exit(f"these runs went on apart here and in {archive}: {added['left']}")
+    return str(added["benchmark"])
+
+
 def extend(client: AdrClient, id: str, extension: Json) -> None:
     """Add the members of an extension that the benchmark lacks."""
-    spec = client.get(id)["spec"]
+    present = present_in(client, id)
+    names = names_of(BenchmarkExtension.model_validate(extension))
     missing = {
-        name: [member for member in members if member not in spec.get(name, [])]
-        for name, members in extension.items()
+        kind: [m for m, name in zip(members, names[kind], strict=True) if name not in present[kind]]
+        for kind, members in extension.items()
     }
     if any(missing.values()):
-        client.extend_benchmark(id, {name: members for name, members in missing.items() if members})
+        client.extend_benchmark(id, {kind: members for kind, members in missing.items() if members})
 
 
 def finish(
@@ -123,11 +141,11 @@ def stop(client: AdrClient, id: str) -> None:
 
 def publish(client: AdrClient, id: str, folder: Path, parts: dict[str, Json]) -> None:
     """Put the report and the archives in the place of those before, file by file."""
-    present = members_of(BenchmarkSpec.model_validate(client.get(id)["spec"]))
+    present = present_in(client, id)
     begun = {
         name: part
         for name, part in parts.items()
-        if all(set(part[field]) <= set(present[field]) for field in part)
+        if all(set(names) <= set(present[kind]) for kind, names in part.items())
     }
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent) as place:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import IO, Any, Literal
 
-from sqlalchemy import ColumnElement, Select, select
+from sqlalchemy import ColumnElement, Select, func, select
 from sqlalchemy.orm import Session
 
 import adr_service
@@ -24,7 +24,16 @@ from adr_service.events import RunState, RunStopped
 from adr_service.json_values import Wire
 from adr_service.specs import BenchmarkPart, BenchmarkSpec, CriticismSpec, RunSpec
 from db.archive_checks import replays
-from db.benchmarks import cell_of, get_benchmark, part_of, readable, runs_of, stored
+from db.benchmarks import (
+    benchmark_row,
+    cell_of,
+    get_benchmark,
+    grid_of,
+    part_of,
+    readable,
+    runs_of,
+    stored,
+)
 from db.errors import NotPossible
 from db.events import append, run_row
 from db.models import (
@@ -45,6 +54,7 @@ from db.staging import Staged
 
 _IN_BATCHES = {"yield_per": 100}
 _WHOLE = BenchmarkPart()
+_CHANGED = "updated_at"
 _STOPPED = "run_stopped"  # the type of these events
 _ONE_BY_ONE = {"yield_per": 1}  # artifacts may be large
 Change = Literal["added", "continued", "unchanged", "left"]
@@ -73,12 +83,11 @@ def export_benchmark(
 ) -> None:
     """Write a benchmark as it is at one moment, finished or not.
 
-    A part is written as a benchmark of these members alone; imported one after the other, parts
-    are one benchmark again. Raises NotFound, InvalidInput for a part that the benchmark has not,
-    Lost where runs of a part cannot be read, and what `check` raises, which is called before each
+    A part is written as a benchmark of these members alone. Parts that differ in one kind of
+    member, as in their methods, are one benchmark again when they are imported one after the other.
+    Raises NotFound, what `part_of` raises, and what `check` raises, which is called before each
     artifact.
     """
-    get_benchmark(database, benchmark_id)
     with database.read() as session, ArchiveWriter(file) as archive:
         benchmark, runs = _chosen(session, benchmark_id, part)
         archive.add_rows(BenchmarkRow.__tablename__, [benchmark])
@@ -136,12 +145,13 @@ def _chosen(
     session: Session, benchmark_id: str, part: BenchmarkPart
 ) -> tuple[dict[str, Any], ColumnElement[bool]]:
     """The row of a benchmark or of its part, and the condition of its runs."""
-    mine = _rows(BenchmarkRow).where(BenchmarkRow.id == benchmark_id)
-    row = _as_json(session.execute(mine).mappings().one())
+    row = benchmark_row(session, benchmark_id)
+    columns = BenchmarkRow.__table__.columns
+    written = _as_json({column.name: getattr(row, column.name) for column in columns})
     if part.is_whole:
-        return row, RunRow.benchmark_id == benchmark_id
+        return written, RunRow.benchmark_id == benchmark_id
     spec, chosen = part_of(session, benchmark_id, part)
-    return row | {"spec": stored(spec)}, RunRow.id.in_(chosen)
+    return written | {"spec": stored(spec)}, RunRow.id.in_(chosen)
 
 
 def _tables(runs: ColumnElement[bool]) -> list[tuple[type[Base], Select[Any]]]:
@@ -149,7 +159,7 @@ def _tables(runs: ColumnElement[bool]) -> list[tuple[type[Base], Select[Any]]]:
     mine = _is_mine(runs)
     parts = StageArtifactRow.digest.in_(select(StageRow.digest).where(mine))
     return [
-        (RunRow, _rows(RunRow).where(runs).order_by(RunRow.number)),
+        (RunRow, _run_rows().where(runs).order_by(RunRow.number)),
         (
             EventRow,
             _rows(EventRow)
@@ -179,13 +189,21 @@ def _is_mine(runs: ColumnElement[bool]) -> ColumnElement[bool]:
 
 
 def _rows(table: type[Base]) -> Select[Any]:
-    return select(*(column for column in table.__table__.columns if column.name != NUMBER))
+    return select(*table.__table__.columns)
+
+
+def _run_rows() -> Select[Any]:
+    """Rows of runs, which have changed when their last event happened, on whatever machine."""
+    last = select(func.max(EventRow.created_at)).where(EventRow.run_id == RunRow.id)
+    changed = func.coalesce(last.scalar_subquery(), RunRow.created_at).label(_CHANGED)
+    return select(*(c for c in RunRow.__table__.columns if c.name != _CHANGED), changed)
 
 
 def _as_json(row: Mapping[Any, Any]) -> dict[str, Any]:
     return {
         str(name): value.isoformat() if isinstance(value, datetime) else value
         for name, value in row.items()
+        if name != NUMBER
     }
 
 
@@ -225,15 +243,26 @@ def _add_benchmark(database: Database, source: Database, id: str) -> None:
         if row is None:
             session.add(copy_of(theirs))
         elif row.spec != theirs.spec:
-            ours, new = readable(get_benchmark(database, id)), readable(archived)
-            joined = ours.joined(new)
-            if lacking := _cells(joined) - _cells(ours) - _cells(new):
-                one = " ".join(map(str, min(lacking)))
-                raise NotPossible(
-                    f"{id} has other members here than in the archive, and together they lack "
-                    f"{len(lacking)} runs, {one} for one: import an archive with these first"
-                )
-            row.spec = stored(joined)
+            row.spec = stored(_joined(readable(get_benchmark(database, id)), readable(archived)))
+
+
+def _joined(ours: BenchmarkSpec, theirs: BenchmarkSpec) -> BenchmarkSpec:
+    """A benchmark of the members that are here and in an archive, if its runs are those of both."""
+    joined = ours.joined(theirs)
+    grid, here, there = grid_of(joined), grid_of(ours), grid_of(theirs)
+    if lacking := grid.keys() - here.keys() - there.keys():
+        raise NotPossible(
+            "the benchmark has other members here than in the archive, and together they lack "
+            f"{len(lacking)} runs, as {' '.join(map(str, min(lacking)))}; archives fit together if "
+            "they differ in one kind of member: tasks, variants, methods, collectors or seeds"
+        )
+    for cell, run in (*here.items(), *there.items()):
+        if grid.get(cell) != run:
+            raise NotPossible(
+                "the benchmark has other settings here than in the archive: in both together "
+                f"{' '.join(map(str, cell))} would be another run"
+            )
+    return joined
 
 
 def _add_run(
@@ -299,7 +328,3 @@ def _place(record: RunRecord) -> tuple[str, str, str, int] | None:
     if isinstance(spec, CriticismSpec):
         return None
     return cell_of(spec) if isinstance(spec, RunSpec) else (*spec.place, spec.seed)
-
-
-def _cells(spec: BenchmarkSpec) -> set[tuple[str, str, str, int]]:
-    return {cell_of(run) for run in spec.runs()}

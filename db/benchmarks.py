@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
 
+from adr_service.errors import InvalidInput
 from adr_service.events import FINISHED, RunState
 from adr_service.json_values import explain
 from adr_service.specs import (
@@ -46,6 +47,8 @@ from db.runs import (
 )
 from db.session import Database
 
+Cell = tuple[str, str, str, int]  # task, variant, method with its collector, seed
+
 
 @dataclass(frozen=True)
 class BenchmarkRecord:
@@ -78,7 +81,7 @@ def create_benchmark(
 def get_benchmark(database: Database, benchmark_id: str) -> BenchmarkRecord:
     """The benchmark with this id. Raises NotFound."""
     with database.read() as session:
-        return _record(_row(session, benchmark_id))
+        return _record(benchmark_row(session, benchmark_id))
 
 
 def list_benchmarks(
@@ -137,7 +140,7 @@ def extend_benchmark(
     specs = _missing(spec, runs_of(database, benchmark_id), benchmark_id)
     new = [new_run(run, benchmark_id) for run in specs]  # before the lock
     with database.write("extend_benchmark") as session:
-        row = _row(session, benchmark_id)
+        row = benchmark_row(session, benchmark_id)
         if _spec(row.spec) != now.spec:
             raise NotPossible(f"{benchmark_id} was extended by another request just now; try again")
         row.spec = stored(spec)
@@ -189,7 +192,7 @@ def delete_benchmark(database: Database, benchmark_id: str) -> None:
     Raises NotFound, and NotPossible if a run of it is not finished.
     """
     with database.write("delete_benchmark") as session:
-        row = _row(session, benchmark_id)
+        row = benchmark_row(session, benchmark_id)
         mine = RunRow.benchmark_id == benchmark_id
         if session.scalar(select(RunRow.id).where(mine, RunRow.state.not_in(FINISHED)).limit(1)):
             raise NotPossible(f"benchmark {benchmark_id} is not finished; cancel it first")
@@ -226,8 +229,8 @@ def _missing(spec: BenchmarkSpec, present: Sequence[RunRecord], benchmark_id: st
     """
     known = {cell_of(before): before for before in map(_member, present)}
     new: list[RunSpec] = []
-    for run in spec.runs():
-        before = known.get(cell_of(run))
+    for cell, run in grid_of(spec).items():
+        before = known.get(cell)
         if before is None:
             new.append(run)
         elif before != run:
@@ -253,10 +256,16 @@ def part_of(
 ) -> tuple[BenchmarkSpec, list[str]]:
     """A benchmark of some members alone, and the ids of its runs; inside a transaction.
 
-    Raises NotFound, Lost where runs cannot be read, and InvalidInput for other members.
+    Raises NotFound, Lost if the benchmark has runs that cannot be read, and InvalidInput for
+    members that it does not have, or that would not be the same ones without the others.
     """
-    spec = readable(_record(_row(session, benchmark_id))).part(part)
-    cells = {cell_of(run) for run in spec.runs()}
+    whole = readable(_record(benchmark_row(session, benchmark_id)))
+    spec = whole.part(part)
+    grid, cells = grid_of(whole), grid_of(spec)
+    if changed := [cell for cell, run in cells.items() if grid[cell] != run]:
+        raise InvalidInput(
+            f"{changed[0][2]} learns from this benchmark's own SimOpt, which must be in the part"
+        )
     rows = session.scalars(select(RunRow).where(RunRow.benchmark_id == benchmark_id))
     return spec, [run.id for run in map(record_of, rows) if cell_of(_member(run)) in cells]
 
@@ -269,12 +278,18 @@ def stored(spec: BenchmarkSpec) -> str:
     return spec.model_dump_json(exclude_unset=True)
 
 
-def cell_of(spec: RunSpec) -> tuple[str, str, str, int]:
+def grid_of(spec: BenchmarkSpec) -> dict[Cell, RunSpec]:
+    """The runs of a benchmark, each in its place."""
+    return {cell_of(run): run for run in spec.runs()}
+
+
+def cell_of(spec: RunSpec) -> Cell:
     """The place of a run in its benchmark's grid."""
     return (spec.task, spec.variant, spec.column, spec.seed)
 
 
-def _row(session: Session, benchmark_id: str) -> BenchmarkRow:
+def benchmark_row(session: Session, benchmark_id: str) -> BenchmarkRow:
+    """The row of a benchmark, inside a transaction. Raises NotFound."""
     row = session.scalar(select(BenchmarkRow).where(BenchmarkRow.id == benchmark_id))
     if row is None:
         raise NotFound("benchmark", benchmark_id)

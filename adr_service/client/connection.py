@@ -123,7 +123,7 @@ class AdrClient:
     def export_archive(self, benchmark_id: str, file: IO[bytes], part: Json | None = None) -> None:
         """Write a benchmark with all its results to a file.
 
-        Of a part, `{"methods": ["bayrn"], "seeds": [0, 1]}` for example, these alone.
+        `part` keeps only some members, as in `{"methods": ["bayrn"], "seeds": [0, 1]}`.
         """
         path = f"{_path(benchmark_id)}/archive"
         sent = self._http.stream("GET", path, params=part, timeout=_LONG_S)

@@ -11,6 +11,7 @@ from adr_service.specs.benchmark import (
     BenchmarkExtension,
     BenchmarkPart,
     BenchmarkSpec,
+    members_of,
 )
 from adr_service.specs.lost import LostBenchmark, LostRun
 from adr_service.specs.run import AnyRun, CriticismSpec, RunSpec
@@ -37,4 +38,5 @@ __all__ = [
     "RecordedTarget",
     "RunSpec",
     "SimulatedTarget",
+    "members_of",
 ]

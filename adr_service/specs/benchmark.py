@@ -41,18 +41,26 @@ class BenchmarkExtension(Wire):
 
 
 class BenchmarkPart(Wire):
-    """Members of a benchmark, each by its name; of those that are left empty, all."""
+    """Names of the members of a benchmark to keep; an empty list keeps all of its kind."""
 
     tasks: Members[str] = Field(default=[], description="only these tasks")
     variants: Members[str] = Field(default=[], description="only these variants")
     methods: Members[str] = Field(default=[], description="only these methods, and the references")
-    collectors: Members[str] = Field(default=[], description="only these collectors")
+    collectors: Members[str] = Field(
+        default=[], description="only these collectors, and methods without one"
+    )
     seeds: Members[str] = Field(default=[], description="only these seeds")
 
     @property
     def is_whole(self) -> bool:
         """True if it leaves nothing out."""
         return not any(names for _, names in self)
+
+
+def members_of(spec: "BenchmarkSpec | BenchmarkExtension") -> dict[str, dict[str, Any]]:
+    """The members of each kind ("tasks", "variants", …) by their names."""
+    kinds = BenchmarkExtension.model_fields
+    return {kind: {_name(member): member for member in getattr(spec, kind)} for kind in kinds}
 
 
 def _name(member: Any) -> str:
@@ -89,10 +97,10 @@ class BenchmarkSpec(Wire):
     def _all_runs_are_valid(self) -> Self:
         if self.size > MAX_RUNS:
             raise ValueError(f"a benchmark may have {MAX_RUNS} runs at most; this has {self.size}")
-        for name in ("tasks", "variants", "methods", "collectors", "seeds"):
-            values = [_name(m) for m in getattr(self, name)]
-            if repeated := [value for value, count in Counter(values).items() if count > 1]:
-                raise ValueError(f"{name} must not repeat a member; {repeated[0]} comes twice")
+        for kind in BenchmarkExtension.model_fields:
+            names = Counter(map(_name, getattr(self, kind)))
+            if repeated := [name for name, count in names.items() if count > 1]:
+                raise ValueError(f"{kind} must not repeat a member; {repeated[0]} comes twice")
         list(self.runs())
         return self
 
@@ -120,38 +128,35 @@ class BenchmarkSpec(Wire):
 
     def extended(self, extension: BenchmarkExtension) -> "BenchmarkSpec":
         """This benchmark with more members; those that it has already cannot be added again."""
-        added = {name: list(value) for name, value in extension if value}
+        added = {kind: members for kind, members in extension if members}
         if not added:
             accepted = ", ".join(BenchmarkExtension.model_fields)
             raise InvalidInput(f"nothing to add was given; accepted: {accepted}")
-        for name, members in added.items():
-            had = {_name(member) for member in getattr(self, name)}
-            if again := [_name(m) for m in members if _name(m) in had]:
-                raise InvalidInput(f"the benchmark has the {name} {', '.join(again)} already")
-        return self._with({name: [*getattr(self, name), *new] for name, new in added.items()})
+        for kind, mine in members_of(self).items():
+            if again := [name for name in members_of(extension)[kind] if name in mine]:
+                raise InvalidInput(f"the benchmark has the {kind} {', '.join(again)} already")
+        return self._with({kind: [*getattr(self, kind), *new] for kind, new in added.items()})
 
     def part(self, chosen: BenchmarkPart) -> "BenchmarkSpec":
         """This benchmark with some of its members alone."""
-        narrower: dict[str, list[Any]] = {}
-        for field, names in chosen:
-            members = {_name(member): member for member in getattr(self, field)}
+        kept: dict[str, list[Any]] = {}
+        for kind, members in members_of(self).items():
+            names = getattr(chosen, kind)
             if unknown := [name for name in names if name not in members]:
                 raise InvalidInput(
-                    f"the benchmark has not the {field} {', '.join(unknown)}; it has "
-                    f"{', '.join(members)}"
+                    f"the benchmark has no {kind} {', '.join(unknown)}; it has {', '.join(members)}"
                 )
             if names and members.keys() - set(names):
-                narrower[field] = [members[name] for name in members if name in names]
-        return self._with(narrower)
+                kept[kind] = [members[name] for name in members if name in names]
+        return self._with(kept)
 
     def joined(self, other: "BenchmarkSpec") -> "BenchmarkSpec":
         """This benchmark with the members of another one too."""
         wider: dict[str, list[Any]] = {}
-        for field in BenchmarkExtension.model_fields:
-            mine = getattr(self, field)
-            names = {_name(member) for member in mine}
-            if more := [member for member in getattr(other, field) if _name(member) not in names]:
-                wider[field] = [*mine, *more]
+        for kind, mine in members_of(self).items():
+            theirs = members_of(other)[kind]
+            if theirs.keys() - mine.keys():
+                wider[kind] = list((mine | theirs | mine).values())  # with our own settings
         return self._with(wider)
 
     def _with(self, members: dict[str, list[Any]]) -> "BenchmarkSpec":

@@ -39,7 +39,7 @@ def export_(
     benchmark: Annotated[str, typer.Argument(help="Id of a benchmark, finished or not.")],
     file: Annotated[Path, typer.Argument(help="The file to write.")],
     seed: Annotated[list[int] | None, typer.Option(help=_ONLY)] = None,
-    method: Only = None,
+    method: Annotated[list[str] | None, typer.Option(help=f"{_ONLY} References stay.")] = None,
     variant: Only = None,
     task: Only = None,
     collector: Only = None,
@@ -47,7 +47,8 @@ def export_(
 ) -> None:
     """Write a benchmark, or a part of it, with all results and policies to one file.
 
-    Parts that are imported one after the other are one benchmark again.
+    Parts that differ in one option, as in --method, are one benchmark again when they are
+    imported one after the other.
     """
     check_benchmark(benchmark, "an archive is")
     check_new(file)

@@ -35,8 +35,8 @@ def export(
 ) -> StreamingResponse:
     """The benchmark, or a part of it, as one file, finished or not.
 
-    It has specs, events, results and policies. Parts that are imported one after the other are one
-    benchmark again.
+    It has specs, events, results and policies. Parts that differ in one kind of member, as in their
+    methods, are one benchmark again when they are imported one after the other.
     """
     service.check_disk()
     with ExitStack() as unless_sent:

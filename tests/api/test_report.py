@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 import pytest
 
 from adr_service.benchmark.archive import ArchiveReader
+from adr_service.client import Refused
 from api.report import write_report
 
 pytestmark = pytest.mark.ray
@@ -72,6 +73,8 @@ def test_archives_of_parts_are_linked_and_listed(service, benchmark, tmp_path):
         assert f'<a href="{name}">' in text
         assert f"\nadr archive import {name} " in text
     assert text.count("mujoco 4") == 1  # equal versions are listed once
+    with pytest.raises(Refused, match="has no seeds 5"):
+        write_report(service.client, benchmark, tmp_path / "other", {"a.adr": {"seeds": ["5"]}})
 
 
 class WithFailure:

@@ -202,9 +202,9 @@ def test_a_part_has_the_runs_of_its_members_and_the_references(file_database, ot
     assert 0 < count(other, "stages") < count(file_database, "stages")
 
 
-def test_a_part_that_the_benchmark_has_not_is_refused(file_database, tmp_path):
+def test_a_part_of_what_is_no_member_is_refused(file_database, tmp_path):
     id = finished_benchmark(file_database)
-    with pytest.raises(InvalidInput, match="has not the methods bayrn; it has "):
+    with pytest.raises(InvalidInput, match="has no methods bayrn; it has "):
         exported(file_database, id, tmp_path / "a.adr", methods=["bayrn"])
 
 
@@ -218,6 +218,41 @@ def test_parts_that_leave_a_gap_together_are_refused(file_database, other, tmp_p
     with pytest.raises(NotPossible, match="together they lack 2 runs"):
         imported(other, tmp_path / "b.adr")
     assert content_of(other, id) == before
+
+
+def test_a_part_keeps_the_simopt_from_which_its_methods_learn(file_database, tmp_path):
+    own = {"name": "simopt", "updates": 7}
+    id = finished_benchmark(file_database, methods=["udr", own, "dropo"])
+    with pytest.raises(InvalidInput, match="dropo learns from this benchmark's own SimOpt"):
+        exported(file_database, id, tmp_path / "a.adr", methods=["dropo"])
+    exported(file_database, id, tmp_path / "b.adr", methods=["simopt", "dropo"])
+
+
+@pytest.mark.parametrize(
+    ("there", "seed"),
+    [
+        ({"name": "dropo", "epsilon": 1e-3}, "1"),  # would be another seed of the same method
+        ({"name": "simopt", "updates": 7}, "0"),  # DROPO would seem to learn from this SimOpt
+    ],
+)
+def test_settings_of_both_sides_are_not_mixed(there, seed, file_database, other, tmp_path):
+    id = finished_benchmark(file_database, methods=["udr"], seeds=[0, 1])
+    exported(file_database, id, tmp_path / "0.adr", seeds=["0"])
+    imported(other, tmp_path / "0.adr")
+    for database, method in ((other, "dropo"), (file_database, there)):
+        extension = BenchmarkExtension.model_validate({"methods": [method]})
+        benchmarks.extend_benchmark(database, id, extension)
+    before = content_of(other, id)
+    with pytest.raises(NotPossible, match="other settings here than in the archive"):
+        imported(other, exported(file_database, id, tmp_path / "b.adr", seeds=[seed]))
+    assert content_of(other, id) == before
+
+
+def test_a_benchmark_has_the_same_bytes_on_every_machine(file_database, other, tmp_path):
+    id = finished_benchmark(file_database)
+    path = exported(file_database, id, tmp_path / "a.adr")
+    imported(other, path)
+    assert exported(other, id, tmp_path / "b.adr").read_bytes() == path.read_bytes()
 
 
 def test_a_benchmark_that_was_extended_on_both_sides_is_refused(file_database, other, tmp_path):
