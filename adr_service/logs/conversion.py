@@ -37,6 +37,7 @@ from adr_service.logs.tracks import (
     check_derived,
     check_lengths,
     check_velocities,
+    on_one_branch,
     recording_of,
 )
 
@@ -104,7 +105,7 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
     given.check(model)
     column = given.rows.episode
     parts = [part for log in logs for part in ([log] if column is None else log.parts(column))]
-    recordings = [recording_of(log, given, model) for log in parts]
+    recordings = on_one_branch([recording_of(log, given, model) for log in parts], given, model)
     check_velocities(recordings)
     period = _period(recordings, given, model)
     check_lengths(recordings, period, given)

@@ -14,6 +14,7 @@ LEAST_READINGS = 4  # in a window, for a parabola with an error of its own
 PREFERRED = 8  # if the log's spacing decides the period, and a velocity is to be derived
 LEAST_ROWS = 10  # of an episode
 GAP = 3.0  # times the median spacing, from which on readings are missing
+_OFTEN = 10.0  # times the spacing of readings, to which commands are frequent
 SAME = 1e-6  # of a period: times as near as that are the same
 _DENSER = 0.7  # of a column's spacing: closer rows would count a reading more than once
 TURN, _NEARLY = 2 * np.pi, 0.1  # a jump by a turn, to within a tenth
@@ -56,14 +57,27 @@ class Recording:
     def states(self) -> list[Track]:
         return [*self.positions, *(track for track in self.velocities if track is not None)]
 
+    @property
+    def frequent_commands(self) -> list[Track]:
+        """Commands that come as often as readings of the states, so that a pause shows a gap.
+
+        Others come when something changes, and hold in between.
+        """
+        usual = _OFTEN * max(track.spacing for track in self.states)
+        known = [track for track in self.commands if track is not None]
+        return [t for t in known if len(t.signal.time) > 1 and t.spacing <= usual]
+
     def gaps(self) -> list[tuple[float, float]]:
-        return sorted({gap for track in self.states for gap in track.gaps()})
+        tracks = [*self.states, *self.frequent_commands]
+        return sorted({gap for track in tracks for gap in track.gaps()})
 
     def stretches(self) -> list[tuple[float, float]]:
-        """Times without a gap in any state, from the first command on."""
+        """Times without a gap, from the first command on."""
         commands = [track for track in self.commands if track is not None]
         begin = max(track.signal.time[0] for track in [*self.states, *commands])
-        end = min(track.signal.time[-1] for track in self.states)
+        ends = [track.signal.time[-1] for track in self.states]
+        ends += [t.signal.time[-1] + GAP * t.spacing for t in self.frequent_commands]
+        end = min(ends)
         found: list[tuple[float, float]] = []
         for first, last in [*self.gaps(), (end, end)]:
             if min(first, end) > begin:
@@ -109,6 +123,34 @@ def recording_of(log: Log, given: LogMap, model: mujoco.MjModel) -> Recording:
         [since(track) for track in velocities],
         [since(track) for track in commands],
     )
+
+
+def on_one_branch(
+    recordings: Sequence[Recording], given: LogMap, model: mujoco.MjModel
+) -> list[Recording]:
+    """Recordings in which the same pose has the same position, whichever turn a reading began in.
+
+    Readings that wrap tell a position up to whole turns, and each recording is unwrapped by itself.
+    The median of the first is put next to the middle of the joint's range (zero for one without
+    limits), and the others' next to it.
+    """
+    moved = list(recordings)
+    for number, name in enumerate(joints_of(model)):
+        joint, near = given.joints[name], 0.0
+        if joint.wrap is None:
+            continue
+        if model.joint(name).limited[0]:
+            near = float(np.mean(model.joint(name).range))
+        turn = abs(joint.position_factor(is_slide(model, name))) * joint.wrap
+        for which, recording in enumerate(moved):
+            track = recording.positions[number]
+            middle = float(np.median(track.signal.value))
+            value = track.signal.value + turn * round((near - middle) / turn)
+            near = near if which else float(np.median(value))
+            positions = list(recording.positions)
+            positions[number] = replace(track, signal=replace(track.signal, value=value))
+            moved[which] = replace(recording, positions=positions)
+    return moved
 
 
 def _track(log: Log, given: LogMap, column: str, quantity: str, zero: float) -> Track:

@@ -135,8 +135,7 @@ def test_units_signs_zeros_and_turns_are_converted(robot, even):
     )
     data = convert([log(log_of)], given, robot).measurement
     truth = motion(data.time)
-    turns = (data.qpos[:, 0] - truth["q1"]) / (2 * np.pi)
-    np.testing.assert_allclose(turns, np.round(turns[0]), atol=1e-9)
+    np.testing.assert_allclose(data.qpos[:, 0], truth["q1"], atol=1e-9)
     np.testing.assert_allclose(data.qvel[:, 0], truth["dq1"], atol=1e-9)
     np.testing.assert_allclose(data.qpos[:, 1], truth["q2"], atol=1e-9)
     np.testing.assert_allclose(data.ctrl[:, 0], truth["u"], atol=1e-9)
@@ -227,6 +226,50 @@ def test_a_gap_parts_episodes_and_is_listed(robot, even, given):
     assert (first, last) == pytest.approx((5.0, 7.004))
     assert record.seconds_left_out == pytest.approx(2.0, abs=0.05)
     assert_is_the_motion(converted.measurement, 1e-9)
+
+
+def test_a_pose_has_the_same_position_whichever_turn_its_recording_began_in(robot, even):
+    turning = changed(('position = "q1"', f'position = "q1"\nwrap = {2 * np.pi}'))
+    wrapped = {**even, "q1": even["q1"] % (2 * np.pi)}
+    later = even["time"] >= 1.1  # just below zero, which reads as nearly a whole turn
+    assert wrapped["q1"][later][0] > 6
+    second = {name: values[later] for name, values in wrapped.items()}
+    for logs in ([wrapped, second], [second, wrapped]):
+        assert_is_the_motion(
+            convert([log(each) for each in logs], turning, robot).measurement, 1e-9
+        )
+
+
+def test_a_joint_with_limits_turns_within_them(even):
+    beyond = XML.replace('name="shoulder"', 'name="shoulder" range="350 490" limited="true"')
+    turning = changed(('position = "q1"', f'position = "q1"\nwrap = {2 * np.pi}'))
+    wrapped = {**even, "q1": even["q1"] % (2 * np.pi)}
+    data = convert([log(wrapped)], turning, mujoco.MjModel.from_xml_string(beyond)).measurement
+    truth = motion(data.time)["q1"] + 2 * np.pi
+    np.testing.assert_allclose(data.qpos[:, 0], truth, atol=1e-9)
+
+
+@pytest.mark.parametrize("pause", ["of both", "of commands", "of commands at the end"])
+def test_no_row_has_a_command_from_before_a_pause(pause, robot, even, given):
+    states = {name: even[name] for name in ("q1", "dq1", "q2", "dq2")}
+    time, sent = even["time"], even["time"] + 0.003
+    end = 30 if pause.endswith("end") else 14
+    kept = (time < 12) | (time > 14) if pause == "of both" else np.full(len(time), True)
+    of_states = Stream({name: values[kept] for name, values in states.items()}, time[kept])
+    ramp = (sent < 12) | (sent > end)
+    of_commands = Stream({"u": sent[ramp] / 20}, sent[ramp])
+    converted = convert([Log("run.mcap", (of_states, of_commands))], given, robot)
+    data = converted.measurement
+    np.testing.assert_allclose(data.ctrl[:, 0], data.time / 20, atol=1e-3)
+    assert converted.records[0].seconds_left_out > 1.9
+
+
+def test_commands_that_come_when_something_changes_hold(robot, even, given):
+    states = Stream({name: even[name] for name in ("q1", "dq1", "q2", "dq2")}, even["time"])
+    commands = Stream({"u": np.array([0.0, 1.0, 0.5, -1.0])}, np.array([0.0, 1.0, 2.0, 12.0]))
+    converted = convert([Log("run.mcap", (states, commands))], given, robot)
+    assert converted.records[0].gaps == ()
+    assert converted.measurement.ctrl[2000, 0] == 0.5
 
 
 def test_several_recordings_and_trials_are_episodes_of_their_own(robot, even, given):
