@@ -57,7 +57,16 @@ def test_a_mean_of_the_wrong_shape_or_not_finite_is_refused(bad):
         TruncatedGaussian(SPACE, bad, np.array([1.0, 1.0]))
 
 
-@pytest.mark.parametrize("covariance", [np.eye(3), [[1, 2], [2, 1]], [[np.nan, 0], [0, 1]]])
+@pytest.mark.parametrize(
+    "covariance",
+    [
+        np.eye(3),
+        [[1, 2], [2, 1]],
+        [[np.nan, 0], [0, 1]],
+        [[1, 0.9], [0, 1]],  # of which one triangle would be read
+        [[1, 0], [0]],
+    ],
+)
 def test_an_impossible_covariance_is_refused(covariance):
     with pytest.raises(InvalidInput, match="covariance"):
         Gaussian(SPACE, np.array([2.0, 2.0]), covariance)

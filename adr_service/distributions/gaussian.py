@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector, frozen
-from adr_service.distributions.base import Draws, finite_vector
+from adr_service.distributions.base import Draws, array_of, finite_vector
 from adr_service.errors import InvalidInput
 from adr_service.parameters import ParameterSpace
 
+_ASYMMETRY = 1e-6  # of the largest entry, which rounding may leave
 _ROUNDING = 1e-12  # of the largest variance, by which a variance of 0 may be computed as negative
 
 
@@ -26,10 +27,13 @@ class Gaussian:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "location", finite_vector(self.space, self.location, "location"))
-        object.__setattr__(self, "covariance", frozen(self.covariance))
+        object.__setattr__(self, "covariance", array_of("covariance", self.covariance))
         d = len(self.space)
         if self.covariance.shape != (d, d) or not np.all(np.isfinite(self.covariance)):
             raise InvalidInput(f"covariance must be finite and ({d}, {d}): {self.covariance}")
+        lopsided = np.abs(self.covariance - self.covariance.T).max()
+        if lopsided > _ASYMMETRY * np.abs(self.covariance).max():
+            raise InvalidInput(f"covariance must be symmetric: {self.covariance}")
         variances = np.linalg.eigvalsh(self.covariance)  # along the axes, in ascending order
         if variances[0] < -_ROUNDING * variances[-1]:
             raise InvalidInput(f"covariance must be positive semi-definite: {self.covariance}")

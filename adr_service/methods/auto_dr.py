@@ -115,4 +115,5 @@ class AutoDr:
         step = self._settings.step * (high - low)
         wanted = self._bounds[side, column] + share * (high - low)
         ranges = (low, self._bounds[1, column] - step), (self._bounds[0, column] + step, high)
-        self._bounds[side, column] = np.clip(wanted, *ranges[side])
+        kept = np.clip(wanted, *ranges[side])
+        self._bounds[side, column] = np.clip(kept, low, high)  # beyond which rounding may lead

@@ -24,6 +24,11 @@ def check_task(entry: Entry) -> None:
     try:
         if not entry.variants:
             raise InvalidInput("it has no variant; at least one is needed")
+        if not 0 < task.reward_threshold < np.inf:
+            raise InvalidInput(
+                "returns are divided by reward_threshold, which must be positive and finite; given "
+                f"{task.reward_threshold}"
+            )
         _check_vanilla(entry)
         for variant in entry.variants.values():
             _check_source(task, variant.source, variant.truth)

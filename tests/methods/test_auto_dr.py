@@ -1,10 +1,14 @@
 """AutoDR: how its episodes are drawn, and where its bounds go."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
 from adr_service.methods.auto_dr import AutoDrSettings
+from adr_service.methods.base import Problem
+from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.randomness import stream
 from tests.planted import PROBLEM, SPACE
 
@@ -77,6 +81,21 @@ def test_a_box_shrinks_under_a_policy_that_forgets_and_keeps_the_width_of_a_step
         curriculum.move(dynamics, np.zeros(128))
     low, high = bounds(curriculum)
     np.testing.assert_allclose(high - low, 0.05)
+
+
+def test_rounding_leads_no_bound_beyond_the_search_range():
+    """(.2 + step) - step is a bit below .2, which cannot be simulated."""
+    parameter = Parameter("mass", "body:forearm.mass", "kg", 0.2, 3.0, 0.2)
+    step = 0.05 * (3.0 - 0.2)
+    assert (0.2 + step) - step < 0.2
+    source = replace(PROBLEM.source, space=ParameterSpace((parameter,)))
+    curriculum, rng = AutoDrSettings().create(Problem(PROBLEM.task, source)), stream("bounds")
+    curriculum.move(curriculum.sample(128, rng).values, np.full(128, THRESHOLD))
+    for _ in range(60):
+        dynamics = curriculum.sample(128, rng).values
+        at_low = dynamics[:, 0] == curriculum.distribution.low[0]
+        curriculum.move(dynamics, np.where(at_low, THRESHOLD, 0.0))
+    assert curriculum.distribution.low[0] == 0.2
 
 
 def test_nothing_moves_until_the_first_box_is_solved():

@@ -83,6 +83,25 @@ def test_a_policy_that_always_succeeds_is_given_the_whole_box_in_bounded_moves()
         assert entropy(shapes(after))[0] >= entropy(shapes(before))[0] - 1e-6
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_move_is_made_wherever_more_than_half_succeed(seed):
+    """Success is near the centre alone, so that both bounds of a move matter."""
+    rng = np.random.default_rng(seed)
+    curriculum, moves = DoraemonSettings().create(PROBLEM), 0
+    for _ in range(12):
+        before = curriculum.distribution
+        dynamics = curriculum.sample(64, rng).values
+        share = (dynamics - SPACE.low) / (SPACE.high - SPACE.low)
+        succeeds = np.linalg.norm(share - 0.5, axis=1) < 0.11
+        curriculum.move(dynamics, np.where(succeeds, THRESHOLD, 0.0))
+        if np.mean(succeeds) > 0.5:
+            moves += 1
+            after = shapes(curriculum.distribution)
+            assert entropy(after)[0] > entropy(shapes(before))[0] + 1e-3
+            assert divergence(shapes(before), after)[0] <= 0.05 + 1e-5
+    assert moves >= 5
+
+
 def test_a_policy_that_never_succeeds_keeps_its_first_distribution():
     kept = run(lambda share: np.zeros(len(share), bool), moves=3)
     np.testing.assert_array_equal(shapes(kept[-1]), shapes(kept[0]))

@@ -1,5 +1,7 @@
 """The check of tasks names the rule that a broken task breaks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -24,6 +26,14 @@ def test_a_task_that_breaks_a_rule_is_named_with_the_rule(function, wrong, messa
     broken = type("Broken", (type(arm.task),), {function: wrong})()
     with pytest.raises(InvalidInput, match=f"task 'arm': .*{message}"):
         check_task(Entry(broken, arm.variants))
+
+
+@pytest.mark.parametrize("threshold", [-3.75, 0.0, float("nan"), float("inf")])
+def test_a_threshold_by_which_returns_cannot_be_divided_is_refused(threshold):
+    """Divided by a negative one, the worst policy would be the best."""
+    arm = BUILT_IN["arm"]
+    with pytest.raises(InvalidInput, match=f"must be positive and finite; given {threshold}"):
+        check_task(Entry(replace(arm.task, reward_threshold=threshold), arm.variants))
 
 
 def test_a_task_without_variants_is_refused():
