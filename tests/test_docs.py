@@ -137,8 +137,9 @@ def test_the_loader_of_the_docs_acts_as_the_policy_does(tmp_path):
     namespace: dict = {}
     exec(code, namespace)  # noqa: S102 - our own page
     rng = np.random.default_rng(0)
-    for activation in ("relu", "tanh"):
-        shapes = ((8, 3), (5, 8), (2, 5))
+    ways = [("relu", "tanh", 2), ("tanh", "tanh", 2), ("tanh", "clip", 2), ("tanh", "bins", 10)]
+    for activation, squash, outputs in ways:
+        shapes = ((8, 3), (5, 8), (outputs, 5))
         layers = tuple(
             (
                 rng.normal(size=shape).astype(np.float32),
@@ -146,8 +147,9 @@ def test_the_loader_of_the_docs_acts_as_the_policy_does(tmp_path):
             )
             for shape in shapes
         )
-        policy = Policy(layers, activation, np.array([-1.0, -3.0]), np.array([1.0, 2.0]))
-        file = tmp_path / f"{activation}.safetensors"
+        bounds = np.array([-1.0, -3.0]), np.array([1.0, 2.0])
+        policy = Policy(layers, activation, *bounds, squash)
+        file = tmp_path / f"{activation}-{squash}.safetensors"
         file.write_bytes(policy.to_bytes())
         observations = rng.normal(size=(20, 3))
         found = namespace["load_policy"](file)(observations)

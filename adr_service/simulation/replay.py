@@ -8,6 +8,8 @@ from adr_service.simulation.batch import Simulations, control_period, in_batches
 from adr_service.tasks.base import Source, State, Task
 from adr_service.transitions import TransitionDataset, unnamed
 
+_ROUNDED = 1e-6  # of an action's range, that one of 32 bits may lie beyond it
+
 
 class Replay:
     """Replays the windows of one dataset under any dynamics; built once per search.
@@ -84,7 +86,9 @@ def _check_columns(task: Task, data: TransitionDataset) -> None:
 
 
 def _check_actions(task: Task, data: TransitionDataset) -> None:
-    outside = np.any((data.actions < task.action_low) | (data.actions > task.action_high), axis=1)
+    slack = _ROUNDED * (task.action_high - task.action_low)
+    beyond = np.maximum(task.action_low - data.actions, data.actions - task.action_high)
+    outside = np.any(beyond > slack, axis=1)
     if outside.any():
         row = int(np.argmax(outside))
         raise InvalidInput(

@@ -103,7 +103,8 @@ class Policy:
         weight, bias = self.layers[-1]
         unit = _SQUASHES[self.squash](hidden @ weight.T + bias, len(self.action_low))
         unit = unit.astype(np.float64)
-        return self.action_low + (unit + 1) / 2 * (self.action_high - self.action_low)
+        action = self.action_low + (unit + 1) / 2 * (self.action_high - self.action_low)
+        return np.clip(action, self.action_low, self.action_high)  # rounding may lead beyond
 
     def to_bytes(self) -> bytes:
         """The policy's file; the same policy always gives the same bytes."""

@@ -108,7 +108,8 @@ def film_recording(scene: Scene, file: Path, episode: int, out: Path) -> int:
     dynamics, source = _dynamics(scene), source_of(task.name, scene.variant)
     period_s = control_period(task)
     every = stride_of(out, period_s, scene.most_fps)
-    shown = episodes[episode].first(scene.steps or task.horizon)
+    whole = episodes[episode]
+    shown = whole if scene.steps is None else whole.first(scene.steps)
     return save(of_recording(task, source, dynamics, shown, every), out, every * period_s)
 
 

@@ -81,32 +81,36 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
     commands, start = read_plan(plan.read_bytes(), len(known.action_low), control_period(known))
     check_commands(known, commands)
     check_absent(out)
-    out.parent.mkdir(parents=True, exist_ok=True)  # before anything moves
-    out.touch()
+    out.parent.mkdir(parents=True, exist_ok=True)
+    part = out.with_name(f"{out.name}.part")
+    part.touch()  # it can be written, before anything moves
 
-    player = Player(robot, known, limits)
+    def keep(played: "Playback") -> None:
+        part.write_bytes(played.measurement.to_npz())
+        part.replace(out)
+
+    player = Player(robot, known, limits, keep)
 
     def give_up(why: str) -> None:
-        """Keep what was played, and end the process: nothing else ends the call that hangs."""
+        """End the process: nothing else ends the call that hangs."""
         try:
             console.print(f"{why}; see to the robot")
-            _save(player.played, out)
+            _tell(player.played, out)
         finally:
             os._exit(1)
 
     try:
         player.play(commands, give_up, start)
     finally:  # whatever ended it
-        _save(player.played, out)
+        part.unlink(missing_ok=True)
+        _tell(player.played, out)
 
 
-def _save(played: "Playback | None", out: Path) -> None:
-    """Write what was played, and say what it is; without any, there is no file."""
+def _tell(played: "Playback | None", out: Path) -> None:
+    """Say what was played; without any, there is no file."""
     if played is None:
-        out.unlink()
         return
     data = played.measurement
-    out.write_bytes(data.to_npz())
     console.print(f"{out}: {len(data.spans())} episodes, {len(data.time)} rows")
     if played.limited:
         console.print(f"{played.limited} commands were beyond your limit, and were sent at it")

@@ -32,6 +32,13 @@ class TestRefusedRecordings:
         with pytest.raises(InvalidInput, match=message):
             check_recorded(get_task("arm"), dataclasses.replace(self.data, **changes))
 
+    def test_a_bound_of_32_bits_is_within_it(self):
+        humanoid = get_task("humanoid")
+        most = np.float32(humanoid.action_high)
+        assert np.any(most.astype(np.float64) > humanoid.action_high)
+        data = recordings.recording("humanoid", 20)
+        check_recorded(humanoid, dataclasses.replace(data, actions=np.tile(most, (20, 1))))
+
     def test_a_recording_of_another_robot_is_refused_with_both_widths(self):
         with pytest.raises(InvalidInput, match=r"4 observations and 2 actions; hopper measures 11"):
             check_recorded(get_task("hopper"), self.data)

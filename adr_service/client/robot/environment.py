@@ -45,3 +45,10 @@ def check_environment(env: Env, about: Mapping[str, Any], limits: Limits) -> Non
         )
     if not all(0 < most < np.inf for most in limits.actions):
         raise InvalidInput(f"limits of actions must be positive; given {limits.actions}")
+    low, high = np.array(about["action_low"]), np.array(about["action_high"])
+    nearest = limits.apply(np.clip(0.0, low, high))
+    if np.any((nearest < low) | (nearest > high)):
+        raise InvalidInput(
+            f"within limits of {limits.actions} there is no action of {about['name']}, which takes "
+            f"{low.tolist()} to {high.tolist()}"
+        )

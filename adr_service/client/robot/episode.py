@@ -36,6 +36,7 @@ class Episode:
     rewards: Vector  # (T,)
     limited: int  # actions that the owner's limit changed
     wrong: str = ""  # why the episode ended early and does not count
+    is_over_time: bool = False  # the owner's time ended it
 
 
 def run_episode(
@@ -62,7 +63,7 @@ class Rollout:
         self._observations: list[Vector] = []
         self._actions: list[Vector] = []
         self._rewards: list[float] = []
-        self._limited, self._wrong, self._ended = 0, "", False
+        self._limited, self._wrong, self._ended, self._is_over_time = 0, "", False, False
         self._began = time.monotonic()
 
     @property
@@ -80,7 +81,8 @@ class Rollout:
         passed = time.monotonic() - self._began
         limits, seen = self._machine.limits, self._observations[-1]
         moved = (len(self._actions) + 1) * self._machine.about["control_period_s"]
-        if not limits.allows(max(moved, passed)):
+        self._is_over_time = not limits.allows(max(moved, passed))
+        if self._is_over_time:
             self._wrong = (
                 f"{self._machine.name} may move for {limits.seconds:g} s, and these are over"
             )
@@ -92,7 +94,7 @@ class Rollout:
         action = limits.apply(wanted)
         self._limited += not np.array_equal(action, wanted)
         with self._watch.watching("step", limits.left(passed)):
-            observation, reward, terminated, truncated, _ = self._machine.env.step(action)
+            observation, reward, terminated, truncated, _ = self._machine.env.step(action.copy())
         self._record(_row(observation), action, float(reward))
         self._ended = terminated or truncated
 
@@ -113,6 +115,7 @@ class Rollout:
             np.array(self._rewards),
             self._limited,
             self._wrong,
+            self._is_over_time,
         )
 
 
@@ -158,7 +161,7 @@ def _identity(task: Json) -> tuple[str, int, int]:
 
 
 def _row(observation: Any) -> Vector:
-    return np.asarray(observation, dtype=np.float64)
+    return np.array(observation, dtype=np.float64)  # its own: a driver may fill one buffer again
 
 
 def _broken(observation: Vector, reward: float) -> str:

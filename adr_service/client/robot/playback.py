@@ -44,6 +44,8 @@ def about(task: Task) -> dict[str, Any]:
         "observation_columns": task.columns,
         "measured_columns": task.measured,
         "actions": len(task.action_low),
+        "action_low": task.action_low.tolist(),
+        "action_high": task.action_high.tolist(),
         "control_period_s": control_period(task),
     }
 
@@ -61,11 +63,12 @@ def check_commands(task: Task, plan: Sequence[Matrix]) -> None:
 
 
 class Player:
-    """Plays plans on a robot; what has been recorded is there however that ends."""
+    """Plays plans on a robot; `keep` gets all that has been recorded after each episode."""
 
-    def __init__(self, env: Env, task: Task, limits: Limits):
+    def __init__(self, env: Env, task: Task, limits: Limits, keep: Callable[[Playback], None]):
         self._machine, self._task = Machine("the robot", env, about(task), limits), task
         self._episodes: list[_Episode] = []
+        self._keep = keep
 
     def play(
         self,
@@ -88,6 +91,8 @@ class Player:
                 for number, commands in enumerate(plan):
                     episode = _episode(self._machine, self._task, watch, commands, number, start)
                     self._episodes.append(episode)
+                    if (played := self.played) is not None:
+                        self._keep(played)
             except KeyboardInterrupt:
                 pass  # what there is, is kept
         if self.played is None:

@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable
 from contextlib import closing, suppress
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from adr_service.arrays import Matrix
@@ -19,6 +20,7 @@ from adr_service.training.policy import Policy
 
 _RETRY_S = 2.0
 _REQUEST_S = 60.0  # longest request, but for heartbeats
+_LEEWAY = 1.2  # of an episode's time, for steps that take longer than they should
 _WAIT_S = 5.0  # for a task, by one request
 _LONGEST_MESSAGE = 2000  # characters
 
@@ -97,8 +99,8 @@ class Robot:
         self._release(task, lease)  # for a robot that may move longer
         raise InvalidInput(
             f"{task['id']} asks for {longest:g} s, and this robot may move for "
-            f"{self._limits.seconds:g}: allow --max-seconds {longest:g}, or submit runs of "
-            "fewer transitions"
+            f"{self._limits.seconds:g}: allow --max-seconds {_LEEWAY * longest:.3g}, or submit "
+            "runs of fewer transitions"
         )
 
     def _give_up(self, task: Json, lease: str, why: str) -> None:
@@ -121,23 +123,40 @@ class Robot:
 
     def _upload(self, task: Json, lease: str, episode: Episode) -> bool:
         """Upload the trajectory; True if the service accepted it."""
-        if episode.wrong and (task["kind"] != "rollout" or not len(episode.actions)):
+        counts = task["kind"] != "rollout"
+        if counts and episode.is_over_time:
+            self._release(task, lease)  # for a robot that may move longer, or is faster
+            raise InvalidInput(
+                f"{task['id']}: {episode.wrong} after {len(episode.actions)} of "
+                f"{task['transitions']} steps, whose return counts: allow more --max-seconds"
+            )
+        if episode.wrong and (counts or not len(episode.actions)):
             self._fail(task, lease, episode.wrong)
             return False
         content = to_npz(episode, self._about, self._name)
         try:
             self._patiently(partial(self._client.complete_task, task["id"], lease, content))
         except Refused as error:
-            self._report_refusal(task, lease, error)
+            self._report_refusal(task, lease, error, content)
             return False
+        except BaseException:  # its owner stopped it while the service was away
+            self._keep(task, content)
+            raise
         self._report_episode(task, episode)
         return True
 
-    def _report_refusal(self, task: Json, lease: str, error: Refused) -> None:
+    def _keep(self, task: Json, content: bytes) -> None:
+        """Write an episode that the service does not have: a robot's work is dear."""
+        file = Path(f"{task['id']}.npz").absolute()
+        file.write_bytes(content)
+        self._report(f"{task['id']}: the service does not have the episode; it is in {file}")
+
+    def _report_refusal(self, task: Json, lease: str, error: Refused, content: bytes) -> None:
         """Report a refused trajectory, or raise the error if the service is to blame."""
         if error.status == 409:
             self._report(f"{task['id']}: not accepted, {error}")
         elif error.status >= 500:
+            self._keep(task, content)
             self._release(task, lease)
             raise error
         else:

@@ -7,6 +7,7 @@ from adr_service.client.robot.limits import Limits
 from adr_service.errors import InvalidInput
 
 ARM = {"name": "arm", "observation_columns": ["a"] * 4, "actions": 2}
+ARM |= {"action_low": [-1.0, 0.2], "action_high": [1.0, 1.0]}
 
 
 @pytest.mark.parametrize(
@@ -36,6 +37,7 @@ def test_an_environment_of_the_task_is_accepted():
         (ARM, Limits(actions=(1.0, 1.0, 1.0)), "3 limits given for 2 actions; give one, or each"),
         (ARM, Limits(actions=(-1.0,)), "limits of actions must be positive; given"),
         (ARM, Limits(actions=(float("inf"),)), "limits of actions must be positive"),
+        (ARM, Limits(actions=(1.0, 0.1)), "there is no action of arm, which takes"),
     ],
 )
 def test_an_environment_or_limits_that_do_not_fit_are_refused(about, limits, message):

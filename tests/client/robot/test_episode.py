@@ -11,7 +11,7 @@ from adr_service.npz import read_arrays
 from adr_service.simulation.batch import control_period
 from adr_service.tasks.catalogue import get_task
 from adr_service.transitions import TransitionDataset
-from tests.robots import blind_arm, fast_arm
+from tests.robots import SlowArm, blind_arm, fast_arm
 
 ARM = get_task("arm")
 ABOUT = {
@@ -47,6 +47,31 @@ def test_an_episode_has_as_many_transitions_as_its_task_asks_for():
     assert episode.actions.shape == (20, 2)
     assert episode.rewards.shape == (20,)
     assert (episode.limited, episode.wrong) == (0, "")
+
+
+class Reusing(SlowArm):
+    """Its driver fills one buffer again and again, and scales commands where they are."""
+
+    def __init__(self):
+        super().__init__(0.0)
+        self.buffer = np.zeros(4)
+
+    def reset(self, **given):
+        observation, info = super().reset(**given)
+        self.buffer[:] = observation
+        return self.buffer, info
+
+    def step(self, action):
+        observation, *rest = super().step(action.copy())
+        self.buffer[:] = observation
+        action *= 0.5
+        return self.buffer, *rest
+
+
+def test_a_driver_that_reuses_its_arrays_changes_no_record():
+    same, usual = run(Reusing()), run(fast_arm())
+    np.testing.assert_array_equal(same.observations, usual.observations)
+    np.testing.assert_array_equal(same.actions, usual.actions)
 
 
 def test_an_episode_repeats_with_its_task():

@@ -38,7 +38,7 @@ def never(why):
 
 
 def play(env, task, limits, commands, hangs, start=None):
-    player = Player(env, task, limits)
+    player = Player(env, task, limits, keep=lambda played: None)
     player.play(commands, hangs, start)
     return player.played
 
@@ -114,7 +114,7 @@ class Stuck(gymnasium.Wrapper):
 
 def test_what_was_played_is_there_when_the_robot_does_not_answer(robot):
     stuck, heard = Stuck(robot), []
-    player = Player(stuck, TASK, Limits(seconds=30 * PERIOD))
+    player = Player(stuck, TASK, Limits(seconds=30 * PERIOD), keep=lambda played: None)
 
     def hangs(why):
         heard.append((why, player.played))
@@ -139,10 +139,13 @@ class Broken(gymnasium.Wrapper):
 
 
 def test_what_was_played_is_there_when_the_robot_fails(robot):
-    player = Player(Broken(robot), TASK, Limits())
+    kept = []
+    player = Player(Broken(robot), TASK, Limits(), kept.append)
     with pytest.raises(OSError, match="the bus is gone"):
         player.play(read_plan(plan(), 2, PERIOD)[0], never)
     assert len(player.played.measurement.spans()) == 2
+    # after each episode, because a process that is killed does nothing in the end
+    assert [len(played.measurement.spans()) for played in kept] == [1, 2]
 
 
 def test_commands_beyond_the_tasks_bounds_are_refused():

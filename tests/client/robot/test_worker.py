@@ -2,7 +2,7 @@
 
 import pytest
 
-from adr_service.client.connection import Refused
+from adr_service.client.connection import Refused, Unreachable
 from adr_service.client.robot.limits import Limits
 from adr_service.client.robot.worker import Robot
 from adr_service.errors import InvalidInput, UnknownName
@@ -79,17 +79,50 @@ def test_an_episode_longer_than_the_robot_may_move_goes_back():
     assert service.released == ["task_a"]
 
 
+def test_an_episode_of_steps_that_take_too_long_goes_back():
+    """It may move for longer than the steps should take, but not for as long as they do."""
+    service = Service(kind="return")
+    with pytest.raises(InvalidInput, match="of 20 steps, whose return counts: allow more --max-se"):
+        robot(service, "slowest_arm", limits=Limits(seconds=0.45)).work(1)
+    assert (service.released, service.failures) == (["task_a"], [])
+
+
 def test_a_cut_rollout_is_uploaded():
     rollout = Service()
     robot(rollout, "blind_arm").work(1)
     assert 0 < read_episode("arm", 20, rollout.uploads[0]).transitions < 20
 
 
-def test_a_service_that_is_to_blame_gets_its_task_back():
-    service = Service(refusal=Refused(500, "a defect"))
+def test_a_service_that_is_to_blame_gets_its_task_back(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    service, reports = Service(refusal=Refused(500, "a defect")), []
     with pytest.raises(Refused, match="a defect"):
-        robot(service).work(1)
+        robot(service, reports=reports).work(1)
     assert service.released == ["task_a"]
+    assert str(tmp_path / "task_a.npz") in reports[-1]
+    assert read_episode("arm", 20, (tmp_path / "task_a.npz").read_bytes()).transitions == 20
+
+
+class Away(Service):
+    """Is gone when the episode ends, and the owner stops the robot then."""
+
+    def complete_task(self, task_id, lease, content):
+        self.robot.stop()
+        raise Unreachable("http://127.0.0.1:8000", "gone")
+
+
+def test_an_episode_that_the_owner_does_not_wait_to_upload_is_kept(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    service = Away()
+    service.robot = robot(service)
+    service.robot.work(1)
+    assert read_episode("arm", 20, (tmp_path / "task_a.npz").read_bytes()).transitions == 20
+
+
+def test_a_service_that_answers_leaves_no_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    robot(Service()).work(1)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_stopped_robot_claims_nothing():
