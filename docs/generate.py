@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import math
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -12,6 +13,8 @@ from typer import Context
 from typer.core import TyperGroup
 from typer.main import get_command
 
+from adr_service.effects.base import Strength
+from adr_service.effects.catalogue import MECHANISMS
 from adr_service.errors import FailureCode
 from adr_service.methods.base import MethodSettings
 from adr_service.methods.catalogue import methods
@@ -39,6 +42,7 @@ def pages() -> dict[str, str]:
     """Return the text of each page by its file's name."""
     return {
         "methods.md": methods_page(),
+        "effects.md": effects_page(),
         "specs.md": specs_page(),
         "rest.md": rest_page(create_app(Settings.model_construct()).openapi()),
         "command-line.md": command_line_page(),
@@ -77,6 +81,34 @@ def _learns(method: type[MethodSettings]) -> str:
         "recordings": "recorded transitions (offline)",
     }
     return kinds[method.learns_from]
+
+
+def effects_page() -> str:
+    """Every kind of effect, with its places and its strengths."""
+    rows = (
+        (
+            f"`{kind}`",
+            f"`{each.place}`" if each.place == "global" else f"`{each.place}:NAME`",
+            "; ".join(map(_strength, each.strengths)),
+        )
+        for kind, each in MECHANISMS.items()
+    )
+    lines = [
+        "# Effects",
+        _GENERATED,
+        "What an `extension` and a simulated target's `effects` are made of, as "
+        '`{"kind": "joint_coulomb_friction", "location": "joint:elbow", "values": [0.2]}`: '
+        "`values` has the strengths in this order; all zero, nothing changes. A sensor is a "
+        "measured column, as `sensor:elbow.position`. Units are those at a hinge; at a slide, m "
+        "stands for rad.",
+        _table(("kind", "location", "strengths"), rows),
+    ]
+    return "\n\n".join(lines) + "\n"
+
+
+def _strength(strength: Strength) -> str:
+    least = "" if strength.low == -math.inf else f", {strength.low:g} at least"
+    return f"{strength.name} [{strength.unit}]{least}"
 
 
 def specs_page() -> str:

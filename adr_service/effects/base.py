@@ -42,7 +42,9 @@ class Effect:
 
     kind: Annotated[
         _Text,
-        Field(description="mechanism, as joint_coulomb_friction; docs/criticism.md lists all"),
+        Field(
+            description="mechanism, as joint_coulomb_friction; docs/reference/effects.md lists all"
+        ),
     ]
     location: Annotated[_Text, Field(description="as joint:elbow, or global")]
     values: Annotated[
