@@ -10,7 +10,7 @@ import pytest
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec, CriticismSpec, RunSpec
 from tests.packages import ROOT
 
-NAMES = ("command-line.md", "methods.md", "rest.md", "specs.md")
+NAMES = ("command-line.md", "methods.md", "effects.md", "rest.md", "specs.md")
 OBVIOUS = {"kind", "name", "algorithm"}  # each accepts one value
 
 
