@@ -10,7 +10,7 @@ means by "solves", "fails" and "equal". Here a method solves a task if it earns 
 what the variant's oracle earns, and fails if it earns less. Two methods are equal if they differ by
 less than 0.1 of the reward threshold. `adr_service.benchmark.checks` tests these seed by seed.
 
-Twenty claims are judged at once, so that one in twenty would be settled by chance. Verdicts on
+Twenty-one claims are judged at once, so that one in twenty would be settled by chance. Verdicts on
 returns hold together at 95 %: the p-values are corrected for the number of claims (Holm 1979). An
 undecided claim tells how many seeds would settle it, if their means and spread were those measured.
 Claims on widths and costs (U5, C1) must hold for every seed, and are not part of that.

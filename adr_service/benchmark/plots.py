@@ -25,8 +25,8 @@ _COLLECTOR_LABELS = {
 }
 _MOST_NAMED = 8  # parameters in a legend
 _SIDES = ("low", "high")  # of an interval
-_SHIFT = 0.12  # iterations between the points of two methods
-_BESIDE, _WIDTH = 0.06, 0.6  # iterations between methods in a figure of returns, and of all at most
+_SHIFT = 0.12  # iterations between the points of two methods, at most
+_BESIDE, _WIDTH = 0.06, 0.6  # iterations between methods in a figure of returns, and of all in any
 _AXIS_LABELS = {
     "inference_steps": "simulated control steps",
     "inference_seconds": "seconds on one core",
@@ -94,7 +94,7 @@ def plot_parameters(estimates: Sequence[ParameterEstimate]) -> Figure:
         key = (task, variant, parameter)
         _parameter_panel(axis, [e for e in estimates if (e.task, e.variant, e.parameter) == key])
         axis.set_title(f"{parameter} [{unit}], {task} {variant}", fontsize=8)
-    figure.legend(*axes[0].get_legend_handles_labels(), frameon=False, loc="outside right upper")
+    figure.legend(*_labelled(axes.tolist()), frameon=False, loc="outside right upper")
     figure.supxlabel("one point per seed; bars: inferred standard deviation", fontsize=7)
     return figure
 
@@ -123,7 +123,7 @@ def plot_cost(rows: Sequence[InferenceCost]) -> Figure:
     for (i, task), (j, measure) in _pairs(tasks, list(_AXIS_LABELS)):
         axes[i, j].set_title(", ".join(task))
         _cost_panel(axes[i, j], [row for row in rows if (row.task, row.variant) == task], measure)
-    _legend(axes[0, -1] if axes[0, -1].lines else axes[0, 0])
+    _legend(axes[0, -1], axes.ravel().tolist())
     figure.supxlabel("of one inference, without training; mean over seeds", fontsize=7)
     return figure
 
@@ -155,10 +155,11 @@ def _parameter_panel(axis: Axes, estimates: Sequence[ParameterEstimate]) -> None
     if estimates[0].truth is not None:
         axis.axhline(estimates[0].truth, color="black", linewidth=0.8, label="truth")
     series = dict.fromkeys((e.method, e.collector) for e in estimates)
+    beside = min(_SHIFT, _WIDTH / len(series))
     for number, (method, collector) in enumerate(series):
         chosen = [e for e in estimates if (e.method, e.collector) == (method, collector)]
         axis.errorbar(
-            np.array([e.iteration + _SHIFT * number for e in chosen]),
+            np.array([e.iteration + beside * number for e in chosen]),
             [e.mean for e in chosen],
             [e.std for e in chosen],
             fmt="o" if collector == "simopt" else "s",
@@ -235,7 +236,7 @@ def _label_returns(figure: Figure, axes: np.ndarray, rows: Sequence[Row]) -> Non
     """Axis label, legend and note of a figure of returns with their intervals."""
     for row_axes in axes:
         row_axes[0].set_ylabel("target return / reward threshold")
-    _legend(axes[0, -1])
+    _legend(axes[0, -1], axes.ravel().tolist())
     seeds = "–".join(map(str, sorted({row.seeds for row in rows})))
     figure.supxlabel(f"bars, bands: 95 % intervals over seeds (here {seeds})", fontsize=7)
 
@@ -246,8 +247,20 @@ def _grid(rows: int, columns: int, **options: Any) -> tuple[Figure, np.ndarray]:
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
-def _legend(axis: Axes) -> None:
-    axis.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
+def _legend(axis: Axes, panels: Sequence[Axes] = ()) -> None:
+    """A legend beside a panel, of all that some panels show, or of its own."""
+    handles, labels = _labelled(panels or [axis])
+    beside: Any = {"frameon": False, "fontsize": 7, "loc": "center left"}
+    axis.legend(handles, labels, bbox_to_anchor=(1, 0.5), **beside)
+
+
+def _labelled(panels: Sequence[Axes]) -> tuple[list[Any], list[str]]:
+    """Handles and labels of all that panels show, each label once: some panels lack methods."""
+    found: dict[str, Any] = {}
+    for panel in panels:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    return list(found.values()), list(found)
 
 
 def _label(method: str) -> str:

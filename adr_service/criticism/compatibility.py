@@ -53,6 +53,11 @@ def check_state(model: mujoco.MjModel) -> None:
             f"the model has {model.nq} positions for {model.nv} velocities: free and ball joints "
             "are not supported; accepted are slides and hinges"
         )
+    if model.nu != (actuators := len(model.actuator_trntype)):
+        raise InvalidInput(
+            f"the model has {model.nu} commands for {actuators} actuators; accepted are actuators "
+            "of one command each"
+        )
     beyond = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS) - 1 - 2 * model.nv
     if beyond:
         raise InvalidInput(

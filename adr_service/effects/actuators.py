@@ -39,8 +39,19 @@ def add_passive(
     )
     for limited in ("ctrllimited", "forcelimited", "actlimited"):
         setattr(actuator, limited, mujoco.mjtLimited.mjLIMITED_FALSE)
-    actuator.nsample = 0
+    actuator.nsample, actuator.delay, actuator.armature = 0, 0.0, 0.0
+    actuator.damping = np.zeros_like(actuator.damping)
     return actuator
+
+
+def _is_affine(model: mujoco.MjModel, actuator: int) -> bool:
+    """True if its force is a gain times the command and a bias, at most linear in the state."""
+    gain, bias = model.actuator_gaintype[actuator], model.actuator_biastype[actuator]
+    is_fixed, is_none = gain == mujoco.mjtGain.mjGAIN_FIXED, bias == mujoco.mjtBias.mjBIAS_NONE
+    return bool(
+        (is_fixed or gain == mujoco.mjtGain.mjGAIN_AFFINE)
+        and (is_none or bias == mujoco.mjtBias.mjBIAS_AFFINE)
+    )
 
 
 def _gain(model: mujoco.MjModel, actuator: int, values: Vector) -> None:
@@ -54,6 +65,7 @@ GAIN = Mechanism(
     (Strength("relative change", "1", low=-1.0),),
     typical=lambda model, actuator: (0.02,),
     change=_gain,
+    applies=_is_affine,
 )
 
 
@@ -70,7 +82,8 @@ def _bias(model: mujoco.MjModel, actuator: int, values: Vector) -> None:
 
 def _turns_a_joint(model: mujoco.MjModel, actuator: int) -> bool:
     on_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
-    return bool(on_joint and model.actuator_gear[actuator, 0] != 0)
+    turns = bool(on_joint and model.actuator_gear[actuator, 0] != 0)
+    return turns and _is_affine(model, actuator)
 
 
 BIAS = Mechanism(
@@ -143,7 +156,7 @@ DEADBAND = Mechanism(
 
 
 def _saturation(commands: Commands, values: Vector) -> Matrix:
-    most = commands.largest - values[0]
+    most = max(commands.largest - values[0], 0.0)
     return np.clip(commands.values, -most, most)
 
 

@@ -69,7 +69,7 @@ INERTIA = Mechanism(
 
 
 def _payload(model: mujoco.MjModel, body: int, values: Vector) -> None:
-    """A point mass at the end of the body that is farthest from its joint."""
+    """A point mass at the end of the body that is farthest from its origin."""
     mass, at = values[0], _far_end(model, body)
     if mass == 0:
         return
@@ -126,7 +126,10 @@ def _load(model: mujoco.MjModel, body: int, values: Vector) -> None:
     """A point mass anywhere, whose first moments (3,) are its place times its mass."""
     if values[0] != 0:
         load = model.body(LOADED + model.body(body).name).id
-        model.body_mass[load], model.body_ipos[load] = values[0], values[1:] / values[0]
+        present = model.body_mass[load]  # of a model that is extended already
+        moments = present * model.body_ipos[load] + values[1:]
+        model.body_mass[load] = present + values[0]
+        model.body_ipos[load] = moments / model.body_mass[load]
 
 
 def _typical_load(model: mujoco.MjModel, body: int) -> tuple[float, ...]:

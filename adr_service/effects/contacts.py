@@ -38,13 +38,18 @@ def _softness(model: mujoco.MjModel, geom: int, values: Vector) -> None:
     model.pair_solref[_pairs(model, geom), 0] *= 1 + values[0]
 
 
+def _has_time_constant(model: mujoco.MjModel, geom: int) -> bool:
+    """True unless its `solref` is a stiffness and a damping, which are negative."""
+    return _can_touch(model, geom) and bool(model.geom_solref[geom, 0] > 0)
+
+
 SOFTNESS = Mechanism(
     "contact_softness",
     "geom",
     (Strength("relative change of the time constant", "1", low=-1.0),),
     typical=lambda model, geom: (0.1,),
     change=_softness,
-    applies=_can_touch,
+    applies=_has_time_constant,
 )
 
 

@@ -93,13 +93,26 @@ def _add_brake(spec: mujoco.MjSpec, joint: str) -> None:
     _add_limited(spec, BRAKE + joint, joint)
 
 
+def _is_free(model: mujoco.MjModel, joint: int) -> bool:
+    """True unless the sum of a joint's actuators is limited, which would limit this one too."""
+    return not model.jnt_actfrclimited[joint]
+
+
 def _brake(model: mujoco.MjModel, joint: int, values: Vector) -> None:
-    """Damp one direction: positive velocities for positive values, negative ones otherwise."""
-    if values[0] == 0:
+    """Damp one direction: positive velocities for positive values, negative ones otherwise.
+
+    A model that is extended already may brake the other one: what both have is damping.
+    """
+    actuator, added = model.actuator(BRAKE + model.joint(joint).name).id, values[0]
+    brakes_forwards = model.actuator_forcerange[actuator, 1] == 0
+    present = -model.actuator_biasprm[actuator, 2] * (1.0 if brakes_forwards else -1.0)
+    if added == 0:
         return
-    actuator = model.actuator(BRAKE + model.joint(joint).name).id
-    model.actuator_biasprm[actuator, 2] = -abs(values[0])
-    model.actuator_forcerange[actuator] = (-_UNLIMITED, 0.0) if values[0] > 0 else (0.0, _UNLIMITED)
+    if present * added < 0:
+        model.dof_damping[_dof(model, joint)] += min(abs(present), abs(added))
+    total = present + added
+    model.actuator_biasprm[actuator, 2] = -abs(total)
+    model.actuator_forcerange[actuator] = (-_UNLIMITED, 0.0) if total > 0 else (0.0, _UNLIMITED)
 
 
 ASYMMETRIC_VISCOUS_FRICTION = Mechanism(
@@ -109,6 +122,7 @@ ASYMMETRIC_VISCOUS_FRICTION = Mechanism(
     typical=_one_torque,
     change=_brake,
     prepare=_add_brake,
+    applies=_is_free,
     sizes=(1.0, -1.0),
     has_sides=True,
 )
@@ -131,7 +145,9 @@ def _stribeck(model: mujoco.MjModel, joint: int, values: Vector) -> None:
         return
     actuator = model.actuator(RELEASE + model.joint(joint).name).id
     model.dof_frictionloss[_dof(model, joint)] += friction
-    model.actuator_biasprm[actuator, 2] = fall
+    if model.actuator_biasprm[actuator, 2] != 0:  # of a model that is extended already
+        friction += model.actuator_forcerange[actuator, 1]
+    model.actuator_biasprm[actuator, 2] += fall
     model.actuator_forcerange[actuator] = (-friction, friction)
 
 
@@ -145,6 +161,7 @@ STRIBECK_FRICTION = Mechanism(
     typical=lambda model, joint: (_torque(model, joint), _torque(model, joint)),
     change=_stribeck,
     prepare=_add_release,
+    applies=_is_free,
     includes="joint_coulomb_friction",
 )
 

@@ -79,7 +79,8 @@ WIND = Mechanism(
 
 
 def _add_force(spec: mujoco.MjSpec, body: str) -> None:
-    """Add a site at the centre of mass, and an actuator that pushes it in the world's frame."""
+    """Add a site at the model's own centre of mass, and an actuator that pushes it, in the world's
+    frame."""
     name, world = HOLD + body, HOLD + "world"
     if spec.actuator(name) is not None:
         return
@@ -91,6 +92,11 @@ def _add_force(spec: mujoco.MjSpec, body: str) -> None:
     actuator.refsite = world
     actuator.biasprm = [1.0, *[0.0] * (len(actuator.biasprm) - 1)]
     actuator.gear = np.zeros(6)
+
+
+def _can_be_pushed(model: mujoco.MjModel, body: int) -> bool:
+    """True unless the sum of a joint's actuators is limited, which would limit the force too."""
+    return has_mass(model, body) and not model.jnt_actfrclimited.any()
 
 
 def _force(model: mujoco.MjModel, body: int, values: Vector) -> None:
@@ -105,6 +111,6 @@ EXTERNAL_FORCE = Mechanism(
     typical=lambda model, body: (0.01 * weight(model),) * 3,
     change=_force,
     prepare=_add_force,
-    applies=has_mass,
+    applies=_can_be_pushed,
     in_force=True,
 )

@@ -13,6 +13,7 @@ from adr_service.benchmark.plots import (
     plot_returns,
     plot_spread,
 )
+from adr_service.methods.catalogue import methods
 
 
 def row(**changes):
@@ -95,6 +96,27 @@ def test_the_collection_has_a_line_per_collector():
     assert axis.get_title() == "DROID on arm, vanilla"
     labels = {line.get_label() for line in axis.lines}
     assert {"SimOpt's trajectories", "random actions"} <= labels
+
+
+def test_a_legend_has_what_any_panel_shows():
+    """BayRn is in the first panel alone, and the last one of the first row is empty."""
+    rows = [
+        row(task="hopper", variant="noisy", method="bayrn"),
+        row(task="arm", variant="noisy", method="dropo"),
+        row(task="hopper", variant="vanilla", method="simopt"),
+    ]
+    figure = plot_returns(rows)
+    (legend,) = [axis.get_legend() for axis in figure.axes if axis.get_legend() is not None]
+    assert {text.get_text() for text in legend.get_texts()} == {"BayRn", "DROPO", "SimOpt"}
+    second = plot_parameters([estimate(), estimate(parameter="friction", method="droid")])
+    assert {t.get_text() for t in second.legends[0].get_texts()} == {"truth", "DROPO", "DROID"}
+
+
+def test_many_methods_stand_at_their_own_iteration():
+    chosen = [name for name, each in methods().items() if not each.is_reference]
+    (axis,) = plot_parameters([estimate(method=name) for name in chosen]).axes
+    assert len(chosen) > 10
+    assert max(container.lines[0].get_xdata()[0] for container in axis.containers) < 1.6
 
 
 def test_parameters_have_a_panel_each_with_their_truth_where_it_is_known():

@@ -55,6 +55,11 @@ def test_parts_of_rows_that_are_no_whole_steps_of_the_model_are_refused(good):
             '<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>',
             "free and ball joints",
         ),
+        (
+            '<mujoco><worldbody><body><joint name="x"/><geom size="1"/></body></worldbody>'
+            '<actuator><pid name="p" joint="x" kp="1"/></actuator></mujoco>',
+            "the model has 2 commands for 1 actuators",
+        ),
     ],
 )
 def test_a_model_that_cannot_be_criticised_is_refused(good, xml, message):

@@ -1,5 +1,6 @@
 """Effects on commands do what their formulas say."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -36,6 +37,21 @@ def test_a_saturation_cuts_the_largest_commands():
     np.testing.assert_allclose(
         obeyed("actuator_saturation", 0.4), [[0.6, 0.6, -0.5, 0.2, 0.0, 0.6]]
     )
+
+
+def test_nothing_is_left_of_a_drive_that_has_lost_its_range():
+    np.testing.assert_array_equal(obeyed("actuator_saturation", 1.2), np.zeros((1, 6)))
+
+
+def test_gain_and_bias_are_of_drives_whose_force_is_in_proportion_to_the_command():
+    """A DC motor's gain is its resistance and its constant at once."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="x"/><geom size="0.1" mass="1"/></body></worldbody>'
+        '<actuator><motor name="torque" joint="x"/>'
+        '<dcmotor name="dc" joint="x" motorconst="0.05" resistance="1"/></actuator></mujoco>'
+    )
+    for kind in ("actuator_gain", "actuator_bias"):
+        assert get_mechanism(kind).locations(model) == ["actuator:torque"]
 
 
 def test_a_fading_gain_is_whole_at_first_and_less_by_a_factor_in_every_step():

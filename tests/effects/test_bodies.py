@@ -65,6 +65,14 @@ def test_a_load_is_a_point_mass_where_its_moments_say():
     np.testing.assert_allclose(forces[1], forces[0], rtol=1e-9)
 
 
+def test_a_load_is_added_to_the_one_that_a_model_has(cart):
+    loads = [Effect("body_load", "body:cart", (mass, 0.1, 0.0, 0.0)) for mass in (1.0, 0.5)]
+    both, together = cart(*loads), cart(Effect("body_load", "body:cart", (1.5, 0.2, 0.0, 0.0)))
+    np.testing.assert_allclose(both.body_mass, together.body_mass)
+    np.testing.assert_allclose(both.body_ipos, together.body_ipos)
+    assert both.body_mass.sum() == pytest.approx(2 + 1.5)
+
+
 def test_gravity_is_compensated_for_the_link_and_not_for_its_load(cart):
     xml = PLAIN.replace('name="cart"', 'name="cart" gravcomp="1"').replace("1 0 0", "0 0 1")
     compensated = Effect("gravity_compensation", "body:cart", (-0.1,))

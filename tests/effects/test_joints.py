@@ -23,6 +23,55 @@ def test_a_brake_acts_one_way_whatever_the_defaults_are(moving, default, damping
     np.testing.assert_allclose(after[braked], before[braked] * np.exp(-0.002 * 4 / 2), rtol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("kind", "location", "values"),
+    [
+        ("joint_asymmetric_viscous_friction", "joint:x", (0.0,)),
+        ("joint_stribeck_friction", "joint:x", (0.0, 0.0)),
+        ("external_force", "body:cart", (0.0, 0.0, 0.0)),
+    ],
+)
+def test_an_added_actuator_has_nothing_of_the_defaults(moving, kind, location, values):
+    slide = moving('damping="1" armature="0.1"')
+    without = slide.predict(np.empty(0), [], slide.measured)
+    with_zero = slide.predict(np.empty(0), [Effect(kind, location, values)], slide.measured)
+    np.testing.assert_array_equal(with_zero, without)
+
+
+@pytest.mark.parametrize(
+    ("kind", "present", "added", "together"),
+    [
+        ("joint_asymmetric_viscous_friction", (4.0,), (0.5,), [(4.5,)]),
+        ("joint_asymmetric_viscous_friction", (-4.0,), (-0.5,), [(-4.5,)]),
+        # forwards 4 and backwards .5: damping of .5, and a brake of 3.5
+        ("joint_asymmetric_viscous_friction", (4.0,), (-0.5,), [(3.5,), 0.5]),
+        ("joint_stribeck_friction", (1.0, 0.5), (0.2, 0.1), [(1.2, 0.6)]),
+    ],
+)
+def test_an_effect_is_added_to_what_an_extended_model_has(moving, kind, present, added, together):
+    slide, location = moving(), "joint:x"
+    extended = extend(slide.nominal, np.empty(0), [Effect(kind, location, present)]).nominal()
+    again = type(slide)(extended, slide.data, threads=1)
+    once_more = again.predict(np.empty(0), [Effect(kind, location, added)], again.measured)
+    whole, *damping = together
+    at_once = [Effect(kind, location, whole)]
+    at_once += [Effect("joint_viscous_friction", location, (value,)) for value in damping]
+    expected = slide.predict(np.empty(0), at_once, slide.measured)
+    np.testing.assert_allclose(once_more, expected, rtol=1e-9, atol=1e-12)
+    assert np.abs(expected - slide.predict(np.empty(0), [], slide.measured)).max() > 1e-4
+
+
+def test_no_effect_is_an_actuator_of_a_joint_whose_actuators_are_limited_together():
+    limited = '<joint name="x" type="slide" actuatorfrcrange="-1 1"/>'
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><body name="cart">{limited}<geom size="0.1" mass="2"/></body>'
+        "</worldbody></mujoco>"
+    )
+    kinds = ("joint_asymmetric_viscous_friction", "joint_stribeck_friction", "external_force")
+    assert [MECHANISMS[kind].locations(model) for kind in kinds] == [[], [], []]
+    assert MECHANISMS["joint_viscous_friction"].locations(model) == ["joint:x"]
+
+
 def test_viscous_friction_brakes_both_ways(moving):
     slide = moving()
     effect = Effect("joint_viscous_friction", "joint:x", (4.0,))
