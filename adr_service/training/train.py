@@ -4,7 +4,7 @@
     trained.policy.act(observations)
 
 Training stops when the policy earns the task's reward threshold on average over episodes drawn
-from the *source* distribution. The result is the best policy of all evaluations. Every algorithm
+from the *source* distribution. The result is the best policy by the judge's rule. Every algorithm
 has two backends, Stable-Baselines3 (PyTorch) and its authors' JAX twin SBX, which take the same
 hyperparameters and give the same kind of `Policy`. A process trains one policy at a time, because
 SB3 draws from NumPy's global generator, which it seeds from our stream.
