@@ -55,6 +55,7 @@ from db.staging import Staged
 _IN_BATCHES = {"yield_per": 100}
 _WHOLE = BenchmarkPart()
 _CHANGED = "updated_at"
+_IN_ORDER = (RunRow.created_at, RunRow.number)  # numbers are of the order of imports
 _STOPPED = "run_stopped"  # the type of these events
 _ONE_BY_ONE = {"yield_per": 1}  # artifacts may be large
 Change = Literal["added", "continued", "unchanged", "left"]
@@ -159,13 +160,13 @@ def _tables(runs: ColumnElement[bool]) -> list[tuple[type[Base], Select[Any]]]:
     mine = _is_mine(runs)
     parts = StageArtifactRow.digest.in_(select(StageRow.digest).where(mine))
     return [
-        (RunRow, _run_rows().where(runs).order_by(RunRow.number)),
+        (RunRow, _run_rows().where(runs).order_by(*_IN_ORDER)),
         (
             EventRow,
             _rows(EventRow)
             .join(RunRow, RunRow.id == EventRow.run_id)
             .where(runs)
-            .order_by(RunRow.number, EventRow.seq),
+            .order_by(*_IN_ORDER, EventRow.seq),
         ),
         (StageRow, _rows(StageRow).where(mine).order_by(StageRow.digest)),
         (

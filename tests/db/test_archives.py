@@ -184,6 +184,9 @@ def test_parts_are_one_benchmark_again_in_any_order(order, file_database, other,
     for number, members in list(enumerate(chosen))[::order]:
         report = imported(other, exported(file_database, id, tmp_path / f"{number}.adr", **members))
         assert (report.unverified, report.resumable) == ([], 0)
+    for number, members in enumerate(chosen):
+        again = exported(other, id, tmp_path / "again.adr", **members)
+        assert again.read_bytes() == (tmp_path / f"{number}.adr").read_bytes()
     here, there = content_of(other, id), content_of(file_database, id)
     assert set(here["benchmark"].methods) == set(there["benchmark"].methods)
     assert (here["stages"], here["blobs"]) == (there["stages"], there["blobs"])
