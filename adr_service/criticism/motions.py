@@ -23,7 +23,7 @@ _PACES = (0.5, 0.8, 0.9, 0.95, 0.98)  # share of a command that is left after a 
 _ALONE = 0.3  # of the motions move one actuator
 _LEAST = 1e-6  # range of a position
 _BEYOND = 0.5  # of a recorded range, that a plan may go further to both sides
-_RESTING = 0.3  # of the usual speed, below which recorded episodes begin after a reset
+_RESTING = 0.5  # of the usual speed, below which recorded episodes begin after a reset
 
 
 def drawn(limits: Matrix, rows: int, rng: np.random.Generator) -> Array3:
