@@ -63,7 +63,7 @@ def test_a_mean_of_the_wrong_shape_or_not_finite_is_refused(bad):
         np.eye(3),
         [[1, 2], [2, 1]],
         [[np.nan, 0], [0, 1]],
-        [[1, 0.9], [0, 1]],  # of which one triangle would be read
+        [[1, 0.9], [0, 1]],  # NumPy would read the lower triangle alone
         [[1, 0], [0]],
     ],
 )

@@ -1,9 +1,9 @@
 """Random motions of a robot: drawn as commands, simulated, and kept if they stay where they may.
 
-commands = drawn(limits, rows, rng)                     # (candidates, rows, nu)
-motions = from_starts(fit, commands, pose_of(fit, None))
-planned = followed(simulator, fit)                      # of these motions, as the fit moves
-possible_motions(planned, recorded, allowed={}, episodes=12, model=model)
+    commands = drawn(limits, rows, rng)                     # (candidates, rows, nu)
+    motions = from_starts(fit, commands, pose_of(fit, None))
+    planned = followed(simulator, fit)                      # of these motions, as the fit moves
+    possible_motions(planned, recorded, allowed={}, episodes=12, model=model)
 """
 
 from collections.abc import Collection, Mapping, Sequence

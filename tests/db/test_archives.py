@@ -534,7 +534,7 @@ def test_an_archive_that_contradicts_itself_is_refused(name, path, other, tmp_pa
 def test_a_run_ends_in_the_submission_that_was_queued_last(
     ends, submission, is_possible, path, other
 ):
-    """With an end of a later submission stored, a resumed run could neither end nor be deleted."""
+    """Otherwise a run that is resumed could neither end nor be deleted."""
     rewritten(path, with_rows("events", _lives(*ends)))
     rewritten(path, with_rows("runs", _first(state="cancelled", submission=submission)))
     if is_possible:
