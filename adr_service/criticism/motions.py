@@ -4,6 +4,8 @@
     motions = from_starts(fit, commands, pose_of(fit, None))
     planned = followed(simulator, fit)                      # of these motions, as the fit moves
     possible_motions(planned, recorded, allowed={}, episodes=12, model=model)
+
+The recording to make next is chosen from these (`next_recording`).
 """
 
 from collections.abc import Collection, Mapping, Sequence
