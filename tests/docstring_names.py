@@ -121,6 +121,13 @@ def scanned(folder: Path) -> Names:
     return {**names, "responses": responses, "candidates": candidates}
 
 
+def random_motions(folder: Path) -> Names:
+    names = fitted(folder)
+    model = names["simulator"].base
+    limits = np.tile([-1.0, 1.0], (model.nu, 1))
+    return {**names, "fit": names["baseline"], "model": model, "limits": limits, "rows": 50}
+
+
 def measurement_file(folder: Path) -> Names:
     np.savez(file := io.BytesIO(), **recorded(arm_criticised(folder)["measurement"]))
     return {"path": _written(folder, file.getvalue())}

@@ -2,8 +2,8 @@
 
     commands = drawn(limits, rows, rng)                     # (candidates, rows, nu)
     motions = from_starts(fit, commands, pose_of(fit, None))
-    planned = followed(simulator, fit)                      # of these motions, as the fit moves
-    possible_motions(planned, recorded, allowed={}, episodes=12, model=model)
+    planned = followed(Simulator(nominal, motions), fit)    # the motions as the fit moves
+    possible_motions(planned, measurement, allowed={}, episodes=12, model=model)
 
 The recording to make next is chosen from these (`next_recording`).
 """
