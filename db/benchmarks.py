@@ -7,7 +7,7 @@ runs_of(database, benchmark.id)
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import lru_cache
+from functools import lru_cache, partial
 
 from pydantic import ValidationError
 from sqlalchemy import delete, func, select, update
@@ -137,7 +137,7 @@ def extend_benchmark(
     """
     now = get_benchmark(database, benchmark_id)
     spec = readable(now).extended(extension)
-    specs = _missing(spec, runs_of(database, benchmark_id), benchmark_id)
+    specs = _missing(now, spec, runs_of(database, benchmark_id))
     new = [new_run(run, benchmark_id) for run in specs]  # before the lock
     with database.write("extend_benchmark") as session:
         row = benchmark_row(session, benchmark_id)
@@ -153,8 +153,9 @@ def planned_extension(
     database: Database, benchmark_id: str, extension: BenchmarkExtension
 ) -> tuple[BenchmarkSpec, list[RunSpec]]:
     """The spec of a benchmark with an extension, and its new runs. Raises as `extend_benchmark`."""
-    spec = readable(get_benchmark(database, benchmark_id)).extended(extension)
-    return spec, _missing(spec, runs_of(database, benchmark_id), benchmark_id)
+    now = get_benchmark(database, benchmark_id)
+    spec = readable(now).extended(extension)
+    return spec, _missing(now, spec, runs_of(database, benchmark_id))
 
 
 def request_cancel_all(database: Database, benchmark_id: str) -> list[RunRecord]:
@@ -186,16 +187,18 @@ def resubmit_all(
         yield from queued
 
 
-def delete_benchmark(database: Database, benchmark_id: str) -> None:
+def delete_benchmark(database: Database, benchmark_id: str, since: datetime | None = None) -> None:
     """Delete a finished benchmark with its runs and what only they refer to.
 
-    Raises NotFound, and NotPossible if a run of it is not finished.
+    Raises NotFound, and NotPossible if a run of it is not finished, or has changed after `since`.
     """
     with database.write("delete_benchmark") as session:
         row = benchmark_row(session, benchmark_id)
         mine = RunRow.benchmark_id == benchmark_id
         if session.scalar(select(RunRow.id).where(mine, RunRow.state.not_in(FINISHED)).limit(1)):
             raise NotPossible(f"benchmark {benchmark_id} is not finished; cancel it first")
+        if since and session.scalar(select(RunRow.id).where(mine, RunRow.updated_at >= since)):
+            raise NotPossible(f"benchmark {benchmark_id} has changed meanwhile")
         delete_results(session, [benchmark_id])
         delete_results(session, select(RunRow.id).where(mine))
         session.execute(delete(RunRow).where(mine))
@@ -217,17 +220,26 @@ def finished_before(database: Database, moment: datetime) -> list[Deletion]:
     with database.read() as session:
         benchmarks = session.scalars(select(BenchmarkRow.id).where(has_runs, ~has_recent)).all()
         return [
-            *((delete_benchmark, id) for id in benchmarks),
-            *((delete_run, id) for id in session.scalars(single)),
+            *((partial(delete_benchmark, since=moment), id) for id in benchmarks),
+            *((partial(delete_run, since=moment), id) for id in session.scalars(single)),
         ]
 
 
-def _missing(spec: BenchmarkSpec, present: Sequence[RunRecord], benchmark_id: str) -> list[RunSpec]:
-    """The runs that `spec` has and `present` lacks.
+def _missing(
+    now: BenchmarkRecord, spec: BenchmarkSpec, present: Sequence[RunRecord]
+) -> list[RunSpec]:
+    """The runs that `spec` has and a benchmark with the runs `present` lacks.
 
-    Raises NotPossible if a run of `present` differs from the one that `spec` has in its place.
+    Raises NotPossible if the benchmark lacks runs that its own spec has, or if a run of it differs
+    from the one that `spec` has in its place.
     """
     known = {cell_of(before): before for before in map(_member, present)}
+    if lacking := grid_of(readable(now)).keys() - known.keys():
+        raise NotPossible(
+            f"{now.id} lacks {len(lacking)} of its own runs, as "
+            f"{' '.join(map(str, min(lacking)))}: its archive was not imported to the end; import "
+            "it again first"
+        )
     new: list[RunSpec] = []
     for cell, run in grid_of(spec).items():
         before = known.get(cell)
@@ -236,7 +248,7 @@ def _missing(spec: BenchmarkSpec, present: Sequence[RunRecord], benchmark_id: st
         elif before != run:
             differ = [name for name, value in run if value != getattr(before, name)]
             raise NotPossible(
-                f"the new runs would differ from those that {benchmark_id} has in "
+                f"the new runs would differ from those that {now.id} has in "
                 f"{', '.join(differ)}, and would not compare with them: either the preset "
                 f"{run.preset!r} has changed since, or the SimOpt that others learn from"
             )

@@ -17,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 from sqlalchemy import delete, func, insert, select
 from sqlalchemy.orm import Session
 
-from adr_service.events import FINISHED, RunQueued, RunState
+from adr_service.events import FINISHED, RunQueued, RunStarted, RunState
 from adr_service.specs import MAX_RUNS, AnyRun, LostRun
 from adr_service.specs.lost import reason_of
 from db.datasets import dataset_row
@@ -111,6 +111,20 @@ def unfinished_runs(database: Database) -> list[RunRecord]:
         return [record_of(row) for row in session.scalars(query)]
 
 
+def begin(database: Database, record: RunRecord) -> RunRecord | None:
+    """Note that a submission of a run has begun, unless it had begun before; the run as it is.
+
+    None if the run has ended since it was read, or was submitted again. Raises NotFound.
+    """
+    started = RunStarted(submission=record.submission)
+    with database.write(started.type) as session:
+        row = run_row(session, record.id)
+        if RunState(row.state).is_finished or row.submission != record.submission:
+            return None
+        append(session, record.id, started)
+        return record_of(row)
+
+
 def request_cancel(database: Database, run_id: str) -> RunRecord:
     """Ask a run to stop; asking again changes nothing.
 
@@ -140,10 +154,11 @@ def resubmit(database: Database, run_id: str, accept: Accept | None = None) -> R
         return record_of(row)
 
 
-def delete_run(database: Database, run_id: str) -> None:
+def delete_run(database: Database, run_id: str, since: datetime | None = None) -> None:
     """Delete a finished run, and the stages and artifacts that no other run refers to.
 
-    Raises NotFound, and NotPossible for a live run or one of a benchmark.
+    Raises NotFound, and NotPossible for a live run, one of a benchmark, or one that has changed
+    after `since`.
     """
     with database.write("delete_run") as session:
         row = run_row(session, run_id)
@@ -154,6 +169,8 @@ def delete_run(database: Database, run_id: str) -> None:
                 f"run {run_id} is part of benchmark {row.benchmark_id}, whose table needs it; "
                 "delete the benchmark"
             )
+        if since is not None and row.updated_at >= since:
+            raise NotPossible(f"run {run_id} has changed meanwhile")
         session.execute(delete(RunRow).where(RunRow.id == run_id))
         delete_results(session, [run_id])
         delete_unreferenced(session)

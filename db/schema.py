@@ -57,7 +57,7 @@ def differences(connection: Connection, revision: str | None) -> list[str]:
     Tables that no revision has are ignored: they belong to somebody else.
     """
     if revision is not None and revision not in revisions():
-        return [f"revision {revision} is of a later version of the service"]
+        return [f"revision {revision} is of a later version of the service: read it with that one"]
     there, expected = _schema(inspect(connection)), _schema_of(revision)
     known = _schema_of("head")
     # columns and indexes of a missing table are not listed
@@ -71,7 +71,8 @@ def differences(connection: Connection, revision: str | None) -> list[str]:
         ]
     later = there.tables & (known.tables - expected.tables)
     return lacking + [
-        f"the table {name} is of a later revision: an upgrade was cut short"
+        f"the table {name} is of a later revision: an upgrade was cut short, and goes on with "
+        "`adr db upgrade`"
         for name in sorted(later)
     ]
 

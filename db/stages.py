@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from pydantic import FiniteFloat, TypeAdapter, ValidationError
-from sqlalchemy import ColumnElement, Row, Select, delete, exists, select
+from sqlalchemy import ColumnElement, Row, Select, delete, exists, func, select
 from sqlalchemy.orm import Session
 
 from adr_service.benchmark.cost import Execution
@@ -31,7 +31,12 @@ _OWNERS = (
 _UNUSED = [~exists().where(owner == ArtifactRow.sha256) for owner in _OWNERS]
 # the first four are always known
 _TIMING = ("asked", "placed", "began", "ended", "cpu", "preparing", "is_first", "cores")
-_MENTIONED = EventRow.key == "stage_finished:" + StageRow.digest
+_FINISHED = "stage_finished"
+_MENTIONED = EventRow.key == f"{_FINISHED}:" + StageRow.digest  # looks events up, for a stage
+# looks stages up, for events
+_OF_EVENT = (EventRow.type == _FINISHED) & (
+    StageRow.digest == func.substr(EventRow.key, len(_FINISHED) + 2)
+)
 _PROVENANCE = TypeAdapter(dict[Line, Line])
 _NUMBERS = TypeAdapter(dict[str, bool | int | FiniteFloat | None])
 _UNMENTIONED = ~exists().where(_MENTIONED)
@@ -99,7 +104,7 @@ def executions_between(database: Database, first: float, last: float) -> list[Ex
 
 def executions_of(database: Database, run_ids: Sequence[str]) -> list[tuple[str, Execution]]:
     """Pairs (stage kind, execution) of the runs' measured stages, in order of their beginning."""
-    query = _executions().join(EventRow, _MENTIONED)
+    query = _executions().join(EventRow, _OF_EVENT)
     executions: dict[str, tuple[str, Execution]] = {}
     with database.read() as session:
         for first in range(0, len(run_ids), CHUNK):
@@ -178,7 +183,7 @@ def is_mentioned_by(runs: Select[str]) -> ColumnElement[bool]:
 
 def mentioned_by(session: Session, run_id: str) -> list[str]:
     """Digests of the stored stages that a run's events name; inside a transaction."""
-    mine = select(StageRow.digest).join(EventRow, _MENTIONED).where(EventRow.run_id == run_id)
+    mine = select(StageRow.digest).join(EventRow, _OF_EVENT).where(EventRow.run_id == run_id)
     return list(session.scalars(mine.order_by(EventRow.seq)))
 
 

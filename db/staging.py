@@ -27,7 +27,7 @@ from db.schema import revisions
 from db.session import Database
 
 TABLES = (BenchmarkRow, RunRow, EventRow, StageRow, StageArtifactRow)  # parents first
-PREFIX = "archive-"  # of the temporary folders
+PREFIX = ".adr-archive-"  # of the temporary folders
 _AT_ONCE = 1000  # rows of one statement
 _BYTES_AT_ONCE = 16_000_000  # about, of the rows of one statement
 _COPIES = 3  # of the content on disk: the database, its log, and what is added in the end

@@ -21,7 +21,6 @@ from adr_service.errors import AdrError, FailureCode, RunCancelled, StageFailed
 from adr_service.events import (
     RunEvent,
     RunFailed,
-    RunStarted,
     RunStopped,
     RunSucceeded,
     StageFinished,
@@ -227,10 +226,9 @@ class Orchestrator:
 
     def _iterate(self, record: RunRecord, flag: threading.Event) -> bool:
         """Iterate a run's program to its end; False if the run has ended since it was read."""
-        now = self._when_possible(lambda: run_store.get_run(self._database, record.id))
-        if now.is_finished or now.submission != record.submission:
+        now = self._when_possible(lambda: run_store.begin(self._database, record))
+        if now is None:
             return False
-        self._record(record, RunStarted(submission=record.submission))
         if now.cancel_requested:  # perhaps before there was a flag
             flag.set()
         stages = RayStages(

@@ -31,8 +31,7 @@ def check(data_dir: DataDir = None) -> None:
         advice = "restore a backup: adr db restore COPY"
         raise Damaged("\n".join([f"{path} is damaged; {advice}", *damage]))
     if open_ends := maintenance.unfinished(path):
-        advice = "an upgrade that was cut short goes on with `adr db upgrade`"
-        raise Damaged("\n".join([f"{path} has other tables than expected; {advice}", *open_ends]))
+        raise Damaged("\n".join([f"{path} has other tables than expected", *open_ends]))
     rows = ", ".join(f"{count} {table}" for table, count in maintenance.counts(path).items())
     console.print(escape(f"{path} is sound: {rows}; revision {maintenance.revision_of(path)}"))
 
@@ -60,8 +59,14 @@ def restore(
     settings = _settings(data_dir)
     path = _file(settings)
     _refuse_a_running_service(settings.data_dir)
-    with closing(Database(settings.database)):
-        aside = maintenance.restore(path, copy)
+    was_there = path.exists()
+    try:
+        with closing(Database(settings.database)):  # its lock makes the file
+            aside = maintenance.restore(path, copy)
+    except InvalidInput:
+        if not was_there:
+            path.unlink()
+        raise
     kept = f"; the file that was there is {aside} now" if aside else ""
     console.print(escape(f"{path} is {copy} now{kept}"))
 

@@ -2,7 +2,6 @@
 
 import io
 import json
-import zipfile
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
 
@@ -19,6 +18,7 @@ from db.models import ArtifactRow, StageRow
 from db.session import open_database
 from db.stages import note_checkpoint, policy_of_training
 from db.staging import staged
+from tests.archives import rewritten, with_rows, without_results
 from tests.contracts.canned import canned
 from tests.db.finished import finished_benchmark, go_on, proceed
 from tests.db.rows import count
@@ -72,30 +72,6 @@ def content_of(database, id):
         "stages": sorted(stages),
         "blobs": sorted(blobs),
     }
-
-
-def rewritten(path, change):
-    """The archive with its members changed: `change` gets {name: bytes} and returns the same."""
-    with zipfile.ZipFile(path) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in change(members).items():
-            archive.writestr(name, content)
-    return path
-
-
-def with_rows(table, change):
-    """A change of the rows of one table."""
-    name = f"tables/{table}.jsonl"
-
-    def apply(members):
-        rows = change([json.loads(line) for line in members[name].splitlines()])
-        text = "".join(
-            json.dumps(row, sort_keys=True, separators=(",", ":")) + "\n" for row in rows
-        )
-        return {**members, name: text.encode()}
-
-    return apply
 
 
 def test_an_imported_benchmark_equals_the_exported_one(database, other, tmp_path):
@@ -344,12 +320,7 @@ def test_a_later_archive_of_a_live_benchmark_goes_further(file_database, other, 
 
 def test_events_without_results_are_named(path, other):
     """Nobody can tell whether they are true: an earlier version's results look the same."""
-
-    def emptied(members):
-        kept = {name: text for name, text in members.items() if not name.startswith("blobs/")}
-        return {**kept, "tables/stages.jsonl": b"", "tables/stage_artifacts.jsonl": b""}
-
-    report = imported(other, rewritten(path, emptied))
+    report = imported(other, rewritten(path, without_results))
     assert (len(report.unverified), report.stages) == (report.runs, 0)
 
 
@@ -370,6 +341,16 @@ def test_a_benchmark_whose_runs_are_still_to_be_imported_is_kept(path, other):
     assert benchmarks.finished_before(other, datetime.now(UTC)) == []
 
 
+def test_a_benchmark_whose_import_was_interrupted_is_not_extended_before_it_is_whole(path, other):
+    with path.open("rb") as file, staged(file, path.parent) as archived:
+        id = archived.manifest.benchmark
+        archives._add_benchmark(other, archived.database, id)
+    with pytest.raises(NotPossible, match=r"lacks 3 of its own runs.* import it again"):
+        benchmarks.extend_benchmark(other, id, BenchmarkExtension(seeds=[77]))
+    assert imported(other, path).added == 3
+    assert len(benchmarks.extend_benchmark(other, id, BenchmarkExtension(seeds=[77]))) == 3
+
+
 def test_a_full_disk_refuses_an_archive_before_it_is_unpacked(path, tmp_path):
     with (
         path.open("rb") as file,
@@ -377,15 +358,18 @@ def test_a_full_disk_refuses_an_archive_before_it_is_unpacked(path, tmp_path):
         staged(file, tmp_path, floor=1e18),
     ):
         pass
-    assert not list(tmp_path.glob("archive-*"))
+    assert not list(tmp_path.glob(f"{staging.PREFIX}*"))
 
 
 def test_what_a_killed_service_left_is_cleared(tmp_path):
-    (tmp_path / "archive-abc").mkdir()
-    (tmp_path / "archive-abc" / "archive.sqlite").write_bytes(b"x")
-    (tmp_path / "adr.sqlite").write_bytes(b"kept")
+    left = tmp_path / f"{staging.PREFIX}abc"
+    for folder in (left, tmp_path / "archive-2026"):
+        folder.mkdir()
+        (folder / "archive.sqlite").write_bytes(b"x")
     staging.clear(tmp_path)
-    assert [each.name for each in tmp_path.iterdir()] == ["adr.sqlite"]
+    assert [str(file.relative_to(tmp_path)) for file in tmp_path.rglob("*.sqlite")] == [
+        "archive-2026/archive.sqlite"
+    ]
 
 
 def test_an_export_ends_where_the_disk_fills_up(file_database):
@@ -518,7 +502,7 @@ def test_an_archive_that_contradicts_itself_is_refused(name, path, other, tmp_pa
     with pytest.raises(InvalidInput, match=message):
         imported(other, rewritten(path, with_rows(table, change)))
     assert count(other, "runs") == count(other, "benchmarks") == count(other, "stages") == 0
-    assert not list(tmp_path.glob("archive-*"))
+    assert not list(tmp_path.glob(f"{staging.PREFIX}*"))
 
 
 @pytest.mark.parametrize(

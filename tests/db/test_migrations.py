@@ -347,7 +347,7 @@ def test_a_database_of_a_later_version_is_left_as_it_is(database):
         assert later.revision() == "0999"
     if database.url.startswith("sqlite"):
         (line,) = maintenance.unfinished(Path(database.url.removeprefix("sqlite:///")))
-        assert line == "revision 0999 is of a later version of the service"
+        assert line.startswith("revision 0999 is of a later version of the service")
 
 
 def test_migrations_go_down_to_nothing_and_up_again(database):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from adr_service.events import RunFailed, RunSucceeded
+from adr_service.events import RunFailed, RunStopped, RunSucceeded
 from db import events, runs
 from db.errors import NotFound, NotPossible
 from tests.db.rows import SPEC
@@ -31,6 +31,21 @@ def test_pages_follow_the_order_of_submission(database):
     assert [r.id for r in first + rest] == ids
     newest = runs.list_runs(database, limit=2, newest_first=True)
     assert [r.id for r in newest] == [ids[4], ids[3]]
+
+
+def test_a_run_that_was_stopped_meanwhile_does_not_begin(database):
+    """It would be running for ever: its second stop would be known."""
+    run = runs.create_run(database, SPEC)
+    runs.request_cancel(database, run.id)
+    events.append_event(database, run.id, RunStopped(submission=1))
+    assert runs.begin(database, run) is None
+    assert runs.get_run(database, run.id).state == "cancelled"
+    again = runs.resubmit(database, run.id)
+    assert runs.begin(database, run) is None  # it is of the submission before
+    begun = runs.begin(database, again)
+    assert begun == runs.get_run(database, run.id)
+    assert begun.state == "running"
+    assert runs.begin(database, begun).state == "running"  # after the service started again
 
 
 def test_unknown_run_is_named_in_the_error(database):

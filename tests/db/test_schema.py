@@ -55,7 +55,7 @@ def test_a_missing_column_and_index_are_named(connection):
 
 
 def test_a_revision_that_this_version_does_not_know_is_named(connection):
-    lines = ["revision 9999 is of a later version of the service"]
+    lines = ["revision 9999 is of a later version of the service: read it with that one"]
     assert differences(connection, "9999") == lines
 
 

@@ -1,9 +1,10 @@
 """`adr archive`: benchmarks to files and back."""
 
 import json
-import zipfile
 
 import pytest
+
+from tests.archives import rewritten, with_rows, without_results
 
 pytestmark = pytest.mark.ray
 
@@ -58,6 +59,15 @@ def test_an_import_says_what_it_added(adr, benchmark, file):
     assert json.loads(out)["unchanged"] == 3
 
 
+def test_files_are_imported_one_after_the_other(adr, benchmark, file, tmp_path):
+    broken = tmp_path / "broken.adr"
+    broken.write_bytes(b"no archive")
+    code, out = adr("archive", "import", str(file), str(broken), str(file))
+    assert (code, out.count("0 of 3 runs are new")) == (2, 1), out
+    code, out = adr("archive", "import", str(file), str(file))
+    assert (code, out.count(f"a.adr: {benchmark}: 0 of 3 runs are new")) == (0, 2)
+
+
 def test_every_stage_of_an_archive_is_verified(adr, file):
     code, out = adr("archive", "verify", str(file), "--sample", "100")
     assert code == 0
@@ -69,19 +79,19 @@ def test_every_stage_of_an_archive_is_verified(adr, file):
 
 
 def test_another_result_is_named_and_fails(adr, file):
-    with zipfile.ZipFile(file) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    rows = [json.loads(line) for line in members["tables/stages.jsonl"].splitlines()]
-    changed = next(row for row in rows if row["kind"] == "train_policy")
-    # a number that no event repeats
-    changed["result"] = changed["result"].replace('"adjusted_draws":', '"adjusted_draws":1')
-    members["tables/stages.jsonl"] = "".join(json.dumps(row) + "\n" for row in rows).encode()
-    with zipfile.ZipFile(file, "w") as archive:
-        for name, content in members.items():
-            archive.writestr(name, content)
+    digests = []
+
+    def with_another_training(rows):
+        changed = next(row for row in rows if row["kind"] == "train_policy")
+        # a number that no event repeats
+        changed["result"] = changed["result"].replace('"adjusted_draws":', '"adjusted_draws":1')
+        digests.append(changed["digest"])
+        return rows
+
+    rewritten(file, with_rows("stages", with_another_training))
     code, out = adr("archive", "verify", str(file), "--sample", "100")
     assert (code, out.count("different")) == (2, 1)
-    assert f"train_policy {changed['digest'][:12]}: different, by " in out
+    assert f"train_policy {digests[0][:12]}: different, by " in out
 
 
 def test_a_sample_repeats_with_its_seed(adr, file):
@@ -92,13 +102,7 @@ def test_a_sample_repeats_with_its_seed(adr, file):
 
 
 def test_an_archive_whose_results_are_gone_is_not_verified(adr, file):
-    with zipfile.ZipFile(file) as archive:
-        members = {name: archive.read(name) for name in archive.namelist()}
-    kept = {name: content for name, content in members.items() if not name.startswith("blobs/")}
-    kept["tables/stages.jsonl"] = kept["tables/stage_artifacts.jsonl"] = b""
-    with zipfile.ZipFile(file, "w") as archive:
-        for name, content in kept.items():
-            archive.writestr(name, content)
+    rewritten(file, without_results)
     code, out = adr("archive", "verify", str(file))
     # the seed of the sample is printed, and no stage
     assert (code, len(out.splitlines())) == (2, 1)

@@ -8,7 +8,7 @@ import pytest
 from alembic import command
 from typer.testing import CliRunner
 
-from adr_service.errors import AdrError
+from adr_service.errors import AdrError, InvalidInput
 from api.cli import app, upkeep
 from db import events, maintenance, runs
 from db.errors import DatabaseInUse
@@ -54,6 +54,25 @@ def test_restore_replaces_a_damaged_file_and_keeps_it_beside(tmp_path):
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     copy.write_bytes(b"what?")
     assert "cannot be read" in str(adr(tmp_path, "restore", str(copy)).exception)
+
+
+def test_a_restore_that_fails_makes_no_database_beside_its_log(tmp_path):
+    """Else the service would begin with an empty one, and what the log has would be lost."""
+    (tmp_path / "adr.sqlite-wal").write_bytes(b"the last transactions")
+    failed = adr(tmp_path, "restore", str(tmp_path / "mistyped.sqlite"))
+    assert "there is no database" in str(failed.exception)
+    with pytest.raises(InvalidInput, match="is not there, but its log is"):
+        open_database(f"sqlite:///{tmp_path / 'adr.sqlite'}")
+
+
+def test_a_database_of_a_later_version_is_told_from_an_upgrade_that_was_cut_short(
+    database, tmp_path
+):
+    with closing(sqlite3.connect(tmp_path / "adr.sqlite", isolation_level=None)) as file:
+        file.execute("update alembic_version set version_num = '9999'")
+    failed = str(adr(tmp_path, "check").exception)
+    assert "revision 9999 is of a later version of the service: read it with that one" in failed
+    assert "cut short" not in failed
 
 
 @pytest.mark.parametrize("page", range(1, 40, 3))
