@@ -37,9 +37,22 @@ def write_report(
     check_benchmark(benchmark_id, "a report is")
     if folder.exists() and any(folder.iterdir()):
         raise InvalidInput(f"{folder} is not empty; a report overwrites nothing")
+    part = folder.with_name(f"{folder.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    try:
+        _write_files(client, benchmark_id, part, archives)
+        part.rename(folder)
+    finally:  # whatever ended it
+        shutil.rmtree(part, ignore_errors=True)
+    return folder / "index.html"
+
+
+def _write_files(
+    client: AdrClient, benchmark_id: str, folder: Path, archives: Mapping[str, Json]
+) -> None:
     benchmark, found = client.get(benchmark_id), client.results(benchmark_id)
     claims, figures = client.claims(benchmark_id), client.figures(benchmark_id)
-    (folder / "figures").mkdir(parents=True, exist_ok=True)
+    (folder / "figures").mkdir(parents=True)
     for name in figures:
         for file in (f"{name}.{kind}" for kind in ("svg", "png", "csv")):
             (folder / "figures" / file).write_bytes(client.figure(benchmark_id, file))
@@ -66,7 +79,6 @@ def write_report(
     )
     (folder / "index.html").write_text(text)
     shutil.copyfile(_PAGE / "static" / "style.css", folder / "style.css")
-    return folder / "index.html"
 
 
 def _archive(client: AdrClient, benchmark_id: str, path: Path, part: Json) -> Manifest:

@@ -1,7 +1,7 @@
 """Results and costs of runs, as the API answers them."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -84,10 +84,13 @@ def outcomes_of(service: Service, records: Sequence[RunRecord]) -> list[Outcome]
     ]
     digests = [digest for _, event in iterations for digest in event.inferences]
     seconds = stage_store.seconds_of(service.database, digests)
-    return [
-        Outcome(spec, event, sum(seconds[d] for d in event.inferences) or None)
-        for spec, event in iterations
-    ]
+    return [Outcome(spec, event, _sum(seconds, event.inferences)) for spec, event in iterations]
+
+
+def _sum(seconds: Mapping[str, float], digests: Sequence[str]) -> float | None:
+    """The seconds of stages together; None for none, or if an archive came without one of them."""
+    known = [seconds.get(digest) for digest in digests]
+    return None if not known or None in known else sum(filter(None, known))
 
 
 def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str:

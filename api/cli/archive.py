@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Write benchmarks to files, and read and verify them.", no_args_is_help=True)
 File = Annotated[Path, typer.Argument(help="An archive, as `adr archive export` writes it.")]
+Files = Annotated[list[Path], typer.Argument(help="Archives, as `adr archive export` writes them.")]
 _ONLY = "Only this one; may be repeated."
 Only = Annotated[list[str] | None, typer.Option(help=_ONLY)]
 _SHORT = 12  # digits of a digest in tables
@@ -64,14 +65,19 @@ def export_(
 
 
 @app.command("import")
-def import_(file: File, url: Url = None, as_json: AsJson = False) -> None:
-    """Add what the service lacks of a benchmark; runs that were live can be resumed."""
-    with connect(url) as client, _opened(file) as archive:
-        added = client.import_archive(archive)
-    if as_json:
-        console.print_json(data=added)
-    else:
-        console.print(_summary(added))
+def import_(files: Files, url: Url = None, as_json: AsJson = False) -> None:
+    """Add what the service lacks of benchmarks, file by file; runs that were live can be resumed.
+
+    One that is refused ends it: those before it are in, and the others are not.
+    """
+    with connect(url) as client:
+        for file in files:
+            with _opened(file) as archive:
+                added = client.import_archive(archive)
+            if as_json:
+                console.print_json(data=added)
+            else:
+                console.print(f"{file}: {_summary(added)}")
 
 
 @app.command()

@@ -71,7 +71,8 @@ def test_archives_of_parts_are_linked_and_listed(service, benchmark, tmp_path):
     for name in parts:
         assert (tmp_path / name).exists()
         assert f'<a href="{name}">' in text
-        assert f"\nadr archive import {name} " in text
+        assert f"adr archive verify {name} " in text
+    assert "\nadr archive import study.adr study-dropo.adr " in text
     assert text.count("mujoco 4") == 1  # equal versions are listed once
     with pytest.raises(Refused, match="has no seeds 5"):
         write_report(service.client, benchmark, tmp_path / "other", {"a.adr": {"seeds": ["5"]}})

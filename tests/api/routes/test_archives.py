@@ -6,6 +6,8 @@ import zipfile
 import pytest
 
 from adr_service.client import Refused
+from db.staging import PREFIX
+from tests.archives import rewritten, without_results
 
 pytestmark = pytest.mark.ray
 OCTETS = {"Content-Type": "application/octet-stream"}
@@ -47,7 +49,23 @@ def test_a_deleted_benchmark_comes_back_from_its_archive(service, benchmark, arc
     assert (added["added"], added["unverified"]) == (3, [])
     assert service.client.results(benchmark) == before
     assert service.client.figure(benchmark, "cost.csv") == figure
-    assert not list(service.data_dir.glob("archive-*"))
+    assert not list(service.data_dir.glob(f"{PREFIX}*"))
+
+
+def test_results_without_their_stages_are_shown(service, http, benchmark, archive, tmp_path):
+    """Whoever wrote them left the stages out, so nobody knows how long they took."""
+    (path := tmp_path / "a.adr").write_bytes(archive)
+    before = service.client.results(benchmark)
+    service.client.delete(benchmark)
+    with rewritten(path, without_results).open("rb") as file:
+        assert len(service.client.import_archive(file)["unverified"]) == 3
+    try:
+        assert service.client.results(benchmark)["rows"] == before["rows"]
+        pages = ("/", "/claims", f"/benchmarks/{benchmark}", f"/v1/benchmarks/{benchmark}/cost")
+        assert [http.get(page).status_code for page in pages] == [200] * 4
+    finally:
+        service.client.delete(benchmark)
+        service.client.import_archive(io.BytesIO(archive))
 
 
 def test_an_extension_of_an_import_prices_only_what_is_new(service, benchmark):
