@@ -48,7 +48,7 @@ bench-sim: setup
 bench-train: setup
 	$(BIN)/python benchmarks/training.py
 
-# half half an hour on two cores
+# half an hour on two cores
 bench-threshold: setup
 	$(BIN)/python benchmarks/threshold.py
 

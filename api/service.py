@@ -1,6 +1,7 @@
 """The service that the routes use: one database and one orchestrator."""
 
 import logging
+import os
 import shutil
 import stat
 import tempfile
@@ -161,12 +162,13 @@ def _ray_options(settings: Settings) -> RayOptions:
 
 
 def _runs_at_once(settings: Settings) -> int:
-    """Two for each core that the settings name: a run keeps one busy, but for its pauses."""
-    cores = settings.max_cores or settings.cpus or 0
+    """Two for each core that is known: a run keeps one busy, but for its pauses."""
+    here = len(os.sched_getaffinity(0)) if settings.ray_address == "local" else 0
+    cores = settings.max_cores or settings.cpus or here
     return settings.runs_at_once or max(RUNS_AT_ONCE, 2 * cores)
 
 
-def _service(request: Request) -> Service:
+async def _service(request: Request) -> Service:  # a function that waits for no thread
     service: Service = request.app.state.service
     return service
 

@@ -15,6 +15,7 @@ from adr_service.errors import AdrError, InvalidInput
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 _POLL_S = 1.0
+_PATIENCE_S = 300.0  # for a service that is busy or restarts, while something is watched
 _LONG_S = 3600.0  # for an archive to be written or read
 _OF_A_PROXY = (502, 503, 504)  # our own 503 has a Retry-After
 
@@ -261,13 +262,29 @@ class AdrClient:
         return self._json("GET", "/readyz")
 
     def watch(self, id: str) -> Iterator[Json]:
-        """Yield a run or a benchmark every second until it has finished."""
+        """Yield a run or a benchmark every second until it has finished.
+
+        Once it has been seen, a service that is busy or restarts is waited for, for five minutes.
+        """
+        seen = self.get(id)
         while True:
-            seen = self.get(id)
             yield seen
             if is_finished(seen):
                 return
             time.sleep(_POLL_S)
+            seen = self._get_later(id)
+
+    def _get_later(self, id: str) -> Json:
+        """A run or a benchmark, asked for until there is an answer."""
+        last = time.monotonic() + _PATIENCE_S
+        while True:
+            try:
+                return self.get(id)
+            except (Refused, Unreachable) as error:
+                wait = getattr(error, "retry_after_s", _POLL_S)
+                if wait is None or time.monotonic() + wait > last:
+                    raise
+                time.sleep(wait)
 
     def wait(self, id: str, *, progress: bool = True) -> Json:
         """Wait until a run or a benchmark has finished, and return its last state.

@@ -10,10 +10,10 @@ from adr_service.methods.catalogue import AnyMethod
 from adr_service.presets import PRESETS
 from adr_service.simulation.batch import control_period
 from adr_service.tasks.catalogue import catalogue
-from api.errors import problem
 from api.metrics import CONTENT_TYPE, exposition
 from api.routes.downloads import artifact_response
 from api.service import ServiceDependency
+from workers.cluster import ClusterUnavailable
 
 router = APIRouter(tags=["catalogue"])
 _SILENT_S = 10.0  # after which the silent dispatcher is reported
@@ -64,22 +64,23 @@ def artifact(digest: str, service: ServiceDependency) -> Response:
 
 
 @router.get("/healthz")
-def healthz() -> dict[str, str]:
+async def healthz() -> dict[str, str]:  # it waits for no thread
     """Answers while the process lives."""
     return {"status": "ok"}
 
 
 @router.get("/readyz", response_model=None)
-def readyz(service: ServiceDependency) -> dict[str, Any] | Response:
+def readyz(service: ServiceDependency) -> dict[str, Any]:
     """Answers 200 if the database can be written, the disk has room and Ray is reachable."""
     service.check_disk()
     with service.database.write("readyz") as session:
         session.connection()  # begins a transaction, which takes the lock to write
     if not service.orchestrator.is_alive:
-        return problem(503, "cluster_unavailable", "Ray has stopped; restart the service")
+        raise ClusterUnavailable("Ray has stopped; restart the service")
     if (silent := service.orchestrator.silent_s) > _SILENT_S:
-        detail = f"the dispatcher has waited for Ray or the database for {silent:.0f} s"
-        return problem(503, "cluster_unavailable", detail)
+        raise ClusterUnavailable(
+            f"the dispatcher has waited for Ray or the database for {silent:.0f} s"
+        )
     return {
         "status": "ready",
         "cores": service.orchestrator.cores,
@@ -98,6 +99,6 @@ def metrics(service: ServiceDependency) -> Response:
 
 
 @router.get("/version")
-def version() -> dict[str, str]:
+async def version() -> dict[str, str]:
     """Version of the service."""
     return {"version": adr_service.__version__}

@@ -6,21 +6,29 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
+from adr_service.client import connection
 from adr_service.client.connection import AdrClient, Refused, Unreachable, check_benchmark
 from adr_service.errors import InvalidInput
 from tests.api.smoke import SMOKE
 
 
 @contextmanager
-def server(status, seconds=0.0):
-    """A server that answers every request with this status, after so many seconds."""
-    done = threading.Event()
+def server(status, seconds=0.0, answers=()):
+    """A server that answers every request with this status, after so many seconds.
+
+    Its first requests get the answers, each a status, headers and a body.
+    """
+    done, first = threading.Event(), iter(answers)
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self):
             done.wait(seconds)
-            self.send_response(status)
+            code, headers, body = next(first, (status, {}, b""))
+            self.send_response(code)
+            for name, value in headers.items():
+                self.send_header(name, value)
             self.end_headers()
+            self.wfile.write(body)
 
         def log_message(self, *_):
             pass
@@ -39,6 +47,33 @@ def test_a_proxy_without_its_service_is_not_a_refusal(status):
     refused = pytest.raises(Unreachable, match=f"is not the service: {status}")
     with server(status) as url, AdrClient(url) as client, refused:
         client.ready()
+
+
+RUNNING, ENDED = b'{"state": "running"}', b'{"state": "succeeded"}'
+BUSY = (503, {"Retry-After": "0"}, b'{"detail": "the database is busy"}')
+
+
+def test_who_watches_waits_while_the_service_is_busy_or_restarts(monkeypatch):
+    monkeypatch.setattr(connection, "_POLL_S", 0.0)
+    answers = [(200, {}, RUNNING), BUSY, (502, {}, b""), (200, {}, RUNNING), (200, {}, ENDED)]
+    with server(500, answers=answers) as url, AdrClient(url) as client:
+        states = [seen["state"] for seen in client.watch("run_0")]
+    assert states == ["running", "running", "succeeded"]
+
+
+@pytest.mark.parametrize(
+    ("answers", "patience_s", "error"),
+    [
+        ([(502, {}, b"")], 300.0, Unreachable),  # there was none to begin with
+        ([(200, {}, RUNNING), (404, {}, b'{"detail": "deleted"}')], 300.0, Refused),
+        ([(200, {}, RUNNING), BUSY, BUSY], -1.0, Refused),
+    ],
+)
+def test_who_watches_does_not_wait_for_ever(answers, patience_s, error, monkeypatch):
+    monkeypatch.setattr(connection, "_POLL_S", 0.0)
+    monkeypatch.setattr(connection, "_PATIENCE_S", patience_s)
+    with server(500, answers=answers) as url, AdrClient(url) as client, pytest.raises(error):
+        list(client.watch("run_0"))
 
 
 def test_another_server_is_not_taken_for_the_service():
