@@ -128,7 +128,7 @@ def ours(backend: str, meter: Meter, steps: int) -> None:
         "backend": backend,
         "max_steps": most,
         "evaluate_every": most,
-        "evaluation_episodes": 1,
+        "evaluation_episodes": 2,
     }
     spec = RunSpec.model_validate(
         {"task": "hopper", "method": "prior", "preset": "paper", "training": given}

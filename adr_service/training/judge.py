@@ -74,6 +74,6 @@ class Judge:
         simulations.set_dynamics(self._distribution.sample(n, self._rng).values)
         initial = self.task.initial(n, self._rng)
         episodes = run_episodes(self.task, simulations, policy.act, initial, self.task.horizon)
-        error = float(np.std(episodes.returns, ddof=1) / np.sqrt(n)) if n > 1 else 0.0
+        error = float(np.std(episodes.returns, ddof=1) / np.sqrt(n))
         mean_return = float(np.mean(episodes.returns))
         return Evaluation(steps=steps, mean_return=mean_return, standard_error=error)

@@ -52,7 +52,7 @@ class _Settings(Wire):
     evaluate_every: int = Field(40_000, ge=100, le=10**9, description="environment steps")
     evaluation_episodes: int = Field(
         50,
-        ge=1,
+        ge=2,
         le=10_000,
         description="episodes of each evaluation, which chooses the best policy",
     )
@@ -119,7 +119,7 @@ class _Settings(Wire):
 class _Confirmed(_Settings):
     """Settings of algorithms that report a policy by fresh episodes, not by its best evaluation."""
 
-    evaluation_episodes: int = Field(10, ge=1, le=10_000, description="of a learning curve's point")
+    evaluation_episodes: int = Field(10, ge=2, le=10_000, description="of a learning curve's point")
     confirmation_episodes: int = Field(
         50, ge=2, le=10_000, description="fresh ones, by which the best policy is reported"
     )
