@@ -76,7 +76,7 @@ class Guard:
         )
 
     def _unknown_host(self, given: str) -> Response | None:
-        host = _without_port(given)
+        host = _without_port(given).lower()
         if self._hosts is None or host in self._hosts:
             return None
         accepted = ", ".join(sorted(self._hosts))
@@ -172,7 +172,7 @@ def _hosts(settings: Settings) -> set[str] | None:
     given = {name.strip() for name in settings.allowed_hosts.split(",") if name.strip()}
     if not given and settings.host in _EVERY_ADDRESS:
         return None
-    return _LOOPBACK | given | {settings.host}
+    return _LOOPBACK | {name.lower() for name in (*given, settings.host)}
 
 
 def _without_port(host: str) -> str:

@@ -104,6 +104,11 @@ class Settings(BaseSettings):
                 "ADR_MAX_CORES and ADR_RESOURCE are for a cluster that is joined: give its address "
                 "in ADR_RAY_ADDRESS, or set ADR_CPUS for one of your own"
             )
+        if self.ray_address != "local" and self.cpus is not None:
+            raise ValueError(
+                "ADR_CPUS is for a Ray of the service's own; one that is joined has the cores of "
+                "its nodes (ADR_RAY_ADDRESS)"
+            )
         return self
 
     @field_validator("ray_address")

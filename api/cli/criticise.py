@@ -34,7 +34,7 @@ Free = Annotated[
     list[str] | None,
     typer.Option(help="Parameter of --model to fit, and its bounds: body:thigh.mass=1:5, …"),
 ]
-Seed = Annotated[int, typer.Option(help="Seed of the bootstraps.")]
+Seed = Annotated[int, typer.Option(help="Seed of the bootstraps.", min=0)]
 Next = Annotated[
     Path | None,
     typer.Option("--next", help="Write the commands of the recording to make next, .npz."),

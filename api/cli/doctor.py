@@ -153,6 +153,8 @@ def _running(url: str | None) -> Check:
         with connect(url, timeout_s=5.0) as client:
             client.ready()
             return Check(True, f"a service answers at {client.url}", is_needed=False)
+    except InvalidInput as error:
+        return Check(False, str(error))
     except (Refused, Unreachable) as error:
         return Check(False, str(error), is_needed=False)
 

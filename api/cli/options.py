@@ -4,6 +4,8 @@ from typing import Annotated, Any
 
 import typer
 
+from adr_service.errors import InvalidInput
+
 Url = Annotated[
     str | None,
     typer.Option(
@@ -12,7 +14,15 @@ Url = Annotated[
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the service's JSON.")]
-Id = Annotated[str, typer.Argument(help="Id of a run or a benchmark.")]
+
+
+def _check_id(given: str) -> str:
+    if given.startswith("data_"):
+        raise InvalidInput(f"accepted are ids of runs and benchmarks; given {given}, of a dataset")
+    return given
+
+
+Id = Annotated[str, typer.Argument(help="Id of a run or a benchmark.", callback=_check_id)]
 Watch = Annotated[bool, typer.Option(help="Follow it to its end.")]
 
 

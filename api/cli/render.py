@@ -43,7 +43,9 @@ def render(
     steps: Annotated[int | None, typer.Option(help="Steps at most; default: all.", min=1)] = None,
     seed: Annotated[
         int | None,
-        typer.Option(help="With --policy: seed of the initial state and the noise; default: 0."),
+        typer.Option(
+            help="With --policy: seed of the initial state and the noise; default: 0.", min=0
+        ),
     ] = None,
     fps: Annotated[
         float | None, typer.Option(help="Pictures a second of an .mp4, at most.", min=1)

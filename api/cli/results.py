@@ -15,6 +15,7 @@ from api.cli.tables import claims_table, comparisons_table, cost_table
 from api.cli.terminal import console
 
 app = typer.Typer()
+_KINDS = (".svg", ".png", ".csv")  # of figures
 
 AsCsv = Annotated[bool, typer.Option("--csv", help="As CSV.")]
 Figure = Annotated[
@@ -53,6 +54,8 @@ def results(
         raise InvalidInput(f"--json goes without {given[0]}, which writes another form")
     if (policy or distribution) and not id.startswith("run_"):
         raise InvalidInput(f"{id} is no run, and has no single policy or distribution; adr list")
+    if figure is not None and figure.suffix not in _KINDS:
+        raise InvalidInput(f"a figure ends in {', '.join(_KINDS)}; given {figure.name}")
     for file in (figure, distribution, policy):
         if file is not None:
             check_new(file)
@@ -73,8 +76,7 @@ def results(
 
 def _write_figures(client: AdrClient, id: str, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    kinds = ("svg", "png", "csv")
-    files = [folder / f"{name}.{kind}" for name in client.figures(id) for kind in kinds]
+    files = [folder / f"{name}{kind}" for name in client.figures(id) for kind in _KINDS]
     check_absent(*files)
     for file in files:
         _write(file, client.figure(id, file.name))

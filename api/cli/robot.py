@@ -40,7 +40,9 @@ Out = Annotated[Path | None, typer.Option(help="Measurement that --play makes, .
 def robot(
     env: Annotated[str, typer.Option(help="module:factory of a Gymnasium environment.")],
     task: Annotated[str, typer.Option(help="Task that the robot has: hopper, …")],
-    name: Annotated[str, typer.Option(help="Name of the robot, shown on the page.")] = "robot",
+    name: Annotated[
+        str | None, typer.Option(help="Name of the robot, shown on the page; default: robot.")
+    ] = None,
     play: Play = None,
     out: Out = None,
     max_seconds: MaxSeconds = None,
@@ -58,14 +60,16 @@ def robot(
     limits = Limits(max_seconds, max_reset_seconds, tuple(max_action or ()))
     if (play is None) != (out is None):
         raise InvalidInput("--play goes with --out")
-    if play is not None and episodes is not None:
-        raise InvalidInput("--episodes goes without --play, which sends all episodes of the plan")
+    if play is not None and (episodes is not None or name is not None):
+        raise InvalidInput(
+            "--episodes and --name go without --play, which sends all episodes of the plan, and "
+            "tells no service"
+        )
     if play is not None and out is not None:
         _play(env, task, limits, play, out)
         return
-    worker = Robot(
-        partial(connect, url), task, env, name, limits, partial(console.print, markup=False)
-    )
+    tell = partial(console.print, markup=False)
+    worker = Robot(partial(connect, url), task, env, name or "robot", limits, tell)
     worker.work(episodes)
 
 

@@ -40,6 +40,10 @@ def tune(
     spec["preset"] = preset
     assign(spec, setting)
     grid = dict(_values(text) for text in over)
+    if len(grid) < len(over):
+        raise InvalidInput(f"--over has one setting twice: {' '.join(over)}")
+    if "seed" in spec:
+        raise InvalidInput("--set seed goes without `adr tune`, which takes --first-seed")
     from workers.cluster import RayOptions  # imports Ray
     from workers.tuning import candidates
     from workers.tuning import tune as tune_on_ray

@@ -22,6 +22,7 @@ from adr_service.events import (
     StageFinished,
     TrainingEvaluated,
 )
+from adr_service.json_values import explain
 from adr_service.methods.catalogue import methods
 from adr_service.presets import PRESETS
 from adr_service.specs import RunSpec
@@ -184,7 +185,7 @@ def train(run_id: str, service: ServiceDependency, given: Annotated[Training, Fo
             {"task": spec.task, "variant": spec.variant, **named, **given.model_dump()}
         )
     except ValidationError as error:
-        raise InvalidInput("; ".join(each["msg"] for each in error.errors())) from error
+        raise InvalidInput(explain(error, "the form")) from error
     return RedirectResponse(f"/runs/{start_run(service, extended, None).id}", SEE_OTHER)
 
 

@@ -51,6 +51,7 @@ def test_a_token_opens_its_paths_alone(token, statuses):
         ("[::1]:8000", "", 200),
         ("adr.example.org", "", 400),
         ("adr.example.org:443", "adr.example.org, other.example.org", 200),
+        ("lab-pc", "Lab-PC", 200),  # browsers send small letters
     ],
 )
 def test_only_names_of_the_service_are_answered(host, allowed, status):

@@ -32,6 +32,7 @@ def test_rays_own_variable_names_the_cluster_unless_ours_does(monkeypatch):
         ({"rate": "many"}, "'many' is no rate; as 500/second"),
         ({"ray_address": "head"}, "'head' is no address; accepted are local, auto, and HOST:PORT"),
         ({"ray_address": "head:"}, "'head:' is no address"),
+        ({"ray_address": "auto", "cpus": 2}, "ADR_CPUS is for a Ray of the service's own"),
         ({"max_cores": 8}, "ADR_MAX_CORES and ADR_RESOURCE are for a cluster that is joined"),
         ({"ray_address": "auto", "max_cores": 0}, "ADR_MAX_CORES: .*greater than or equal to 1"),
         ({"runs_at_once": 0}, "ADR_RUNS_AT_ONCE: .*greater than or equal to 1"),

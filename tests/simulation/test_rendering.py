@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from adr_service.errors import InvalidInput
 from adr_service.simulation.model import compiled
 from adr_service.simulation.rendering import (
     Camera,
@@ -91,6 +92,11 @@ def test_a_gif_leaves_out_pictures_until_hundredths_of_seconds_fit(tmp_path, per
     assert stride_of(tmp_path / "film.mp4", period_s) == 1
     every = stride_of(tmp_path / "film.mp4", period_s, most_fps=25)
     assert 1 / 25 <= every * period_s < 1 / 25 + period_s
+
+
+def test_pictures_a_second_of_a_gif_are_not_to_be_chosen(tmp_path):
+    with pytest.raises(InvalidInput, match=r"can be limited in an \.mp4 alone"):
+        stride_of(tmp_path / "film.gif", 0.05, most_fps=5)
 
 
 def test_of_two_films_the_shorter_one_shows_its_last_picture_until_the_other_ends():

@@ -41,6 +41,12 @@ def test_settings_that_are_not_valid_are_named(adr_here, monkeypatch):
     assert "the ADR_… settings are not valid: ADR_PORT" in text
 
 
+def test_an_address_that_is_none_does_not_end_the_report(adr_here):
+    status, text, _ = adr_here("doctor", "--url", "http://127.0.0.1:abc")
+    assert status == 1
+    assert "no   'http://127.0.0.1:abc' is no address of a service" in text
+
+
 @pytest.mark.ray
 def test_a_service_is_looked_for_where_the_other_commands_do(adr, service):
     status, text = adr("doctor")

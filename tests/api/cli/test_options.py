@@ -18,6 +18,27 @@ def test_commands_ask_at_the_port_on_which_the_server_listens(adr_here, monkeypa
     assert "127.0.0.1:10 " in adr_here("list")[2]
 
 
+@pytest.mark.parametrize("command", ["status", "watch", "cancel", "resume", "results", "cite"])
+def test_a_recording_is_no_run(adr_here, command):
+    code, _, errors = adr_here(command, "data_0123456789abcdef")
+    assert code == 2
+    assert "given data_0123456789abcdef, of a dataset" in errors.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("results run_0 --figure returns", "a figure ends in .svg, .png, .csv; given returns"),
+        ("criticise --data a.npz --seed -1", "greater than or equal to 0"),
+        ("render a.gif --task arm --seed -1", "greater than or equal to 0"),
+    ],
+)
+def test_options_that_cannot_be_obeyed_are_refused(adr_here, command, message):
+    code, _, errors = adr_here(*command.split())
+    assert code == 2
+    assert message in errors.replace("\n", " ")
+
+
 @pytest.mark.parametrize("command", [["list"], ["status", "run_a"], ["results", "run_a"]], ids=str)
 def test_the_address_of_the_service_may_come_from_the_environment(adr_here, monkeypatch, command):
     monkeypatch.setenv("ADR_URL", "http://127.0.0.1:9")
