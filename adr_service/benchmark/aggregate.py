@@ -86,8 +86,7 @@ def _share_above(scores: Matrix, level: float) -> Vector:
 
 def _common(outcomes: Sequence[Outcome]) -> dict[str, _Cells]:
     """Returns by method, in the cells that all these methods have; see the module."""
-    collected = [o for o in outcomes if o.spec.collector == "simopt"]
-    cells = dict(sorted(final_outcomes(collected).items()))
+    cells = dict(sorted(final_outcomes(outcomes).items()))
     having = {name: {c for c in cells if name in cells[c]} for name in methods()}
     having = {name: own for name, own in having.items() if own}
     held = Counter(cell for own in having.values() for cell in own)

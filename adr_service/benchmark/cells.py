@@ -1,9 +1,11 @@
 """Outcomes of one budget by cell: a method on a task's variant after some iteration."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from adr_service.benchmark.comparison import Outcome
+from adr_service.benchmark.statistics import FEWEST_SEEDS
 from adr_service.methods.catalogue import methods
 
 
@@ -39,9 +41,11 @@ class Measured:
             seeds.setdefault(spec.seed, {})[outcome.iteration.iteration] = outcome
 
     def iterations(self, cell: Cell) -> list[int]:
-        """Those after which every seed of the cell's method was evaluated."""
-        seeds = [set(found) for found in self._cells.get(cell.key, {}).values()]
-        return sorted(set[int].intersection(*seeds)) if seeds else []
+        """Those after which every seed of the cell's method was evaluated, or three at least."""
+        seeds = self._cells.get(cell.key, {}).values()
+        counts = Counter(iteration for found in seeds for iteration in found)
+        fewest = min(len(seeds), FEWEST_SEEDS)
+        return sorted(iteration for iteration, count in counts.items() if count >= fewest)
 
     def of(self, cell: Cell) -> dict[int, Outcome]:
         """The outcomes of a cell by seed; none where it was not measured."""

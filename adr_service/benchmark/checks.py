@@ -95,7 +95,7 @@ def compared(
         gaps = [_gaps(_by_seed(measured.of(a)), _by_seed(measured.of(b))) for a, b in pairs]
         seeds = sorted(set[int].intersection(*(set(each) for each in gaps)))
         if not seeds:
-            return _nothing([])
+            return _nothing([f"{ones[0]} and {others[0]} have no seed in common"])
         names = f"{ones[0]} minus {others[0]}"
         if len(ones) > 1:
             names = f"{ones[0].method} minus {others[0].method}, mean of {len(ones)} cells"
@@ -127,7 +127,8 @@ def drops(task: str, variant: str, method: str) -> Check:
         iterations = measured.iterations(Cell(task, variant, method))
         known = [Cell(task, variant, method, i) for i in iterations if i > 0]
         if len(known) < 2:
-            return _nothing([])
+            few = f"{method} on {task} {variant} has no two iterations of the same seeds"
+            return _nothing([few] if iterations else [])
         fallen = [
             compared([a], [b], lambda gaps, line: above(gaps, _SAME, line))(measured)
             for a, b in combinations(known, 2)

@@ -63,7 +63,9 @@ class ClaimReport:
     statement: str
     verdict: ClaimVerdict
     evidence: list[str]
-    seeds_needed: int | None  # of an undecided claim, at the present spread; None if too many
+    seeds_needed: (
+        int | None
+    )  # of an undecided claim, at the present spread; None: too many, or two so far
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,7 @@ class Row:
     seeds: int
     policies: int
     episodes: int
-    target_rollouts: int  # per seed, for the method to learn from
+    target_rollouts: int  # of the seed with most, for the method to learn from
     target_transitions: float  # per seed, mean
     target_returns: int  # per seed, of full episodes, where the method saw these and no transitions
     inference_steps: float  # per seed, mean; control steps simulated by the iteration's inference

@@ -69,7 +69,8 @@ def drawable(outcomes: Sequence[Outcome]) -> list[str]:
         for name, kind in FIGURES.items()
         if any(map(kind.is_drawn, outcomes)) and kind.is_complete(outcomes)
     ]
-    by_variant = [f"returns-{variant}" for variant in _variants(outcomes)]
+    shown = _variants([outcome for outcome in outcomes if _in_the_protocol(outcome)])
+    by_variant = [f"returns-{variant}" for variant in shown]
     if "returns" in names and len(by_variant) > 1:
         names[names.index("returns") : names.index("returns") + 1] = by_variant
     return names
@@ -135,10 +136,11 @@ FIGURES: Mapping[str, Kind] = {
         Row,
         _protocol_rows,
         plot_returns,
-        "no iteration has been evaluated",
+        "no iteration on SimOpt's data has been evaluated",
     ),
     "profile": Kind(
-        "Performance profile: policies that earn more than a return, over all tasks and variants",
+        "Performance profile: policies that earn more than a return, over the tasks and variants "
+        "that most methods have; methods that lack one are left out",
         _in_the_protocol,
         ProfilePoint,
         profiles,

@@ -53,7 +53,10 @@ class BayesSimSettings(OfflineSettings):
         description="steps after which a replay is set to the recorded state; null: whole episodes",
     )
     epochs: int = Field(
-        1000, ge=1, le=1_000_000, description="passes over the simulations, at most"
+        1000,
+        ge=1,
+        le=1_000_000,
+        description="passes over the simulations of a round, before the last",
     )
 
     extra: ClassVar[str] = "sbi"

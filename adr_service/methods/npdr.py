@@ -52,7 +52,10 @@ class NpdrSettings(OfflineSettings):
         description="steps after which a replay is set to the recorded state; null: whole episodes",
     )
     epochs: int = Field(
-        1000, ge=1, le=1_000_000, description="passes over the simulations, at most"
+        1000,
+        ge=1,
+        le=1_000_000,
+        description="passes over the simulations of a round, before the last",
     )
     draws: int = Field(
         200, ge=1, le=10_000, description="samples of the posterior that policies are trained on"

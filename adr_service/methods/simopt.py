@@ -45,8 +45,8 @@ from adr_service.simulation.rollout import follow
 from adr_service.tasks.base import State
 
 _LEAST_RATIO = 1e-9  # of the new variance to the old, below which the fit is singular
-# Of the largest variance. Where the data leave a parameter open, its variance stays while others
-# shrink at every update, until rounding makes the covariance singular.
+# Of the largest variance. Where the data leave a parameter open, its variance shrinks as clipped
+# draws do, and others faster, until rounding makes the covariance singular.
 _LEAST_SHARE = 1e-12
 _FIRST_TEMPERATURE = 1.0  # of the search for the best one
 _MOST_TEMPERATURE = 1e12  # beyond which weights are equal
@@ -202,7 +202,9 @@ class ClosedLoop:
             total += self._discrepancy(self._simulated(recorded, len(dynamics), part), recorded)
         broken = ~np.isfinite(total)
         self.diverged = int(broken.sum())
-        return np.where(broken, np.max(total[~broken], initial=0.0), total)
+        if self.diverged == len(total):
+            raise InvalidInput(f"all {len(total)} simulations of the policy diverged")
+        return np.where(broken, np.max(total[~broken]), total)
 
     def _simulated(self, recorded: Matrix, n: int, progress: Progress) -> Array3:
         """Observations (n, t, s) of the policy, from the initial state of an episode (t, s)."""

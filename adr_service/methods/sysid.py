@@ -1,6 +1,6 @@
 """System identification: the one point that predicts the recorded transitions best.
 
-Nonlinear least squares on one-step predictions, the baseline that practitioners try first. It
+Nonlinear least squares on predictions of `steps` control steps, which practitioners try first. It
 infers no distribution, so the policy is trained on a single simulator. The search is SciPy's
 trust-region reflective algorithm (Branch, Coleman, Li: "A Subspace, Interior, and Conjugate
 Gradient Method for Large-Scale Bound-Constrained Minimization Problems", SIAM J. Sci. Comput. 21,
@@ -9,8 +9,8 @@ Residuals are divided by the standard deviation of their column.
 
 Standard deviations that follow from the Jacobian and the residuals (White: "A
 Heteroskedasticity-Consistent Covariance Matrix Estimator", Econometrica 48, 1980) are reported as
-`std`. The policy of `sysid` does not train on them, because they are honest only where the model is
-right.
+`std`, null where the data leave a parameter open. The policy of `sysid` does not train on them,
+because they are honest only where the model is right.
 
 Two extensions are the ensembles that practitioners train on, and baselines for methods that infer a
 spread. `sysid_wide` is uniform within a share of the point. `sysid_laplace` is the Gaussian of
@@ -135,8 +135,6 @@ class Sysid:
         steps, space = self._settings.steps, problem.source.space
         # a Jacobian replays a point and one neighbour per parameter
         replay = Replay(problem.task, problem.source, data, len(space) + 1, steps)
-        if not len(replay.targets):
-            raise InvalidInput(f"no episode has {steps} consecutive transitions: {data!r}")
         residuals = _Residuals(replay, problem)
         ends = self._search(residuals, len(space), rng, progress)
         best = min(ends, key=lambda end: float(end.cost))
@@ -148,7 +146,7 @@ class Sysid:
             diagnostics={
                 "costs": sorted(float(end.cost) for end in ends),
                 "mean_squared_error": float(replay.mean_squared_error(values[None])[0]),
-                "std": (_deviations(best) * ranges).tolist(),
+                "std": _finite(_deviations(best) * ranges),
                 "replays": residuals.replayed,
             },
         )
@@ -180,7 +178,7 @@ class Sysid:
 
 
 class _Residuals:
-    """Scaled one-step errors of a point in [0, 4]^d, and their derivatives."""
+    """Scaled errors of a point in [0, 4]^d, and their derivatives."""
 
     def __init__(self, replay: Replay, problem: Problem):
         self._replay, self._space = replay, problem.source.space
@@ -201,13 +199,23 @@ class _Residuals:
         predictions = self._replay.predict(self._space.denormalise(points))
         self.replayed += len(points)
         if not np.all(np.isfinite(predictions)):
-            raise InvalidInput("a replay diverged; the least-squares search cannot go on")
+            names = ", ".join(self._space.names)
+            given = self._space.denormalise(points[:1])[0]
+            raise InvalidInput(
+                f"a replay diverged at or beside {names} = {', '.join(f'{v:.4g}' for v in given)}; "
+                "the least-squares search cannot go on"
+            )
         return ((predictions - self._replay.targets) / self._scale).reshape(len(points), -1)
 
 
 def _values(space: ParameterSpace, best: OptimizeResult) -> Vector:
     """The point (d,) in SI units."""
     return np.clip(space.denormalise(best.x), space.low, space.high)
+
+
+def _finite(values: Vector) -> list[float | None]:
+    """Numbers for JSON, which has none for infinity."""
+    return [float(value) if np.isfinite(value) else None for value in values]
 
 
 def _deviations(best: OptimizeResult) -> Vector:

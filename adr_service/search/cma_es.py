@@ -45,7 +45,7 @@ def belief(es: "cma.CMAEvolutionStrategy") -> tuple[Vector, Matrix]:
     moves x into the box. The mean is transformed, the covariance is not. The transformation is
     quadratic within .05 of 0 and within (1 + width) / 20 of the width, .25 of 4, and the identity
     between. So the covariance is that of the draws but for means near a bound, where its deviations
-    are up to 8 times too large.
+    are too large, without limit as the search narrows there.
     """
     shape: Matrix = np.asarray(es.C, dtype=np.float64)
     scale = np.asarray(es.result.stds, dtype=np.float64) / np.sqrt(np.diag(shape))

@@ -14,7 +14,8 @@ _ROUNDED = 1e-6  # of an action's range, that one of 32 bits may lie beyond it
 class Replay:
     """Replays the windows of one dataset under any dynamics; built once per search.
 
-    Windows have `length` control steps, do not overlap and never cross an episode.
+    Windows have `length` control steps, do not overlap and never cross an episode. Raises
+    InvalidInput for data of another robot, or with shorter episodes.
     """
 
     def __init__(
@@ -29,6 +30,8 @@ class Replay:
         check_recorded(task, data)
         self._task, self._length = task, length
         self._starts = data.windows(length)
+        if not len(self._starts):
+            raise InvalidInput(f"no episode has {length} consecutive transitions: {data!r}")
         self._states = task.state(data.observations[self._starts])
         self._actions = data.actions
         self._simulations = Simulations(task, source, n, threads)

@@ -7,7 +7,16 @@ import pytest
 from scipy.stats import ttest_1samp
 
 from adr_service.benchmark.cells import Cell, Measured
-from adr_service.benchmark.checks import Evidence, above, all_of, conjunction, higher, none_of
+from adr_service.benchmark.checks import (
+    Evidence,
+    above,
+    all_of,
+    conjunction,
+    drops,
+    higher,
+    none_of,
+)
+from tests.benchmark.test_claims import outcome
 
 NOTHING = Measured([])
 SURE, UNSURE = 1e-6, 0.4
@@ -92,6 +101,37 @@ def test_equal_seeds_are_taken_to_spread_as_trainings_do():
 def test_a_nested_contradiction_counts_in_the_correction():
     inner = Evidence(1.0, 0.03, [], "not measured")
     assert conjunction([inner, inner]).contradicts == 0.06
+
+
+def worse_with_more_data(seeds):
+    """Outcomes of DROID, which earns less after its second iteration, and of the oracle."""
+    levels = {("droid", 1): 1.3, ("droid", 2): 1.0, ("oracle", 0): 1.0}
+    return [
+        outcome(level, task="walker2d", method=method, iteration=iteration, seed=seed)
+        for (method, iteration), level in levels.items()
+        for seed in seeds
+    ]
+
+
+def test_a_seed_that_has_just_begun_leaves_the_others_judged():
+    begun = outcome(1.0, task="walker2d", method="droid", iteration=0, seed=9)
+    check = drops("walker2d", "vanilla", "droid")
+    found = worse_with_more_data(range(8))
+    with_begun = check(Measured([*found, begun]))
+    assert with_begun.supports == check(Measured(found)).supports < 0.001
+
+
+def test_what_has_no_seed_in_common_is_said():
+    cells = [Cell("walker2d", "vanilla", "droid", number) for number in (1, 2)]
+    apart = [
+        o
+        for o in worse_with_more_data(range(6))
+        if o.spec.method.name == "oracle" or o.iteration.iteration == 1 + o.spec.seed // 3
+    ]
+    (line,) = higher(*cells)(Measured(apart)).lines
+    assert line.endswith("have no seed in common")
+    (line,) = drops("walker2d", "vanilla", "droid")(Measured(apart[:3] + apart[6:])).lines
+    assert line == "droid on walker2d vanilla has no two iterations of the same seeds"
 
 
 def test_a_method_is_not_compared_with_itself_or_with_one_that_did_not_run():

@@ -42,6 +42,16 @@ def test_the_csv_of_a_figure_has_the_numbers_it_draws(benchmark):
     assert {row["parameter"] for row in drawn} == set(source_of("arm", "vanilla").space.names)
 
 
+def test_a_variant_in_which_others_collected_has_no_figure_of_the_protocol(benchmark):
+    """A running benchmark may have these first."""
+    both = [o for o in benchmark[2] if o.spec.variant == "vanilla" or o.spec.collector != "simopt"]
+    assert len({o.spec.variant for o in both}) == 2
+    names = drawable(both)
+    assert [name for name in names if name.startswith("returns")] == ["returns"]
+    for name in names:
+        assert draw(name, both, "svg")
+
+
 def test_a_figure_of_nothing_or_of_no_such_name_is_refused(benchmark):
     with pytest.raises(InvalidInput, match="nothing to draw"):
         draw("returns", [], "svg")

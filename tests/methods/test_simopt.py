@@ -157,6 +157,16 @@ class TestUpdates:
         loop = ClosedLoop(PROBLEM, Evidence(self.policy, data), SimOptSettings(), 1)
         assert loop.costs(PLANTED[None], silent)[0] < 10
 
+    def test_simulations_that_all_diverge_end_the_update(self):
+        """Without any cost, the belief would only narrow."""
+        absurd = self.evidence.data.observations.copy()
+        absurd[:, 2:] = 1e9
+        evidence = Evidence(self.policy, replace(self.evidence.data, observations=absurd))
+        method = SimOpt(SimOptSettings(updates=1, samples=20))
+        start = method.start(PROBLEM)
+        with pytest.raises(InvalidInput, match="all 20 simulations of the policy diverged"):
+            method.tell(PROBLEM, start, evidence, stream("simopt"), silent)
+
     def test_every_update_is_in_the_diagnostics_and_in_the_cost(self):
         update = self.update(SimOptSettings(updates=3, samples=20))
         facts = update.diagnostics["updates"]

@@ -141,14 +141,14 @@ def test_the_plan_is_at_least_the_cost():
     assert cost <= settings.planned_steps(len(SPACE), len(data))
 
 
-def test_parameters_that_the_data_leave_open_have_infinite_deviations():
+def test_parameters_that_the_data_leave_open_have_no_deviation():
     """A hanging arm at rest shows nothing of its masses and frictions."""
     still = recorded(waving_policy(), steps=5)
     hanging = np.zeros((len(still), 4))
     data = replace(
         still, observations=hanging, next_observations=hanging, actions=np.zeros((len(still), 2))
     )
-    assert np.all(np.isinf(fit(data, starts=1).diagnostics["std"]))
+    assert fit(data, starts=1).diagnostics["std"] == [None] * len(SPACE)
 
 
 def test_windows_longer_than_the_recording_are_refused():
@@ -160,5 +160,6 @@ def test_a_diverged_replay_ends_the_search():
     data = recorded(waving_policy(), steps=5)
     absurd = data.observations.copy()
     absurd[:, 2:] = 1e9
-    with pytest.raises(InvalidInput, match="a replay diverged"):
+    diverged = r"a replay diverged at or beside \w+, .* = [\d.]+, "
+    with pytest.raises(InvalidInput, match=diverged):
         fit(replace(data, observations=absurd))
