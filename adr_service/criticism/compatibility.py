@@ -2,6 +2,7 @@
 
 import mujoco
 
+from adr_service.arrays import Mask
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.effects.base import is_added
@@ -67,10 +68,21 @@ def check_state(model: mujoco.MjModel) -> None:
         )
 
 
+def commanded(model: mujoco.MjModel) -> list[str]:
+    """Names of the actuators that data have commands of: the first ones, without added ones."""
+    names = [model.actuator(i).name for i in range(model.nu)]
+    return [name for name in names if not is_added(name)]
+
+
+def obeys_limits(model: mujoco.MjModel) -> Mask:
+    """(nu,) true for actuators whose commands are cut at their limits."""
+    is_cut = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    return model.actuator_ctrllimited.astype(bool) & is_cut
+
+
 def check_columns(model: mujoco.MjModel, data: Measurement) -> None:
     """Raises InvalidInput unless the data have the model's whole state and all its commands."""
     check_state(model)
-    commanded = [i for i in range(model.nu) if not is_added(model.actuator(i).name)]
     if data.ctrl_within is not None:
         parts, steps = data.ctrl_within.shape[1], steps_between(data.period(), model.opt.timestep)
         if steps % parts:
@@ -78,7 +90,7 @@ def check_columns(model: mujoco.MjModel, data: Measurement) -> None:
                 f"ctrl_within has {parts} parts in a row, which are no whole number of the model's "
                 f"{steps} steps between rows; accepted are {_divisors(steps)}"
             )
-    widths = {"qpos": model.nq, "qvel": model.nv, "ctrl": len(commanded)}
+    widths = {"qpos": model.nq, "qvel": model.nv, "ctrl": len(commanded(model))}
     for name, width in widths.items():
         if (given := getattr(data, name).shape[1]) != width:
             raise InvalidInput(f"{name} has {given} columns; the model has {width}")

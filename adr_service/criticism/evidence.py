@@ -10,7 +10,7 @@ effect minus without. What the free parameters can explain is not evidence: they
 Nor is what a smaller simulator step would change, which is fitted as if it were a parameter.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -57,6 +57,7 @@ class Fit:
     parameters: Vector  # (d,) SI
     effects: tuple[Effect, ...]
     states: Matrix  # (rows, m) smoothed, around which everything is linear
+    predicted: Matrix  # (N, m) by the simulator from there, with these parameters and effects
     linear: Linear
     noise: Noise
     normal: Normal
@@ -71,11 +72,6 @@ class Fit:
     def stated(self) -> Mask:
         """(m,) true for sensors whose noise is known."""
         return ~np.isnan(self.sensor)
-
-    @cached_property
-    def predicted(self) -> Matrix:
-        """(N, m) by the simulator, from the smoothed states."""
-        return self.simulator.predict(self.parameters, self.effects, self.states)
 
     @property
     def held_out(self) -> Vector:
@@ -120,14 +116,12 @@ def fit(simulator: Simulator, sensor: Vector, effects: Sequence[Effect] = ()) ->
     """
     layout, states, start = Layout.of(simulator), simulator.measured, simulator.nominal.start
     own = tuple(effects)
-    linear = linearise(simulator, layout, start, own, states, _exact(simulator))
+    linear, predicted = linearise(simulator, layout, start, own, states, _exact(simulator))
     noise = _first_noise(linear, sensor)
     known = ~np.isnan(sensor)
     noise, normal = estimate(linear, lifted(noise, linear.chain, linear.residual, known), known)
-    begun = Fit(
-        simulator, sensor, layout, start, own, states, linear, noise, normal, known=len(own)
-    )
-    return begun.settled
+    at = (start, own, states, predicted)
+    return Fit(simulator, sensor, layout, *at, linear, noise, normal, known=len(own)).settled
 
 
 def smoothed(fit: Fit) -> Fit:
@@ -137,11 +131,12 @@ def smoothed(fit: Fit) -> Fit:
     errors, covariance = whitener.sensor_errors(fit.left)
     states = simulator.measured - layout.by_row(simulator, errors)
     root = root_of(layout.by_row(simulator, covariance), tiny_root(simulator))
-    linear = linearise(simulator, layout, fit.parameters, fit.effects, states, root)
+    linear, at = linearise(simulator, layout, fit.parameters, fit.effects, states, root)
     linear = _supposed(fit, linear, fit.effects)
     start = lifted(fit.noise, linear.chain, linear.residual, fit.stated)
     noise, normal = estimate(linear, start, fit.stated)
-    return replace(fit, states=states, linear=linear, noise=noise, normal=normal).settled
+    found = {"states": states, "predicted": at, "linear": linear, "noise": noise, "normal": normal}
+    return replace(fit, **found).settled
 
 
 def held_out_without(fit: Fit, gone: Sequence[int]) -> Vector:
@@ -188,7 +183,8 @@ def held_out_where(persistence: Persistence, fit: Fit) -> Vector:
 def residuals_of(fit: Fit, simulator: Simulator) -> tuple[Chain, Array3]:
     """Residuals (E, T, m) of a fit on other data, around the states as they were measured."""
     layout, states = Layout.of(simulator), simulator.measured
-    linear = linearise(simulator, layout, fit.parameters, fit.effects, states, _exact(simulator))
+    known = (fit.parameters, fit.effects, states)
+    linear, _ = linearise(simulator, layout, *known, _exact(simulator))
     change = fit.normal.change()[0][fit.integration]
     return linear.chain, linear.residual - linear.columns[..., fit.integration] @ change
 
@@ -256,7 +252,8 @@ def _evaluated(
     `noise` to start from, None: the likelier of the other fit's and of a guess; `near`, a fit with
     the same effects whose sensitivities will do. None: some transition diverges, or the noise does.
     """
-    moved = _folded(fit, fit.simulator.predict(parameters, effects, fit.states) - fit.predicted)
+    predicted = fit.simulator.predict(parameters, effects, fit.states)
+    moved = _folded(fit, predicted - fit.predicted)
     if not np.all(np.isfinite(moved)):
         return None
     columns = near.linear.columns if near else _sensitivities(fit, parameters, effects)
@@ -270,16 +267,19 @@ def _evaluated(
         noise, normal = estimate(linear, start, fit.stated)
     except np.linalg.LinAlgError:  # what it leaves has no finite variance beside exact readings
         return None
-    return replace(
-        fit, parameters=parameters, effects=effects, linear=linear, noise=noise, normal=normal
-    )
+    at = {"parameters": parameters, "effects": effects, "predicted": predicted}
+    return replace(fit, **at, linear=linear, noise=noise, normal=normal)
 
 
 def _sensitivities(fit: Fit, parameters: Vector, effects: Sequence[Effect]) -> np.ndarray:
     """Columns (E, T, m, p) of a fit's parameters and of effects, those that it has among them."""
     places = [fit.columns_at(effect) for effect in effects]
     new = [effect for effect, where in zip(effects, places, strict=True) if where is None]
-    derivatives = iter(by_strengths(fit.simulator, parameters, tuple(effects), fit.states, new))
+    derivatives: Iterator[Matrix] = iter(())
+    if new:
+        known = (parameters, tuple(effects), fit.states)
+        quickly = fit.simulator.predict_quickly(*known)
+        derivatives = iter(by_strengths(fit.simulator, *known, new, quickly))
     columns = [fit.linear.columns[..., : fit.integration.stop]]
     for effect, where in zip(effects, places, strict=True):
         if where is not None:

@@ -89,5 +89,7 @@ def _in_errors(change: Matrix, noise: Vector, period: float) -> Matrix:
     of_position = np.where(
         is_blind, np.sqrt(6) * position, np.hypot(np.sqrt(2) * position, period * velocity)
     )
-    sped = change[:, nv:][:, ~is_blind] / np.maximum(np.sqrt(2) * velocity[~is_blind], _LEAST)
-    return np.hstack([moved / np.maximum(of_position, _LEAST), sped])
+    share = np.hstack([moved, change[:, nv:]])
+    unit = np.concatenate([of_position, np.sqrt(2) * velocity])
+    is_known = ~np.isnan(unit)
+    return share[:, is_known] / np.maximum(unit[is_known], _LEAST)

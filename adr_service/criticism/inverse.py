@@ -158,7 +158,9 @@ def _possible(model: mujoco.MjModel) -> Iterator[Effect]:
     for kind, mechanism in MECHANISMS.items():
         if mechanism.in_force:
             for place in mechanism.locations(model):
-                yield Effect(kind, place, tuple(typical_of(model, kind, place).tolist()))
+                typical = typical_of(model, kind, place)
+                if typical.any():  # nothing else is possible at an actuator without a gain
+                    yield Effect(kind, place, tuple(typical.tolist()))
 
 
 def missing_forces(simulator: Simulator, effects: Sequence[Effect]) -> Matrix:

@@ -1,6 +1,6 @@
 """Residuals of a simulator around given states, and their derivatives by all that is fitted.
 
-    linear = linearise(simulator, layout, parameters, effects, states, root)
+    linear, predicted = linearise(simulator, layout, parameters, effects, states, root)
 
 The columns of the result are the parameters, what integration adds, and the effects' strengths.
 """
@@ -55,15 +55,16 @@ def linearise(
     effects: tuple[Effect, ...],
     states: Matrix,
     root: np.ndarray,
-) -> Linear:
-    """Residuals around `states` (rows, m), and their derivatives.
+) -> tuple[Linear, Matrix]:
+    """Residuals around `states` (rows, m), their derivatives, and the predictions (N, m).
 
     Differences reach as far as the states are uncertain, along the columns of a root of their
     covariance (rows, m, m). So what is stiff is averaged over what the true state may be (the
     unscented transform; Julier and Uhlmann, 1997).
     """
     known = (parameters, effects, states)
-    predicted, quickly = simulator.predict(*known), simulator.predict_quickly(*known)
+    predicted = simulator.predict(*known)
+    quickly = predicted if simulator.is_quick else simulator.predict_quickly(*known)
     point = _Point(simulator, *known, predicted, quickly)
     slopes, mean = _over_states(point, root)
     transition = slopes @ np.linalg.inv(root[simulator.starts])
@@ -71,14 +72,14 @@ def linearise(
     after = simulator.measured[simulator.starts + 1]
     residual = after - mean - (transition @ offset[..., None])[..., 0]
     columns = [
-        *by_parameters(point.simulator, point.parameters, point.effects, point.states),
+        *by_parameters(simulator, *known, quickly),
         *_by_integration(point),
-        *by_strengths(simulator, *known, effects),
+        *by_strengths(simulator, *known, effects, quickly),
     ]
     free = simulator.predict_free(*known)
     stiff = np.any(np.abs(free - quickly) > _TOUCHED * spread(simulator), axis=1)
     everything = np.concatenate([residual[..., None], transition, np.stack(columns, axis=2)], 2)
-    return _folded(simulator, layout, everything, stiff, len(parameters))
+    return _folded(simulator, layout, everything, stiff, len(parameters)), predicted
 
 
 def with_priors(chain: Chain, residual: Array3, columns: np.ndarray, parameters: int) -> Linear:
@@ -96,27 +97,25 @@ def by_strengths(
     effects: tuple[Effect, ...],
     states: Matrix,
     by: Sequence[Effect],
+    quickly: Matrix,
 ) -> list[Matrix]:
-    """Derivatives (N, m) of the prediction by each strength of some of the effects.
+    """Derivatives (N, m) of the prediction `quickly` (N, m) by each strength of some effects.
 
     The smaller of the slopes to both sides, where a strength has two: a contact that begins or
     ends in between would make the one side infinitely steep. Of several strengths, those that are
     not identifiable are zero and stay so.
     """
-    if not by:
-        return []
-    predicted = simulator.predict_quickly(parameters, effects, states)
     derivatives: list[Matrix] = []
     for effect in by:
         typical = typical_of(simulator.base, effect.kind, effect.location)
         for number, size in enumerate(typical):
             if len(typical) > 1 and effect.values[number] == 0:
-                derivatives.append(np.zeros_like(predicted))
+                derivatives.append(np.zeros_like(quickly))
                 continue
             slopes: list[Matrix] = []
             for step, moved in _moved_both_ways(effect, number, 0.01 * size):
                 changed = tuple(moved if each is effect else each for each in effects)
-                response = simulator.predict_quickly(parameters, changed, states) - predicted
+                response = simulator.predict_quickly(parameters, changed, states) - quickly
                 slopes.append(response / step)
             derivatives.append(_flatter(*slopes))
     return derivatives
@@ -153,16 +152,19 @@ def _over_states(point: _Point, root: np.ndarray) -> tuple[np.ndarray, Matrix]:
 
 
 def by_parameters(
-    simulator: Simulator, parameters: Vector, effects: tuple[Effect, ...], states: Matrix
+    simulator: Simulator,
+    parameters: Vector,
+    effects: tuple[Effect, ...],
+    states: Matrix,
+    quickly: Matrix,
 ) -> list[Matrix]:
-    """Derivatives (N, m) of the prediction by each parameter."""
+    """Derivatives (N, m) of the prediction `quickly` (N, m) by each parameter."""
     space = simulator.nominal.space
-    predicted = simulator.predict_quickly(parameters, effects, states)
     columns: list[Matrix] = []
     for number, size in enumerate(_DIFFERENCE * (space.high - space.low)):
         moved = parameters.copy()
         moved[number] += size
-        columns.append((simulator.predict_quickly(moved, effects, states) - predicted) / size)
+        columns.append((simulator.predict_quickly(moved, effects, states) - quickly) / size)
     return columns
 
 

@@ -35,10 +35,9 @@ def drawn(limits: Matrix, rows: int, rng: np.random.Generator) -> Array3:
     for motion in commands:
         keep = rng.choice(_PACES)
         noise = rng.standard_normal((rows, len(limits)))
-        state = noise[0]
-        for row in range(rows):
-            state = keep * state + np.sqrt(1 - keep**2) * noise[row]
-            motion[row] = state
+        motion[0] = noise[0]
+        for row in range(1, rows):
+            motion[row] = keep * motion[row - 1] + np.sqrt(1 - keep**2) * noise[row]
         if rng.uniform() < _ALONE:
             still = np.arange(len(limits)) != rng.integers(len(limits))
             motion[:, still] = 0.0

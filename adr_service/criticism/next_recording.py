@@ -21,6 +21,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
+from adr_service.criticism.compatibility import commanded, obeys_limits
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import Fit, expected_errors
 from adr_service.criticism.excitation import gained_by_effects
@@ -148,7 +149,7 @@ def next_recording(
 
 def check_limits(limits: Matrix, model: mujoco.MjModel) -> None:
     """Raises InvalidInput unless there are commands, with limits that their actuators obey."""
-    count = model.nu
+    count = len(commanded(model))
     if not count:
         raise InvalidInput("the model has no actuators, so that a plan has nothing to command")
     is_good = limits.shape == (count, 2) and bool(np.all(np.isfinite(limits)))
@@ -157,10 +158,11 @@ def check_limits(limits: Matrix, model: mujoco.MjModel) -> None:
             f"limits of commands must be {count} pairs of numbers, the lower first; given "
             f"{limits.tolist()}"
         )
+    is_limited = obeys_limits(model)
     for number, (low, high) in enumerate(limits.tolist()):
         actuator = model.actuator(number)
         least, most = actuator.ctrlrange
-        if actuator.ctrllimited[0] and (low < least or high > most):
+        if is_limited[number] and (low < least or high > most):
             raise InvalidInput(
                 f"{actuator.name} obeys commands from {least:g} to {most:g}; given are limits of "
                 f"{low:g} to {high:g}"
@@ -191,8 +193,12 @@ def _squares(
     measured, base = np.isfinite(unit), simulator.base
     known = (other.parameters, other.effects, states)
     truth = simulator.predict_quickly(true.parameters, true.effects, states)
-    rest = (truth - simulator.predict_quickly(*known)) / unit
-    columns = [*by_parameters(simulator, *known), *by_strengths(simulator, *known, other.effects)]
+    quickly = simulator.predict_quickly(*known)
+    rest = (truth - quickly) / unit
+    columns = [
+        *by_parameters(simulator, *known, quickly),
+        *by_strengths(simulator, *known, other.effects, quickly),
+    ]
     space = simulator.nominal.space
     # the most that each can make up for, so that the ridge is small beside it
     most = [space.high - space.low, *(plausible_of(base, effect) for effect in other.effects)]

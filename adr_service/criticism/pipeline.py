@@ -214,6 +214,7 @@ def _judged(outcome: _Outcome, baseline: Fit) -> _Judgement:
         conclusion = Conclusion.UNKNOWN
         remarks = (*outcome.remarks, on_unknown())
         outcome = replace(outcome, named=[], final=baseline, gain=None, remarks=remarks)
+        confidence = _confidence([], outcome.chance, flexible.gains)
     spread = spread_causes(whole)
     if conclusion == Conclusion.NONE and (outcome.named or spread):
         is_tied = any(len(alike) > 1 for alike in outcome.named)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from adr_service.criticism.compatibility import obeys_limits
 from adr_service.criticism.linear import Persistence
 from adr_service.criticism.measurements import Measurement
 from adr_service.effects.base import Effect
@@ -17,19 +18,22 @@ _IMPLAUSIBLE = 2.0  # deviations of a strength among robots
 
 def on_commands(model: mujoco.MjModel, data: Measurement) -> tuple[str, ...]:
     """Remarks on commands that never change, or that are beyond an actuator's limits."""
-    commands = data.ctrl[:-1][np.diff(data.episode) == 0]  # an episode's last row commands nothing
+    within = data.ctrl[:, None] if data.ctrl_within is None else data.ctrl_within
+    commands = within[:-1][np.diff(data.episode) == 0]  # an episode's last row commands nothing
+    is_limited = obeys_limits(model)
     remarks: list[str] = []
-    for number, values in enumerate(commands.T):
+    for number in range(commands.shape[2]):
+        values = commands[..., number]
         name = model.actuator(number).name
         if np.ptp(values) == 0:
             remarks.append(
-                f"The command to actuator {name} is {values[0]:g} all the time: these data cannot "
-                "show what it does with other commands."
+                f"The command to actuator {name} is {values[0, 0]:g} all the time: these data "
+                "cannot show what it does with other commands."
             )
         low, high = model.actuator_ctrlrange[number]
         slack = _ROUNDING * (high - low)
-        beyond = int(np.sum((values < low - slack) | (values > high + slack)))
-        if model.actuator_ctrllimited[number] and beyond:
+        beyond = int(np.any((values < low - slack) | (values > high + slack), axis=1).sum())
+        if is_limited[number] and beyond:
             remarks.append(
                 f"{beyond} of {len(values)} commands to actuator {name} are beyond its limits, "
                 f"{low:g} to {high:g}; the simulator obeys the limits, as MuJoCo does."

@@ -81,9 +81,11 @@ def _finding(verdict: Verdict) -> str:
                 "says how large an effect would have been seen."
             )
         case Conclusion.UNKNOWN:
+            spread = "; ".join(_words(cause) for cause in verdict.causes)
             return (
                 f"Something is missing that is none of the effects we know ({how_sure}): "
                 f"{_flexible(verdict.residual)} than the best of them."
+                f"{f' Besides, the simulator lacks {spread}.' if spread else ''}"
             )
         case Conclusion.CAUSE | Conclusion.TIE:
             names = "; ".join(_words(cause) for cause in verdict.causes)

@@ -30,6 +30,7 @@ class Responses:
         self._predicted = self._simulator.predict_quickly(*known)
         self._rates = self._simulator.rates(*known)
         self._commands = self._simulator.commands(fit.effects, self._simulator.steps)
+        self._unclamped: Matrix | None = None  # prediction (N, m) without limits of commands
         self._to_commands: dict[int, Matrix] = {}
         self._by_effect: dict[Effect, np.ndarray] = {}
 
@@ -82,8 +83,8 @@ class Responses:
         if actuator not in self._to_commands:
             fit, size = self._fit, 0.01 * self._simulator.largest_command(actuator)
             known = (fit.parameters, fit.effects, fit.states)
-            without, more = (
-                self._simulator.predict_unclamped(*known, actuator, s) for s in (0.0, size)
-            )
-            self._to_commands[actuator] = (more - without) / size
+            if self._unclamped is None:
+                self._unclamped = self._simulator.predict_unclamped(*known, actuator, 0.0)
+            more = self._simulator.predict_unclamped(*known, actuator, size)
+            self._to_commands[actuator] = (more - self._unclamped) / size
         return self._to_commands[actuator]

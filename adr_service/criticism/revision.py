@@ -13,7 +13,14 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import THRESHOLD, TIE, is_evidence
-from adr_service.criticism.evidence import Fit, gained, held_out_without, refine, smoothed
+from adr_service.criticism.evidence import (
+    Fit,
+    gained,
+    held_out_where,
+    held_out_without,
+    refine,
+    smoothed,
+)
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import scan
 from adr_service.criticism.weighing import (
@@ -92,8 +99,10 @@ def pruned(named: list[Alike], current: Fit) -> tuple[list[Alike], Fit]:
             for number, slot in enumerate(slots(named))
             if not _are_clearly_missed(range(slot.start, slot.stop), whole, current)
         }
+        settled = current.settled
+        here = held_out_where(settled.persistence, settled)
         losses = {
-            number: gained(current.settled, rest)
+            number: here - held_out_where(settled.persistence, rest)
             for number, rest in shorter.items()
             if rest is not None
         }

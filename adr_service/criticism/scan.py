@@ -19,9 +19,9 @@ from adr_service.criticism.linear import Linear, Normal, inverse
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.simulator import Simulator
-from adr_service.effects.base import Effect, sensors
+from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
-from adr_service.effects.models import prior_precision, typical_of
+from adr_service.effects.models import element_of, prior_precision, typical_of
 
 _ABSORBED = 1e2  # most that fitted parameters may divide the information on a strength by
 _AT_ONCE = 2e7  # numbers of responses that are whitened at a time
@@ -78,15 +78,16 @@ def location_of(effects: Sequence[Effect]) -> str:
 
 
 def places(simulator: Simulator) -> list[tuple[str, str]]:
-    """Every kind and location that may move predictions, except sensors that measured nothing."""
-    shown = zip(sensors(simulator.base), simulator.data.is_measured(), strict=True)
-    absent = {f"sensor:{name}" for name, is_measured in shown if not is_measured}
+    """Every kind and location that may move predictions, except in columns that nobody measured."""
+    base, is_measured = simulator.base, simulator.data.is_measured()
     return [
         (mechanism.kind, location)
         for mechanism in MECHANISMS.values()
         if not mechanism.only_spreads
-        for location in mechanism.locations(simulator.base)
-        if location not in absent
+        for location in mechanism.locations(base)
+        if (sensing := mechanism.sensing) is None
+        or is_measured[sensing.column(base, element_of(base, location))]
+        if typical_of(base, mechanism.kind, location).any()
     ]
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from mujoco import rollout
 
 from adr_service.arrays import Array3, Indices, Matrix, Vector
-from adr_service.criticism.compatibility import check_columns, steps_between
+from adr_service.criticism.compatibility import check_columns, obeys_limits, steps_between
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.effects.base import Effect, Past, is_added
@@ -100,6 +100,11 @@ class Simulator:
             )
         return followed
 
+    @property
+    def is_quick(self) -> bool:
+        """True if `predict_quickly` simulates what `predict` does."""
+        return self._rough == self.finer and is_first_order(self.base)
+
     def predict_quickly(self, values: Vector, effects: Sequence[Effect], states: Matrix) -> Matrix:
         """`predict` with the model's own step and an integrator of first order, to be compared
         with other predictions of this kind.
@@ -153,7 +158,7 @@ class Simulator:
     def commands(self, effects: Sequence[Effect], steps: int) -> Array3:
         """(N, steps, nu) what the actuators obey in each of so many steps between two rows."""
         count = self.data.ctrl.shape[1]  # without actuators that an extension added
-        limited = self.base.actuator_ctrllimited[:count].astype(bool)
+        limited = obeys_limits(self.base)[:count]
         bounds = self.base.actuator_ctrlrange[:count].T
         low, high = np.where(limited, bounds, [[-np.inf], [np.inf]])
         within = self.data.ctrl_within
@@ -266,9 +271,8 @@ class Simulator:
         return after
 
     def _data(self, model: mujoco.MjModel) -> list[mujoco.MjData]:
-        base = self.base
-        if (model.nbody, model.nu, model.nsite) == (base.nbody, base.nu, base.nsite):
-            return self._scratch
+        if model.nbuffer == self.base.nbuffer and model.names == self.base.names:
+            return self._scratch  # no mechanism has added anything
         return [mujoco.MjData(model) for _ in self._scratch]
 
     def _is_possible(self, model: mujoco.MjModel) -> bool:

@@ -125,7 +125,7 @@ def unit_at(model: mujoco.MjModel, address: str) -> str:
 
 def _found(model: mujoco.MjModel, address: str) -> tuple[Quantity, list[int], list[int]]:
     """The quantity of an address, the rows of its field, and the numbers of its objects."""
-    match = re.fullmatch(r"(\w+):(\w+|\*)\.(\w+)", address)
+    match = re.fullmatch(r"(\w+):(.+)\.(\w+)", address)
     if match is None:
         raise InvalidInput(f"address {address!r} is not of the form kind:name.attribute")
     kind, name, attribute = match.groups()

@@ -48,8 +48,10 @@ class Criticise(Stage[Criticised]):
     # sensors that are not there, 7: errors over steps of measured columns alone, the report has
     # data, seed, versions and refined evidence, 8: units of free parameters, and changes of the
     # file without the attributes that MuJoCo's writer adds, 9: data without noise, ranges of
-    # commands without those that nobody obeys, and unmeasured columns that hold a constant
-    version: ClassVar = 9
+    # commands without those that nobody obeys, and unmeasured columns that hold a constant, 10: the
+    # confidence of `unknown`, effects in positions that nobody measured, models that do not cut
+    # commands or have an actuator without a gain
+    version: ClassVar = 10
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 

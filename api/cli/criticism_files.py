@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Vector
+from adr_service.criticism.compatibility import commanded
 from adr_service.criticism.extension import written_out
 from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.criticism.next_recording import (
@@ -168,9 +169,9 @@ def limits_of(texts: Sequence[str], nominal: Nominal) -> Bounds:
     Raises InvalidInput for a model that has none, and for limits that an actuator does not obey.
     """
     model = nominal.model(nominal.start)
-    names = [model.actuator(i).name for i in range(model.nu)]
+    names = commanded(model)
     given = dict(_bounds("limit", "actuator", text, names) for text in texts)
-    limits = model.actuator_ctrlrange.copy()
+    limits = model.actuator_ctrlrange[: len(names)].copy()
     for number, bounds in given.items():
         limits[number] = bounds
     check_limits(limits, model)

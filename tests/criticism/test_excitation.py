@@ -76,6 +76,19 @@ def test_a_robot_at_rest_shows_springs_and_no_friction():
     assert nats["joint_coulomb_friction", "joint:shoulder"] < 1e-9
 
 
+def test_a_position_that_is_not_measured_hides_only_what_it_alone_shows(clean, found):
+    data = Measurement(**clean, qpos_std=[np.inf, 1e-3])
+    with Simulator(_fixed(arm()[1]), data, threads=1) as simulator:
+        blind = {
+            (each.kind, each.location): each
+            for each in excitation(simulator, np.array([np.nan, 1e-3, 1e-2, 1e-2]))
+        }
+    for key in (("joint_viscous_friction", "joint:shoulder"), ("actuator_gain", "actuator:elbow")):
+        assert 0 < blind[key].nats <= found[key].nats
+    assert found.keys() - blind.keys() >= {("joint_backlash", "joint:shoulder")}
+    assert ("joint_backlash", "joint:elbow") in blind
+
+
 def test_a_velocity_that_is_not_measured_hides_friction_but_not_all_of_it(clean, found):
     """Positions show the force still, with less certainty."""
     data = Measurement(**clean, qvel_std=[np.inf, np.inf])

@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
-from adr_service.criticism.inverse import missing_forces, needed_effects
+from adr_service.criticism.inverse import _possible, missing_forces, needed_effects
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
@@ -62,6 +63,19 @@ def test_a_rotor_needs_its_inertia_times_the_acceleration(bare, data):
 
 def test_velocities_that_nobody_measured_show_no_forces(bare, data):
     assert needed(bare, replace(data, qvel_std=np.inf)) == ()
+
+
+def test_an_actuator_without_a_gain_lacks_no_bias(bare):
+    """MuJoCo's dampers have none; a typical bias of zero has no evidence that is a number."""
+    spec = bare.spec(bare.start)
+    joint = spec.joints[0].name
+    damper = spec.add_actuator(name="damper", target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    damper.set_to_damper(1.0)
+    damper.ctrlrange = [0, 1]
+    effects = list(_possible(spec.compile()))
+    assert all(any(effect.values) for effect in effects)
+    assert "actuator_bias" in {effect.kind for effect in effects}
+    assert "actuator:damper" not in {effect.location for effect in effects}
 
 
 def test_a_motion_exactly_as_expected_needs_no_forces():

@@ -33,7 +33,13 @@ def simulator(good):
 def linearised(simulator, states, effects=()):
     root = np.broadcast_to(tiny_root(simulator), (len(states), 4, 4))
     start = simulator.nominal.start
-    return linearise(simulator, Layout.of(simulator), start, effects, states, root)
+    return linearise(simulator, Layout.of(simulator), start, effects, states, root)[0]
+
+
+def by_strengths_of(simulator, effects, by):
+    """Derivatives by strengths, at the measured states and the model's own parameters."""
+    known = (simulator.nominal.start, effects, simulator.measured)
+    return by_strengths(simulator, *known, by, simulator.predict_quickly(*known))
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +89,7 @@ def test_derivatives_by_states_are_differences_of_predictions(linear, simulator)
 
 def test_derivatives_by_strengths_are_differences_of_predictions(simulator):
     start, states = simulator.nominal.start, simulator.measured
-    (derivative,) = by_strengths(simulator, start, (SPRING,), states, (SPRING,))
+    (derivative,) = by_strengths_of(simulator, (SPRING,), (SPRING,))
     below, above = (
         simulator.predict_quickly(start, (replace(SPRING, values=(k,)),), states)
         for k in (0.49, 0.51)
@@ -94,7 +100,7 @@ def test_derivatives_by_strengths_are_differences_of_predictions(simulator):
 def test_a_strength_that_cannot_be_negative_is_moved_to_one_side(simulator):
     start, states = simulator.nominal.start, simulator.measured
     none = Effect("joint_coulomb_friction", "joint:elbow", (0.0,))
-    (derivative,) = by_strengths(simulator, start, (none,), states, (none,))
+    (derivative,) = by_strengths_of(simulator, (none,), (none,))
     plain = simulator.predict_quickly(start, (), states)
     some = simulator.predict_quickly(start, (replace(none, values=(1e-3,)),), states)
     assert np.all(np.isfinite(derivative))
@@ -102,7 +108,7 @@ def test_a_strength_that_cannot_be_negative_is_moved_to_one_side(simulator):
 
 
 def test_no_effects_have_no_derivatives(simulator):
-    assert by_strengths(simulator, simulator.nominal.start, (SPRING,), simulator.measured, ()) == []
+    assert by_strengths_of(simulator, (SPRING,), ()) == []
 
 
 def test_only_the_transition_that_diverges_is_masked(simulator):

@@ -8,6 +8,7 @@ import pytest
 
 from adr_service.blind_test.planting import hide
 from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.motions import drawn
 from adr_service.criticism.next_recording import (
     _summed,
     check_limits,
@@ -16,6 +17,7 @@ from adr_service.criticism.next_recording import (
 )
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.plans import read_plan
+from adr_service.effects.actuators import add_passive
 from adr_service.effects.base import Effect
 from adr_service.errors import InvalidInput
 from adr_service.npz import read_arrays
@@ -176,6 +178,25 @@ def test_an_actuator_that_rests_may_rest_again(tied):
     limits = np.array([[-1.0, 1.0], [0.0, 0.0]])
     plan = next_recording(tied[2], limits, np.random.default_rng(0), threads=1)
     np.testing.assert_array_equal(plan.commands[..., 1], 0.0)
+
+
+def test_actuators_that_a_criticism_added_have_no_limits():
+    nominal = arm()[1]
+    spec = nominal.spec(nominal.start)
+    add_passive(spec, "adr_force_elbow", "elbow", mujoco.mjtTrn.mjTRN_JOINT)
+    model = spec.compile()
+    assert model.nu == 3
+    check_limits(np.tile([-1.0, 1.0], (2, 1)), model)
+    with pytest.raises(InvalidInput, match="must be 2 pairs of numbers"):
+        check_limits(np.tile([-1.0, 1.0], (3, 1)), model)
+
+
+def test_every_command_of_a_motion_spreads_alike():
+    limits = np.tile([-9.0, 9.0], (2, 1))
+    rng = np.random.default_rng(0)
+    motions = np.concatenate([drawn(limits, 20, rng) / 9 for _ in range(40)])
+    spread = motions.std(axis=(0, 2))
+    np.testing.assert_allclose(spread, spread.mean(), rtol=0.05)
 
 
 def test_limits_beyond_what_the_actuator_obeys_are_refused(tied):

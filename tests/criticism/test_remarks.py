@@ -31,6 +31,16 @@ def test_constant_commands_and_commands_beyond_limits_have_a_remark(good):
     assert on_commands(model, Measurement(**{**good, "ctrl": rounded})) == ()
 
 
+def test_parts_of_a_command_beyond_the_limits_count_though_its_mean_is_within(good):
+    model = arm()[1].model(arm()[1].start)
+    mean = 0.1 * np.sign(good["ctrl"])
+    within = np.stack([mean + 1.4, mean - 1.4], axis=1)
+    data = Measurement(**{**good, "ctrl": mean}, ctrl_within=within)
+    shoulder, elbow = on_commands(model, data)
+    assert shoulder.startswith("2250 of 2250 commands to actuator shoulder are beyond its limits")
+    assert elbow.startswith("2250 of 2250 commands to actuator elbow")
+
+
 def test_a_refuted_effect_is_named_with_its_place():
     remark = on_refuted([Effect("joint_spring", "joint:elbow", (0.5,))])
     assert "joint_spring joint:elbow" in remark

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -33,6 +34,26 @@ def test_actuators_obey_their_limits(good):
         harmless = simulator.commands([unmoved], simulator.steps)
     assert np.abs(obeyed).max() == 1.0
     np.testing.assert_array_equal(obeyed, harmless)
+
+
+def test_a_model_that_does_not_cut_commands_obeys_them_all(good):
+    spec = mujoco.MjSpec.from_string(arm()[1].xml)
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    wild = Measurement(**{**good, "ctrl": 3.0 * np.sign(good["ctrl"])})
+    with Simulator(replace(arm()[1], xml=spec.to_xml()), wild, threads=1) as simulator:
+        assert np.abs(simulator.commands([], simulator.steps)).max() == 3.0
+
+
+def test_a_model_with_more_elements_has_a_state_of_its_own(good):
+    """MuJoCo would write beyond the memory of a smaller one."""
+    with Simulator(arm()[1], Measurement(**good), threads=1) as simulator:
+        spec = arm()[1].spec(arm()[1].start)
+        assert simulator._data(spec.compile()) is simulator._scratch
+        tendon = spec.add_tendon(name="strap")
+        tendon.wrap_joint("elbow", 1.0)
+        own = simulator._data(spec.compile())
+        assert own is not simulator._scratch
+        assert own[0].ten_length.shape == (1,)
 
 
 def test_whole_episodes_are_followed_as_step_after_step(good):

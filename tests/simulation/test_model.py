@@ -99,6 +99,13 @@ def test_a_friction_holds_in_both_directions_of_a_pair():
     assert model.pair_friction[0, :2].tolist() == [0.4, 0.4]
 
 
+def test_names_of_elements_may_have_any_characters():
+    body = "<body name='left-leg/shin.2'><geom size='1'/></body>"
+    xml = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
+    slot = resolve(compiled(xml), "body:left-leg/shin.2.mass")
+    assert (slot.field, slot.elements) == ("body_mass", ((1,),))
+
+
 @pytest.mark.parametrize(
     ("address", "message"),
     [
