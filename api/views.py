@@ -51,7 +51,7 @@ class BenchmarkView(BenchmarkSummary):
 
 def run_view(service: Service, record: RunRecord) -> RunView:
     """Return a run with the stages that it waits for now."""
-    activities = service.orchestrator.activities(record.id)
+    is_running = record.state == RunState.RUNNING  # the others wait for no stage
     error = None
     if record.error_code is not None:
         error = RunError(code=record.error_code, message=record.error_message or "")
@@ -64,7 +64,7 @@ def run_view(service: Service, record: RunRecord) -> RunView:
         created_at=record.created_at,
         updated_at=record.updated_at,
         error=error,
-        progress=activities,
+        progress=service.orchestrator.activities(record.id) if is_running else [],
         spec=record.spec,
         links=_run_links(record),
     )
