@@ -37,13 +37,14 @@ def write_report(
     check_benchmark(benchmark_id, "a report is")
     if folder.exists() and any(folder.iterdir()):
         raise InvalidInput(f"{folder} is not empty; a report overwrites nothing")
-    part = folder.with_name(f"{folder.name}.part")
-    shutil.rmtree(part, ignore_errors=True)
+    folder = folder.absolute()
+    folder.mkdir(parents=True, exist_ok=True)
     try:
-        _write_files(client, benchmark_id, part, archives)
-        part.rename(folder)
-    finally:  # whatever ended it
-        shutil.rmtree(part, ignore_errors=True)
+        _write_files(client, benchmark_id, folder, archives)
+    except BaseException:  # a part of a report would be in the way of the next one
+        for path in folder.iterdir():
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        raise
     return folder / "index.html"
 
 
@@ -52,7 +53,7 @@ def _write_files(
 ) -> None:
     benchmark, found = client.get(benchmark_id), client.results(benchmark_id)
     claims, figures = client.claims(benchmark_id), client.figures(benchmark_id)
-    (folder / "figures").mkdir(parents=True)
+    (folder / "figures").mkdir()
     for name in figures:
         for file in (f"{name}.{kind}" for kind in ("svg", "png", "csv")):
             (folder / "figures" / file).write_bytes(client.figure(benchmark_id, file))

@@ -84,13 +84,14 @@ def outcomes_of(service: Service, records: Sequence[RunRecord]) -> list[Outcome]
     ]
     digests = [digest for _, event in iterations for digest in event.inferences]
     seconds = stage_store.seconds_of(service.database, digests)
-    return [Outcome(spec, event, _sum(seconds, event.inferences)) for spec, event in iterations]
+    return [Outcome(spec, event, _seconds(seconds, event.inferences)) for spec, event in iterations]
 
 
-def _sum(seconds: Mapping[str, float], digests: Sequence[str]) -> float | None:
+def _seconds(known: Mapping[str, float], digests: Sequence[str]) -> float | None:
     """The seconds of stages together; None for none, or if an archive came without one of them."""
-    known = [seconds.get(digest) for digest in digests]
-    return None if not known or None in known else sum(filter(None, known))
+    if not digests or not known.keys() >= set(digests):
+        return None
+    return sum(known[digest] for digest in digests)
 
 
 def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str:

@@ -72,7 +72,7 @@ class Settings(BaseSettings):
         None,
         ge=1,
         le=10_000,
-        description="runs that compute; default: 64, or two for each core if more",
+        description="runs that compute; default: 64, or two for each core that is known if more",
     )
     dashboard: bool = True
     ray_dashboard_url: str = Field("", description="where browsers reach it, if not where Ray says")

@@ -127,8 +127,9 @@ def drops(task: str, variant: str, method: str) -> Check:
         iterations = measured.iterations(Cell(task, variant, method))
         known = [Cell(task, variant, method, i) for i in iterations if i > 0]
         if len(known) < 2:
-            few = f"{method} on {task} {variant} has no two iterations of the same seeds"
-            return _nothing([few] if iterations else [])
+            few = f"{method} on {task} {variant} has fewer than two iterations of the same seeds"
+            is_there = measured.of(Cell(task, variant, method, 0))
+            return _nothing([few] if iterations or is_there else [])
         fallen = [
             compared([a], [b], lambda gaps, line: above(gaps, _SAME, line))(measured)
             for a, b in combinations(known, 2)

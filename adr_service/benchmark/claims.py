@@ -63,9 +63,8 @@ class ClaimReport:
     statement: str
     verdict: ClaimVerdict
     evidence: list[str]
-    seeds_needed: (
-        int | None
-    )  # of an undecided claim, at the present spread; None: too many, or two so far
+    # of an undecided claim, at the present spread; None: too many, or fewer than three so far
+    seeds_needed: int | None
 
 
 @dataclass(frozen=True)

@@ -264,7 +264,7 @@ class AdrClient:
     def watch(self, id: str) -> Iterator[Json]:
         """Yield a run or a benchmark every second until it has finished.
 
-        Once it has been seen, a service that is busy or restarts is waited for, for five minutes.
+        Waits up to five minutes for a service that is busy or restarts, once it has answered.
         """
         seen = self.get(id)
         while True:
@@ -281,7 +281,7 @@ class AdrClient:
             try:
                 return self.get(id)
             except (Refused, Unreachable) as error:
-                wait = getattr(error, "retry_after_s", _POLL_S)
+                wait = error.retry_after_s if isinstance(error, Refused) else _POLL_S
                 if wait is None or time.monotonic() + wait > last:
                     raise
                 time.sleep(wait)

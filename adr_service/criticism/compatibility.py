@@ -2,7 +2,6 @@
 
 import mujoco
 
-from adr_service.arrays import Mask
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.effects.base import is_added
@@ -68,16 +67,11 @@ def check_state(model: mujoco.MjModel) -> None:
         )
 
 
-def commanded(model: mujoco.MjModel) -> list[str]:
-    """Names of the actuators that data have commands of: the first ones, without added ones."""
+def commanded_actuators(model: mujoco.MjModel) -> list[str]:
+    """Names of the actuators whose commands a measurement has. Those that a mechanism added come
+    last in the model, and are left out."""
     names = [model.actuator(i).name for i in range(model.nu)]
     return [name for name in names if not is_added(name)]
-
-
-def obeys_limits(model: mujoco.MjModel) -> Mask:
-    """(nu,) true for actuators whose commands are cut at their limits."""
-    is_cut = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
-    return model.actuator_ctrllimited.astype(bool) & is_cut
 
 
 def check_columns(model: mujoco.MjModel, data: Measurement) -> None:
@@ -90,7 +84,7 @@ def check_columns(model: mujoco.MjModel, data: Measurement) -> None:
                 f"ctrl_within has {parts} parts in a row, which are no whole number of the model's "
                 f"{steps} steps between rows; accepted are {_divisors(steps)}"
             )
-    widths = {"qpos": model.nq, "qvel": model.nv, "ctrl": len(commanded(model))}
+    widths = {"qpos": model.nq, "qvel": model.nv, "ctrl": len(commanded_actuators(model))}
     for name, width in widths.items():
         if (given := getattr(data, name).shape[1]) != width:
             raise InvalidInput(f"{name} has {given} columns; the model has {width}")

@@ -68,11 +68,10 @@ def gained_by_effects(
     without = simulator.predict_quickly(start, (), states)
     for kind, location in places(simulator):
         typical = typical_of(simulator.base, kind, location)
-        if typical.any():
-            effect = Effect(kind, location, tuple(typical.tolist()))
-            changed = simulator.predict_quickly(start, (effect,), states)
-            share = _in_errors(changed - without, noise, simulator.period)
-            yield effect, np.sum(share**2, axis=1) / 2
+        effect = Effect(kind, location, tuple(typical.tolist()))
+        changed = simulator.predict_quickly(start, (effect,), states)
+        share = _in_errors(changed - without, noise, simulator.period)
+        yield effect, np.sum(share**2, axis=1) / 2
 
 
 def _in_errors(change: Matrix, noise: Vector, period: float) -> Matrix:

@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
-from adr_service.criticism.compatibility import commanded, obeys_limits
+from adr_service.criticism.compatibility import commanded_actuators
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import Fit, expected_errors
 from adr_service.criticism.excitation import gained_by_effects
@@ -39,6 +39,7 @@ from adr_service.criticism.plans import Plan, Separation
 from adr_service.criticism.scan import location_of
 from adr_service.criticism.simulator import Simulator
 from adr_service.criticism.weighing import Weighed
+from adr_service.effects.actuators import obeys_limits
 from adr_service.effects.models import plausible_of
 from adr_service.errors import InvalidInput
 
@@ -149,7 +150,7 @@ def next_recording(
 
 def check_limits(limits: Matrix, model: mujoco.MjModel) -> None:
     """Raises InvalidInput unless there are commands, with limits that their actuators obey."""
-    count = len(commanded(model))
+    count = len(commanded_actuators(model))
     if not count:
         raise InvalidInput("the model has no actuators, so that a plan has nothing to command")
     is_good = limits.shape == (count, 2) and bool(np.all(np.isfinite(limits)))

@@ -206,7 +206,6 @@ def _judged(outcome: _Outcome, baseline: Fit) -> _Judgement:
     """The outcome beside a flexible force, which may explain more than all named effects."""
     whole = outcome.final.settled
     flexible = unexplained(whole)
-    confidence = _confidence(outcome.named, outcome.chance, flexible.gains)
     conclusion = Conclusion.NONE
     outcome = replace(outcome, remarks=(*outcome.remarks, *on_persistence(whole.persistence)))
     explained = float(gained(whole, baseline.settled).sum()) if outcome.named else 0.0
@@ -214,7 +213,7 @@ def _judged(outcome: _Outcome, baseline: Fit) -> _Judgement:
         conclusion = Conclusion.UNKNOWN
         remarks = (*outcome.remarks, on_unknown())
         outcome = replace(outcome, named=[], final=baseline, gain=None, remarks=remarks)
-        confidence = _confidence([], outcome.chance, flexible.gains)
+    confidence = _confidence(outcome.named, outcome.chance, flexible.gains)
     spread = spread_causes(whole)
     if conclusion == Conclusion.NONE and (outcome.named or spread):
         is_tied = any(len(alike) > 1 for alike in outcome.named)

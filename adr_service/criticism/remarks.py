@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from adr_service.criticism.compatibility import obeys_limits
 from adr_service.criticism.linear import Persistence
 from adr_service.criticism.measurements import Measurement
+from adr_service.effects.actuators import obeys_limits
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import plausible_of, unit_of

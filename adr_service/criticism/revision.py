@@ -95,25 +95,25 @@ def pruned(named: list[Alike], current: Fit) -> tuple[list[Alike], Fit]:
     while len(named) > 1:
         whole = held_out_without(current, ())
         shorter = {
-            number: _without(slot, current)
+            number: rest
             for number, slot in enumerate(slots(named))
             if not _are_clearly_missed(range(slot.start, slot.stop), whole, current)
+            and (rest := _without(slot, current)) is not None
         }
+        if not shorter:
+            break
         settled = current.settled
         here = held_out_where(settled.persistence, settled)
         losses = {
             number: here - held_out_where(settled.persistence, rest)
             for number, rest in shorter.items()
-            if rest is not None
         }
         superfluous = [number for number, loss in losses.items() if not is_evidence(loss)]
         if not superfluous:
             break
         least = min(superfluous, key=lambda number: losses[number].sum())
-        rest = shorter[least]
-        assert rest is not None
         named = [alike for number, alike in enumerate(named) if number != least]
-        current = smoothed(rest)
+        current = smoothed(shorter[least])
     return named, current
 
 

@@ -78,7 +78,8 @@ def location_of(effects: Sequence[Effect]) -> str:
 
 
 def places(simulator: Simulator) -> list[tuple[str, str]]:
-    """Every kind and location that may move predictions, except in columns that nobody measured."""
+    """Every kind and location that may move predictions: no column that nobody measured, and
+    nothing whose typical size is zero there."""
     base, is_measured = simulator.base, simulator.data.is_measured()
     return [
         (mechanism.kind, location)

@@ -20,9 +20,10 @@ import numpy as np
 from mujoco import rollout
 
 from adr_service.arrays import Array3, Indices, Matrix, Vector
-from adr_service.criticism.compatibility import check_columns, obeys_limits, steps_between
+from adr_service.criticism.compatibility import check_columns, steps_between
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
+from adr_service.effects.actuators import obeys_limits
 from adr_service.effects.base import Effect, Past, is_added
 from adr_service.effects.signals import acts_on_commands, behind, obeyed, shown, uses_rates
 

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from adr_service.arrays import Matrix, Vector
+from adr_service.arrays import Mask, Matrix, Vector
 from adr_service.effects.base import Commands, Mechanism, Strength
 
 
@@ -11,6 +11,12 @@ def drives(model: mujoco.MjModel, joint: int) -> list[int]:
     """Actuators on a joint."""
     on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     return np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == joint)).tolist()
+
+
+def obeys_limits(model: mujoco.MjModel) -> Mask:
+    """(nu,) true for actuators whose commands are cut at their limits."""
+    is_cut = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    return model.actuator_ctrllimited.astype(bool) & is_cut
 
 
 def largest_force(model: mujoco.MjModel, actuator: int) -> float:
@@ -161,7 +167,7 @@ def _saturation(commands: Commands, values: Vector) -> Matrix:
 
 
 def _is_limited(model: mujoco.MjModel, actuator: int) -> bool:
-    return bool(model.actuator_ctrllimited[actuator])
+    return bool(obeys_limits(model)[actuator])
 
 
 SATURATION = Mechanism(

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
+from adr_service.effects.actuators import obeys_limits
 from adr_service.effects.base import Commands, Effect, Motion, Past, Sensing
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import element_of
@@ -40,7 +41,7 @@ def acts_on_commands(effects: Sequence[Effect]) -> bool:
 
 
 def _largest(model: mujoco.MjModel, actuator: int) -> float:
-    is_limited = bool(model.actuator_ctrllimited[actuator])
+    is_limited = obeys_limits(model)[actuator]
     return float(np.abs(model.actuator_ctrlrange[actuator]).max()) if is_limited else np.inf
 
 

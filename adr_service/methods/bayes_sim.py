@@ -56,7 +56,7 @@ class BayesSimSettings(OfflineSettings):
         1000,
         ge=1,
         le=1_000_000,
-        description="passes over the simulations of a round, before the last",
+        description="passes over a round's simulations, at most; sbi makes one more",
     )
 
     extra: ClassVar[str] = "sbi"

@@ -58,7 +58,7 @@ class _Settings(OfflineSettings):
         None,
         ge=1,
         le=1_000_000,
-        description=f"simulated replays of the data, up to whole populations; default: "
+        description=f"simulated replays of the data, rounded up to whole populations; default: "
         f"{_PER_PARAMETER} per parameter",
     )
     initial_std: float = Field(1.0, gt=0, description="of the search, in [0, 4] coordinates")

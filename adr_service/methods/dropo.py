@@ -34,7 +34,7 @@ from adr_service.methods.base import Estimate, Grid, OfflineSettings, Problem, R
 from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
 from adr_service.search.cma_es import strategy
-from adr_service.search.trust_region import USUAL, Bounds, Evaluation, TrustRegion
+from adr_service.search.trust_region import USUAL_EVALUATIONS, Bounds, Evaluation, TrustRegion
 from adr_service.simulation.replay import Replay
 from adr_service.transitions import TransitionDataset
 
@@ -97,7 +97,7 @@ class _Settings(OfflineSettings):
     def planned_steps(self, parameters: int, transitions: int) -> int:
         evaluations = self.budget
         if self.search == "trust_region":
-            evaluations = min(USUAL, self.budget)
+            evaluations = min(USUAL_EVALUATIONS, self.budget)
         return evaluations * self.samples_per_parameter * parameters * transitions
 
 
@@ -193,8 +193,7 @@ class Dropo:
     def _replay(self, problem: Problem, data: TransitionDataset) -> Replay:
         """A replay of the data's windows of lambda steps."""
         steps = self._settings.steps
-        replay = Replay(problem.task, problem.source, data, _TOGETHER, steps)
-        return replay
+        return Replay(problem.task, problem.source, data, _TOGETHER, steps)
 
 
 def log_likelihood(predictions: Array3, targets: Matrix, epsilon: float) -> float:

@@ -55,7 +55,7 @@ class NpdrSettings(OfflineSettings):
         1000,
         ge=1,
         le=1_000_000,
-        description="passes over the simulations of a round, before the last",
+        description="passes over a round's simulations, at most; sbi makes one more",
     )
     draws: int = Field(
         200, ge=1, le=10_000, description="samples of the posterior that policies are trained on"

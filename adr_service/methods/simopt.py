@@ -45,8 +45,8 @@ from adr_service.simulation.rollout import follow
 from adr_service.tasks.base import State
 
 _LEAST_RATIO = 1e-9  # of the new variance to the old, below which the fit is singular
-# Of the largest variance. Where the data leave a parameter open, its variance shrinks as clipped
-# draws do, and others faster, until rounding makes the covariance singular.
+# Of the largest variance. The variance of a parameter that the data leave open shrinks less than
+# the others, until rounding would make the covariance singular.
 _LEAST_SHARE = 1e-12
 _FIRST_TEMPERATURE = 1.0  # of the search for the best one
 _MOST_TEMPERATURE = 1e12  # beyond which weights are equal
@@ -203,7 +203,10 @@ class ClosedLoop:
         broken = ~np.isfinite(total)
         self.diverged = int(broken.sum())
         if self.diverged == len(total):
-            raise InvalidInput(f"all {len(total)} simulations of the policy diverged")
+            raise InvalidInput(
+                f"all {len(total)} simulations of the policy from the recorded first states "
+                "diverged; are these in other units, or the search bounds too wide?"
+            )
         return np.where(broken, np.max(total[~broken]), total)
 
     def _simulated(self, recorded: Matrix, n: int, progress: Progress) -> Array3:

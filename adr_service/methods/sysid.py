@@ -198,12 +198,12 @@ class _Residuals:
     def _errors(self, points: Matrix) -> Matrix:
         predictions = self._replay.predict(self._space.denormalise(points))
         self.replayed += len(points)
-        if not np.all(np.isfinite(predictions)):
-            names = ", ".join(self._space.names)
-            given = self._space.denormalise(points[:1])[0]
+        is_finite = np.isfinite(predictions).all(axis=(1, 2))
+        if not is_finite.all():
+            at = self._space.denormalise(points[[np.argmin(is_finite)]])[0]
+            given = ", ".join(f"{n} {v:.4g}" for n, v in zip(self._space.names, at, strict=True))
             raise InvalidInput(
-                f"a replay diverged at or beside {names} = {', '.join(f'{v:.4g}' for v in given)}; "
-                "the least-squares search cannot go on"
+                f"a replay diverged at {given}; the least-squares search cannot go on"
             )
         return ((predictions - self._replay.targets) / self._scale).reshape(len(points), -1)
 

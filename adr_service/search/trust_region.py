@@ -32,7 +32,7 @@ _LEAST_RADIUS = 0.02  # below it, the roughness of the loss hides its slope
 _NEGLIGIBLE = 0.01  # gain of log likelihood for which no step is worth its simulation [nat]
 _POOR, _GOOD = 0.25, 0.75  # ratios of the gain to the model's (Algorithm 4.1)
 # evaluations of a search: 218 of the Hopper study's 225 take no more, one takes 105
-USUAL = 35
+USUAL_EVALUATIONS = 35
 _NARROWER = 4.0  # divides the deviations of a start that diverges
 
 
@@ -156,7 +156,7 @@ class TrustRegion:
 
 def _fraction(spent: int, budget: int) -> float:
     """Share of the evaluations that a search usually takes."""
-    return min(spent / min(budget, USUAL), 1.0)
+    return min(spent / min(budget, USUAL_EVALUATIONS), 1.0)
 
 
 def _adapted(radius: float, gain: float) -> float:

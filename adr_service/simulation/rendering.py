@@ -138,7 +138,9 @@ def stride_of(path: Path, period_s: float, most_fps: float | None = None) -> int
     if path.suffix == ".mp4":
         return 1 if most_fps is None else max(1, math.ceil(1 / (most_fps * period_s)))
     if most_fps is not None:
-        raise InvalidInput("pictures a second can be limited in an .mp4 alone")
+        raise InvalidInput(
+            f"only an .mp4 can have a limit of pictures a second; given {path.name!r}"
+        )
     ticks = np.arange(1, _LONGEST_STRIDE + 1) * period_s / _GIF_TICK_S
     error = np.where(ticks < 1.99, np.inf, np.abs(ticks - np.round(ticks)) / ticks)
     good = np.flatnonzero(error <= max(1e-6, error.min()))

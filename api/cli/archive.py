@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
+from rich.markup import escape
 
 from adr_service.client import Json, check_benchmark, connect
 from adr_service.errors import AdrError, InvalidInput
@@ -68,7 +69,8 @@ def export_(
 def import_(files: Files, url: Url = None, as_json: AsJson = False) -> None:
     """Add what the service lacks of benchmarks, file by file; runs that were live can be resumed.
 
-    One that is refused ends it: those before it are in, and the others are not.
+    Stops at the first file that is refused; earlier ones stay imported. --json prints one document
+    for each file.
     """
     with connect(url) as client:
         for file in files:
@@ -77,7 +79,7 @@ def import_(files: Files, url: Url = None, as_json: AsJson = False) -> None:
             if as_json:
                 console.print_json(data=added)
             else:
-                console.print(f"{file}: {_summary(added)}")
+                console.print(f"{escape(str(file))}: {_summary(added)}")
 
 
 @app.command()

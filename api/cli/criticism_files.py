@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Vector
-from adr_service.criticism.compatibility import commanded
+from adr_service.criticism.compatibility import commanded_actuators
 from adr_service.criticism.extension import written_out
 from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.criticism.next_recording import (
@@ -73,7 +73,7 @@ def _nominal_of_model(model: Path, free: Sequence[str]) -> tuple[Nominal, str]:
 
 def _parameter(text: str, nominal: Nominal) -> Parameter:
     """Return the parameter of a text ADDRESS=LOW:HIGH, in the unit that it has in the model."""
-    address, _, bounds = text.partition("=")
+    address, _, bounds = text.rpartition("=")
     low, _, high = bounds.partition(":")
     try:
         given = float(low), float(high)
@@ -169,7 +169,7 @@ def limits_of(texts: Sequence[str], nominal: Nominal) -> Bounds:
     Raises InvalidInput for a model that has none, and for limits that an actuator does not obey.
     """
     model = nominal.model(nominal.start)
-    names = commanded(model)
+    names = commanded_actuators(model)
     given = dict(_bounds("limit", "actuator", text, names) for text in texts)
     limits = model.actuator_ctrlrange[: len(names)].copy()
     for number, bounds in given.items():
@@ -213,7 +213,7 @@ def start_of(texts: Sequence[str], nominal: Nominal) -> Pose:
 def _bounds(
     option: str, kind: str, text: str, names: Sequence[str]
 ) -> tuple[int, tuple[float, float]]:
-    name, _, bounds = text.partition("=")
+    name, _, bounds = text.rpartition("=")
     low, _, high = bounds.partition(":")
     if name not in names:
         raise UnknownName(kind, name, names)

@@ -18,7 +18,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the service's JSON."
 
 def _check_id(given: str) -> str:
     if given.startswith("data_"):
-        raise InvalidInput(f"accepted are ids of runs and benchmarks; given {given}, of a dataset")
+        raise InvalidInput(f"accepted are ids of runs and benchmarks; {given} is of a recording")
     return given
 
 

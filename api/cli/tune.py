@@ -43,7 +43,7 @@ def tune(
     if len(grid) < len(over):
         raise InvalidInput(f"--over has one setting twice: {' '.join(over)}")
     if "seed" in spec:
-        raise InvalidInput("--set seed goes without `adr tune`, which takes --first-seed")
+        raise InvalidInput("`adr tune` takes --first-seed, not --set seed")
     from workers.cluster import RayOptions  # imports Ray
     from workers.tuning import candidates
     from workers.tuning import tune as tune_on_ray

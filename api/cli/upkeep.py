@@ -31,7 +31,10 @@ def check(data_dir: DataDir = None) -> None:
         advice = "restore a backup: adr db restore COPY"
         raise Damaged("\n".join([f"{path} is damaged; {advice}", *damage]))
     if open_ends := maintenance.unfinished(path):
-        raise Damaged("\n".join([f"{path} has other tables than expected", *open_ends]))
+        heading = f"{path} has other tables than this version expects"
+        raise Damaged(
+            "\n".join([heading, *open_ends, "or else restore a backup: adr db restore COPY"])
+        )
     rows = ", ".join(f"{count} {table}" for table, count in maintenance.counts(path).items())
     console.print(escape(f"{path} is sound: {rows}; revision {maintenance.revision_of(path)}"))
 
@@ -60,13 +63,13 @@ def restore(
     path = _file(settings)
     _refuse_a_running_service(settings.data_dir)
     was_there = path.exists()
-    try:
-        with closing(Database(settings.database)):  # its lock makes the file
+    with closing(Database(settings.database)):  # its lock makes the file
+        try:
             aside = maintenance.restore(path, copy)
-    except InvalidInput:
-        if not was_there:
-            path.unlink()
-        raise
+        except BaseException:
+            if not was_there:
+                path.unlink(missing_ok=True)
+            raise
     kept = f"; the file that was there is {aside} now" if aside else ""
     console.print(escape(f"{path} is {copy} now{kept}"))
 

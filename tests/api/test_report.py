@@ -76,6 +76,7 @@ def test_archives_of_parts_are_linked_and_listed(service, benchmark, tmp_path):
     assert text.count("mujoco 4") == 1  # equal versions are listed once
     with pytest.raises(Refused, match="has no seeds 5"):
         write_report(service.client, benchmark, tmp_path / "other", {"a.adr": {"seeds": ["5"]}})
+    assert not list((tmp_path / "other").iterdir())  # the next one is not refused
 
 
 class WithFailure:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from adr_service.benchmark.aggregate import aggregates, profiles
+from adr_service.benchmark.comparison import not_compared
 from tests.benchmark.test_claims import outcome
 
 
@@ -46,6 +47,20 @@ def test_a_method_that_has_begun_in_one_cell_does_not_leave_out_the_other_cells(
     assert aggregates(world(begun)) == aggregates(world(TWO))
     every = {**begun, ("udr", "noisy"): (0.9,) * 3}
     assert [each.method for each in aggregates(world(every))] == ["udr", "simopt", "dropo"]
+
+
+def test_methods_are_taken_after_the_iteration_at_which_they_are_compared():
+    """Also where another collector's data decide which one that is."""
+    finished = [
+        outcome(1.0, method=method, seed=seed, iteration=number, **given)
+        for method, given in (("simopt", {}), ("dropo", {"collector": "random"}))
+        for seed in range(3)
+        for number in (1, 2)
+    ]
+    begun = [outcome(0.5, method="dropo", seed=seed, iteration=1) for seed in range(3)]
+    found = [*finished, *begun]
+    assert not_compared(found) == ["dropo (hopper vanilla)"]
+    assert [each.method for each in aggregates(found)] == ["simopt"]
 
 
 def test_a_cell_of_two_seeds_has_no_interval():

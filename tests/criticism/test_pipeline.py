@@ -1,13 +1,10 @@
 """From a measurement to a verdict: planted effects are named, and nothing else is."""
 
-from types import SimpleNamespace
-
 import mujoco
 import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import draw_case, hide
-from adr_service.criticism import pipeline
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise, split
@@ -98,17 +95,6 @@ def test_velocities_that_nobody_measured_may_be_zeros():
     assert [cause.kind for cause in verdict.causes] == ["joint_spring"]
 
 
-def test_an_unknown_verdict_has_a_confidence_of_its_own(monkeypatch, baseline):
-    """And not that of the cause which a flexible force has outdone."""
-    unsure = SimpleNamespace(confidence=0.4)
-    outcome = pipeline._Outcome([[unsure]], baseline, 0.3, None, ())
-    strong = SimpleNamespace(gains=np.full(9, 100.0))
-    monkeypatch.setattr(pipeline, "unexplained", lambda fit: strong)
-    judgement = pipeline._judged(outcome, baseline)
-    assert judgement.conclusion == "unknown"
-    assert judgement.confidence > 0.999
-
-
 def test_where_data_have_no_noise_errors_of_computing_them_are_no_evidence():
     assert verdict_on(swings(stiffness=0.0, noise=0.0)).conclusion == "none"
 
@@ -121,6 +107,7 @@ def test_an_effect_that_is_not_in_the_catalogue_is_called_unknown(seed, ratio, e
     assert hidden.outside == effect
     found = criticise(hidden.nominal, hidden.measurement, np.random.default_rng(0), threads=1)
     assert found.verdict.conclusion == "unknown"
+    assert found.verdict.confidence > 0.99  # its own, and not a cause's
     assert not found.verdict.causes
 
 

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from adr_service.errors import InvalidInput
-from adr_service.events import RunStopped, RunSucceeded
+from adr_service.events import RunFailed, RunStopped, RunSucceeded
 from adr_service.presets import PRESETS
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec
 from db import benchmarks, events, runs
@@ -114,6 +114,22 @@ def test_the_latest_come_first(database):
     assert [run.id for run in benchmarks.latest(database, 2)[1]] == ids[:0:-1]
 
 
+def test_retention_keeps_what_went_on_after_its_list_was_made(database):
+    whole = benchmarks.create_benchmark(database, benchmark_spec(seeds=[0])).id
+    alone = runs.create_run(database, SPEC).id
+    ids = [alone, *(run.id for run in benchmarks.runs_of(database, whole))]
+    for id in ids:
+        events.append_event(database, id, RunFailed(submission=1, code="x", message="why"))
+    deletions = benchmarks.finished_before(database, datetime.now(UTC))
+    assert len(deletions) == 2
+    for id in ids:
+        runs.resubmit(database, id)
+        events.append_event(database, id, RunSucceeded())
+    for delete, id in deletions:
+        with pytest.raises(NotPossible, match="has changed meanwhile"):
+            delete(database, id)
+
+
 def test_retention_deletes_what_ended_before_and_nothing_live_or_recent(database):
     spec = benchmark_spec(seeds=[0, 1])
     whole, half = (benchmarks.create_benchmark(database, spec).id for _ in range(2))
@@ -125,7 +141,7 @@ def test_retention_deletes_what_ended_before_and_nothing_live_or_recent(database
     deletions = benchmarks.finished_before(database, later)
     assert [id for _, id in deletions] == [whole, ended]
     assert benchmarks.finished_before(database, later - timedelta(hours=1)) == []
-    for delete, id in benchmarks.finished_before(database, later):
+    for delete, id in deletions:
         delete(database, id)
     left = {run.id for run in runs.list_runs(database)}
     assert left == {run.id for run in benchmarks.runs_of(database, half)} | {live}

@@ -95,7 +95,7 @@ def test_a_gif_leaves_out_pictures_until_hundredths_of_seconds_fit(tmp_path, per
 
 
 def test_pictures_a_second_of_a_gif_are_not_to_be_chosen(tmp_path):
-    with pytest.raises(InvalidInput, match=r"can be limited in an \.mp4 alone"):
+    with pytest.raises(InvalidInput, match=r"limit of pictures a second; given 'film\.gif'"):
         stride_of(tmp_path / "film.gif", 0.05, most_fps=5)
 
 

@@ -22,7 +22,7 @@ def test_commands_ask_at_the_port_on_which_the_server_listens(adr_here, monkeypa
 def test_a_recording_is_no_run(adr_here, command):
     code, _, errors = adr_here(command, "data_0123456789abcdef")
     assert code == 2
-    assert "given data_0123456789abcdef, of a dataset" in errors.replace("\n", " ")
+    assert "data_0123456789abcdef is of a recording" in errors.replace("\n", " ")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
         (("arm", "--over", "learning_rate=[0.1,0]"), "{'learning_rate': 0}: training"),
         (("arm", "--over", "epoch=[1]"), "did you mean 'epochs'"),
         (("arm", "--over", "epochs=[1]", "--over", "epochs=[2]"), "--over has one setting twice"),
-        (("arm", "--over", "epochs=[1]", "--set", "seed=5"), "which takes --first-seed"),
+        (("arm", "--over", "epochs=[1]", "--set", "seed=5"), "takes --first-seed, not --set seed"),
         (("amr", "--over", "epochs=[1]"), "task: there is no task 'amr'"),
     ],
 )
