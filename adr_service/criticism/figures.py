@@ -66,7 +66,7 @@ def _ranking(figure: Figure, criticism: Criticism) -> None:
     axes.axvline(THRESHOLD, color="black", linestyle="--", linewidth=0.8, label=chance)
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
     axes.set_xlabel("evidence [nats, ± standard error]")
-    axes.set_title("Candidates, each added alone, and what is named of them")
+    figure.suptitle("Candidates, each added alone, and what is named of them", fontsize="large")
 
 
 def _residual(figure: Figure, criticism: Criticism) -> None:

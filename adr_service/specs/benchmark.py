@@ -134,7 +134,10 @@ class BenchmarkSpec(Wire):
             raise InvalidInput(f"nothing to add was given; accepted: {accepted}")
         for kind, mine in members_of(self).items():
             if again := [name for name in members_of(extension)[kind] if name in mine]:
-                raise InvalidInput(f"the benchmark has the {kind} {', '.join(again)} already")
+                raise InvalidInput(
+                    f"the benchmark has the {kind} {', '.join(again)} already; leave them out: "
+                    "what is added runs with all that is there"
+                )
         return self._with({kind: [*getattr(self, kind), *new] for kind, new in added.items()})
 
     def part(self, chosen: BenchmarkPart) -> "BenchmarkSpec":

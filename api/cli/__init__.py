@@ -41,7 +41,8 @@ app = typer.Typer(
     help="Benchmark adaptive domain randomization.",
     epilog=(
         "Exit status: 0 done; 1 something that was watched failed; 2 wrong use or input; "
-        "3 not found; 4 refused by the service; 5 no service answers."
+        "3 not found; 4 refused by the service; 5 no service answers. ADR_URL, or ADR_PORT on this "
+        "machine, names the service to ask."
     ),
     no_args_is_help=True,
 )

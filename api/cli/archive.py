@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Annotated
 import typer
 from rich.markup import escape
 
-from adr_service.client import Json, check_benchmark, connect
+from adr_service.client import Json, Refused, check_benchmark, connect
 from adr_service.errors import AdrError, InvalidInput
 from api.cli.files import check_new
 from api.cli.options import AsJson, Url, members
@@ -74,7 +74,7 @@ def import_(files: Files, url: Url = None, as_json: AsJson = False) -> None:
     """
     with connect(url) as client:
         for file in files:
-            with _opened(file) as archive:
+            with _opened(file) as archive, _naming(file):
                 added = client.import_archive(archive)
             if as_json:
                 console.print_json(data=added)
@@ -123,6 +123,7 @@ def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]
     from adr_service.provenance import has_same_provenance, provenance
     from adr_service.randomness import stream
     from db.archive_checks import replays
+    from db.models import StageRow
     from db.stages import find_result, provenance_of
 
     here = provenance()
@@ -152,6 +153,10 @@ def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]
         for stage in drawn:
             stored = find_result(session, stage.digest)
             assert stored is not None, "it was drawn from the stored ones"
+            console.print(
+                f"{stage.kind} {stage.digest[:_SHORT]}: it took "
+                f"{session.get_one(StageRow, stage.digest).seconds:.0f} s when it was stored"
+            )
             yield verify(stage, stored, is_same(stage.digest))
 
 
@@ -165,6 +170,15 @@ def _environment(variables: dict[str, str]) -> Generator[None]:
     finally:
         os.environ.clear()
         os.environ.update(before)
+
+
+@contextmanager
+def _naming(file: Path) -> Generator[None]:
+    """Let a refusal by the service begin with the file's name."""
+    try:
+        yield
+    except Refused as error:
+        raise Refused(error.status, f"{file}: {error}", error.retry_after_s) from error
 
 
 def _opened(file: Path) -> IO[bytes]:

@@ -63,7 +63,9 @@ def test_files_are_imported_one_after_the_other(adr, benchmark, file, tmp_path):
     broken = tmp_path / "broken.adr"
     broken.write_bytes(b"no archive")
     code, out = adr("archive", "import", str(file), str(broken), str(file))
-    assert (code, out.count("0 of 3 runs are new")) == (2, 1), out
+    assert (code, out.count("0 of 3 runs are new")) == (2, 1)
+    code, out = adr("archive", "import", str(broken))
+    assert (code, "broken.adr: not a readable archive" in out.replace("\n", "")) == (2, True)
     code, out = adr("archive", "import", str(file), str(file))
     assert (code, out.count(f"a.adr: {benchmark}: 0 of 3 runs are new")) == (0, 2)
 
@@ -72,8 +74,10 @@ def test_every_stage_of_an_archive_is_verified(adr, file):
     code, out = adr("archive", "verify", str(file), "--sample", "100")
     assert code == 0
     seed, *lines, summary = out.strip().splitlines()
+    announced, lines = lines[::2], lines[1::2]
     assert "--seed" in seed
     assert f"{len(lines)} of its stages were computed again" in summary
+    assert all(": it took " in line for line in announced)
     assert {line.split()[0] for line in lines} >= {"train_policy", "target_rollout", "evaluate"}
     assert all("identical" in line for line in lines)
 
@@ -98,7 +102,7 @@ def test_a_sample_repeats_with_its_seed(adr, file):
     verify = ("archive", "verify", str(file), "--sample", "2", "--seed", "7")
     samples = [[line.split(":")[0] for line in adr(*verify)[1].splitlines()] for _ in range(2)]
     assert samples[0] == samples[1]
-    assert len(samples[0]) == 4
+    assert len(samples[0]) == 6
 
 
 def test_an_archive_whose_results_are_gone_is_not_verified(adr, file):
