@@ -41,7 +41,7 @@ class Measured:
             seeds.setdefault(spec.seed, {})[outcome.iteration.iteration] = outcome
 
     def iterations(self, cell: Cell) -> list[int]:
-        """Those after which every seed of the cell's method was evaluated, or three at least."""
+        """Iterations after which every seed of the method was evaluated, or at least three."""
         seeds = self._cells.get(cell.key, {}).values()
         counts = Counter(iteration for found in seeds for iteration in found)
         fewest = min(len(seeds), FEWEST_SEEDS)

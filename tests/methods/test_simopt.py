@@ -158,7 +158,7 @@ class TestUpdates:
         assert loop.costs(PLANTED[None], silent)[0] < 10
 
     def test_simulations_that_all_diverge_end_the_update(self):
-        """Without any cost, the belief would only narrow."""
+        """The belief would narrow without any evidence."""
         absurd = self.evidence.data.observations.copy()
         absurd[:, 2:] = 1e9
         evidence = Evidence(self.policy, replace(self.evidence.data, observations=absurd))
