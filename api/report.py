@@ -43,7 +43,10 @@ def write_report(
         _write_files(client, benchmark_id, folder, archives)
     except BaseException:  # a part of a report would be in the way of the next one
         for path in folder.iterdir():
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
         raise
     return folder / "index.html"
 

@@ -131,12 +131,13 @@ def smoothed(fit: Fit) -> Fit:
     errors, covariance = whitener.sensor_errors(fit.left)
     states = simulator.measured - layout.by_row(simulator, errors)
     root = root_of(layout.by_row(simulator, covariance), tiny_root(simulator))
-    linear, at = linearise(simulator, layout, fit.parameters, fit.effects, states, root)
+    linear, predicted = linearise(simulator, layout, fit.parameters, fit.effects, states, root)
     linear = _supposed(fit, linear, fit.effects)
     start = lifted(fit.noise, linear.chain, linear.residual, fit.stated)
     noise, normal = estimate(linear, start, fit.stated)
-    found = {"states": states, "predicted": at, "linear": linear, "noise": noise, "normal": normal}
-    return replace(fit, **found).settled
+    return replace(
+        fit, states=states, predicted=predicted, linear=linear, noise=noise, normal=normal
+    ).settled
 
 
 def held_out_without(fit: Fit, gone: Sequence[int]) -> Vector:
@@ -267,8 +268,15 @@ def _evaluated(
         noise, normal = estimate(linear, start, fit.stated)
     except np.linalg.LinAlgError:  # what it leaves has no finite variance beside exact readings
         return None
-    at = {"parameters": parameters, "effects": effects, "predicted": predicted}
-    return replace(fit, **at, linear=linear, noise=noise, normal=normal)
+    return replace(
+        fit,
+        parameters=parameters,
+        effects=effects,
+        predicted=predicted,
+        linear=linear,
+        noise=noise,
+        normal=normal,
+    )
 
 
 def _sensitivities(fit: Fit, parameters: Vector, effects: Sequence[Effect]) -> np.ndarray:

@@ -68,3 +68,12 @@ def test_the_largest_force_of_an_unlimited_actuator_is_that_of_command_one(cart)
     model = cart()
     assert drives(model, 0) == [0]
     assert largest_force(model, 0) == 3.0  # its gear
+
+
+def test_saturation_is_not_tried_where_no_command_is_cut(cart):
+    model = cart()
+    model.actuator_ctrllimited[:] = 1
+    saturation = get_mechanism("actuator_saturation")
+    assert saturation.locations(model) == ["actuator:push"]
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
+    assert saturation.locations(model) == []
