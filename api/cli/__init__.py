@@ -30,6 +30,7 @@ from api.cli import (
     tune,
     upkeep,
 )
+from api.cli.family import Family
 from api.cli.terminal import console, errors
 
 _USAGE, _NOT_FOUND, _REFUSED, _UNREACHABLE = 2, 3, 4, 5
@@ -37,7 +38,7 @@ _STATUS = {"not_found": _NOT_FOUND, "unreachable": _UNREACHABLE}  # by an error'
 _BY_ANSWER = {404: _NOT_FOUND, 422: _USAGE}  # by the service's refusal; others are refused
 _BESIDE = ("mujoco", "ray", "torch", "stable-baselines3")  # whose versions change numbers
 
-app = typer.Typer(
+app = Family(
     help="Benchmark adaptive domain randomization.",
     epilog=(
         "Exit status: 0 done; 1 something that was watched failed; 2 wrong use or input; "

@@ -7,10 +7,11 @@ import typer
 from rich.markup import escape
 
 from adr_service.errors import InvalidInput
+from api.cli.family import Family
 from api.cli.files import check_absent
 from api.cli.terminal import console
 
-app = typer.Typer()
+app = Family()
 
 Logs = Annotated[
     list[Path],

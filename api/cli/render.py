@@ -6,11 +6,12 @@ from typing import Annotated, Any
 import typer
 
 from adr_service.errors import InvalidInput
+from api.cli.family import Family
 from api.cli.files import check_absent
 from api.cli.terminal import console
 from api.specs import assign
 
-app = typer.Typer()
+app = Family()
 
 Out = Annotated[Path, typer.Argument(help="The film to write, .gif or .mp4.")]
 Policy = Annotated[Path | None, typer.Option(help="Film an episode of this policy.")]

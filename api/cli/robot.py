@@ -10,6 +10,7 @@ import typer
 
 from adr_service.client import connect
 from adr_service.errors import InvalidInput
+from api.cli.family import Family
 from api.cli.files import check_absent
 from api.cli.options import Url
 from api.cli.terminal import console
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from adr_service.client.robot import Limits
     from adr_service.client.robot.playback import Playback
 
-app = typer.Typer()
+app = Family()
 
 MaxSeconds = Annotated[float | None, typer.Option(help="Longest episode, in s.", min=0.1)]
 MaxResetSeconds = Annotated[

@@ -9,9 +9,10 @@ from typing import Annotated
 import typer
 
 from adr_service.errors import InvalidInput
+from api.cli.family import Family
 from api.settings import Settings, read_settings
 
-app = typer.Typer()
+app = Family()
 
 
 @app.command()

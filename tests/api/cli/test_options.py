@@ -45,3 +45,21 @@ def test_the_address_of_the_service_may_come_from_the_environment(adr_here, monk
     code, _, errors = adr_here(*command)
     assert code == 5
     assert "127.0.0.1:9" in errors
+
+
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (("submit", "--task", "hopper", "--method", "udr", "--method", "dropo"), "--method"),
+        (("archive", "export", "bench_x", "a.adr", "--url", "http://a", "--url", "b"), "--url"),
+    ],
+)
+def test_an_option_with_one_value_is_refused_when_given_twice(adr_here, words, option):
+    status, out, errors = adr_here(*words)
+    assert (status, out) == (2, "")
+    assert f"Option {option} takes one value; it was given 2 times." in errors
+
+
+def test_lists_and_switches_may_be_given_more_than_once(adr_here):
+    words = ("extend", "bench_x", "--seed", "1", "--seed", "2", "--watch", "--no-watch")
+    assert adr_here(*words, "--url", "http://127.0.0.1:9")[0] == 5

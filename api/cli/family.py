@@ -1,0 +1,31 @@
+"""Families of commands that refuse an option which was given twice."""
+
+from collections import Counter
+from typing import Any
+
+from typer import Typer
+from typer.core import TyperCommand
+
+
+class OnceCommand(TyperCommand):
+    """A command that refuses a second value of an option that is not a list.
+
+    Click keeps the last one: of `--task hopper --task arm`, hopper would be lost without a word.
+    """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Count the options before Click keeps one of each."""
+        _, _, given = self.make_parser(ctx).parse_args(args=list(args))
+        for option, times in Counter(given).items():
+            has_one_value = not getattr(option, "is_flag", False) and not option.multiple
+            if times > 1 and has_one_value:
+                ctx.fail(f"Option {option.opts[0]} takes one value; it was given {times} times.")
+        return super().parse_args(ctx, args)
+
+
+class Family(Typer):
+    """A family of such commands."""
+
+    def command(self, name: str | None = None, **settings: Any) -> Any:
+        """Register a command, as `Typer.command` does."""
+        return super().command(name, cls=OnceCommand, **settings)
