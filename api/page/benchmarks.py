@@ -52,7 +52,6 @@ def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -
         figures=drawable(outcomes),
         captions={name: kind.caption for name, kind in FIGURES.items()},
         spec=json.dumps(shown.spec.model_dump(mode="json", exclude_unset=True), indent=1),
-        address=str(request.base_url).rstrip("/"),
         **_tables(service, shown, records, outcomes),
     )
 

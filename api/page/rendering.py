@@ -7,6 +7,7 @@ from fastapi import Request, Response
 from fastapi.templating import Jinja2Templates
 from jinja2 import StrictUndefined
 
+from adr_service.client.connection import DEFAULT_URL
 from api.guard import COOKIE
 from api.page.names import apart_of
 
@@ -43,8 +44,14 @@ def show(
     status_code: int = 200,
     **content: Any,
 ) -> Response:
-    """A page; one that is `live` renews itself every five seconds."""
+    """A page; one that is `live` renews itself every five seconds.
+
+    Its commands take `to_here`, the option that sends them to the service at which it was read.
+    """
+    address = str(request.base_url).rstrip("/")
     known = {
+        "address": address,
+        "to_here": "" if address == DEFAULT_URL else f" --url {address}",
         "pages": _PAGES,
         "here": request.url.path,
         "live": live,

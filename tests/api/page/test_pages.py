@@ -43,6 +43,15 @@ def test_every_page_answers_and_says_what_is_there(http, address, said):
     assert said in answer.text
 
 
+@pytest.mark.parametrize(
+    ("where", "option"),
+    [("127.0.0.1:8000", ""), ("127.0.0.1:8123", " --url http://127.0.0.1:8123")],
+)
+def test_the_commands_of_a_page_go_to_the_service_that_shows_it(http, where, option):
+    page = http.get("/submit", headers={"host": where}).text
+    assert f"<code>adr submit spec.json{option}</code>" in page
+
+
 def test_a_benchmark_has_its_best_first_its_runs_and_how_to_repeat_it(http, benchmark):
     page = http.get(f"/benchmarks/{benchmark}").text
     order = [
