@@ -67,13 +67,16 @@ def _listen(settings: Settings) -> None:
     from api.logs import configure
 
     configure(settings.log_format)
-    uvicorn.run(
-        create_app(settings),
-        host=settings.host,
-        port=settings.port,
-        # on h11: httptools, which is faster, keeps headers of any size in memory
-        http=bounded(connections_allowed(settings.max_connections)),
-        log_config=None,  # `configure` has set up logging
-        timeout_keep_alive=30,  # longer than clients keep one, so that they never meet a closed one
-        timeout_graceful_shutdown=5,  # for clients that follow a stream
-    )
+    try:
+        uvicorn.run(
+            create_app(settings),
+            host=settings.host,
+            port=settings.port,
+            # on h11: httptools, which is faster, keeps headers of any size in memory
+            http=bounded(connections_allowed(settings.max_connections)),
+            log_config=None,  # `configure` has set up logging
+            timeout_keep_alive=30,  # longer than clients keep one, so that they meet no closed one
+            timeout_graceful_shutdown=5,  # for clients that follow a stream
+        )
+    except SystemExit as error:  # it has not started, for the reason that it has logged
+        raise typer.Exit(2) from error

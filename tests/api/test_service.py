@@ -32,7 +32,7 @@ def test_a_second_service_on_the_same_data_refuses_to_start(service):
     command = [sys.executable, "-m", "api", "serve", "--port", "0", "--data-dir"]
     given = [*command, str(service.data_dir)]
     done = subprocess.run(given, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode != 0
+    assert done.returncode == 2
     assert "is in use by another service; stop it, or give this one another" in done.stderr
     assert "Traceback" not in done.stderr
 
