@@ -217,8 +217,11 @@ class Measurement:
         both = (("qpos", self.qpos), ("qvel", self.qvel))
         shown = [(f"{name}, column {i},", v) for name, each in both for i, v in enumerate(each.T)]
         for (name, values), is_measured in zip(shown, self.is_measured(), strict=True):
-            if is_measured:
-                _check_moves(name, values)
+            if is_measured and (why := why_stuck(values)) is not None:
+                raise InvalidInput(
+                    f"{name} {why}; needed are readings that follow the robot, or an infinite "
+                    "standard deviation (in an .npz) for what is not read"
+                )
 
     def check_velocities(self) -> None:
         """Raises InvalidInput unless velocities are the rates of the positions, by joint, and one
@@ -392,21 +395,18 @@ def _numbered(header: Sequence[str], name: str) -> list[str]:
     return [f"{name}_{i}" for i in range(count)]
 
 
-def _check_moves(name: str, values: Vector) -> None:
-    """Raises InvalidInput for a sensor that never changes, or that saturates."""
-    needed = (
-        "; needed are readings that follow the robot, or an infinite standard deviation (in an "
-        ".npz) for what is not read"
-    )
+def why_stuck(values: Vector) -> str | None:
+    """What is wrong with a sensor that never changes, or that saturates; None of another."""
     if np.ptp(values) == 0:
-        raise InvalidInput(f"{name} is {values[0]:g} in all rows{needed}")
+        return f"is {values[0]:g} in all rows"
     for most in (values.min(), values.max()):
         stuck = np.flatnonzero(values == most)
         if len(stuck) > _STUCK * len(values):
-            raise InvalidInput(
-                f"{name} is saturated: {len(stuck)} of {len(values)} rows show {most:g}, the "
-                f"first at row {stuck[0]}, and none goes beyond{needed}"
+            return (
+                f"is saturated: {len(stuck)} of {len(values)} rows show {most:g}, the first at row "
+                f"{stuck[0]}, and none goes beyond"
             )
+    return None
 
 
 def is_measurement(content: bytes) -> bool:

@@ -41,7 +41,7 @@ class Signal:
 
     time: Vector  # (n,) [s], increasing
     value: Vector  # (n,) in the log's unit
-    crowded: int = 0  # readings that were left out because they came too soon after the last
+    crowded: int = 0  # readings that were left out because others came too soon before, or at once
 
 
 @dataclass(frozen=True)
@@ -68,14 +68,21 @@ class Log:
     unread: Mapping[str, str] = field(default_factory=dict[str, str])  # why, by column
 
     @property
+    def rows(self) -> int:
+        """Rows of the longest stream."""
+        return max(len(v) for stream in self.streams for v in stream.columns.values())
+
+    @property
     def names(self) -> list[str]:
         """Names of all columns of numbers."""
         return [name for stream in self.streams for name in stream.columns]
 
-    def signal(self, column: str, clock: Clock) -> Signal:
+    def signal(self, column: str, clock: Clock, *, holds: bool = False) -> Signal:
         """The readings of a column; rows in which it has none are left out.
 
-        Raises InvalidInput if there is no such column, or if its time runs backwards.
+        One that `holds` until the next reading, as a command does, keeps all of them, and of those
+        with equal times the last. Raises InvalidInput if there is no such column, or if its time
+        runs backwards.
         """
         stream = self._stream_of(column)
         time = stream.stamps if stream.stamps is not None else self._times(stream, clock)
@@ -89,11 +96,11 @@ class Log:
                 f"row {rows[row + 1]}; give one file for each recording, or name a column under "
                 "rows.episode that changes where another recording begins"
             )
-        kept = _far_enough(time)
-        if len(kept) < _LEAST:
+        kept = _last_of_each(time) if holds else _far_enough(time)
+        if len(kept) < (least := 1 if holds else _LEAST):
             raise InvalidInput(
                 f"{self.source}: column {column!r} has {len(kept)} readings with a time of their "
-                f"own; at least {_LEAST} are needed"
+                f"own; at least {least} {'is' if holds else 'are'} needed"
             )
         return Signal(time[kept], value[kept], len(time) - len(kept))
 
@@ -129,15 +136,18 @@ class Log:
         for stream in self.streams:
             if column in stream.columns:
                 return stream
+        raise self._no_column(column, self.names)
+
+    def _no_column(self, column: str, names: list[str]) -> InvalidInput:
         if column in self.unread:
-            raise InvalidInput(
+            return InvalidInput(
                 f"{self.source}: column {column!r} has no numbers to read: {self.unread[column]}"
             )
-        raise UnknownName(f"column in {self.source}", column, self.names)
+        return UnknownName(f"column in {self.source}", column, names)
 
     def _times(self, stream: Stream, clock: Clock) -> Vector:
         if clock.column not in stream.columns:
-            raise UnknownName(f"column in {self.source}", clock.column, list(stream.columns))
+            raise self._no_column(clock.column, list(stream.columns))
         size = 1.0 if clock.column in stream.dated else SECONDS[clock.unit]
         return stream.columns[clock.column] * size
 
@@ -155,6 +165,11 @@ def _far_enough(time: Vector) -> Indices:
         if moment - time[kept[-1]] > least:
             kept.append(number)
     return np.array(kept)
+
+
+def _last_of_each(time: Vector) -> Indices:
+    """Numbers of the readings after which a later one comes, or none."""
+    return np.flatnonzero(np.diff(time, append=np.inf) > 0)
 
 
 def check_size(source: str, columns: int, numbers: int) -> None:

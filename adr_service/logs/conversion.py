@@ -27,6 +27,8 @@ from adr_service.logs.base import Log
 from adr_service.logs.mapping import LogMap, actuators_of, is_slide, joints_of
 from adr_service.logs.resampling import edges, held, interpolated, sampled, scatter
 from adr_service.logs.tracks import (
+    DENSER,
+    LEAST_READINGS,
     LEAST_ROWS,
     MANY_TURNS,
     PREFERRED,
@@ -36,10 +38,11 @@ from adr_service.logs.tracks import (
     Track,
     check_derived,
     check_lengths,
+    check_moves,
     check_velocities,
-    on_one_branch,
     recording_of,
 )
+from adr_service.logs.turns import bridged, on_one_branch
 
 _BEYOND = 0.1  # of a joint's range
 _SHORT_S = 2.0  # of all recordings, below which the time's unit looks wrong
@@ -55,7 +58,7 @@ class Column:
     quantity: str  # shoulder.position, motor.command, …
     readings: int
     crowded: int  # readings that came too soon after the one before, left out
-    spacing: tuple[float, float, float]  # [s] smallest, median, largest
+    spacing: tuple[float, float, float]  # [s] smallest, median, largest; NaN for one reading
     reach: tuple[float, float]  # in the model's units
     way: str  # parabola, spline, hold or line
     # robust deviation of a reading [model's units] from the cubic through its four neighbours, as
@@ -103,12 +106,12 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
     """
     check_state(model)
     given.check(model)
-    column = given.rows.episode
-    parts = [part for log in logs for part in ([log] if column is None else log.parts(column))]
+    parts, short = _parts(logs, given.rows.episode)
     recordings = on_one_branch([recording_of(log, given, model) for log in parts], given, model)
     check_velocities(recordings)
+    check_moves(recordings)
     period = _period(recordings, given, model)
-    check_lengths(recordings, period, given)
+    check_lengths(recordings, period, given, float(model.opt.timestep))
     episodes: list[_Episode] = []
     records: list[Record] = []
     noise: list[Vector] = []
@@ -117,7 +120,8 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
         pieces = _pieces(recording, period, given.rows.seconds)
         episodes += [_episode(recording, piece, period, given, model) for piece in pieces]
         records.append(_record(recording, pieces, period))
-        noise.append(_noise(recording, period))
+        if pieces:  # a recording that is too short for an episode has no scatter either
+            noise.append(_noise(recording, period))
     if not episodes:
         raise InvalidInput(
             f"no stretch without a gap is {LEAST_ROWS} rows of {period:g} s long; give a smaller "
@@ -127,6 +131,11 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
     compared = tuple(agreements(joined, model))
     limits = _at_limit(model, np.concatenate([each.ctrl for each in episodes]))
     warnings = (
+        *(
+            f"{part.source} has {part.rows} rows, which is too short for an episode; it is left out"
+            for part in short
+        ),
+        *bridged(recordings, given),
         *_warnings(joined, period, recordings, given, model, compared),
         *(
             f"{name}'s commands are at the model's limit or beyond in {share:.0%} of all rows; is "
@@ -137,6 +146,16 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
     )
     typical = np.median(noise, axis=0)
     return Converted(joined, period, tuple(records), limits, compared, warnings, typical)
+
+
+def _parts(logs: Sequence[Log], column: str | None) -> tuple[list[Log], list[Log]]:
+    """The recordings that a column tells apart, and those of them that are too short for a row."""
+    if column is None:
+        return list(logs), []
+    parts = [part for log in logs for part in log.parts(column)]
+    long = [part for part in parts if part.rows >= LEAST_READINGS]
+    short = [part for part in parts if part.rows < LEAST_READINGS]
+    return (long, short) if long else (parts, [])
 
 
 def _warnings(
@@ -196,7 +215,8 @@ def _period(recordings: Sequence[Recording], given: LogMap, model: mujoco.MjMode
     spacing = max(track.spacing for each in recordings for track in each.states)
     if any(joint.derive_velocity for joint in given.joints.values()):
         spacing *= PREFERRED
-    return max(round(spacing / step), 1) * step
+    steps = max(round(spacing / step), 1)
+    return (steps if steps * step >= DENSER * spacing else steps + 1) * step
 
 
 def _pieces(recording: Recording, period: float, seconds: float) -> list[Vector]:
@@ -206,10 +226,10 @@ def _pieces(recording: Recording, period: float, seconds: float) -> list[Vector]
     pieces: list[Vector] = []
     for begin, end in recording.stretches():
         rows = int((end - begin - 2 * margin) / period + SAME) + 1
-        count = max(round(rows * period / seconds), 1)
-        length = rows // count
-        if length < LEAST_ROWS:
+        if rows < LEAST_ROWS:
             continue
+        count = min(max(round(rows * period / seconds), 1), rows // LEAST_ROWS)
+        length = rows // count
         grid = begin + margin + period * np.arange(count * length, dtype=np.float64)
         pieces += list(grid.reshape(count, length))
     return pieces
@@ -257,7 +277,7 @@ def _record(recording: Recording, pieces: Sequence[Vector], period: float) -> Re
 
 def _column(track: Track, way: str) -> Column:
     time, value = track.signal.time, track.signal.value
-    steps = np.diff(time)
+    steps = np.diff(time) if len(time) > 1 else np.array([np.nan])
     return Column(
         track.column,
         track.quantity,
@@ -304,7 +324,13 @@ def _joined(episodes: Sequence[_Episode], given: LogMap, model: mujoco.MjModel) 
             "right?"
         )
     measurement.check_usable()
-    measurement.check_velocities()
+    try:
+        measurement.check_velocities()
+    except InvalidInput as error:
+        raise InvalidInput(
+            f"{error}. Columns are joints in the model's order ({', '.join(joints_of(model))}); "
+            "does the map have the right unit, scale, velocity_unit and velocity_scale for it?"
+        ) from error
     return measurement
 
 

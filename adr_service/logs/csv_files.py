@@ -1,6 +1,7 @@
-"""Tables of text: CSV with commas, semicolons (and decimal commas) or tabs, one header line."""
+"""Tables of text: CSV with commas, or semicolons or tabs (and decimal commas), and a header."""
 
 import io
+import re
 
 import numpy as np
 
@@ -9,19 +10,20 @@ from adr_service.logs.arrow_tables import stream_of
 from adr_service.logs.base import Log
 
 _DELIMITERS = ("\t", ";", ",")
-_COMMENT = "#"  # before a header, as NumPy writes it
+_SHOWN = 60  # characters of a name
+_DECIMAL_COMMA = re.compile(rb"(?:^|[;\t\n])\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*(?:[;\t\r\n]|$)")
+_COMMENT = b"#"  # before a header, as NumPy writes it
 
 
 def read_csv(source: str, content: bytes) -> Log:
     """The log of a table with a header. Raises InvalidInput with the line that is wrong."""
     from pyarrow import ArrowException, csv  # takes a fifth of a second
 
-    head, _, rest = content.removeprefix(b"\xef\xbb\xbf").partition(b"\n")
-    if head.startswith(_COMMENT.encode()):
-        content = head.removeprefix(_COMMENT.encode()).lstrip() + b"\n" + rest
+    head, rest = _header(content.removeprefix(b"\xef\xbb\xbf"))
+    content = head + b"\n" + rest
     text = head.decode("utf-8", errors="replace")
     delimiter = max(_DELIMITERS, key=text.count)
-    has_commas = delimiter == ";" and b"," in rest
+    has_commas = delimiter in ";\t" and _DECIMAL_COMMA.search(rest) is not None
     try:
         table = csv.read_csv(
             io.BytesIO(content),
@@ -30,13 +32,34 @@ def read_csv(source: str, content: bytes) -> Log:
         )
         names = [name.strip() for name in table.column_names]
         _check_header(source, names)
+        names = [name or f"unnamed_{i}" for i, name in enumerate(names)]
         stream, unread = stream_of(source, table.rename_columns(names))
     except (ArrowException, UnicodeDecodeError) as error:
         raise InvalidInput(f"{source} is no table that can be read: {error}") from error
     return Log(source, (stream,), unread)
 
 
+def _header(content: bytes) -> tuple[bytes, bytes]:
+    """The header's line and the rest, without the comments before it.
+
+    The header is itself a comment where numbers follow, as NumPy and other programs write it.
+    """
+    head, _, rest = content.partition(b"\n")
+    while head.startswith(_COMMENT):
+        following, _, others = rest.partition(b"\n")
+        cells = re.split("[,;\t]", following.decode("utf-8", errors="replace"))
+        if any(map(_is_number, cells)):
+            return head.removeprefix(_COMMENT).lstrip(), rest
+        head, rest = following, others
+    return head, rest
+
+
 def _check_header(source: str, names: list[str]) -> None:
+    if len(names) == 1:
+        raise InvalidInput(
+            f"{source} has one column, {names[0][:_SHOWN]!r}; expected are several, separated by "
+            "commas, semicolons or tabs"
+        )
     numbers = [name for name in names if _is_number(name)]
     if len(numbers) > len(names) / 2:
         raise InvalidInput(

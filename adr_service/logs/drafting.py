@@ -17,7 +17,7 @@ _COMMANDS = (
     *("command", "cmd", "ctrl", "action", "u"),
 )
 _SHORTEST = 2  # letters of an abbreviation: el for elbow
-_LIKELY_S = (1e-4, 1.0)  # between readings
+_LIKELY_S = 0.01  # between readings
 _TURNS = 3 * 2 * np.pi  # a hinge that goes further is rather in degrees
 _BY_NAME = "  # guessed by its name: check"
 _BY_ORDER = "  # guessed by the order of the columns: check"
@@ -60,9 +60,14 @@ def _listing(log: Log) -> list[str]:
         for name, values in stream.columns.items():
             known = values[np.isfinite(values)]
             reach = f"{known.min():.6g} to {known.max():.6g}" if known.size else "no numbers"
-            lines.append(f"#   {name}: {known.size}, {reach}")
-    lines += [f"#   {name}: cannot be read, {why}" for name, why in log.unread.items()]
+            lines.append(f"#   {_plain(name)}: {known.size}, {reach}")
+    lines += [f"#   {_plain(name)}: cannot be read, {why}" for name, why in log.unread.items()]
     return lines
+
+
+def _plain(name: str) -> str:
+    """A name that stays within the line of a comment."""
+    return name if name.isprintable() else _text(name)
 
 
 def _matched(
@@ -113,18 +118,17 @@ def _kind(name: str) -> Sequence[str] | None:
 
 
 def _time_unit(log: Log, column: str) -> str:
-    """The unit that the name ends on, or else one in which rows come at a likely pace."""
+    """The unit that the name ends on, or else the one in which rows come at the likeliest pace."""
     named = _named_unit(column, tuple(SECONDS))
-    unit = named or next((u for u, size in SECONDS.items() if _is_likely(log, column, size)), "s")
+    unit = named or min(SECONDS, key=lambda unit: _oddness(log, column, SECONDS[unit]))
     return f'unit = "{unit}"  # {_choice(named, tuple(SECONDS))}'
 
 
-def _is_likely(log: Log, column: str, size: float) -> bool:
+def _oddness(log: Log, column: str, size: float) -> float:
+    """How far from the likeliest pace rows come, as a logarithm, by a unit of so many seconds."""
     times = _values(log, column)
-    if len(times) < 2:
-        return False
-    low, high = _LIKELY_S
-    return bool(low <= size * np.median(np.diff(times)) <= high)
+    pace = size * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    return abs(np.log(pace / _LIKELY_S)) if pace > 0 else 0.0
 
 
 def _position_unit(log: Log, column: str, slide: bool) -> str:
@@ -175,5 +179,5 @@ def _key(name: str) -> str:
 
 
 def _text(name: str) -> str:
-    """A name as a string of TOML, which has JSON's escapes."""
-    return json.dumps(name)
+    """A name as a string of TOML, which has JSON's escapes but for those of two halves."""
+    return json.dumps(name, ensure_ascii=False)

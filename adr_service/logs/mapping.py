@@ -25,17 +25,18 @@ command = "current_1"     # or constant = 0.0 for one that was off
 scale = 0.45              # command of the model = scale × (reading - zero)
 zero = 0.0
 unit = "deg"              # of a set-point that is a position
+wrap = 360.0              # of set-points that start again, or whose joint's readings do
 delay = 0.0               # seconds from the command's stamp to when the robot obeys
 between = "hold"          # readings; or "line", of a command that changes faster than the log shows
 """
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 import mujoco
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from adr_service.effects.base import is_added
 from adr_service.errors import InvalidInput, UnknownName
@@ -50,6 +51,15 @@ _RATES = {
     **{f"{unit}/s": size for unit, size in {**ANGLES, **LENGTHS}.items()},
     "rpm": 2 * np.pi / 60,
 }
+
+
+def _not_zero(factor: float) -> float:
+    if factor == 0:
+        raise ValueError("a scale of 0 makes all readings zero; given 0")
+    return factor
+
+
+Scale = Annotated[float, AfterValidator(_not_zero)]
 
 
 class TimeMap(Wire):
@@ -70,12 +80,12 @@ class RowsMap(Wire):
 class JointMap(Wire):
     position: str
     unit: PositionUnit | None = Field(None, description="rad or m, if left out")
-    scale: float = 1.0
+    scale: Scale = 1.0
     zero: float = 0.0
     wrap: float | None = Field(None, gt=0, description="size of a turn, of readings that wrap")
     velocity: str | None = None
     velocity_unit: VelocityUnit | None = Field(None, description="unit/s, if left out")
-    velocity_scale: float | None = Field(None, description="as `scale`, if left out")
+    velocity_scale: Scale | None = Field(None, description="as `scale`, if left out")
     derive_velocity: bool = Field(False, description="from positions, for smooth motion")
 
     @model_validator(mode="after")
@@ -114,8 +124,9 @@ class ActuatorMap(Wire):
     command: str | None = None
     constant: float | None = Field(None, description="of an actuator that the log lacks")
     unit: PositionUnit | None = Field(None, description="of a set-point that is a position")
-    scale: float = 1.0
+    scale: Scale = 1.0
     zero: float = 0.0
+    wrap: float | None = Field(None, gt=0, description="size of a turn, of a set-point")
     delay: float = Field(0.0, ge=0, description="seconds until the robot obeys")
     between: Literal["hold", "line"] = Field("hold", description="readings of the command")
 
@@ -161,6 +172,24 @@ class LogMap(Wire):
         _check_names("actuator", self.actuators, actuators_of(model))
         for name, joint in self.joints.items():
             joint.check(name, is_slide(model, name))
+        for name, drive in self.actuators.items():
+            self._check_wrap(name, drive, model)
+
+    def _check_wrap(self, name: str, drive: ActuatorMap, model: mujoco.MjModel) -> None:
+        """Raises InvalidInput for a set-point that cannot be put next to its joint."""
+        joint = joint_of(model, name)
+        turns = joint is not None and self.joints[joint].wrap is not None
+        if drive.wrap is not None and not turns:
+            raise InvalidInput(
+                f"actuators.{name}.wrap is for a set-point of a joint whose readings wrap; "
+                f"{'it moves no joint' if joint is None else f'joints.{joint} has no wrap'}"
+            )
+        if turns and drive.wrap is None and drive.command is not None and _is_servo(model, name):
+            raise InvalidInput(
+                f"the readings of joints.{joint} wrap, so actuators.{name}, whose command is a "
+                "position of that joint, needs a wrap as well: the size of a turn in the "
+                "command's own unit, by which it is put next to the joint"
+            )
 
 
 def joints_of(model: mujoco.MjModel) -> list[str]:
@@ -171,6 +200,18 @@ def actuators_of(model: mujoco.MjModel) -> list[str]:
     """Actuators that somebody commands, in the model's order."""
     names = [model.actuator(i).name for i in range(model.nu)]
     return [name for name in names if not is_added(name)]
+
+
+def joint_of(model: mujoco.MjModel, actuator: str) -> str | None:
+    """The joint that an actuator moves, None if it moves something else."""
+    drive = model.actuator(actuator)
+    is_at_joint = drive.trntype[0] == mujoco.mjtTrn.mjTRN_JOINT
+    return model.joint(int(drive.trnid[0])).name if is_at_joint else None
+
+
+def _is_servo(model: mujoco.MjModel, actuator: str) -> bool:
+    """True if a command is a position: the force depends on where the joint is."""
+    return bool(model.actuator(actuator).biasprm[1] != 0)
 
 
 def is_slide(model: mujoco.MjModel, joint: str) -> bool:

@@ -1,9 +1,11 @@
 """MCAP bags, as ROS 2 records them: every topic is a stream.
 
 A message's numbers become columns named by topic and field: `/imu.angular_velocity.x`. A list of
-numbers becomes one column for each place: `/command.data_0`. Where the message names the places, as
+numbers becomes one column for each place: `/command.data_0`, and so do the fields of a list of
+messages: `/low_state.motor_state_0.q`. Where the message names the places, as
 `sensor_msgs/JointState` does, the column has that name: `/joint_states.position.shoulder`.
-Times are the messages' own stamps (`header.stamp`), or else when the bag received them.
+Times are the messages' own stamps (`header.stamp`, where it is not zero), or else when the bag
+received them.
 """
 
 import io
@@ -19,6 +21,7 @@ from adr_service.errors import AdrError, InvalidInput
 from adr_service.logs.base import MOST_BYTES, MOST_NUMBERS, Log, Stream, check_size
 
 _DEEPEST, _LONGEST = 6, 256  # of nested fields; places of a list that are read
+_STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"))
 _NAMES = ("name", "names", "joint_names")
 _LATE_S = 1.0  # a message may arrive so much later than one that was sent after it
 
@@ -77,9 +80,12 @@ def read_mcap(source: str, content: bytes) -> Log:
                 unread[channel.topic] = f"its messages are in {channel.message_encoding!r}"
                 continue
             decoded = decode(message.data)
+            stamp = _get(_get(decoded, "header"), "stamp")
+            if stamp is not None and (stamp := _seconds(stamp)) is None:
+                unread[channel.topic] = "its header.stamp has no sec and nanosec"
+                continue
             topic = topics.setdefault(channel.topic, _Topic())
-            stamp = _stamp(decoded)
-            stamp = message.log_time * 1e-9 if stamp is None else stamp
+            stamp = stamp or message.log_time * 1e-9  # a stamp of zero was never set
             count += topic.add(stamp, _flat(channel.topic, decoded))
             if count > MOST_NUMBERS:
                 check_size(source, 0, count)
@@ -111,14 +117,13 @@ def _decoder(ros: Any, encoding: str, schema: Any) -> Callable[[bytes], Any] | N
     return ros.decoder_for(encoding, schema)
 
 
-def _stamp(message: Any) -> float | None:
-    """The message's own time [s], if it has one other than zero."""
-    stamp = _get(_get(message, "header"), "stamp")
-    seconds = _get(stamp, "sec")
-    nanoseconds = _get(stamp, "nanosec")
-    if not isinstance(seconds, int) or not isinstance(nanoseconds, int):
-        return None
-    return seconds + 1e-9 * nanoseconds or None
+def _seconds(stamp: Any) -> float | None:
+    """A stamp of ROS 2 or 1, or of JSON, in seconds; None if it is of another form."""
+    for whole, rest in _STAMPS:
+        seconds, nanoseconds = _get(stamp, whole), _get(stamp, rest)
+        if isinstance(seconds, int) and isinstance(nanoseconds, int):
+            return seconds + 1e-9 * nanoseconds
+    return None
 
 
 def _flat(prefix: str, message: Any, depth: int = 0) -> Iterator[tuple[str, float]]:
@@ -133,16 +138,19 @@ def _flat(prefix: str, message: Any, depth: int = 0) -> Iterator[tuple[str, floa
         if isinstance(value, bool | int | float):
             yield path, float(value)
         elif isinstance(value, list | tuple | np.ndarray):
-            yield from _places(path, list(cast(Any, value)), named)
+            yield from _places(path, list(cast(Any, value)), named, depth)
         elif not isinstance(value, str | bytes | None):
             yield from _flat(path, value, depth + 1)
 
 
-def _places(path: str, values: list[Any], names: Any) -> Iterator[tuple[str, float]]:
+def _places(path: str, values: list[Any], names: Any, depth: int) -> Iterator[tuple[str, float]]:
     is_named = isinstance(names, list | tuple) and len(cast(list[Any], names)) == len(values)
     for i, value in enumerate(values[:_LONGEST]):
+        place = f"{path}.{names[i]}" if is_named else f"{path}_{i}"
         if isinstance(value, bool | int | float | np.integer | np.floating):
-            yield (f"{path}.{names[i]}" if is_named else f"{path}_{i}"), float(value)
+            yield place, float(value)
+        elif not isinstance(value, str | bytes | list | tuple | np.ndarray | None):
+            yield from _flat(place, value, depth + 1)
 
 
 def _fields(message: Any) -> Iterator[tuple[str, Any]]:

@@ -7,6 +7,7 @@ lists in `meta/info.json`: `observation.state` with the names `["shoulder", …]
 
 import io
 import json
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -39,6 +40,10 @@ def read_lerobot(folder: Path) -> list[Log]:
     for file in files:
         stream, unread = _stream(f"{folder.name}/{file.name}", file.read_bytes())
         renamed = {names.get(name, name): values for name, values in stream.columns.items()}
+        if len(renamed) < len(stream.columns):
+            known = Counter(names.get(name, name) for name in stream.columns)
+            twice = [name for name, times in known.items() if times > 1]
+            raise InvalidInput(f"{folder / 'meta' / 'info.json'} names {', '.join(twice)} twice")
         numbers += sum(map(len, renamed.values()))
         check_size(folder.name, len(renamed), numbers)
         logs.append(Log(f"{folder.name}/{file.name}", (replace(stream, columns=renamed),), unread))

@@ -161,7 +161,8 @@ def _read(record: Record) -> str:
     if crowded := max(column.crowded for column in record.columns):
         lines.append(
             f"<p>{crowded} readings of a column were left out, because they came too soon after "
-            "the one before (half the usual time, or none).</p>"
+            "the one before (half the usual time, or none). Of commands that came at one time, the "
+            "last holds.</p>"
         )
     return "".join(lines)
 
@@ -173,7 +174,7 @@ def _row(column: Column) -> list[Any]:
         escape(column.quantity),
         escape(column.name),
         column.readings,
-        f"{median:.4g} ({smallest:.4g} to {largest:.4g})",
+        "" if np.isnan(median) else f"{median:.4g} ({smallest:.4g} to {largest:.4g})",
         f"{low:.4g} to {high:.4g}",
         _RESAMPLING[column.way],
         "" if np.isnan(column.scatter) else f"{column.scatter:.2g}",

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from adr_service.criticism.measurements import why_stuck
 from adr_service.errors import InvalidInput
 from adr_service.logs.base import Log, Signal
-from adr_service.logs.mapping import JointMap, LogMap, actuators_of, is_slide, joints_of
+from adr_service.logs.mapping import LogMap, actuators_of, is_slide, joints_of
 
 LEAST_READINGS = 4  # in a window, for a parabola with an error of its own
 PREFERRED = 8  # if the log's spacing decides the period, and a velocity is to be derived
@@ -16,8 +17,8 @@ LEAST_ROWS = 10  # of an episode
 GAP = 3.0  # times the median spacing, from which on readings are missing
 _OFTEN = 10.0  # times the spacing of readings, to which commands are frequent
 SAME = 1e-6  # of a period: times as near as that are the same
-_DENSER = 0.7  # of a column's spacing: closer rows would count a reading more than once
-TURN, _NEARLY = 2 * np.pi, 0.1  # a jump by a turn, to within a tenth
+DENSER = 0.7  # of a column's spacing: closer rows would count a reading more than once
+TURN = 2 * np.pi
 MANY_TURNS = 3  # of a joint, from which on its unit looks wrong
 _SINCE_1970_S = 1e8  # stamps from which on they count from 1970
 _LONG_S = 1.0  # period from which on the time's unit looks wrong
@@ -93,11 +94,8 @@ def recording_of(log: Log, given: LogMap, model: mujoco.MjModel) -> Recording:
     for name in joints_of(model):
         joint, slide = given.joints[name], is_slide(model, name)
         position = _track(log, given, joint.position, f"{name}.position", joint.zero)
-        position = scaled(_unwrapped(position, joint), joint.position_factor(slide))
-        position = replace(position, is_fitted=joint.derive_velocity)
-        if not slide:
-            _check_wraps(log, name, position, joint)
-        positions.append(position)
+        position = scaled(position, joint.position_factor(slide))
+        positions.append(replace(position, is_fitted=joint.derive_velocity))
         velocity = None
         if joint.velocity is not None:
             velocity = _track(log, given, joint.velocity, f"{name}.velocity", 0.0)
@@ -107,7 +105,8 @@ def recording_of(log: Log, given: LogMap, model: mujoco.MjModel) -> Recording:
     for name in actuators_of(model):
         drive, command = given.actuators[name], None
         if drive.command is not None:
-            command = _track(log, given, drive.command, f"{name}.command", drive.zero)
+            holds = drive.between == "hold"
+            command = _track(log, given, drive.command, f"{name}.command", drive.zero, holds=holds)
             command = replace(scaled(command, drive.factor, drive.delay), way=drive.between)
         commands.append(command)
     known = [track for track in (*positions, *velocities, *commands) if track is not None]
@@ -125,37 +124,11 @@ def recording_of(log: Log, given: LogMap, model: mujoco.MjModel) -> Recording:
     )
 
 
-def on_one_branch(
-    recordings: Sequence[Recording], given: LogMap, model: mujoco.MjModel
-) -> list[Recording]:
-    """Recordings in which the same pose has the same position, whichever turn a reading began in.
-
-    Readings that wrap tell a position up to whole turns, and each recording is unwrapped by itself.
-    The median of the first is put next to the middle of the joint's range (zero for one without
-    limits), and the others' next to it.
-    """
-    moved = list(recordings)
-    for number, name in enumerate(joints_of(model)):
-        joint, near = given.joints[name], 0.0
-        if joint.wrap is None:
-            continue
-        if model.joint(name).limited[0]:
-            near = float(np.mean(model.joint(name).range))
-        turn = abs(joint.position_factor(is_slide(model, name))) * joint.wrap
-        for which, recording in enumerate(moved):
-            track = recording.positions[number]
-            middle = float(np.median(track.signal.value))
-            value = track.signal.value + turn * round((near - middle) / turn)
-            near = near if which else float(np.median(value))
-            positions = list(recording.positions)
-            positions[number] = replace(track, signal=replace(track.signal, value=value))
-            moved[which] = replace(recording, positions=positions)
-    return moved
-
-
-def _track(log: Log, given: LogMap, column: str, quantity: str, zero: float) -> Track:
+def _track(
+    log: Log, given: LogMap, column: str, quantity: str, zero: float, *, holds: bool = False
+) -> Track:
     try:
-        signal = log.signal(column, given.time.clock)
+        signal = log.signal(column, given.time.clock, holds=holds)
     except InvalidInput as error:
         raise InvalidInput(f"{quantity}: {error}") from error
     return Track(column, quantity, replace(signal, value=signal.value - zero))
@@ -167,37 +140,15 @@ def scaled(track: Track, factor: float, delay: float = 0.0) -> Track:
     return replace(track, signal=later)
 
 
-def _unwrapped(track: Track, joint: JointMap) -> Track:
-    if joint.wrap is None:
-        return track
-    value = np.unwrap(track.signal.value, period=joint.wrap)
-    return replace(track, signal=replace(track.signal, value=value))
-
-
-def _check_wraps(log: Log, name: str, position: Track, joint: JointMap) -> None:
-    """Raises InvalidInput for readings that jump by a turn."""
-    time, value = position.signal.time, position.signal.value
-    jumps, is_near = np.abs(np.diff(value)), np.diff(time) <= GAP * position.spacing
-    turns = np.flatnonzero(is_near & (np.abs(jumps - TURN) < _NEARLY * TURN))
-    if not turns.size:
-        return
-    jumping = (
-        f"{log.source}: column {position.column!r} jumps by a turn at {time[turns[0] + 1]:.6g} s"
-    )
-    if (whole := np.ptp(value) / TURN) > MANY_TURNS:
-        raise InvalidInput(
-            f"{jumping}, and goes through {whole:.0f} turns in all; is joints.{name}.unit right "
-            f"({joint.unit or 'rad, because none is given'})?"
-        )
-    if joint.wrap is not None:
-        raise InvalidInput(
-            f"{jumping} also with joints.{name}.wrap = {joint.wrap:g}; that is the size of a turn "
-            "in the readings' own unit: is it right?"
-        )
-    raise InvalidInput(
-        f"{jumping}; if its readings wrap around, give joints.{name}.wrap, the size of a turn in "
-        "them (360 for degrees)"
-    )
+def check_moves(recordings: Sequence[Recording]) -> None:
+    """Raises InvalidInput for a sensor that never changes in any recording, or that saturates."""
+    for tracks in zip(*(each.states for each in recordings), strict=True):
+        why = why_stuck(np.concatenate([track.signal.value for track in tracks]))
+        if why is not None:
+            raise InvalidInput(
+                f"column {tracks[0].column!r} ({tracks[0].quantity}) {why}; needed are readings "
+                "that follow the robot"
+            )
 
 
 def check_velocities(recordings: Sequence[Recording]) -> None:
@@ -213,22 +164,27 @@ def check_velocities(recordings: Sequence[Recording]) -> None:
             )
 
 
-def check_lengths(recordings: Sequence[Recording], period: float, given: LogMap) -> None:
-    """Raises InvalidInput for episodes or rows that are too short, and for clocks that differ."""
+def check_lengths(
+    recordings: Sequence[Recording], period: float, given: LogMap, step: float
+) -> None:
+    """Raises InvalidInput for episodes or rows that are too short, and for clocks that differ.
+
+    `step` is the model's, of which a period has a whole number.
+    """
     if period > _LONG_S:
         raise InvalidInput(f"rows would be {period:.3g} s apart; is time.unit right?")
     if given.rows.seconds < LEAST_ROWS * period:
         raise InvalidInput(
             f"rows.seconds is {given.rows.seconds:g}; an episode needs {LEAST_ROWS} rows, which "
-            f"are {period:g} s apart"
+            f"are {period:g} s apart (if they should be nearer, is time.unit right?)"
         )
     for recording in recordings:
         for track in recording.states:
-            if period < _DENSER * track.spacing:
+            if period < DENSER * track.spacing:
                 raise InvalidInput(
                     f"{recording.source}: rows {period:g} s apart are more than the readings of "
                     f"{track.column!r}, {track.spacing:.3g} s apart; give rows.period = "
-                    f"{track.spacing:.3g} or more"
+                    f"{np.ceil(track.spacing / step - SAME) * step:.6g} or more"
                 )
         tracks = [*recording.states, *(track for track in recording.commands if track is not None)]
         last, first = (

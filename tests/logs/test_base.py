@@ -30,6 +30,18 @@ def test_readings_too_soon_after_another_are_left_out_and_counted():
     assert signal.crowded == 2
 
 
+def test_a_command_that_holds_keeps_all_readings_and_the_last_of_one_time():
+    time = np.array([0.0, 2, 2.4, 4.4, 4.4, 6.4, 6.9, 9, 9])
+    columns = {"time": time, "u": np.arange(9.0)}
+    signal = log(columns).signal("u", SECONDS, holds=True)
+    np.testing.assert_array_equal(signal.value, [0, 1, 2, 4, 5, 6, 8])
+    assert signal.crowded == 2
+    single = {name: values[:1] for name, values in columns.items()}
+    np.testing.assert_array_equal(log(single).signal("u", SECONDS, holds=True).value, [0])
+    with pytest.raises(InvalidInput, match=r"has 1 readings .* at least 2 are needed"):
+        log(single).signal("u", SECONDS)
+
+
 def test_a_clock_that_stands_still_is_refused():
     columns = {"time": np.ones(9), "q": np.arange(9.0)}
     with pytest.raises(InvalidInput, match="has 1 readings with a time of their own"):
@@ -57,6 +69,9 @@ def test_a_column_of_text_is_refused():
     table = Log("a.csv", (Stream({"time": np.arange(3.0)}),), unread)
     with pytest.raises(InvalidInput, match="'mode' has no numbers to read: it holds string"):
         table.signal("mode", SECONDS)
+    stamps = Log("a.csv", (Stream({"q": np.arange(3.0)}),), {"time": "it holds the text 'ERR'"})
+    with pytest.raises(InvalidInput, match="'time' has no numbers to read: it holds the text 'ERR"):
+        stamps.signal("q", SECONDS)
 
 
 def test_a_log_parts_where_a_column_changes():

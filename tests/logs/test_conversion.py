@@ -272,6 +272,66 @@ def test_commands_that_come_when_something_changes_hold(robot, even, given):
     assert converted.measurement.ctrl[2000, 0] == 0.5
 
 
+def test_a_command_that_was_sent_once_holds(robot, even, given):
+    states = Stream({name: even[name] for name in ("q1", "dq1", "q2", "dq2")}, even["time"])
+    commands = Stream({"u": np.array([0.25])}, np.array([0.0]))
+    converted = convert([Log("run.mcap", (states, commands))], given, robot)
+    assert set(converted.measurement.ctrl[:, 0]) == {0.25}
+
+
+def test_a_trial_that_is_too_short_is_left_out_with_a_warning(robot, even):
+    given = changed(('command = "u"', 'command = "u"\n[rows]\nepisode = "trial"'))
+    trials = np.zeros(len(even["time"]))
+    trials[-3:-1], trials[-1] = 1, 2
+    converted = convert([log({**even, "trial": trials})], given, robot)
+    assert [record.source for record in converted.records] == ["log.csv, trial 0"]
+    assert [each for each in converted.warnings if "left out" in each] == [
+        "log.csv, trial 1 has 2 rows, which is too short for an episode; it is left out",
+        "log.csv, trial 2 has 1 rows, which is too short for an episode; it is left out",
+    ]
+
+
+def test_a_recording_without_an_episode_does_not_hide_the_noise_of_others(robot, even, given):
+    few = {name: values[:4] for name, values in even.items()}
+    converted = convert([log(even), log(few, "short.csv")], given, robot)
+    np.testing.assert_array_equal(converted.noise, convert([log(even)], given, robot).noise)
+
+
+def test_a_sensor_that_saturates_is_refused_also_where_it_was_resampled(robot, given):
+    rng = np.random.default_rng(0)
+    columns = motion(np.cumsum(rng.uniform(0.0017, 0.0031, 5000)))
+    clipped = {**columns, "q2": np.minimum(columns["q2"], 0.05)}
+    with pytest.raises(
+        InvalidInput, match=r"column 'q2' .slider.position. is saturated: .* of 5000 rows"
+    ):
+        convert([log(clipped)], given, robot)
+
+
+def test_a_wrong_unit_of_a_velocity_is_blamed_on_the_map(robot, even, given):
+    fast = {**even, "dq1": even["dq1"] * 9.5}
+    with pytest.raises(
+        InvalidInput, match=r"times as far.* order .shoulder, slider.*velocity_unit"
+    ):
+        convert([log(fast)], given, robot)
+
+
+def test_the_shortest_episodes_are_cut_where_rounding_would_make_them_shorter(robot, even):
+    given = changed(('command = "u"', 'command = "u"\n[rows]\nseconds = 0.04'))
+    rows = {name: values[:1006] for name, values in even.items()}
+    spans = convert([log(rows)], given, robot).measurement.spans()
+    assert {last - first for first, last in spans} == {10}
+    assert len(spans) == 100
+
+
+def test_the_period_that_is_chosen_or_asked_for_can_be_given(robot, given):
+    """Readings of 2.9 ms, where the model's step is 2 ms."""
+    columns = motion(np.arange(0, 20, 0.0029))
+    assert convert([log(columns)], given, robot).period == pytest.approx(0.004)
+    dense = changed(('command = "u"', 'command = "u"\n[rows]\nperiod = 0.002'))
+    with pytest.raises(InvalidInput, match=r"0.0029 s apart; give rows.period = 0.004 or more"):
+        convert([log(columns)], dense, robot)
+
+
 def test_several_recordings_and_trials_are_episodes_of_their_own(robot, even, given):
     trials = {**even, "trial": np.floor(even["time"] / 5)}
     by_trial = changed(('command = "u"', 'command = "u"\n[rows]\nepisode = "trial"\nseconds = 5.0'))

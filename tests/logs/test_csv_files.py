@@ -20,6 +20,9 @@ def columns(text):
         "time\tq 1\n0\t1.5\n0.1\t2.5\n",
         "\ufefftime, q 1 \n0,1.5\n0.1,2.5\n",
         "# time,q 1\n0,1.5\n0.1,2.5\n",
+        "# by a logger, of 2026\n# time,q 1\n0,1.5\n0.1,2.5\n",
+        "# by a logger, of 2026\ntime,q 1\n0,1.5\n0.1,2.5\n",
+        "time\tq 1\n0\t1,5\n0,1\t2,5e0\n",
     ],
 )
 def test_commas_semicolons_tabs_and_marks_before_the_header_are_read(text):
@@ -36,6 +39,17 @@ def test_whole_nanoseconds_since_1970_are_read():
 def test_semicolons_go_with_decimal_points_too():
     found, _ = columns("time;q\n0.5;1.5\n")
     np.testing.assert_array_equal(found["q"], [1.5])
+
+
+def test_a_comma_within_a_text_is_no_decimal_comma():
+    found, texts = columns("time;q;note\n0.5;1.5;a, b\n")
+    assert (found["time"][0], found["q"][0]) == (0.5, 1.5)
+    assert texts == {"note": "it holds string"}
+
+
+def test_columns_without_a_name_are_told_apart():
+    found, _ = columns("time,q,,\n0,1,,\n1,2,,\n")
+    assert list(found) == ["time", "q", "unnamed_2", "unnamed_3"]
 
 
 def test_an_empty_cell_is_no_reading():
@@ -67,6 +81,7 @@ def test_a_column_of_decimal_commas_with_an_odd_cell_has_no_cell_to_blame():
         ("", "Empty CSV file"),
         ("0.1,0.2,0.3\n1,2,3\n", "begins with numbers .0.1, 0.2, 0.3, ….; expected are names"),
         ("q,q\n1,2\n", "has columns twice: q"),
+        ("t q u\n1 2 3\n", "one column, 't q u'; expected are several, separated by commas"),
         ("q \udcb0,p\n1,2\n", "is no table that can be read"),
     ],
 )

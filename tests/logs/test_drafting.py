@@ -39,6 +39,12 @@ def test_names_that_toml_cannot_bear_are_quoted():
     assert LogMap.from_toml(text).joints["left arm/1"].position == "q"
 
 
+def test_columns_with_odd_letters_give_a_draft_that_can_be_read(robot):
+    columns = {"time": np.arange(3.0), "shoulder_pos \U0001f600": np.zeros(3), "a\nb": np.zeros(3)}
+    text = draft([log(columns)], robot)
+    assert LogMap.from_toml(text).joints["shoulder"].position == "shoulder_pos \U0001f600"
+
+
 def test_a_draft_reads_abbreviations_in_any_order(robot):
     columns = {"time": np.arange(3.0), "pos_sl": np.zeros(3), "pos_sh": np.zeros(3)}
     text = draft([log(columns)], robot)
@@ -66,7 +72,13 @@ def test_a_column_is_never_given_to_two_joints(columns, expected):
     assert (found.joints["left_hip"].position, found.joints["left_knee"].position) == expected
 
 
-@pytest.mark.parametrize(("spacing", "unit"), [(0.01, "s"), (10.0, "ms"), (1e4, "us"), (1e7, "ns")])
+@pytest.mark.parametrize(
+    ("spacing", "unit"),
+    [
+        *((0.01, "s"), (10.0, "ms"), (1e4, "us"), (1e7, "ns")),
+        *((0.001, "s"), (1.0, "ms"), (0.5, "ms"), (1e3, "us"), (1e6, "ns"), (0.1, "s")),
+    ],
+)
 def test_the_unit_of_stamps_without_one_is_guessed_by_their_pace(robot, spacing, unit):
     text = draft([log({"stamp": spacing * np.arange(5.0), "q": np.zeros(5)})], robot)
     assert f'unit = "{unit}"  # guessed: s, ms, us, ns' in text

@@ -1,10 +1,11 @@
 """The map from columns to a model."""
 
+import mujoco
 import pytest
 
 from adr_service.errors import InvalidInput
 from adr_service.logs.mapping import LogMap
-from tests.logs.conftest import MAP
+from tests.logs.conftest import MAP, XML
 
 
 @pytest.mark.parametrize(
@@ -30,9 +31,24 @@ from tests.logs.conftest import MAP
         ('command = "u"', "scale = 2", "give either command, a column, or constant, a number"),
         ('command = "u"', "constant = 9\nscale = 2", "constant is in .* and goes without scale"),
         ("[joints.shoulder]", "[joints.shoulder", "the map is no TOML"),
+        ('"q1"', '"q1"\nscale = 0', "joints.shoulder.scale: a scale of 0 makes all readings zero"),
+        ('command = "u"', 'command = "u"\nscale = 0', "actuators.motor.scale: a scale of 0"),
+        (
+            'command = "u"',
+            'command = "u"\nwrap = 6.3',
+            r"motor.wrap is .*joints.shoulder has no wrap",
+        ),
     ],
 )
 def test_a_wrong_map_is_refused_with_its_field(robot, old, new, message):
     assert old in MAP
     with pytest.raises(InvalidInput, match=message):
         LogMap.from_toml(MAP.replace(old, new)).check(robot)
+
+
+def test_a_set_point_of_a_joint_that_wraps_needs_a_wrap_as_well(robot):
+    given = LogMap.from_toml(MAP.replace('"q1"', '"q1"\nwrap = 6.3'))
+    given.check(robot)  # its motor has torques
+    servo = XML.replace("<motor", "<position").replace('gear="5"', "")
+    with pytest.raises(InvalidInput, match=r"readings of joints.shoulder wrap, so actuators.motor"):
+        given.check(mujoco.MjModel.from_xml_string(servo))

@@ -93,6 +93,48 @@ def test_messages_in_json_are_read_and_those_in_unknown_encodings_listed():
     assert log.unread == {"/secret": "its messages are in 'mystery'"}
 
 
+def json_bag(*messages):
+    """One message of JSON a second on /state, from second 5 on."""
+    buffer = io.BytesIO()
+    writer = JsonWriter(buffer)
+    writer.start()
+    channel = writer.register_channel(
+        "/state", "json", writer.register_schema("State", "jsonschema", b"{}")
+    )
+    for i, message in enumerate(messages):
+        writer.add_message(channel, (5 + i) * 10**9, json.dumps(message).encode(), 5 * 10**9)
+    writer.finish()
+    return buffer.getvalue()
+
+
+def test_fields_of_a_list_of_messages_are_columns_of_their_place():
+    motors = [{"q": 1.0, "tau": 2.0}, {"q": 3.0, "tau": 4.0}]
+    (stream,) = read_mcap("run.mcap", json_bag({"motors": motors}, {"motors": motors})).streams
+    assert {name: values[0] for name, values in stream.columns.items()} == {
+        "/state.motors_0.q": 1,
+        "/state.motors_0.tau": 2,
+        "/state.motors_1.q": 3,
+        "/state.motors_1.tau": 4,
+    }
+
+
+@pytest.mark.parametrize(
+    ("whole", "rest"), [("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs")]
+)
+def test_stamps_of_other_systems_are_read(whole, rest):
+    stamps = [{whole: 1, rest: 0}, {whole: 1, rest: 500_000_000}, {whole: 0, rest: 0}]
+    messages = [{"header": {"stamp": stamp}, "q": 1} for stamp in stamps[:2]]
+    (stream,) = read_mcap("run.mcap", json_bag(*messages)).streams
+    np.testing.assert_allclose(stream.stamps, [1, 1.5])
+    never_set = json_bag({"header": {"stamp": stamps[2]}, "q": 1})
+    assert read_mcap("run.mcap", never_set).streams[0].stamps == [5]
+
+
+def test_a_topic_with_stamps_that_cannot_be_read_is_listed():
+    log = read_mcap("run.mcap", json_bag({"header": {"stamp": "noon"}, "q": 1}))
+    assert log.unread == {"/state": "its header.stamp has no sec and nanosec"}
+
+
 def test_a_bag_whose_stamps_begin_again_is_refused():
     """Sorting would mix the two passes."""
     log = read_mcap("run.mcap", bag(stamps=lambda i: 1_700_000_000 + 2 * (i < 125) + 0.002 * i))

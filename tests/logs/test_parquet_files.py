@@ -89,6 +89,13 @@ def test_a_lerobot_data_set_names_its_columns_by_joint(lerobot):
     np.testing.assert_array_equal(signal.value, [2, 4, 6])
 
 
+def test_a_lerobot_data_set_that_names_two_places_alike_is_refused(lerobot):
+    about = lerobot / "meta" / "info.json"
+    about.write_text(about.read_text().replace("elbow.pos", "shoulder.pos"))
+    with pytest.raises(InvalidInput, match=r"info.json names observation.state.shoulder.pos, .*"):
+        read_logs(lerobot)
+
+
 def test_a_lerobot_data_set_without_its_description_is_refused(lerobot):
     (lerobot / "meta" / "info.json").write_text('{"features": 3}')
     with pytest.raises(InvalidInput, match="does not describe a LeRobot data set"):
