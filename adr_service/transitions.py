@@ -236,6 +236,8 @@ def _cut(origin: str) -> str:
 
 
 def _finite_matrix(name: str, values: np.ndarray) -> Matrix:
+    if values.dtype.kind not in "iuf":
+        raise InvalidInput(f"{name} must hold numbers; given {values.dtype}")
     matrix = frozen(values)
     if matrix.ndim != 2:
         raise InvalidInput(f"{name} must be a matrix; its shape is {matrix.shape}")

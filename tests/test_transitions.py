@@ -142,6 +142,19 @@ def test_a_file_that_is_no_recording_is_refused_with_the_reason(changes, message
         TransitionDataset.from_npz(npz(**changes))
 
 
+@pytest.mark.parametrize("kind", ["U8", "complex128"])
+def test_arrays_that_are_no_real_numbers_are_refused(kind):
+    given = {name: np.asarray(GOOD[name]) for name in ("actions", "next_observations", "episodes")}
+    with pytest.raises(InvalidInput, match="observations must hold numbers; given"):
+        TransitionDataset(
+            observations=np.asarray(GOOD["observations"]).astype(kind),
+            **given,
+            dt=0.02,
+            columns=("a", "b"),
+            origin="a test",
+        )
+
+
 def test_episodes_are_read_from_the_ends_that_terminals_mark():
     terminals = np.array([False, True, False, False])
     data = TransitionDataset.from_npz(npz(episodes=None, terminals=terminals))

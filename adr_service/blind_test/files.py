@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Literal, Self, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from adr_service.blind_test.cases import Hidden, check_task, draw_blind
 from adr_service.blind_test.planting import Case, plantable
@@ -76,6 +76,17 @@ class Estimate(BaseModel):
     value: float
     low: float | None = None
     high: float | None = None
+
+    @model_validator(mode="after")
+    def _is_within(self) -> Self:
+        if ("low" in self.model_fields_set) != ("high" in self.model_fields_set):
+            raise ValueError("give both low and high (null where there is no bound), or neither")
+        low, high = (bound if bound is not None else self.value for bound in (self.low, self.high))
+        if not low <= self.value <= high:
+            raise ValueError(
+                f"the value {self.value:g} is not between low and high; given {low:g} to {high:g}"
+            )
+        return self
 
     @property
     def has_interval(self) -> bool:
@@ -239,6 +250,11 @@ def _read_answer(path: Path, task: str) -> Answer:
     for named in (*answer.causes, *(each for group in answer.tied for each in group)):
         if (effect := f"{named.kind} {named.location}") not in known:
             raise UnknownName(f"effect that {path} names", effect, known)
+        strengths = [each.name for each in MECHANISMS[named.kind].strengths]
+        is_group = named.location.endswith(":*")  # whose strengths have their places' names as well
+        for name in () if is_group else named.parameters:
+            if name not in strengths:
+                raise UnknownName(f"strength of {effect}, which {path} names,", name, strengths)
     if answer.tied and len(answer.tied) != len(answer.causes):
         raise InvalidInput(
             f"{path}: tied has {len(answer.tied)} lists for {len(answer.causes)} causes; expected "
@@ -247,6 +263,11 @@ def _read_answer(path: Path, task: str) -> Answer:
     is_named = answer.verdict in (Conclusion.CAUSE, Conclusion.TIE)
     if is_named and not answer.causes:
         raise InvalidInput(f"{path}: the verdict is {answer.verdict.value}, but causes is empty")
+    if is_named and any(answer.tied) != (answer.verdict == Conclusion.TIE):
+        raise InvalidInput(
+            f"{path}: the verdict is {answer.verdict.value}, but "
+            f"{'tied names others' if any(answer.tied) else 'nothing is tied'}"
+        )
     is_silent = not answer.causes and answer.residual.rest == "none"
     if answer.verdict == Conclusion.NONE and not is_silent:
         raise InvalidInput(f"{path}: the verdict is none, but something is named or left")

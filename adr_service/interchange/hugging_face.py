@@ -25,8 +25,7 @@ _TEXT = """---
 
 # {title}
 
-A policy for `{task}`, trained in simulation on {dynamics} (variant `{variant}`, seed {seed},
-{iterations} iterations of {transitions} transitions of the target at most).
+A policy for `{task}`, trained in simulation on {dynamics} ({circumstances}).
 
 {scores}
 
@@ -60,10 +59,7 @@ def write_model_folder(
         title=_title(task, spec),
         task=task.name,
         dynamics=_dynamics(spec["method"]["name"]),
-        variant=spec["variant"],
-        seed=spec["seed"],
-        iterations=spec["iterations"],
-        transitions=spec["transitions"],
+        circumstances=_circumstances(spec),
         scores=_scores(task, rows),
         observations=policy.layers[0][0].shape[1],
         actions=len(policy.action_low),
@@ -91,6 +87,17 @@ def _dynamics(method: str) -> str:
     if known.learns_from == "nothing":
         return f"dynamics that know nothing of the target (`{method}`)"
     return f"dynamics that `{method}` inferred from data of the target"
+
+
+def _circumstances(spec: Mapping[str, Any]) -> str:
+    """Words for a run's seed and data; a recording has no budget."""
+    known = f"variant `{spec['variant']}`, seed {spec['seed']}"
+    if spec["target"]["kind"] == "recorded":
+        return known
+    return (
+        f"{known}, {spec['iterations']} iterations of {spec['transitions']} transitions of the "
+        "target at most"
+    )
 
 
 def _metadata(

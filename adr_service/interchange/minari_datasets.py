@@ -29,6 +29,7 @@ def to_minari(data: TransitionDataset, task: Task, name: str) -> Any:
     robot, and for rows that do not follow one another.
     """
     minari, spaces = library("minari"), library("gymnasium").spaces
+    _check_name(name)
     check_recorded(task, data)
     data.check_chained("a data set of Minari")
     try:
@@ -44,11 +45,23 @@ def to_minari(data: TransitionDataset, task: Task, name: str) -> Any:
                 data_format="arrow",
             )
     except ValueError as error:
-        raise InvalidInput(f"Minari refuses the name {name!r}: {error}") from error
+        raise InvalidInput(f"Minari refuses {name!r}: {error}") from error
     stored.storage.update_metadata(
         {"adr_columns": list(data.columns), "adr_dt": data.dt, "adr_origin": data.origin}
     )
     return stored
+
+
+def _check_name(name: str) -> None:
+    """Raise InvalidInput for a name that Minari would refuse after it had made a folder."""
+    from minari.dataset.minari_dataset import parse_dataset_id
+
+    try:
+        parse_dataset_id(name)
+    except (TypeError, ValueError) as error:  # the first for a name without a version
+        raise InvalidInput(
+            f"Minari refuses the name {name!r}; accepted are names as adr/hopper-v0, with a version"
+        ) from error
 
 
 def _buffer(episode: TransitionDataset) -> Any:

@@ -71,7 +71,7 @@ def read_recording(file: Path, task_name: str) -> bytes:
 
     The `.npy` files have no control period and no columns: the task's are taken.
     """
-    if not file.suffix:
+    if not file.suffix or file.with_name(f"{file.name}_observations.npy").exists():
         return _combined(file, task_name)
     if file.suffix != ".npz":
         raise InvalidInput(f"a recording is an .npz, or a prefix of .npy files; given {file}")

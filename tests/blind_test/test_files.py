@@ -26,6 +26,10 @@ KEY = Key(seed=1, cases={"0000": hidden(), "0001": hidden("none", 0.0, ())})
 NAMED = {"kind": "joint_spring", "location": "joint:elbow", "parameters": {}}
 
 
+def with_strength(name, **bounds):
+    return {**NAMED, "parameters": {name: {"value": 0.2, **bounds}}}
+
+
 @pytest.fixture
 def answered(tmp_path):
     """Write one answer as JSON, and read all of the folder."""
@@ -101,6 +105,19 @@ def test_an_answer_needs_a_verdict_alone(answered):
             "tied has 2 lists for 1 causes; expected is one for each, or none at all",
         ),
         ({"verdict": "none", "cpu_seconds": "3"}, "cpu_seconds: Input should be a valid number"),
+        ({"verdict": "tie", "causes": [NAMED]}, "the verdict is tie, but nothing is tied"),
+        (
+            {"verdict": "cause", "causes": [NAMED], "tied": [[NAMED]]},
+            "the verdict is cause, but tied names others",
+        ),
+        (
+            {"verdict": "cause", "causes": [with_strength("stiffness", low=0.3, high=0.1)]},
+            "the value 0.2 is not between low and high; given 0.3 to 0.1",
+        ),
+        (
+            {"verdict": "cause", "causes": [with_strength("stiffness", high=0.3)]},
+            "give both low and high (null where there is no bound), or neither",
+        ),
         ({"verdict": "none", "causes": [NAMED]}, "the verdict is none, but something is named"),
         ({"verdict": "none", "residual": {"rest": "unknown"}}, "but something is named or left"),
     ],
@@ -109,6 +126,12 @@ def test_a_wrong_answer_is_refused_with_its_file_and_reason(answered, value, mes
     with pytest.raises(InvalidInput, match=r"0000/verdict\.json: ") as raised:
         answered(value)
     assert message in str(raised.value)
+
+
+def test_a_misspelt_strength_is_refused_with_the_nearest_one(answered):
+    cause = with_strength("stifness")
+    with pytest.raises(UnknownName, match="did you mean 'stiffness'"):
+        answered({"verdict": "cause", "causes": [cause]})
 
 
 def test_a_misspelt_effect_is_refused_with_the_nearest_one(answered):

@@ -100,7 +100,7 @@ def test_a_case_without_an_answer_is_wrong_in_every_line():
 
 def test_answers_are_scored_by_kind_and_ratio():
     cases = [
-        Marked(hidden(ratio=0.3), answer(named(BIAS, -0.132, low=-0.13, high=-0.11))),
+        Marked(hidden(ratio=0.3), answer(named(BIAS, -0.132, low=-0.14, high=-0.11))),
         Marked(hidden(ratio=0.3), answer(named(BIAS, -0.126, low=None, high=-0.11))),
         Marked(hidden(ratio=1.0), answer(named(BIAS), cpu_seconds=4.0)),
         Marked(hidden(ratio=1.0), answer(verdict="none", cpu_seconds=2.0)),

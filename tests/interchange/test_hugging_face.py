@@ -25,6 +25,7 @@ SPEC = {
     "seed": 3,
     "iterations": 1,
     "transitions": 200,
+    "target": {"kind": "simulated"},
 }
 
 
@@ -40,6 +41,7 @@ def test_the_card_has_the_hubs_metadata_and_the_return(folder, task):
     assert result.metric_value == pytest.approx(0.5 * task.reward_threshold)
     assert card.data.pipeline_tag == "reinforcement-learning"
     assert "| 1 | 0.500 | 1 | 200 | 50 |" in card.text
+    assert "seed 3, 1 iterations of 200 transitions" in card.text
 
 
 def test_the_files_hold_the_same_policy(folder, policy, task):
@@ -56,10 +58,12 @@ def test_a_folder_with_something_in_it_is_refused(folder, policy, task):
 
 
 def test_a_run_on_a_recording_has_no_return(policy, task, tmp_path):
-    write_model_folder(tmp_path / "model", policy, task, SPEC, [])
+    spec = SPEC | {"target": {"kind": "recorded"}}
+    write_model_folder(tmp_path / "model", policy, task, spec, [])
     card = ModelCard.load(tmp_path / "model/README.md")
     assert card.data.eval_results is None
     assert "evaluated on no target" in card.text
+    assert "(variant `vanilla`, seed 3)" in card.text
 
 
 def test_a_mean_over_policies_is_not_given_as_the_return_of_one(policy, task, tmp_path):

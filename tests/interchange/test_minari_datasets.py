@@ -55,8 +55,15 @@ def test_a_name_that_is_taken_or_wrong_is_refused(arm, data):
     to_minari(data, arm, NAME)
     with pytest.raises(InvalidInput, match="arm-v0"):
         to_minari(data, arm, NAME)
-    with pytest.raises(InvalidInput, match="refuses the name 'no version'"):
-        to_minari(data, arm, "no version")
+
+
+@pytest.mark.parametrize("name", ["no version", "arm", "arm-x", "adr/arm-v1.2"])
+def test_a_name_that_minari_does_not_know_is_refused_and_leaves_no_folder(
+    arm, data, tmp_path, name
+):
+    with pytest.raises(InvalidInput, match=f"refuses the name '{name}'; accepted are names as"):
+        to_minari(data, arm, name)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_does_not_fit_the_task_is_refused(arm, data):

@@ -37,6 +37,9 @@ def test_dropos_files_become_one_recording_with_the_tasks_period_and_columns(tmp
     np.testing.assert_array_equal(combined.observations, data.observations)
     assert combined.columns == data.columns
     assert combined.dt == pytest.approx(data.dt)
+    save_npy(tmp_path / "dropo_v1.0", data)
+    dotted = TransitionDataset.from_npz(read_recording(tmp_path / "dropo_v1.0", "arm"))
+    np.testing.assert_array_equal(dotted.observations, data.observations)
 
 
 @pytest.mark.parametrize(
