@@ -50,6 +50,46 @@ class StuckArm(SlowArm):
         return super().step(action)
 
 
+class CutArm(SlowArm):
+    """Is stopped after five steps."""
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = super().step(action)
+        return observation, reward, terminated, truncated or len(self.actions) == 5, info
+
+
+class BreakingArm(SlowArm):
+    """Its driver raises in the third step; counts how often it was closed."""
+
+    last = None
+
+    def __init__(self):
+        super().__init__(0.0)
+        self.closed = 0
+        type(self).last = self
+
+    def step(self, action):
+        if len(self.actions) == 2:
+            raise RuntimeError("the bus is gone")
+        return super().step(action)
+
+    def close(self):
+        self.closed += 1
+        super().close()
+
+
+def cut_arm():
+    return CutArm(0.0)
+
+
+def breaking_arm():
+    return BreakingArm()
+
+
+def sleepy_arm():
+    return SlowArm(0.05)
+
+
 def stuck_arm():
     return StuckArm("step")
 

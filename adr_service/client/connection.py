@@ -220,7 +220,7 @@ class AdrClient:
         """An episode for a robot, and its lease; None if there is none within `wait_s`."""
         given = {"worker": worker, "tasks": list(tasks), "wait_s": wait_s}
         response = self._request("POST", "/v1/target_tasks/claim", json=given)
-        return None if response.status_code == 204 else response.json()
+        return None if response.status_code == 204 else self._parsed(response)
 
     def heartbeat(self, task_id: str, lease: str, steps: int) -> Json:
         """Renew the lease of an episode; the answer has `cancel_requested`."""
@@ -318,12 +318,15 @@ class AdrClient:
             params[token_name] = page["next_page_token"]
 
     def _json(self, method: str, path: str, **more: Any) -> Any:
-        answer = self._request(method, path, **more)
+        return self._parsed(self._request(method, path, **more))
+
+    def _parsed(self, answer: httpx2.Response) -> Any:
         try:
             return answer.json()
         except ValueError as error:
+            asked = f"{answer.request.method} {answer.request.url.path}"
             raise Unreachable(
-                f"what answers at {self.url} is not the service: {method} {path} gave no JSON"
+                f"what answers at {self.url} is not the service: {asked} gave no JSON"
             ) from error
 
     def _request(self, method: str, path: str, **more: Any) -> httpx2.Response:

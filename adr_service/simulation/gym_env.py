@@ -78,7 +78,7 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode; `options["dynamics"]` sets some or all parameters by name."""
         super().reset(seed=seed)
-        self.close()  # the camera draws one episode's model
+        self._drop_camera()  # it draws one episode's model
         self._simulations.set_dynamics(self._drawn(options or {})[None])
         self._simulations.set_state(self._task.initial(1, self.np_random))
         return self._observe(self._simulations.state), {"dynamics": self.dynamics}
@@ -104,6 +104,9 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return self._camera.picture(self._simulations.state.qpos[0])
 
     def close(self) -> None:
+        self._drop_camera()
+
+    def _drop_camera(self) -> None:
         if self._camera is not None:
             self._camera.close()
             self._camera = None

@@ -1,7 +1,9 @@
 """`adr robot`: the client of a robot."""
 
 import os
+import signal
 from collections import Counter
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -58,6 +60,8 @@ def robot(
     """
     from adr_service.client.robot import Limits, Robot  # imports Gymnasium
 
+    for number in (signal.SIGTERM, signal.SIGHUP):  # what ends it, ends it as Ctrl-C does
+        signal.signal(number, signal.default_int_handler)
     limits = Limits(max_seconds, max_reset_seconds, tuple(max_action or ()))
     if (play is None) != (out is None):
         raise InvalidInput("--play goes with --out")
@@ -81,43 +85,49 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
     from adr_service.simulation.batch import control_period
     from adr_service.tasks.catalogue import get_task
 
-    robot, known = load_environment(env), get_task(task)
-    check_environment(robot, about(known), limits)
+    known = get_task(task)
     commands, start = read_plan(plan.read_bytes(), len(known.action_low), control_period(known))
     check_commands(known, commands)
     check_absent(out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    part = out.with_name(f"{out.name}.part")
-    part.touch()  # it can be written, before anything moves
+    with closing(load_environment(env)) as robot:
+        check_environment(robot, about(known), limits)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        part = out.with_name(f"{out.name}.part")
+        part.touch()  # it can be written, before anything moves
 
-    def keep(played: "Playback") -> None:
-        part.write_bytes(played.measurement.to_npz())
-        part.replace(out)
+        def keep(played: "Playback") -> None:
+            part.write_bytes(played.measurement.to_npz())
+            part.replace(out)
 
-    player = Player(robot, known, limits, keep)
+        player = Player(robot, known, limits, keep)
 
-    def give_up(why: str) -> None:
-        """End the process: nothing else ends the call that hangs."""
+        def tell() -> None:
+            _tell(player.played, len(commands), out)
+
+        def give_up(why: str) -> None:
+            """End the process: nothing else ends the call that hangs."""
+            try:
+                console.print(f"{why}; see to the robot")
+                tell()
+            finally:
+                os._exit(1)
+
         try:
-            console.print(f"{why}; see to the robot")
-            _tell(player.played, out)
-        finally:
-            os._exit(1)
-
-    try:
-        player.play(commands, give_up, start)
-    finally:  # whatever ended it
-        part.unlink(missing_ok=True)
-        _tell(player.played, out)
+            player.play(commands, give_up, start)
+        finally:  # whatever ended it
+            part.unlink(missing_ok=True)
+            tell()
 
 
-def _tell(played: "Playback | None", out: Path) -> None:
+def _tell(played: "Playback | None", planned: int, out: Path) -> None:
     """Say what was played; without any, there is no file."""
     if played is None:
         return
     data = played.measurement
-    console.print(f"{out}: {len(data.spans())} episodes, {len(data.time)} rows")
+    console.print(f"{out}: {len(data.spans())} of {planned} episodes, {len(data.time)} rows")
     if played.limited:
         console.print(f"{played.limited} commands were beyond your limit, and were sent at it")
     for why, count in Counter(played.shortened).items():
         console.print(f"{count} episodes ended early: {why}")
+    if played.slow:
+        console.print(played.slow)

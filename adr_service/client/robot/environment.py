@@ -11,6 +11,8 @@ import numpy as np
 from adr_service.client.robot.limits import Limits
 from adr_service.errors import InvalidInput
 
+_ROUNDED = 1e-6  # of an action: bounds of 32 bits
+
 Env = gymnasium.Env[Any, Any]
 
 
@@ -46,6 +48,17 @@ def check_environment(env: Env, about: Mapping[str, Any], limits: Limits) -> Non
     if not all(0 < most < np.inf for most in limits.actions):
         raise InvalidInput(f"limits of actions must be positive; given {limits.actions}")
     low, high = np.array(about["action_low"]), np.array(about["action_high"])
+    sent = limits.apply(low), limits.apply(high)
+    takes: Any = env.action_space  # of a Box; other spaces have no bounds
+    beyond = [_ROUNDED * np.abs(each) for each in sent]
+    if isinstance(takes, gymnasium.spaces.Box) and (
+        np.any(takes.low > sent[0] + beyond[0]) or np.any(takes.high < sent[1] - beyond[1])
+    ):
+        raise InvalidInput(
+            f"the environment takes actions from {takes.low.tolist()} to {takes.high.tolist()}, "
+            f"and would be sent {sent[0].tolist()} to {sent[1].tolist()}: limit them by "
+            "--max-action, or widen its action_space"
+        )
     nearest = limits.apply(np.clip(0.0, low, high))
     if np.any((nearest < low) | (nearest > high)):
         raise InvalidInput(

@@ -16,6 +16,8 @@ from adr_service.npz import write_arrays
 from adr_service.randomness import stream
 from adr_service.transitions import TransitionDataset
 
+_SLOW = 1.5  # times the control period
+
 
 @dataclass(frozen=True)
 class Machine:
@@ -36,7 +38,8 @@ class Episode:
     rewards: Vector  # (T,)
     limited: int  # actions that the owner's limit changed
     wrong: str = ""  # why the episode ended early and does not count
-    is_over_time: bool = False  # the owner's time ended it
+    is_cut: bool = False  # the owner's time ended it, or the environment before its end
+    period_s: float = np.nan  # median time between two commands; NaN for fewer
 
 
 def run_episode(
@@ -63,12 +66,17 @@ class Rollout:
         self._observations: list[Vector] = []
         self._actions: list[Vector] = []
         self._rewards: list[float] = []
-        self._limited, self._wrong, self._ended, self._is_over_time = 0, "", False, False
+        self._limited, self._wrong, self._ended, self._is_cut = 0, "", False, False
         self._began = time.monotonic()
+        self._sent: list[float] = []  # [s] when commands were sent
 
     @property
     def is_over(self) -> bool:
-        return bool(self._wrong) or self._ended or len(self._actions) >= self._transitions
+        return bool(self._wrong) or self._ended or self.is_complete
+
+    @property
+    def is_complete(self) -> bool:
+        return len(self._actions) >= self._transitions
 
     def reset(self, seed: int) -> None:
         with self._watch.watching("reset", self._machine.limits.reset_seconds):
@@ -81,10 +89,11 @@ class Rollout:
         passed = time.monotonic() - self._began
         limits, seen = self._machine.limits, self._observations[-1]
         moved = (len(self._actions) + 1) * self._machine.about["control_period_s"]
-        self._is_over_time = not limits.allows(max(moved, passed))
-        if self._is_over_time:
+        if not limits.allows(max(moved, passed)):
+            self._is_cut = True
             self._wrong = (
-                f"{self._machine.name} may move for {limits.seconds:g} s, and these are over"
+                f"{self._machine.name} may move for {limits.seconds:g} s (--max-seconds), and "
+                "these are over"
             )
             return
         wanted = act(seen[None])[0]
@@ -93,10 +102,14 @@ class Rollout:
             return
         action = limits.apply(wanted)
         self._limited += not np.array_equal(action, wanted)
+        self._sent.append(time.monotonic())
         with self._watch.watching("step", limits.left(passed)):
             observation, reward, terminated, truncated, _ = self._machine.env.step(action.copy())
         self._record(_row(observation), action, float(reward))
         self._ended = terminated or truncated
+        if truncated and not terminated and not self.is_complete:
+            self._is_cut = True
+            self._wrong = self._wrong or "the environment ended the episode early (truncated)"
 
     def _record(self, observation: Vector, action: Vector, reward: float) -> None:
         """Append a transition, unless its numbers are not finite."""
@@ -115,7 +128,8 @@ class Rollout:
             np.array(self._rewards),
             self._limited,
             self._wrong,
-            self._is_over_time,
+            self._is_cut,
+            float(np.median(np.diff(self._sent))) if len(self._sent) > 1 else np.nan,
         )
 
 
@@ -123,6 +137,17 @@ def to_npz(episode: Episode, about: Mapping[str, Any], origin: str) -> bytes:
     """Return the `.npz` that the service takes: the measured columns, and the rewards."""
     data = recording(episode, about, origin)
     return write_arrays({**data.to_arrays(), "rewards": episode.rewards})
+
+
+def slowness(period_s: float, about: Mapping[str, Any]) -> str:
+    """A remark if commands came much more slowly than the recording will say, else nothing."""
+    expected = about["control_period_s"]
+    if not period_s > _SLOW * expected:
+        return ""
+    return (
+        f"a step took {period_s:.3g} s, and counts as {expected:g} s: what learns from this takes "
+        "the robot for that much faster"
+    )
 
 
 def recording(episode: Episode, about: Mapping[str, Any], origin: str) -> TransitionDataset:

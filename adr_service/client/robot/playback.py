@@ -8,13 +8,15 @@ import numpy as np
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.client.robot.environment import Env
-from adr_service.client.robot.episode import Machine, Rollout, recording
+from adr_service.client.robot.episode import Machine, Rollout, recording, slowness
 from adr_service.client.robot.heart import Watch
 from adr_service.client.robot.limits import Limits
+from adr_service.criticism.compatibility import check_state
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.recordings import as_measurement, is_measured
 from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import control_period
+from adr_service.simulation.model import compiled
 from adr_service.tasks.base import Task
 from adr_service.transitions import TransitionDataset
 
@@ -28,6 +30,7 @@ class Playback:
     measurement: Measurement
     limited: int  # commands that the owner's limit changed; the measurement has what was sent
     shortened: tuple[str, ...]  # why episodes ended before all their commands
+    slow: str  # a remark if commands came much more slowly than the measurement says
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,7 @@ class _Episode:
     data: TransitionDataset | None  # None: it ended before its first transition
     limited: int
     why_short: str  # empty: it is complete
+    period_s: float = np.nan  # median time between two commands
 
 
 def about(task: Task) -> dict[str, Any]:
@@ -86,15 +90,19 @@ class Player:
         transition.
         """
         check_commands(self._task, plan)
-        with Watch(hangs) as watch:
-            try:
-                for number, commands in enumerate(plan):
-                    episode = _episode(self._machine, self._task, watch, commands, number, start)
-                    self._episodes.append(episode)
-                    if (played := self.played) is not None:
-                        self._keep(played)
-            except KeyboardInterrupt:
-                pass  # what there is, is kept
+        model = compiled(self._task.xml)
+        check_state(model)  # of which a measurement can be made
+        if start is not None and len(start) != model.nq:
+            raise InvalidInput(
+                f"the plan begins at a pose of {len(start)} positions; {self._task.name} has "
+                f"{model.nq}"
+            )
+        with Watch(hangs).running() as watch:
+            for number, commands in enumerate(plan):
+                episode = _episode(self._machine, self._task, watch, commands, number, start)
+                self._episodes.append(episode)
+                if (played := self.played) is not None:
+                    self._keep(played)
         if self.played is None:
             raise InvalidInput("no episode of the plan has a single transition")
 
@@ -109,6 +117,7 @@ class Player:
             as_measurement(self._task, TransitionDataset.concatenate(parts)),
             sum(episode.limited for episode in episodes),
             tuple(episode.why_short for episode in episodes if episode.why_short),
+            slowness(float(np.nanmedian([e.period_s for e in episodes])), self._machine.about),
         )
 
 
@@ -151,4 +160,4 @@ def _episode(
     is_short = len(episode.actions) < len(commands) - 1
     why_short = episode.wrong or ("the environment ended it" if is_short else "")
     data = recording(episode, machine.about, "played commands")
-    return _Episode(data, episode.limited, why_short)
+    return _Episode(data, episode.limited, why_short, episode.period_s)

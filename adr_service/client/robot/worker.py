@@ -5,14 +5,21 @@ import threading
 from collections.abc import Callable
 from contextlib import closing, suppress
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from adr_service.arrays import Matrix
 from adr_service.client.connection import AdrClient, Json, Refused, Unreachable
 from adr_service.client.robot.environment import check_environment, load_environment
-from adr_service.client.robot.episode import Episode, Machine, random_actions, run_episode, to_npz
-from adr_service.client.robot.heart import STOP_S, Heart
+from adr_service.client.robot.episode import (
+    Episode,
+    Machine,
+    random_actions,
+    run_episode,
+    slowness,
+    to_npz,
+)
+from adr_service.client.robot.heart import MOST_BEAT_S, STOP_S, Heart, now
+from adr_service.client.robot.kept import Kept
 from adr_service.client.robot.limits import Limits
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.json_values import printable
@@ -20,6 +27,8 @@ from adr_service.training.policy import Policy
 
 _RETRY_S = 2.0
 _REQUEST_S = 60.0  # longest request, but for heartbeats
+_LOST, _UNUSABLE = 409, 422  # statuses of an episode that is not ours any more, or no good
+_FINAL = (_LOST, _UNUSABLE)
 _LEEWAY = 1.2  # of an episode's time, for steps that take longer than they should
 _WAIT_S = 5.0  # for a task, by one request
 _LONGEST_MESSAGE = 2000  # characters
@@ -54,40 +63,58 @@ class Robot:
         if task not in about:
             raise UnknownName("task", task, about)
         self._about = about[task]
-        self._env = load_environment(environment)
-        check_environment(self._env, self._about, limits)
+        self._env, self._is_closed = load_environment(environment), False
+        try:
+            check_environment(self._env, self._about, limits)
+        except BaseException:
+            self.close()
+            raise
 
     def work(self, episodes: int | None = None) -> None:
-        """Run tasks as they come: `episodes` of them, or without an end."""
+        """Run tasks as they come: `episodes` of them, or without an end.
+
+        First it sends the episodes that an earlier client left in the working directory.
+        """
         done, name = 0, self._about["name"]
         self._report(f"{self._name} waits for episodes of {name}")
-        with closing(self._env), self._connect(_REQUEST_S) as self._client, suppress(_Stopped):
+        with closing(self), self._connect(_REQUEST_S) as self._client, suppress(_Stopped):
+            for kept in Kept.all_here():
+                self._send_again(kept)
             while (episodes is None or done < episodes) and not self._stopped.is_set():
                 claim = partial(self._client.claim_task, self._name, [name], _WAIT_S)
-                claimed = self._patiently(claim)
+                asked, claimed = self._patiently(lambda claim=claim: (now(), claim()))
                 if claimed is not None:
-                    done += self._serve(claimed)
+                    done += self._serve(claimed, asked)
 
     def stop(self) -> None:
         """Stop within one control step, from any thread; the task goes back."""
         self._stopped.set()
 
-    def _serve(self, claimed: Json) -> bool:
+    def close(self) -> None:
+        """Close the environment, once."""
+        if not self._is_closed:
+            self._is_closed = True
+            self._env.close()
+
+    def _serve(self, claimed: Json, asked: float) -> bool:
         """Run one task; True if the service accepted its episode."""
         task, lease = claimed["task"], claimed["lease"]
         self._refuse_longer_than_allowed(task, lease)
         hangs = partial(self._give_up, task, lease)
-        with Heart(self._connect(claimed["lease_s"] / 3), claimed, hangs) as heart:
+        beats = self._connect(min(claimed["lease_s"] / 3, MOST_BEAT_S))
+        with Heart(beats, claimed, asked, hangs) as heart:
             why_stop = partial(self._why_stop, heart)
             machine = Machine(self._name, self._env, self._about, self._limits)
             try:
                 episode = run_episode(machine, task, self._actor(task), heart.watch, why_stop)
             except BaseException:  # whatever broke, the robot's owner must see to it
-                self._release(task, lease)
+                self.close()  # before anything that may wait
+                with self._connect(STOP_S) as client:
+                    _release(client, task, lease)
                 raise
             if why := why_stop():
                 self._report(f"{task['id']}: stopped, {why}")
-                self._release(task, lease)
+                _release(self._client, task, lease)
                 return False
             return self._upload(task, lease, episode)
 
@@ -96,7 +123,7 @@ class Robot:
         longest = task["transitions"] * self._about["control_period_s"]
         if task["kind"] == "rollout" or self._limits.allows(longest):
             return
-        self._release(task, lease)  # for a robot that may move longer
+        _release(self._client, task, lease)  # for a robot that may move longer
         raise InvalidInput(
             f"{task['id']} asks for {longest:g} s, and this robot may move for "
             f"{self._limits.seconds:g}: allow --max-seconds {_LEEWAY * longest:.3g}, or submit "
@@ -107,8 +134,8 @@ class Robot:
         """Release the task of an environment that hangs, and abandon the environment."""
         try:
             self._report(f"{task['id']}: {why}; see to the robot, and start this client again")
-            with self._connect(STOP_S) as client, suppress(Refused, Unreachable):
-                client.release_task(task["id"], lease)  # else it is free when the lease ends
+            with self._connect(STOP_S) as client:
+                _release(client, task, lease)
         finally:
             self._abandon()
 
@@ -124,48 +151,61 @@ class Robot:
     def _upload(self, task: Json, lease: str, episode: Episode) -> bool:
         """Upload the trajectory; True if the service accepted it."""
         counts = task["kind"] != "rollout"
-        if counts and episode.is_over_time:
-            self._release(task, lease)  # for a robot that may move longer, or is faster
+        if counts and episode.is_cut:
+            _release(self._client, task, lease)  # for a robot that can do all of it
             raise InvalidInput(
                 f"{task['id']}: {episode.wrong} after {len(episode.actions)} of "
-                f"{task['transitions']} steps, whose return counts: allow more --max-seconds"
+                f"{task['transitions']} steps, whose return counts"
             )
         if episode.wrong and (counts or not len(episode.actions)):
             self._fail(task, lease, episode.wrong)
             return False
-        content = to_npz(episode, self._about, self._name)
+        kept = Kept.write(task["id"], lease, to_npz(episode, self._about, self._name))
         try:
-            self._patiently(partial(self._client.complete_task, task["id"], lease, content))
+            self._send(kept)
         except Refused as error:
-            self._report_refusal(task, lease, error, content)
+            if error.status not in _FINAL:
+                raise
+            self._report(f"{task['id']}: not accepted, {error}")
+            if error.status == _UNUSABLE:
+                self._fail(task, lease, f"the service refused the episode: {error}")
             return False
-        except BaseException:  # its owner stopped it while the service was away
-            self._keep(task, content)
-            raise
         self._report_episode(task, episode)
         return True
 
-    def _keep(self, task: Json, content: bytes) -> None:
-        """Write an episode that the service does not have: a robot's work is dear."""
-        file = Path(f"{task['id']}.npz").absolute()
-        file.write_bytes(content)
-        self._report(f"{task['id']}: the service does not have the episode; it is in {file}")
+    def _send(self, kept: Kept) -> None:
+        """Upload an episode, whose file stays until the service has it."""
+        content = kept.file.read_bytes()
+        try:
+            self._patiently(partial(self._client.complete_task, kept.task_id, kept.lease, content))
+        except Refused as error:
+            if error.status in _FINAL:
+                kept.give_up()
+            self._tell_of(kept)
+            raise
+        except BaseException:  # its owner stopped it while the service was away
+            self._tell_of(kept)
+            raise
+        kept.discard()
 
-    def _report_refusal(self, task: Json, lease: str, error: Refused, content: bytes) -> None:
-        """Report a refused trajectory, or raise the error if the service is to blame."""
-        if error.status == 409:
-            self._report(f"{task['id']}: not accepted, {error}")
-        elif error.status >= 500:
-            self._keep(task, content)
-            self._release(task, lease)
-            raise error
+    def _send_again(self, kept: Kept) -> None:
+        """Upload an episode of an earlier client."""
+        try:
+            self._send(kept)
+        except Refused as error:
+            self._report(f"{kept.task_id}, of before: not accepted, {error}")
         else:
-            self._fail(task, lease, f"the service refused the episode: {error}")
+            self._report(f"{kept.task_id}, of before: the service has its episode now")
+
+    def _tell_of(self, kept: Kept) -> None:
+        self._report(f"{kept.task_id}: the service does not have the episode; it is in {kept.file}")
 
     def _report_episode(self, task: Json, episode: Episode) -> None:
         earned, steps = float(episode.rewards.sum()), len(episode.actions)
         note = f", {episode.limited} actions at the owner's limit" if episode.limited else ""
         note += f"; cut: {episode.wrong}" if episode.wrong else ""
+        if slow := slowness(episode.period_s, self._about):
+            note += f"; {slow}"
         self._report(f"{task['id']}: {task['kind']}, {steps} steps, return {earned:.4g}{note}")
 
     def _fail(self, task: Json, lease: str, message: str) -> None:
@@ -177,28 +217,27 @@ class Robot:
             if error.status != 409:  # the task is not ours any more
                 raise
 
-    def _release(self, task: Json, lease: str) -> None:
-        try:
-            self._client.release_task(task["id"], lease)
-        except (Refused, Unreachable):
-            return  # it is free, or will be when the lease ends
-
     def _patiently(self, ask: Callable[[], Any]) -> Any:
         """Return the answer to a request, once the service is there and ready."""
         has_reported = False
         while not self._stopped.is_set():
             try:
                 return ask()
-            except Refused as error:
-                if error.retry_after_s is None:
+            except (Refused, Unreachable) as error:
+                wait_s = error.retry_after_s if isinstance(error, Refused) else _RETRY_S
+                if wait_s is None:
                     raise
-                self._stopped.wait(error.retry_after_s)
-            except Unreachable as error:
                 if not has_reported:
-                    self._report(str(error))
+                    self._report(f"{error} (it goes on as soon as that is over)")
                 has_reported = True
-                self._stopped.wait(_RETRY_S)
+                self._stopped.wait(wait_s)
         raise _Stopped
+
+
+def _release(client: AdrClient, task: Json, lease: str) -> None:
+    """Give a task back; where that fails, it is free when the lease ends."""
+    with suppress(Refused, Unreachable):
+        client.release_task(task["id"], lease)
 
 
 class _Stopped(Exception):

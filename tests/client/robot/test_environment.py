@@ -1,6 +1,7 @@
 """The environment that is the robot."""
 
 import pytest
+from gymnasium.spaces import Box
 
 from adr_service.client.robot.environment import check_environment, load_environment
 from adr_service.client.robot.limits import Limits
@@ -44,3 +45,11 @@ def test_an_environment_or_limits_that_do_not_fit_are_refused(about, limits, mes
     env = load_environment("tests.robots:fast_arm")
     with pytest.raises(InvalidInput, match=message):
         check_environment(env, about, limits)
+
+
+def test_an_environment_that_takes_less_than_the_task_sends_needs_a_limit():
+    env = load_environment("tests.robots:fast_arm")
+    env.action_space = Box(-0.3, 0.3, (2,))
+    check_environment(env, {**ARM, "action_low": [-1.0, -1.0]}, Limits(actions=(0.3,)))
+    with pytest.raises(InvalidInput, match=r"would be sent .* limit them by --max-action"):
+        check_environment(env, ARM, Limits(actions=(0.4,)))

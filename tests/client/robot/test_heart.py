@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from adr_service.client.connection import Refused, Unreachable
-from adr_service.client.robot.heart import Heart
+from adr_service.client.robot.heart import Heart, now
 
 # a third of the lease lies between two heartbeats, which a busy machine may send half a second late
 CLAIMED = {"task": {"id": "task_a"}, "lease": "lease_a", "lease_s": 1.5}
@@ -32,9 +32,13 @@ class Service:
         pass
 
 
+def heart_of(service, hangs=pytest.fail, *, asked=None, **changes):
+    return Heart(service, {**CLAIMED, **changes}, now() if asked is None else asked, hangs)
+
+
 def test_heartbeats_renew_the_lease_with_the_number_of_steps():
     service = Service({"cancel_requested": False})
-    with Heart(service, CLAIMED, pytest.fail) as heart:
+    with heart_of(service) as heart:
         heart.watch.steps = 7
         assert service.asked.wait(20)
     assert service.beats[-1] == ("task_a", "lease_a", 7)
@@ -45,12 +49,14 @@ def test_heartbeats_renew_the_lease_with_the_number_of_steps():
     [
         ({"cancel_requested": True}, "its run was asked to stop"),
         (Refused(409, "the lease is lost"), "the lease is lost"),
+        (Refused(401, "the token is not known"), "the token is not known"),
+        (Refused(404, "there is no task"), "there is no task"),
         ({}, "the answer to a heartbeat cannot be read"),
     ],
 )
 def test_an_episode_stops_for_good_with_the_reason(answer, why):
     service = Service(answer)
-    with Heart(service, {**CLAIMED, "lease_s": 60.0}, pytest.fail) as heart:
+    with heart_of(service, lease_s=60.0) as heart:
         stopped = threading.Event()
         while not heart.why_stop():
             stopped.wait(0.01)
@@ -58,10 +64,13 @@ def test_an_episode_stops_for_good_with_the_reason(answer, why):
     assert len(service.beats) == 1
 
 
-@pytest.mark.parametrize("answer", [Unreachable("no answer"), Refused(503, "not ready", 5.0)])
+@pytest.mark.parametrize(
+    "answer",
+    [Unreachable("no answer"), Refused(503, "not ready", 5.0), Refused(429, "too many", 1.0)],
+)
 def test_a_service_that_does_not_answer_stops_the_episode_when_the_lease_ends(answer):
     service = Service(answer)
-    with Heart(service, CLAIMED, pytest.fail) as heart:
+    with heart_of(service) as heart:
         stopped = threading.Event()
         while not heart.why_stop():
             stopped.wait(0.01)
@@ -77,9 +86,39 @@ def test_a_call_that_does_not_return_is_reported_once():
         reported.set()
 
     with (
-        Heart(Service({"cancel_requested": False}), CLAIMED, hangs) as heart,
+        heart_of(Service({"cancel_requested": False}), hangs) as heart,
         heart.watch.watching("step", 0.01),
     ):
         assert reported.wait(20)
     assert reports == ["the environment's step did not return within 0.0 s"]
     assert heart.why_stop() == reports[0]
+
+
+def test_the_first_heartbeat_is_answered_before_anything_moves():
+    """Also where the answer to the claim took longer than the lease."""
+    service = Service({"cancel_requested": False})
+    with heart_of(service, lease_s=60.0, asked=now() - 90) as heart:
+        assert len(service.beats) == 1
+        assert heart.why_stop() == ""
+    with heart_of(Service(Unreachable("no answer")), lease_s=60.0, asked=now() - 90) as heart:
+        assert "did not answer for as long as the lease lasts" in heart.why_stop()
+
+
+class Stalled(Service):
+    """Answers the first heartbeat, and no other."""
+
+    def heartbeat(self, *given):
+        answer = super().heartbeat(*given)
+        if len(self.beats) > 1:
+            self.asked.wait(20)
+        return answer
+
+
+def test_a_network_that_stalls_does_not_blind_the_watch():
+    service, reported = Stalled({"cancel_requested": False}), threading.Event()
+    with heart_of(service, lambda why: reported.set(), lease_s=0.3) as heart:
+        while len(service.beats) < 2:
+            reported.wait(0.01)
+        with heart.watch.watching("step", 0.01):
+            assert reported.wait(10)
+        service.asked.set()

@@ -1,5 +1,6 @@
 """Planned commands on a simulated machine."""
 
+import signal
 import threading
 
 import gymnasium
@@ -17,6 +18,7 @@ from adr_service.errors import InvalidInput
 from adr_service.npz import read_arrays, write_arrays
 from adr_service.simulation.batch import control_period
 from adr_service.tasks.catalogue import get_task, source_of
+from tests.robots import SlowArm
 
 TASK = get_task("arm")
 PERIOD = control_period(TASK)
@@ -71,7 +73,7 @@ def test_the_owners_limit_holds_and_is_counted(robot):
 def test_an_episode_that_the_environment_ends_is_shorter():
     with gymnasium.make("adr/RandomArm-v0", max_episode_steps=20) as env:
         played = play(env, TASK, Limits(), read_plan(plan(), 2, PERIOD)[0], never)
-    assert played.shortened == ("the environment ended it",) * 10
+    assert played.shortened == ("the environment ended the episode early (truncated)",) * 10
     assert [last - first for first, last in played.measurement.spans()] == [21] * 10
 
 
@@ -91,7 +93,7 @@ def test_the_owners_seconds_hold(robot):
     played = play(robot, TASK, Limits(seconds=5.5 * PERIOD), commands, never)
     assert [last - first for first, last in played.measurement.spans()] == [6] * 10
     assert set(played.shortened) == {
-        f"the robot may move for {5.5 * PERIOD:g} s, and these are over"
+        f"the robot may move for {5.5 * PERIOD:g} s (--max-seconds), and these are over"
     }
 
 
@@ -146,6 +148,35 @@ def test_what_was_played_is_there_when_the_robot_fails(robot):
     assert len(player.played.measurement.spans()) == 2
     # after each episode, because a process that is killed does nothing in the end
     assert [len(played.measurement.spans()) for played in kept] == [1, 2]
+
+
+def test_the_owner_can_stop_it_and_keeps_what_was_played(robot):
+    stopped = Stuck(robot)
+    stopped.step = lambda action: (
+        robot.step(action) if stopped.episodes < 3 else signal.raise_signal(signal.SIGINT)
+    )
+    player = Player(stopped, TASK, Limits(), keep=lambda played: None)
+    with pytest.raises(KeyboardInterrupt):
+        player.play(read_plan(plan(), 2, PERIOD)[0], never)
+    assert len(player.played.measurement.spans()) == 2
+
+
+def test_a_machine_that_is_slower_than_its_period_is_remarked():
+    commands = read_plan(plan(episodes=1, rows=4), 2, PERIOD)[0]
+    assert play(SlowArm(0.0), TASK, Limits(), commands, never).slow == ""
+    assert "a step took 0.05" in play(SlowArm(0.05), TASK, Limits(), commands, never).slow
+
+
+def test_a_plan_that_no_measurement_can_come_of_is_refused_before_anything_moves():
+    class Still(gymnasium.Env):
+        def reset(self, **options):
+            pytest.fail("it moved")
+
+    with pytest.raises(InvalidInput, match="a pose of 3 positions; arm has 2"):
+        play(Still(), TASK, Limits(), read_plan(plan(), 2, PERIOD)[0], never, np.zeros(3))
+    humanoid = get_task("humanoid")
+    with pytest.raises(InvalidInput, match="free"):
+        play(Still(), humanoid, Limits(), [np.zeros((3, 17))], never)
 
 
 def test_commands_beyond_the_tasks_bounds_are_refused():

@@ -8,6 +8,7 @@ from adr_service.client.robot.worker import Robot
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.stages.target_episode import read_episode
 from tests.client.robot.test_episode import ABOUT
+from tests.robots import BreakingArm
 
 TASK = {
     "id": "task_a",
@@ -17,6 +18,13 @@ TASK = {
     "transitions": 20,
     "has_policy": False,
 }
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """The working directory, where episodes are kept until the service has them."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 class Service:
@@ -82,7 +90,7 @@ def test_an_episode_longer_than_the_robot_may_move_goes_back():
 def test_an_episode_of_steps_that_take_too_long_goes_back():
     """It may move for longer than the steps should take, but not for as long as they do."""
     service = Service(kind="return")
-    with pytest.raises(InvalidInput, match="of 20 steps, whose return counts: allow more --max-se"):
+    with pytest.raises(InvalidInput, match=r"--max-seconds.* of 20 steps, whose return counts"):
         robot(service, "slowest_arm", limits=Limits(seconds=0.45)).work(1)
     assert (service.released, service.failures) == (["task_a"], [])
 
@@ -93,14 +101,51 @@ def test_a_cut_rollout_is_uploaded():
     assert 0 < read_episode("arm", 20, rollout.uploads[0]).transitions < 20
 
 
-def test_a_service_that_is_to_blame_gets_its_task_back(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    service, reports = Service(refusal=Refused(500, "a defect")), []
+@pytest.mark.parametrize("kind", ["return", "evaluation"])
+def test_an_episode_that_the_environment_cuts_short_has_no_return(kind):
+    service = Service(kind=kind)
+    with pytest.raises(InvalidInput, match=r"ended the episode early .truncated. after 5 of 20 st"):
+        robot(service, "cut_arm").work(1)
+    assert (service.released, service.uploads, service.failures) == (["task_a"], [], [])
+
+
+def test_an_episode_that_is_truncated_at_its_end_is_whole():
+    service = Service(kind="return", transitions=5)
+    robot(service, "cut_arm").work(1)
+    assert read_episode("arm", 5, service.uploads[0]).transitions == 5
+
+
+@pytest.mark.parametrize("status", [401, 403, 404, 413, 500])
+def test_an_episode_that_the_service_does_not_take_is_sent_by_the_next_client(status, folder):
+    service, reports = Service(refusal=Refused(status, "a defect")), []
     with pytest.raises(Refused, match="a defect"):
         robot(service, reports=reports).work(1)
-    assert service.released == ["task_a"]
-    assert str(tmp_path / "task_a.npz") in reports[-1]
-    assert read_episode("arm", 20, (tmp_path / "task_a.npz").read_bytes()).transitions == 20
+    assert (service.released, service.failures) == ([], [])
+    assert str(folder / "task_a.npz") in reports[-1]
+    assert (folder / "task_a.lease").stat().st_mode & 0o777 == 0o600
+    mended, reports = Service(), []
+    stopping(robot(mended, reports=reports), mended).work()
+    assert read_episode("arm", 20, mended.uploads[0]).transitions == 20
+    assert "task_a, of before: the service has its episode now" in reports
+    assert not list(folder.iterdir())
+
+
+def stopping(worker, service):
+    """A robot that claims nothing."""
+    service.claim_task = lambda *_: worker.stop()
+    return worker
+
+
+@pytest.mark.parametrize(("status", "fails"), [(409, False), (422, True)])
+def test_an_episode_that_is_refused_for_good_is_not_sent_again(status, fails, folder):
+    service, reports = Service(refusal=Refused(status, "no good")), []
+    worker = robot(service, reports=reports)
+    claims = iter([service.claim_task("bench", ["arm"], 0)])
+    service.claim_task = lambda *_: next(claims, None) or worker.stop()
+    worker.work()
+    assert service.failures == (["the service refused the episode: no good"] if fails else [])
+    assert [file.name for file in folder.iterdir()] == ["task_a.npz"]
+    assert any("not accepted, no good" in each for each in reports)
 
 
 class Away(Service):
@@ -111,16 +156,14 @@ class Away(Service):
         raise Unreachable("http://127.0.0.1:8000", "gone")
 
 
-def test_an_episode_that_the_owner_does_not_wait_to_upload_is_kept(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_an_episode_that_the_owner_does_not_wait_to_upload_is_kept(tmp_path):
     service = Away()
     service.robot = robot(service)
     service.robot.work(1)
     assert read_episode("arm", 20, (tmp_path / "task_a.npz").read_bytes()).transitions == 20
 
 
-def test_a_service_that_answers_leaves_no_file(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_service_that_answers_leaves_no_file(tmp_path):
     robot(Service()).work(1)
     assert not list(tmp_path.iterdir())
 
@@ -131,3 +174,51 @@ def test_a_stopped_robot_claims_nothing():
     stopped.stop()
     stopped.work(1)
     assert service.uploads == []
+
+
+class Breaking(Service):
+    """Notes whether the robot was closed when its task came back."""
+
+    def release_task(self, task_id, lease):
+        super().release_task((task_id, self.robot._env.closed), lease)
+
+
+def test_a_robot_that_breaks_is_closed_before_the_service_is_told():
+    service = Breaking()
+    service.robot = robot(service, "breaking_arm")
+    with pytest.raises(RuntimeError, match="the bus is gone"):
+        service.robot.work(1)
+    assert service.released == [("task_a", 1)]
+    assert service.robot._env.closed == 1
+
+
+def test_a_robot_that_does_not_fit_is_closed():
+    with pytest.raises(InvalidInput, match="limits of actions must be positive"):
+        robot(Service(), "breaking_arm", limits=Limits(actions=(-1.0,)))
+    assert BreakingArm.last.closed == 1
+
+
+def test_steps_that_take_longer_than_they_count_are_remarked():
+    service, reports = Service(), []
+    robot(service, "fast_arm", reports=reports).work(1)
+    assert "a step took" not in reports[-1]
+    robot(service, "sleepy_arm", reports=reports).work(1)
+    assert "; a step took 0.05" in reports[-1]
+    assert "and counts as 0.02 s" in reports[-1]
+
+
+class Busy(Service):
+    """Refuses the first two uploads for a moment."""
+
+    def complete_task(self, task_id, lease, content):
+        self.asked = getattr(self, "asked", 0) + 1
+        if self.asked < 3:
+            raise Refused(507, "the disk is full", 0.01)
+        super().complete_task(task_id, lease, content)
+
+
+def test_a_service_that_asks_to_wait_is_reported_once():
+    service, reports = Busy(), []
+    robot(service, reports=reports).work(1)
+    assert len([each for each in reports if each.startswith("the disk is full")]) == 1
+    assert len(service.uploads) == 1
