@@ -43,6 +43,7 @@ from db.errors import DatabaseUnavailable
 
 log = logging.getLogger(__name__)
 _UPKEEP_S = 3600.0  # between two deletions of what has expired
+_LOOK_S = 1.0  # between two looks at the dispatcher
 _RECLAIM_S = 10.0  # between two returns of free space to the disk
 
 
@@ -96,6 +97,7 @@ async def _serving(app: FastAPI) -> AsyncGenerator[None]:
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(_look_after, service)
             tasks.start_soon(_give_back_disk, service)
+            tasks.start_soon(_end_with_the_dispatcher, service, app.state)
             yield
             tasks.cancel_scope.cancel()
     finally:
@@ -133,6 +135,15 @@ async def _give_back_disk(service: Service) -> None:
         except Exception:  # the database has more important users
             log.exception("free space could not be given back to the disk")
         await anyio.sleep(_RECLAIM_S)
+
+
+async def _end_with_the_dispatcher(service: Service, state: State) -> None:
+    """End a process in which no run can go on: a supervisor may start another."""
+    while service.orchestrator.is_alive:
+        await anyio.sleep(_LOOK_S)
+    log.error("the service ends, because it cannot compute any more; start it again")
+    state.has_failed = True
+    getattr(state, "end", lambda: None)()
 
 
 class _Starting:

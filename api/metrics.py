@@ -12,9 +12,11 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from adr_service.events import RunState
 from api.service import Service
 from db import counts as store
 from db.counts import Counts
+from db.models import VisitState
 from workers.jobs import Activity
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
@@ -48,13 +50,16 @@ class _Now(Collector):
 
 def _counted(counts: Counts, now: datetime) -> Iterator[Metric]:
     """Yield metrics of the rows in the database."""
-    runs = {(state,): number for state, number in counts.runs.items()}
+    # states without any have a zero: a rise from nothing at all does not show
+    runs = {(str(state),): 0 for state in RunState}
+    runs |= {(state,): number for state, number in counts.runs.items()}
     yield _gauge("adr_runs", "Runs by state.", ["state"], runs)
     stages = {(kind,): number for kind, number in counts.stages.items()}
     yield _gauge("adr_stages_stored", "Stages with a result.", ["kind"], stages)
-    visits = {
-        (state, "robots" if external else "simulated"): number
-        for (state, external), number in counts.visits.items()
+    claimants = {True: "robots", False: "simulated"}
+    visits = {(str(state), of): 0 for state in VisitState for of in claimants.values()}
+    visits |= {
+        (state, claimants[external]): number for (state, external), number in counts.visits.items()
     }
     text = "Visits to targets by state and claimant."
     yield _gauge("adr_target_tasks", text, ["state", "of"], visits)

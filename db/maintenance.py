@@ -81,9 +81,10 @@ def backup(path: Path, copy: Path) -> None:
     part.unlink(missing_ok=True)
     with _reader(path) as connection:
         try:
+            part.touch(mode=0o600)  # it has robots' leases
             with closing(sqlite3.connect(part)) as target:
                 connection.backup(target)
-            part.chmod(0o600)
+                target.execute("pragma journal_mode = delete")  # so that it can be read anywhere
             part.replace(copy)
         except (sqlite3.Error, OSError) as error:
             part.unlink(missing_ok=True)
@@ -122,10 +123,21 @@ def restore(path: Path, copy: Path) -> Path | None:
 def _reader(path: Path) -> Generator[sqlite3.Connection]:
     if not path.exists():
         raise InvalidInput(f"there is no database {path}; is it in another --data-dir?")
-    address = f"{path.absolute().as_uri()}?mode=ro"
-    with closing(sqlite3.connect(address, uri=True)) as connection:
-        try:
-            connection.execute("pragma schema_version")
-        except sqlite3.DatabaseError as error:
-            raise InvalidInput(f"{path} cannot be read as a database: {error}") from error
+    with closing(_opened(path)) as connection:
         yield connection
+
+
+def _opened(path: Path) -> sqlite3.Connection:
+    """A connection that reads; also of a file in a folder where nothing can be written."""
+    address = f"{path.absolute().as_uri()}?mode=ro"
+    log_file = path.with_name(f"{path.name}-wal")
+    has_log = log_file.exists() and log_file.stat().st_size > 0
+    connection = sqlite3.connect(address, uri=True)
+    try:
+        connection.execute("pragma schema_version")
+    except sqlite3.DatabaseError as error:
+        connection.close()
+        if getattr(error, "sqlite_errorname", "").startswith("SQLITE_READONLY") and not has_log:
+            return sqlite3.connect(f"{address}&immutable=1", uri=True)
+        raise InvalidInput(f"{path} cannot be read as a database: {error}") from error
+    return connection

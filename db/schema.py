@@ -11,6 +11,7 @@ in between left tables that made every later start fail. Since then an upgrade i
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from threading import RLock
 
 from alembic import command
 from alembic.config import Config
@@ -107,6 +108,9 @@ def clear_leftovers(connection: Connection, revision: str | None) -> None:
             connection.execute(text(f"alter table {table} drop column {column}"))
 
 
+ALEMBIC = RLock()  # its commands share globals: two at once break each other
+
+
 @cache
 def _schema_of(revision: str | None) -> Schema:
     """The schema that the migrations up to a revision make, in memory."""
@@ -115,7 +119,8 @@ def _schema_of(revision: str | None) -> Schema:
         if revision is not None:
             config = alembic_config("sqlite://")
             config.attributes["connection"] = connection
-            command.upgrade(config, revision)
+            with ALEMBIC:
+                command.upgrade(config, revision)
         return _schema(inspect(connection))
 
 

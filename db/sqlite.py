@@ -42,7 +42,7 @@ def check_log(url: str) -> None:
         return
     path = file_of(url)
     log_file = path.with_name(f"{path.name}-wal")
-    if not path.exists() and log_file.exists():
+    if not path.exists() and log_file.exists() and log_file.stat().st_size:
         raise InvalidInput(
             f"{path} is not there, but its log is ({log_file.name}): a new database would begin "
             "empty, and what the log has would be lost. Stop the service that may still have them "

@@ -20,7 +20,7 @@ from sqlalchemy import Column, Connection, MetaData, Table
 from sqlalchemy.exc import IntegrityError
 
 from adr_service.benchmark.archive import ArchiveReader, Manifest
-from adr_service.errors import InvalidInput
+from adr_service.errors import AdrError, InvalidInput
 from db.errors import DiskFull
 from db.models import NUMBER, BenchmarkRow, EventRow, RunRow, StageArtifactRow, StageRow
 from db.schema import revisions
@@ -68,7 +68,15 @@ def staged(file: IO[bytes], folder: Path, floor: float = 0) -> Generator[Staged]
                     _insert(session.connection(), archive)
             except IntegrityError as error:
                 raise InvalidInput(f"the archive contradicts itself: {error.orig}") from error
-            database.upgrade()
+            try:
+                database.upgrade()
+            except AdrError:
+                raise
+            except Exception as error:  # whatever a migration makes of a document
+                raise InvalidInput(
+                    f"the archive is of revision {archive.manifest.revision}, and its specs cannot "
+                    f"be brought to today's: {type(error).__name__}: {error}"
+                ) from error
             yield Staged(archive.manifest, database)
 
 

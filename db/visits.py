@@ -200,6 +200,12 @@ def fail(database: Database, id: str, lease: str, message: str) -> Visit:
         return _visit(session, row)
 
 
+def is_wanted(session: Session, run_id: str) -> bool:
+    """True unless a run was asked to stop, or has ended."""
+    run = session.scalar(select(RunRow).where(RunRow.id == run_id))
+    return run is None or not _has_ended(run)
+
+
 def withdraw(session: Session, run_id: str) -> None:
     """Withdraw the open visits of a run that has ended; inside a transaction."""
     mine = (TargetTaskRow.run_id == run_id, TargetTaskRow.external)
@@ -377,5 +383,9 @@ def _visit(session: Session, row: TargetTaskRow) -> Visit:
         has_policy=row.policy_sha256 is not None,
         error=row.error,
         created_at=row.created_at,
-        is_unwanted=run is None or run.cancel_requested or RunState(run.state).is_finished,
+        is_unwanted=run is None or _has_ended(run),
     )
+
+
+def _has_ended(run: RunRow) -> bool:
+    return run.cancel_requested or RunState(run.state).is_finished

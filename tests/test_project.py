@@ -68,6 +68,17 @@ class TestCompose:
         assert "container_name" not in worker
         assert not worker.get("ports")
 
+    def test_nodes_meet_on_the_network_that_all_of_them_reach(self, compose, nodes):
+        """Docker gives the address of a name on a network without `internal` first."""
+        alias = "ray-head"
+        assert nodes["head"]["networks"]["cluster"]["aliases"] == [alias]
+        assert not nodes["head"]["networks"]["published"]
+        text = (ROOT / "docker-compose.yml").read_text()
+        assert set(re.findall(r"[\w-]+:6379", text)) == {f"{alias}:6379", "localhost:6379"}
+
+    def test_workers_on_one_machine_can_share_its_cores(self, nodes):
+        assert "--num-cpus=${ADR_WORKER_CPUS:-$$(nproc)}" in nodes["worker"]["command"]
+
     def test_results_live_in_a_volume_of_the_api_alone(self, compose):
         volumes = {name: s.get("volumes", []) for name, s in compose["services"].items()}
         mounted = [name for name, given in volumes.items() if "data:/data" in given]

@@ -271,5 +271,6 @@ def _key(record: RunRecord) -> tuple[str, int]:
 
 
 def _failure(record: RunRecord, code: str, message: str) -> RunFailed:
-    text = message.replace("\0", "\\0")  # PostgreSQL cannot store a NUL
+    text = message.replace("\0", "\\0")  # PostgreSQL cannot store a NUL, nor JSON half a letter
+    text = text.encode("utf-8", "backslashreplace").decode()
     return RunFailed(submission=record.submission, code=code, message=text)

@@ -8,6 +8,7 @@ Everything here runs on the dispatcher's thread.
 """
 
 import itertools
+import secrets
 import time
 from collections import Counter
 from dataclasses import dataclass, field
@@ -61,7 +62,8 @@ class Pool:
         self._cores: list[Core] = []
         self._home = ray.get_runtime_context().get_node_id()
         self.is_at_home = True  # the node on which this process stands is alive, as last seen
-        self._numbers = itertools.count(1)  # Ray frees the name of a dead actor late, if at all
+        # Ray frees the name of a dead actor late, if at all, also that of an earlier service's
+        self._mark, self._numbers = secrets.token_hex(3), itertools.count(1)
         self.refresh()
 
     def __len__(self) -> int:
@@ -114,7 +116,7 @@ class Pool:
             self._cores += [Core(node) for _ in range(count - known.count(node))]
 
     def _start(self, core: Core, role: Role, run_id: str) -> Actor:
-        name = f"adr:{run_id}:{role}:{next(self._numbers)}"
+        name = f"adr:{run_id}:{role}:{self._mark}-{next(self._numbers)}"
         here = NodeAffinitySchedulingStrategy(core.node, soft=False)
         others = {self._options.resource: _SHARE} if self._options.resource != "CPU" else None
         handle = ray.remote(StageActor).options(

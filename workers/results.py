@@ -90,7 +90,7 @@ class DatabaseResults:
             result = stage_store.find_result(session, stage.digest)
             if result is not None:
                 append_to_all(session, [run_id], events_of(stage, stage.read(result)))
-            elif stage.role == "robot":
+            elif stage.role == "robot" and visit_store.is_wanted(session, run_id):
                 visit_store.publish(session, stage, run_id, datetime.now(UTC))
             return result
 

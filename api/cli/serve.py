@@ -3,6 +3,8 @@
 import os
 import socket
 import sys
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -67,9 +69,10 @@ def _listen(settings: Settings) -> None:
     from api.logs import configure
 
     configure(settings.log_format)
-    try:
-        uvicorn.run(
-            create_app(settings),
+    app = create_app(settings)
+    server = uvicorn.Server(
+        uvicorn.Config(
+            app,
             host=settings.host,
             port=settings.port,
             # on h11: httptools, which is faster, keeps headers of any size in memory
@@ -78,5 +81,11 @@ def _listen(settings: Settings) -> None:
             timeout_keep_alive=30,  # longer than clients keep one, so that they meet no closed one
             timeout_graceful_shutdown=5,  # for clients that follow a stream
         )
-    except SystemExit as error:  # it has not started, for the reason that it has logged
-        raise typer.Exit(2) from error
+    )
+    app.state.end = partial(setattr, server, "should_exit", True)
+    with suppress(KeyboardInterrupt, SystemExit):  # uvicorn's own statuses mean other things here
+        server.run()
+    if not server.started:  # the reason is in the log
+        raise typer.Exit(2)
+    if getattr(app.state, "has_failed", False):
+        raise typer.Exit(1)

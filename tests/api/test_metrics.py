@@ -17,6 +17,8 @@ def test_metrics_count_runs_stages_and_visits(http, finished):
     assert float(numbers['adr_runs{state="succeeded"}']) >= 1
     assert float(numbers['adr_stages_stored{kind="train_policy"}']) >= 1
     assert float(numbers['adr_target_tasks{of="simulated",state="done"}']) >= 1
+    for rare in ('adr_runs{state="cancelled"}', 'adr_target_tasks{of="robots",state="failed"}'):
+        assert rare in numbers  # from the first scrape on, so that the first one is a rise
     assert float(numbers["adr_cores"]) == 2
     assert float(numbers["adr_disk_free_bytes"]) > 0
 

@@ -584,3 +584,14 @@ def test_an_archive_of_an_earlier_version_is_upgraded_as_its_database_would_be(
     assert report.added == report.runs
     [droid] = benchmarks.get_benchmark(other, id).spec.methods
     assert (droid.name, droid.budget) == ("droid", 30)
+
+
+@pytest.mark.parametrize("spec", ["{", "[]"])
+def test_a_spec_that_cannot_be_upgraded_refuses_the_archive(spec, path, other):
+    def earlier(members):
+        manifest = {**json.loads(members["manifest.json"]), "revision": "0005"}
+        members = with_rows("runs", lambda rows: [{**row, "spec": spec} for row in rows])(members)
+        return {**members, "manifest.json": json.dumps(manifest).encode()}
+
+    with pytest.raises(InvalidInput, match="is of revision 0005, and its specs cannot be brought"):
+        imported(other, rewritten(path, earlier))

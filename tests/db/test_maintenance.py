@@ -1,8 +1,12 @@
 """Upkeep of an SQLite file, beside a service that has it open."""
 
+import os
 import shutil
 import sqlite3
-from contextlib import closing
+import stat
+from contextlib import closing, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -42,6 +46,39 @@ def test_a_backup_has_everything_and_overwrites_nothing(database, tmp_path):
         maintenance.backup(tmp_path / "adr.sqlite", copy)
     with pytest.raises(InvalidInput, match=r"could not be copied to .*nowhere"):
         maintenance.backup(tmp_path / "adr.sqlite", tmp_path / "nowhere" / "copy.sqlite")
+
+
+def test_a_backup_is_read_where_nothing_can_be_written(database, tmp_path):
+    """As a snapshot is mounted. A file of a service that was stopped is in WAL mode."""
+    run = runs.create_run(database, SPEC)
+    with TemporaryDirectory(dir="/tmp") as place:  # whose parents anybody may enter
+        copy, stopped = Path(place) / "copy.sqlite", Path(place) / "stopped.sqlite"
+        maintenance.backup(tmp_path / "adr.sqlite", copy)
+        assert stat.S_IMODE(copy.stat().st_mode) == 0o600
+        database.close()
+        shutil.copyfile(tmp_path / "adr.sqlite", stopped)
+        for path in (copy, stopped):
+            path.chmod(0o444)
+        Path(place).chmod(0o555)
+        with as_nobody():
+            assert [maintenance.check(path) for path in (copy, stopped)] == [[], []]
+        assert sorted(path.name for path in Path(place).iterdir()) == [copy.name, stopped.name]
+        Path(place).chmod(0o700)
+        maintenance.restore(tmp_path / "adr.sqlite", copy)
+    with closing(open_database(f"sqlite:///{tmp_path / 'adr.sqlite'}")) as restored:
+        assert runs.get_run(restored, run.id) == run
+
+
+@contextmanager
+def as_nobody():
+    """Without the rights of root, whom no mode stops from writing."""
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(user)
 
 
 def test_what_a_restore_replaced_can_be_restored_with_its_log(database, tmp_path):

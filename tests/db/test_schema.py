@@ -1,11 +1,15 @@
 """The tables of each revision, and what a file lacks of them."""
 
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+
 import pytest
 from alembic import command
 from sqlalchemy import create_engine, text
 
 from db.errors import DatabaseDamaged
 from db.schema import alembic_config, clear_leftovers, differences, head, revisions
+from db.session import open_database
 
 REVISIONS = sorted(revisions())
 
@@ -38,6 +42,17 @@ def test_a_percent_sign_in_a_path_survives_the_settings(url):
 def test_migrations_up_to_a_revision_make_its_tables(connection, revision):
     upgrade(connection, revision)
     assert differences(connection, revision) == []
+
+
+def test_databases_are_made_in_several_threads_at_once(tmp_path):
+    """As by two imports of archives, each of which makes one."""
+
+    def make(number):
+        with closing(open_database(f"sqlite:///{tmp_path / str(number)}.sqlite")) as made:
+            return made.revision()
+
+    with ThreadPoolExecutor(4) as threads:
+        assert set(threads.map(make, range(12))) == {head()}
 
 
 def test_an_empty_database_lacks_nothing_of_no_revision(connection):

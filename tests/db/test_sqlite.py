@@ -78,6 +78,13 @@ def test_a_log_without_its_database_is_not_thrown_away(tmp_path):
     (killed / "adr.sqlite").rename(killed / "moved")
     with pytest.raises(InvalidInput, match=r"not there, but its log is \(adr.sqlite-wal\)"):
         open_database(url)
+    (killed / "adr.sqlite-wal").rename(killed / "log")
+    (killed / "adr.sqlite-wal").touch()  # it has nothing to lose
+    with closing(open_database(url)) as database:
+        assert runs.list_runs(database) == []
+    for file in killed.glob("adr.sqlite*"):
+        file.unlink()
+    (killed / "log").rename(killed / "adr.sqlite-wal")
     (killed / "moved").rename(killed / "adr.sqlite")
     with closing(open_database(url)) as database:
         assert runs.get_run(database, run.id) == run

@@ -98,7 +98,7 @@ def test_a_process_serves_one_run_after_the_other_and_ends_when_idle(started):
     future = dispatcher.submit(stage, "run_after")
     seen = until(lambda: [a for a in running(dispatcher, "run_after") if a.pid])[0]
     future.result(60)
-    assert re.fullmatch(r"adr:run_\w+:trainer:\d+", seen.actor)
+    assert re.fullmatch(r"adr:run_\w+:trainer:[0-9a-f]{6}-\d+", seen.actor)
     assert "run_after" not in seen.actor  # it bears the name of the run that it was started for
     evaluating = evaluation(policy=policy)
     dispatcher.submit(evaluating, "run_after").result(60)

@@ -47,6 +47,13 @@ def test_there_are_as_many_actors_at_work_as_cores(pool, run_id):
     assert pool.take("trainer", "run_b", None) is first
 
 
+def test_a_later_service_does_not_ask_for_the_names_of_an_earlier_one(pool, run_id):
+    """Ray keeps them until it has noticed that their node is dead."""
+    names = [pool.take("trainer", run_id, None).name]
+    names.append(Pool(RayOptions()).take("trainer", run_id, None).name)
+    assert len(set(names)) == 2
+
+
 def test_no_more_cores_are_at_work_than_allowed(cluster, run_id):
     pool = Pool(RayOptions(max_cores=1))
     only = pool.take("trainer", run_id, None)

@@ -79,6 +79,14 @@ def test_a_robots_stage_is_offered_when_a_run_asks_for_it(database):
     assert (visit.digest, visit.state, visit.external) == (asked.digest, "pending", True)
 
 
+def test_a_robots_stage_is_not_offered_for_a_run_that_was_asked_to_stop(database):
+    """Its question may still be on its way when the run ends; nobody would withdraw the visit."""
+    store, run_id = DatabaseResults(database), runs.create_run(database, SPEC).id
+    runs.request_cancel(database, run_id)
+    assert store.find(episode(run_id), run_id) is None
+    assert visits.list_visits(database) == []
+
+
 def test_a_checkpoint_has_its_learning_curve_on_the_runs_record(database):
     store, run_id = DatabaseResults(database), runs.create_run(database, SPEC).id
     stage = training()

@@ -29,6 +29,7 @@ fi
 id=$(<"$name.id") status=0
 adr watch "$id" & # a signal ends `wait`, and would not end a command
 wait $! || status=$?
-rm -f "$name.adr"
-adr archive export "$id" "$name.adr"
+rm -f "$name.new.adr"
+adr archive export "$id" "$name.new.adr"
+mv -f "$name.new.adr" "$name.adr"
 exit "$status"

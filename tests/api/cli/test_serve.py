@@ -4,6 +4,35 @@ import socket
 import subprocess
 import sys
 
+import pytest
+
+
+@pytest.mark.ray
+def test_a_service_that_cannot_compute_any_more_ends_with_status_1(tmp_path):
+    """So that a supervisor starts it again, which no health check does everywhere."""
+    code = """
+from workers.dispatcher import Dispatcher
+def broken(self):
+    raise RuntimeError("no Ray again")
+Dispatcher._loop = broken
+from api.cli import main
+main()
+"""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = str(probe.getsockname()[1])
+    command = [sys.executable, "-c", code, "serve", "--port", port, "--cpus", "1"]
+    done = subprocess.run(
+        [*command, "--data-dir", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "the dispatcher stopped" in done.stderr
+    assert "the service ends, because it cannot compute any more" in done.stderr
+
 
 def test_a_port_in_use_is_refused_before_anything_starts(tmp_path):
     with socket.socket() as other:
