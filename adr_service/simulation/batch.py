@@ -212,6 +212,12 @@ def _check(task: Task, model: mujoco.MjModel) -> None:
             'autoreset="disable"/></option>: a step may depend on the state alone, and a '
             "diverged simulation must be seen"
         )
+    if model.na or model.nhistory:
+        raise InvalidInput(
+            f"the model of {task.name} has actuators or sensors with a state of their own "
+            "(activations, as of dyntype or timeconst, or delays); a step may depend on positions, "
+            "velocities and commands alone"
+        )
     controls = sum(not is_added(model.actuator(i).name) for i in range(model.nu))
     if not len(task.action_low) == len(task.action_high) == controls:
         raise InvalidInput(

@@ -138,9 +138,29 @@ def _found(model: mujoco.MjModel, address: str) -> tuple[Quantity, list[int], li
         raise UnknownName(kind, name, names)
     chosen = [n for n in names if n != "world"] if name == "*" else [name]
     objects = [getattr(model, kind)(n).id for n in chosen]
+    able = [number for number in objects if _has(model, quantity.field, number)]
+    if not able or (name != "*" and able != objects):
+        raise InvalidInput(f"{address} does nothing: {_WITHOUT[quantity.field]}")
+    objects = able
     if not quantity.field.startswith("dof_"):
         return quantity, objects, objects
     return quantity, [int(model.jnt_dofadr[i]) for i in objects], objects  # first of each joint
+
+
+# why an object of a kind may lack a quantity
+_WITHOUT = {
+    "actuator_biasprm": "the force of the actuator has no bias (biastype affine has one)",
+    "dof_damping": "a free or a ball joint has several, and no address for them",
+    "dof_armature": "a free or a ball joint has several, and no address for them",
+}
+
+
+def _has(model: mujoco.MjModel, field: str, number: int) -> bool:
+    """True if a quantity of an object takes part in its physics, and is one number."""
+    if field == "actuator_biasprm":
+        return bool(model.actuator_biastype[number] == mujoco.mjtBias.mjBIAS_AFFINE)
+    single = [int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)]
+    return not field.startswith("dof_") or int(model.jnt_type[number]) in single
 
 
 def write(model: mujoco.MjModel, slot: Slot, value: float) -> None:

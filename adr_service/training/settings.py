@@ -172,6 +172,10 @@ class SacSettings(_OffPolicy):
     """Soft Actor-Critic (Haarnoja et al., arXiv 1812.05905); defaults are the paper's of the
     benchmark (Tiboni et al., Sec. 3.4), else SB3's."""
 
+    hidden: Widths = Field(
+        [128, 128], description="units per hidden layer of the actor and of each critic"
+    )
+
     paper: ClassVar = Paper(
         "haarnoja2018sac",
         "Soft Actor-Critic Algorithms and Applications",

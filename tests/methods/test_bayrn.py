@@ -1,5 +1,7 @@
 """BayRn's encoding of bounds, and its proposals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,6 +9,7 @@ import torch
 from adr_service.distributions import Uniform
 from adr_service.methods.bayrn import decode, encode, propose
 from adr_service.methods.udr import UdrSettings, random_bounds
+from adr_service.parameters import ParameterSpace
 from adr_service.randomness import stream
 from tests.planted import SPACE
 
@@ -23,6 +26,20 @@ def test_the_corner_of_the_cube_is_the_whole_search_box():
     whole = decode(SPACE, np.ones(8))
     np.testing.assert_allclose([whole.low, whole.high], [SPACE.low, SPACE.high])
     assert np.all(np.isfinite(encode(whole)))
+
+
+def test_a_point_at_the_upper_end_is_a_box_to_rounding():
+    """low + (high - low) is above high, for some bounds, by the last digit."""
+    ends = np.concatenate([np.ones(4), np.zeros(4)])
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        low, high = np.sort(rng.uniform(0, 4, (2, 4)), axis=0)
+        parameters = [
+            replace(each, low=a, high=b, feasible_low=0.0)
+            for each, a, b in zip(SPACE.parameters, low, high, strict=True)
+        ]
+        box = decode(ParameterSpace(tuple(parameters)), ends)
+        np.testing.assert_array_equal(box.low, box.high)
 
 
 def test_a_whole_interval_is_encoded_in_the_middle_of_its_room():

@@ -129,6 +129,19 @@ def test_a_task_whose_parts_do_not_fit_is_refused(changes, message):
         Simulations(task, source_of("arm", "vanilla"), 1)
 
 
+@pytest.mark.parametrize(
+    "state",
+    ['dyntype="filter" dynprm="0.1" gaintype="fixed"', 'delay="0.01" nsample="5"'],
+)
+def test_a_model_whose_steps_depend_on_more_than_the_state_is_refused(state, monkeypatch):
+    task = get_task("arm")
+    more = f'<general name="more" joint="shoulder" {state}/></actuator>'
+    changed = task.xml.replace("</actuator>", more)
+    monkeypatch.setattr(type(task), "xml", changed)
+    with pytest.raises(InvalidInput, match="has actuators or sensors with a state of their own"):
+        Simulations(task, source_of("arm", "vanilla"), 1)
+
+
 def test_the_control_period_is_the_time_step_times_the_frame_skip():
     assert control_period(get_task("arm")) == pytest.approx(0.02)
     assert control_period(get_task("humanoid")) == pytest.approx(0.015)

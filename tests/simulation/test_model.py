@@ -54,6 +54,24 @@ def test_an_address_reads_the_value_of_the_file_and_reads_back_what_was_written(
     assert read(model, slot) == 9.5
 
 
+@pytest.mark.parametrize(
+    ("address", "why"),
+    [
+        ("joint:turn.damping", "a free or a ball joint has several"),
+        ("joint:turn.armature", "a free or a ball joint has several"),
+        ("actuator:pull.bias", "the force of the actuator has no bias"),
+    ],
+)
+def test_an_address_that_would_do_nothing_or_a_part_is_refused(address, why):
+    pull = '<motor name="pull" joint="slide"/></actuator>'
+    model = mujoco.MjModel.from_xml_string(XML.replace("</actuator>", pull))
+    with pytest.raises(InvalidInput, match=f"{address} does nothing: {why}"):
+        resolve(model, address)
+    whole = address.replace("turn", "*").replace("pull", "*")
+    able = address.replace("turn", "slide").replace("pull", "push")
+    assert resolve(model, whole) == resolve(model, able)
+
+
 def test_every_kind_of_address_is_tested():
     kinds = {tuple(address.replace(":", ".").split(".")[::2]) for address in VALUES}
     assert kinds == set(FIELDS)
