@@ -44,6 +44,7 @@ from db.errors import DatabaseUnavailable
 log = logging.getLogger(__name__)
 _UPKEEP_S = 3600.0  # between two deletions of what has expired
 _LOOK_S = 1.0  # between two looks at the dispatcher
+_BREAK_S = 1.0  # between two of them: each holds the database for up to a second
 _RECLAIM_S = 10.0  # between two returns of free space to the disk
 
 
@@ -119,6 +120,7 @@ async def _look_after(service: Service) -> None:
             await anyio.to_thread.run_sync(service.orchestrator.adopt)
             for delete, id in await anyio.to_thread.run_sync(service.expired):
                 await anyio.to_thread.run_sync(service.forget, delete, id)
+                await anyio.sleep(_BREAK_S)
         except Exception:  # the next hour tries again
             log.exception("not everything was looked after")
         await anyio.sleep(_UPKEEP_S)

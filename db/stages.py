@@ -171,11 +171,6 @@ def add_artifact(session: Session, content: bytes) -> str:
     return key
 
 
-def has_blobs(session: Session, digest: str, blobs: dict[str, bytes]) -> bool:
-    """True if a stage's stored result has exactly these binary parts; inside a transaction."""
-    return _parts(session, digest) == {name: sha256(content) for name, content in blobs.items()}
-
-
 def is_mentioned_by(runs: Select[str]) -> ColumnElement[bool]:
     """The condition that an event of these runs names the stage, for queries of StageRow."""
     return exists().where(_MENTIONED, EventRow.run_id.in_(runs))

@@ -30,7 +30,8 @@ TABLES = (BenchmarkRow, RunRow, EventRow, StageRow, StageArtifactRow)  # parents
 PREFIX = ".adr-archive-"  # of the temporary folders
 _AT_ONCE = 1000  # rows of one statement
 _BYTES_AT_ONCE = 16_000_000  # about, of the rows of one statement
-_COPIES = 3  # of the content on disk: the database, its log, and what is added in the end
+# of the content on disk: the database, its log, a copy before it is upgraded, and what is added
+_COPIES = 4
 _LARGEST_FLOAT = 1e300
 _LARGEST = 2**31  # of integers, in PostgreSQL
 

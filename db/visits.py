@@ -33,7 +33,7 @@ from adr_service.stages.base import AnyStage, StageResult
 from db.errors import NotFound
 from db.models import OPEN_VISIT, ArtifactRow, RunRow, StageRow, TargetTaskRow, VisitState
 from db.session import Database
-from db.stages import add_artifact, add_result, has_blobs
+from db.stages import add_artifact, add_result, find_result
 
 
 class LeaseLost(AdrError):
@@ -153,7 +153,7 @@ def complete(
     with database.write("complete_task") as session:
         row = _row(session, id)
         is_known = row.state == VisitState.DONE and row.lease == lease
-        if is_known and has_blobs(session, row.digest, result.blobs):
+        if is_known and find_result(session, row.digest) == result:
             return _visit(session, row)
         row = _held(session, id, lease)
         add_result(session, row.digest, row.document, result, _episode(row, now))

@@ -112,6 +112,8 @@ class TestLeases:
         assert complete(database, task) == complete(database, task)
         with pytest.raises(LeaseLost, match="the task is done"):
             complete(database, task, content=b"other data")
+        with pytest.raises(LeaseLost, match="the task is done"):
+            complete(database, task, earned=2.0)
 
     def test_what_is_given_back_is_free_and_what_failed_is_not(self, database, run_id):
         publish(database, run_id)
