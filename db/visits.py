@@ -186,8 +186,14 @@ def release(database: Database, id: str, lease: str) -> Visit:
         return _visit(session, row)
 
 
-def fail(database: Database, id: str, lease: str, message: str) -> Visit:
-    """Note that no robot can do this visit, so that its run fails with the message.
+def fail(
+    database: Database,
+    id: str,
+    lease: str,
+    message: str,
+    also: Callable[[Session, Visit], None] = lambda session, visit: None,
+) -> Visit:
+    """Note that no robot can do this visit, and what `also` writes.
 
     The same again changes nothing. Raises NotFound and LeaseLost.
     """
@@ -197,13 +203,15 @@ def fail(database: Database, id: str, lease: str, message: str) -> Visit:
             return _visit(session, row)
         row = _held(session, id, lease)
         row.state, row.expires_at, row.error = VisitState.FAILED, None, message
-        return _visit(session, row)
+        failed = _visit(session, row)
+        also(session, failed)
+        return failed
 
 
 def is_wanted(session: Session, run_id: str) -> bool:
-    """True unless a run was asked to stop, or has ended."""
+    """True of a run that goes on: it has not ended, and was not asked to."""
     run = session.scalar(select(RunRow).where(RunRow.id == run_id))
-    return run is None or not _has_ended(run)
+    return run is not None and not (run.cancel_requested or RunState(run.state).is_finished)
 
 
 def withdraw(session: Session, run_id: str) -> None:
@@ -362,7 +370,6 @@ def _check_lease(row: TargetTaskRow, lease: str) -> None:
 
 
 def _visit(session: Session, row: TargetTaskRow) -> Visit:
-    run = session.scalar(select(RunRow).where(RunRow.id == row.run_id))
     document = json.loads(row.document)
     return Visit(
         number=row.number,
@@ -383,9 +390,5 @@ def _visit(session: Session, row: TargetTaskRow) -> Visit:
         has_policy=row.policy_sha256 is not None,
         error=row.error,
         created_at=row.created_at,
-        is_unwanted=run is None or _has_ended(run),
+        is_unwanted=not is_wanted(session, row.run_id),
     )
-
-
-def _has_ended(run: RunRow) -> bool:
-    return run.cancel_requested or RunState(run.state).is_finished

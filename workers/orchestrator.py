@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple, Protocol, TypeVar
 
+from sqlalchemy.orm import Session
 from structlog.contextvars import bound_contextvars
 
 from adr_service.errors import AdrError, FailureCode, RunCancelled, StageFailed
@@ -154,8 +155,12 @@ class Orchestrator:
         return done
 
     def fail_task(self, id: str, lease: str, message: str) -> Visit:
-        """Fail a visit that no robot can do; its run fails with the message."""
-        failed = visit_store.fail(self._database, id, lease, message)
+        """Fail a visit that no robot can do; its run fails with the message.
+
+        The run's failure is stored together with the visit's: a service that ended in between would
+        offer the visit again.
+        """
+        failed = visit_store.fail(self._database, id, lease, message, _fail_its_run)
         self._dispatcher.refused(failed.digest, message)
         return failed
 
@@ -213,16 +218,18 @@ class Orchestrator:
         except RunCancelled:
             return RunStopped(submission=record.submission)
         except StageFailed as error:
-            return _failure(record, error.cause, str(error))
+            return _failure(record.submission, error.cause, str(error))
         except ClusterUnavailable:
             if not self._closing.is_set():
                 log.exception("run %s waits for the service to be restarted", record.id)
             return None
         except AdrError as error:
-            return _failure(record, error.code, str(error))
+            return _failure(record.submission, error.code, str(error))
         except Exception as error:  # the last place that can put a defect on the run's record
             log.exception("run %s failed", record.id)
-            return _failure(record, FailureCode.INTERNAL, f"{type(error).__name__}: {error}")
+            return _failure(
+                record.submission, FailureCode.INTERNAL, f"{type(error).__name__}: {error}"
+            )
 
     def _iterate(self, record: RunRecord, flag: threading.Event) -> bool:
         """Iterate a run's program to its end; False if the run has ended since it was read."""
@@ -270,7 +277,17 @@ def _key(record: RunRecord) -> tuple[str, int]:
     return record.id, record.submission
 
 
-def _failure(record: RunRecord, code: str, message: str) -> RunFailed:
+def _fail_its_run(session: Session, visit: Visit) -> None:
+    """Store that a run has failed by a visit, unless it has ended; inside a transaction."""
+    if not visit_store.is_wanted(session, visit.run_id):
+        return
+    error = StageFailed(visit.kind, FailureCode.TARGET_FAILED, visit.error or "")
+    submission = event_store.run_row(session, visit.run_id).submission
+    failed = _failure(submission, error.cause, str(error))
+    event_store.append_to_all(session, [visit.run_id], [failed])
+
+
+def _failure(submission: int, code: str, message: str) -> RunFailed:
     text = message.replace("\0", "\\0")  # PostgreSQL cannot store a NUL, nor JSON half a letter
     text = text.encode("utf-8", "backslashreplace").decode()
-    return RunFailed(submission=record.submission, code=code, message=text)
+    return RunFailed(submission=submission, code=code, message=text)

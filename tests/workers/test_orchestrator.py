@@ -10,10 +10,11 @@ import pytest
 
 from adr_service.errors import FailureCode, InvalidInput, StageFailed
 from adr_service.specs import BenchmarkSpec, RunSpec
-from db import benchmarks, runs
+from db import benchmarks, runs, visits
 from db.visits import LeaseLost
 from tests.db import leases
 from tests.service import until
+from tests.stages.examples import episode
 from workers.cluster import ClusterUnavailable, RayOptions
 from workers.orchestrator import RUNS_AT_ONCE, Orchestrator
 
@@ -127,6 +128,22 @@ def test_an_error_of_the_program_is_on_the_runs_record(database, error, code, ca
     assert (ended.state, ended.error_code) == ("failed", code)
     stored = str(error).replace("\0", "\\0").replace("\udcff", "\\udcff")
     assert stored in ended.error_message
+    orchestrator.close()
+
+
+def test_a_visit_that_no_robot_can_do_fails_its_run_in_one_transaction(database):
+    """A service that ends before its program knows offers the visit to no other robot."""
+    orchestrator = Orchestrator(database, RayOptions())
+    record = runs.create_run(database, SPEC)
+    runs.begin(database, record)
+    with database.write("test") as session:
+        visits.publish(session, episode(record.id), record.id, orchestrator.clock.now())
+    task = visits.claim(database, "lab", ["arm"], orchestrator.clock.now(), 60.0)
+    orchestrator.fail_task(task.id, task.lease, "the gripper is broken")
+    ended = runs.get_run(database, record.id)
+    assert (ended.state, ended.error_code) == ("failed", "target_failed")
+    assert ended.error_message == "target_episode: the gripper is broken"
+    assert visits.get_visit(database, task.id).error == "the gripper is broken"
     orchestrator.close()
 
 
