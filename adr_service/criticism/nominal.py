@@ -5,6 +5,7 @@ model = nominal.model(nominal.start, effects)       # a compiled MjModel
 """
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,18 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.effects.base import Effect
-from adr_service.effects.models import make_inertias_explicit, with_effects
+from adr_service.effects.models import (
+    elements_of,
+    make_inertias_explicit,
+    prepared,
+    write_all,
+)
 from adr_service.errors import InvalidInput
 from adr_service.parameters import ParameterSpace
 from adr_service.simulation.model import link_of, not_a_model, read, resolve, write
 from adr_service.tasks.base import Reshapable, Source, Task
+
+Lengths = tuple[tuple[str, float], ...]  # of links, by name
 
 
 @dataclass(frozen=True)
@@ -64,10 +72,31 @@ class Nominal:
 
     def model(self, values: Vector, effects: Sequence[Effect] = ()) -> mujoco.MjModel:
         """The compiled model with parameters (d,) and effects."""
-        return with_effects(self.spec(values), lambda model: self.write(model, values), effects)
+        bare = self.bare(self.lengths(values), elements_of(effects))
+        return self.completed(bare, values, effects)
+
+    def bare(self, lengths: Lengths, elements: tuple[Effect, ...]) -> mujoco.MjModel:
+        """The compiled model of these link lengths with the elements that effects need."""
+        return prepared(self._spec(lengths), elements)
+
+    def completed(
+        self, bare: mujoco.MjModel, values: Vector, effects: Sequence[Effect]
+    ) -> mujoco.MjModel:
+        """A copy of what `bare` makes for parameters and effects, with all of them in it."""
+        model = copy(bare)
+        write_all(model, lambda model: self.write(model, values), effects)
+        return model
+
+    def lengths(self, values: Vector) -> Lengths:
+        """Links and their lengths [m], where these are parameters or fixed."""
+        known = self.addressed(values).items()
+        return tuple((link, value) for a, value in known if (link := link_of(a)) is not None)
 
     def spec(self, values: Vector) -> mujoco.MjSpec:
         """The model's source, with names for all elements, reshaped if lengths are parameters."""
+        return self._spec(self.lengths(values))
+
+    def _spec(self, lengths: Lengths) -> mujoco.MjSpec:
         spec = self._read()
         for kind in ("bodies", "joints", "geoms", "actuators"):
             for number, element in enumerate(getattr(spec, kind)):
@@ -78,11 +107,9 @@ class Nominal:
                 "the model scales its masses by settotalmass, which no effect in a body survives; "
                 "write the masses out (MjSpec.to_xml does) and leave it away"
             )
-        known = self.addressed(values)
-        lengths = {link: value for a, value in known.items() if (link := link_of(a)) is not None}
         if lengths:
             assert isinstance(self.task, Reshapable)
-            self.task.reshape(spec, lengths)
+            self.task.reshape(spec, dict(lengths))
         return spec
 
     def _read(self) -> mujoco.MjSpec:

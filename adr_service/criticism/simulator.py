@@ -14,6 +14,7 @@ import os
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -25,8 +26,10 @@ from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.effects.actuators import obeys_limits
 from adr_service.effects.base import Effect, Past, is_added
+from adr_service.effects.models import elements_of
 from adr_service.effects.signals import acts_on_commands, behind, obeyed, shown, uses_rates
 
+_KEPT = 32  # compiled models
 _REMEMBERED = 32  # rows that an effect in a sensor may know of the past
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
@@ -51,6 +54,7 @@ class Simulator:
         """`finer`: number of steps that it takes for one of the model's."""
         self.nominal, self.data, self.finer = nominal, data, finer
         self.base = nominal.model(nominal.start)
+        self._bare = lru_cache(_KEPT)(nominal.bare)  # most predictions share them
         check_columns(self.base, data)
         self.period = data.period()
         self.steps = finer * steps_between(self.period, self.base.opt.timestep)
@@ -215,8 +219,10 @@ class Simulator:
         return rates
 
     def _model(self, values: Vector, effects: Sequence[Effect]) -> mujoco.MjModel:
+        nominal = self.nominal
         with _quiet():
-            model = self.nominal.model(values, effects)
+            bare = self._bare(nominal.lengths(values), elements_of(effects))
+            model = nominal.completed(bare, values, effects)
         model.opt.timestep /= self.finer
         return model
 

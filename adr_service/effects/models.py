@@ -42,10 +42,23 @@ def with_effects(
     the compensation of gravity.
     """
     model = prepared(spec, effects)
+    write_all(model, write, effects)
+    return model
+
+
+def write_all(
+    model: mujoco.MjModel, write: Callable[[mujoco.MjModel], None], effects: Sequence[Effect]
+) -> None:
+    """Put what `write` does, and effects on top of it, into a prepared model."""
     write(model)
     apply(model, effects)
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    return model
+
+
+def elements_of(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """The effects that need elements of their own, without strengths: models share them."""
+    prepare = [effect for effect in effects if get_mechanism(effect.kind).prepare is not None]
+    return tuple(replace(effect, values=()) for effect in prepare)
 
 
 def prepared(spec: mujoco.MjSpec, effects: Sequence[Effect]) -> mujoco.MjModel:

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import hide
+from adr_service.criticism import nominal as nominals
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import fit, refine, smoothed
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Simulator, other_integrator
+from adr_service.effects import models
 from adr_service.effects.base import Effect
 from adr_service.effects.joints import BACKLASH
 from tests.hidden import arm
@@ -24,6 +26,39 @@ def test_a_body_without_mass_is_predicted_as_nan(good):
             Effect("body_inertia", "body:fore", (-1.0,)),
         ):
             assert np.isnan(simulator.predict(nominal.start, [gone], simulator.measured)).all()
+
+
+def test_predictions_share_compiled_models_and_change_none_of_them(good, monkeypatch):
+    """Each pulls its copy about: by strengths, values, steps, flags and added forces."""
+    compiled = []
+
+    def counted(spec, effects):
+        compiled.append(effects)
+        return models.prepared(spec, effects)
+
+    monkeypatch.setattr(nominals, "prepared", counted)
+    nominal = arm()[1]
+    pushed = Effect("actuator_bias", "actuator:elbow", (0.2,))
+    spring = Effect("joint_spring", "joint:elbow", (0.5,))
+    cases = [([], 1.0), ([spring], 1.0), ([pushed], 1.0), ([pushed, spring], 1.2), ([], 1.2)]
+
+    def first(simulator, effects, factor):
+        return simulator.predict(factor * nominal.start, effects, simulator.measured)
+
+    alone = []
+    for case in cases:
+        with Simulator(nominal, Measurement(**good), threads=1) as fresh:
+            alone.append(first(fresh, *case))
+    with Simulator(nominal, Measurement(**good), threads=1) as simulator:
+        compiled.clear()
+        for _ in range(2):
+            for case, expected in zip(cases, alone, strict=True):
+                np.testing.assert_array_equal(first(simulator, *case), expected)
+            simulator.predict_free(nominal.start, [pushed], simulator.measured)
+            simulator.predict_pushed(nominal.start, [], simulator.measured, 0, 0.1)
+            simulator.predict_unclamped(nominal.start, [], simulator.measured, 0, 1.0)
+            simulator.follow(nominal.start, [pushed])
+    assert len(compiled) == 2  # with the element of a bias, and without
 
 
 def test_actuators_obey_their_limits(good):
