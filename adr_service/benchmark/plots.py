@@ -136,7 +136,11 @@ def _returns_panel(axis: Axes, rows: Sequence[Row]) -> None:
         _band(axis, [0.0, max(last, 1)], groups[method][0], _colour(method), _label(method))
     moving = {name: chosen for name, chosen in groups.items() if name not in levels}
     for shift, (method, chosen) in zip(_shifts(len(moving)), moving.items(), strict=True):
-        _bars(axis, shift, chosen, _colour(method), _label(method))
+        by_returns = (
+            methods()[method].learns_from == "returns"
+        )  # not trajectories, as the axis says
+        label = _label(method) + (" (full episodes)" if by_returns else "")
+        _bars(axis, shift, chosen, _colour(method), label)
     axis.axhline(1.0, color="black", linewidth=0.5)
     _iteration_axis(axis, last)
 

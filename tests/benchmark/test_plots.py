@@ -107,7 +107,11 @@ def test_a_legend_has_what_any_panel_shows():
     ]
     figure = plot_returns(rows)
     (legend,) = [axis.get_legend() for axis in figure.axes if axis.get_legend() is not None]
-    assert {text.get_text() for text in legend.get_texts()} == {"BayRn", "DROPO", "SimOpt"}
+    assert {text.get_text() for text in legend.get_texts()} == {
+        "BayRn (full episodes)",
+        "DROPO",
+        "SimOpt",
+    }
     second = plot_parameters([estimate(), estimate(parameter="friction", method="droid")])
     assert {t.get_text() for t in second.legends[0].get_texts()} == {"truth", "DROPO", "DROID"}
 
