@@ -148,6 +148,11 @@ class StageFailed(AdrError):
         self.cause = cause
 
 
+def target_failed(kind: str, message: str) -> StageFailed:
+    """The failure of a stage of this kind that no robot can do, for the reason it gave."""
+    return StageFailed(kind, FailureCode.TARGET_FAILED, message)
+
+
 class RunCancelled(AdrError):
     """A user asked the run to stop, or the service stops; finished stages are kept."""
 

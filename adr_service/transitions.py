@@ -236,6 +236,7 @@ def _cut(origin: str) -> str:
 
 
 def _finite_matrix(name: str, values: np.ndarray) -> Matrix:
+    values = np.asarray(values)
     if values.dtype.kind not in "iuf":
         raise InvalidInput(f"{name} must hold numbers; given {values.dtype}")
     matrix = frozen(values)
@@ -254,11 +255,8 @@ def _check_fields(fields: Mapping[str, np.ndarray]) -> None:
         missing.append("episodes (or terminals)")
     if missing:
         raise InvalidInput(f"the .npz lacks {missing}; it has {sorted(fields)}")
-    for name in _NEEDED:
-        if fields[name].dtype.kind not in "iuf":
-            raise InvalidInput(f"{name} must hold numbers; given {fields[name].dtype}")
-    if fields["dt"].ndim != 0:
-        raise InvalidInput(f"dt must be one number; its shape is {fields['dt'].shape}")
+    if (dt := fields["dt"]).dtype.kind not in "iuf" or dt.ndim != 0:
+        raise InvalidInput(f"dt must be one number; given {dt.dtype} {dt.shape}")
     for name in ("observations", "actions", "next_observations"):
         if max(fields[name].shape[1:], default=0) > MOST_COLUMNS:
             raise InvalidInput(

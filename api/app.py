@@ -4,7 +4,7 @@ import gc
 import logging
 import signal
 import threading
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 
 import anyio
@@ -44,12 +44,16 @@ from db.errors import DatabaseUnavailable
 log = logging.getLogger(__name__)
 _UPKEEP_S = 3600.0  # between two deletions of what has expired
 _LOOK_S = 1.0  # between two looks at the dispatcher
-_BREAK_S = 1.0  # between two of them: each holds the database for up to a second
+_BREAK_S = 1.0  # between two deletions; each holds the database for up to a second
 _RECLAIM_S = 10.0  # between two returns of free space to the disk
 
 
-def create_app(settings: Settings) -> FastAPI:
-    """Return the service on these settings; it opens its database and Ray when it starts."""
+def create_app(settings: Settings, on_death: Callable[[], None] = lambda: None) -> FastAPI:
+    """Return the service on these settings; it opens its database and Ray when it starts.
+
+    `on_death` is called once it cannot compute any more, to end the process: a supervisor may start
+    another.
+    """
     app = FastAPI(
         title="ADR benchmark service",
         version=adr_service.__version__,
@@ -63,7 +67,7 @@ def create_app(settings: Settings) -> FastAPI:
         },
         lifespan=_serving,
     )
-    app.state.settings = settings
+    app.state.settings, app.state.on_death = settings, on_death
     errors.install(app)
     families = (
         *(runs, events, run_results, trainings, benchmarks, benchmark_results, archives),
@@ -98,7 +102,7 @@ async def _serving(app: FastAPI) -> AsyncGenerator[None]:
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(_look_after, service)
             tasks.start_soon(_give_back_disk, service)
-            tasks.start_soon(_end_with_the_dispatcher, service, app.state)
+            tasks.start_soon(_watch_the_dispatcher, service, app.state.on_death)
             yield
             tasks.cancel_scope.cancel()
     finally:
@@ -139,13 +143,11 @@ async def _give_back_disk(service: Service) -> None:
         await anyio.sleep(_RECLAIM_S)
 
 
-async def _end_with_the_dispatcher(service: Service, state: State) -> None:
-    """End a process in which no run can go on: a supervisor may start another."""
+async def _watch_the_dispatcher(service: Service, on_death: Callable[[], None]) -> None:
     while service.orchestrator.is_alive:
         await anyio.sleep(_LOOK_S)
     log.error("the service ends, because it cannot compute any more; start it again")
-    state.has_failed = True
-    getattr(state, "end", lambda: None)()
+    on_death()
 
 
 class _Starting:

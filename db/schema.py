@@ -20,6 +20,8 @@ from sqlalchemy import Connection, Inspector, create_engine, inspect, text
 
 from db.errors import DatabaseDamaged
 
+MIGRATING = RLock()  # held by Alembic's commands, which share globals
+
 _REBUILT = "_alembic_tmp_"  # SQLite's tables are changed by making them anew
 _RESTORE = "restore the copy that was made before it (*.bak, beside the database)"
 
@@ -108,9 +110,6 @@ def clear_leftovers(connection: Connection, revision: str | None) -> None:
             connection.execute(text(f"alter table {table} drop column {column}"))
 
 
-ALEMBIC = RLock()  # its commands share globals: two at once break each other
-
-
 @cache
 def _schema_of(revision: str | None) -> Schema:
     """The schema that the migrations up to a revision make, in memory."""
@@ -119,7 +118,7 @@ def _schema_of(revision: str | None) -> Schema:
         if revision is not None:
             config = alembic_config("sqlite://")
             config.attributes["connection"] = connection
-            with ALEMBIC:
+            with MIGRATING:
                 command.upgrade(config, revision)
         return _schema(inspect(connection))
 

@@ -22,7 +22,7 @@ from db.backends import BUSY_TIMEOUT_MS, Backend, parse_url
 from db.errors import DatabaseDamaged, DatabaseNewer, DatabaseUnavailable
 from db.failpoints import failpoint
 from db.postgresql import Postgresql
-from db.schema import ALEMBIC, alembic_config, head, revisions
+from db.schema import MIGRATING, alembic_config, head, revisions
 from db.sqlite import Sqlite, check_log
 
 log = logging.getLogger(__name__)
@@ -127,7 +127,7 @@ class Database:
             self._backend.repair(connection, now)
             config.attributes["connection"] = connection
             config.attributes["on_version_apply"] = _pass_migration
-            with ALEMBIC:
+            with MIGRATING:
                 command.upgrade(config, to or "head")
             failpoint("upgrade:before")
         failpoint("upgrade:after")

@@ -20,7 +20,7 @@ from sqlalchemy import Column, Connection, MetaData, Table
 from sqlalchemy.exc import IntegrityError
 
 from adr_service.benchmark.archive import ArchiveReader, Manifest
-from adr_service.errors import AdrError, InvalidInput
+from adr_service.errors import InvalidInput
 from db.errors import DiskFull
 from db.models import NUMBER, BenchmarkRow, EventRow, RunRow, StageArtifactRow, StageRow
 from db.schema import revisions
@@ -32,6 +32,7 @@ _AT_ONCE = 1000  # rows of one statement
 _BYTES_AT_ONCE = 16_000_000  # about, of the rows of one statement
 # of the content on disk: the database, its log, a copy before it is upgraded, and what is added
 _COPIES = 4
+_UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, RecursionError)
 _LARGEST_FLOAT = 1e300
 _LARGEST = 2**31  # of integers, in PostgreSQL
 
@@ -71,9 +72,7 @@ def staged(file: IO[bytes], folder: Path, floor: float = 0) -> Generator[Staged]
                 raise InvalidInput(f"the archive contradicts itself: {error.orig}") from error
             try:
                 database.upgrade()
-            except AdrError:
-                raise
-            except Exception as error:  # whatever a migration makes of a document
+            except _UNREADABLE as error:  # of a migration, by a document
                 raise InvalidInput(
                     f"the archive is of revision {archive.manifest.revision}, and its specs cannot "
                     f"be brought to today's: {type(error).__name__}: {error}"

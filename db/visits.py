@@ -26,14 +26,16 @@ from sqlalchemy import Select, and_, delete, exists, or_, select, update
 from sqlalchemy.orm import Session
 
 from adr_service.benchmark.cost import Execution
-from adr_service.errors import AdrError
-from adr_service.events import FINISHED, RunState
+from adr_service.errors import AdrError, StageFailed, target_failed
+from adr_service.events import FINISHED
 from adr_service.json_values import canonical_json
 from adr_service.stages.base import AnyStage, StageResult
 from db.errors import NotFound
 from db.models import OPEN_VISIT, ArtifactRow, RunRow, StageRow, TargetTaskRow, VisitState
 from db.session import Database
 from db.stages import add_artifact, add_result, find_result
+
+_GOES_ON = (RunRow.cancel_requested.is_(False), RunRow.state.not_in(FINISHED))
 
 
 class LeaseLost(AdrError):
@@ -191,9 +193,9 @@ def fail(
     id: str,
     lease: str,
     message: str,
-    also: Callable[[Session, Visit], None] = lambda session, visit: None,
+    also: Callable[[Session, str, StageFailed], None] = lambda session, run_id, error: None,
 ) -> Visit:
-    """Note that no robot can do this visit, and what `also` writes.
+    """Note that no robot can do this visit, and what `also` writes of its run and the error.
 
     The same again changes nothing. Raises NotFound and LeaseLost.
     """
@@ -203,15 +205,14 @@ def fail(
             return _visit(session, row)
         row = _held(session, id, lease)
         row.state, row.expires_at, row.error = VisitState.FAILED, None, message
-        failed = _visit(session, row)
-        also(session, failed)
-        return failed
+        kind: str = json.loads(row.document)["kind"]
+        also(session, row.run_id, target_failed(kind, message))
+        return _visit(session, row)
 
 
 def is_wanted(session: Session, run_id: str) -> bool:
-    """True of a run that goes on: it has not ended, and was not asked to."""
-    run = session.scalar(select(RunRow).where(RunRow.id == run_id))
-    return run is not None and not (run.cancel_requested or RunState(run.state).is_finished)
+    """True if the run is there, and has neither ended nor been asked to stop."""
+    return bool(session.scalar(select(exists().where(RunRow.id == run_id, *_GOES_ON))))
 
 
 def withdraw(session: Session, run_id: str) -> None:
@@ -310,11 +311,7 @@ def _new_row(session: Session, stage: AnyStage, run_id: str, now: datetime) -> T
 
 def _free(tasks: Sequence[str], now: datetime) -> Select[TargetTaskRow]:
     expired = and_(TargetTaskRow.state == VisitState.CLAIMED, TargetTaskRow.expires_at <= now)
-    wanted = exists().where(
-        RunRow.id == TargetTaskRow.run_id,
-        RunRow.cancel_requested.is_(False),
-        RunRow.state.not_in(FINISHED),
-    )
+    wanted = exists().where(RunRow.id == TargetTaskRow.run_id, *_GOES_ON)
     return (
         select(TargetTaskRow)
         .where(TargetTaskRow.external, TargetTaskRow.task.in_(tasks), wanted)

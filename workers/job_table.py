@@ -14,7 +14,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import Future
 
-from adr_service.errors import AdrError, FailureCode, StageFailed
+from adr_service.errors import AdrError, FailureCode, StageFailed, target_failed
 from adr_service.progress import Checkpoint
 from adr_service.stages.base import PRIORITY, AnyStage, StageResult
 from db.session import RETRY_S
@@ -108,7 +108,7 @@ class JobTable:
     def refused(self, digest: str, message: str) -> None:
         """Fail a robot's episode that no robot can do."""
         if (job := self._jobs.get(digest)) is not None:
-            self._give_up(job, StageFailed(job.stage.kind, FailureCode.TARGET_FAILED, message))
+            self._give_up(job, target_failed(job.stage.kind, message))
 
     def begin(self, jobs: Sequence[Job], workers: Sequence[str]) -> list[bool]:
         """Begin an attempt of each job, under a lease if it needs one; False where it cannot be."""

@@ -160,7 +160,7 @@ class Orchestrator:
         The run's failure is stored together with the visit's: a service that ended in between would
         offer the visit again.
         """
-        failed = visit_store.fail(self._database, id, lease, message, _fail_its_run)
+        failed = visit_store.fail(self._database, id, lease, message, _fail_run)
         self._dispatcher.refused(failed.digest, message)
         return failed
 
@@ -206,7 +206,9 @@ class Orchestrator:
         ending = self._ending(record, flag)
         if ending is None or (self._closing.is_set() and not isinstance(ending, RunSucceeded)):
             return  # it goes on when the service starts again
-        self._dispatcher.withdraw(record.id)
+        with self._changing:  # a later submission may wait for the same stages already
+            if not any(id == record.id and n > record.submission for id, n in self._live):
+                self._dispatcher.withdraw(record.id)
         self._record(record, ending)
         level = logging.WARNING if isinstance(ending, RunFailed) else logging.INFO
         log.log(level, "run ended: %s", getattr(ending, "message", ending.type))
@@ -277,14 +279,12 @@ def _key(record: RunRecord) -> tuple[str, int]:
     return record.id, record.submission
 
 
-def _fail_its_run(session: Session, visit: Visit) -> None:
+def _fail_run(session: Session, run_id: str, error: StageFailed) -> None:
     """Store that a run has failed by a visit, unless it has ended; inside a transaction."""
-    if not visit_store.is_wanted(session, visit.run_id):
-        return
-    error = StageFailed(visit.kind, FailureCode.TARGET_FAILED, visit.error or "")
-    submission = event_store.run_row(session, visit.run_id).submission
-    failed = _failure(submission, error.cause, str(error))
-    event_store.append_to_all(session, [visit.run_id], [failed])
+    if visit_store.is_wanted(session, run_id):
+        submission = event_store.run_row(session, run_id).submission
+        failed = _failure(submission, error.cause, str(error))
+        event_store.append_to_all(session, [run_id], [failed])
 
 
 def _failure(submission: int, code: str, message: str) -> RunFailed:

@@ -396,16 +396,17 @@ def _numbered(header: Sequence[str], name: str) -> list[str]:
 
 
 def why_stuck(values: Vector) -> str | None:
-    """What is wrong with a sensor that never changes, or that saturates; None of another."""
+    """The reason why a sensor's readings (n,) cannot be used; None if they can.
+
+    Either they never change, or they saturate.
+    """
     if np.ptp(values) == 0:
         return f"is {values[0]:g} in all rows"
     for most in (values.min(), values.max()):
         stuck = np.flatnonzero(values == most)
         if len(stuck) > _STUCK * len(values):
-            return (
-                f"is saturated: {len(stuck)} of {len(values)} rows show {most:g}, the first at row "
-                f"{stuck[0]}, and none goes beyond"
-            )
+            share = f"{len(stuck)} of {len(values)} rows"
+            return f"is saturated: {share} show {most:g}, and none goes beyond"
     return None
 
 

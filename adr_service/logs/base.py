@@ -7,7 +7,7 @@
 Columns that share their rows make a stream: a table is one stream, every topic of a bag is another.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Literal
@@ -77,13 +77,25 @@ class Log:
         """Names of all columns of numbers."""
         return [name for stream in self.streams for name in stream.columns]
 
-    def signal(self, column: str, clock: Clock, *, holds: bool = False) -> Signal:
+    def signal(self, column: str, clock: Clock) -> Signal:
         """The readings of a column; rows in which it has none are left out.
 
-        One that `holds` until the next reading, as a command does, keeps all of them, and of those
-        with equal times the last. Raises InvalidInput if there is no such column, or if its time
-        runs backwards.
+        Of those that come too soon after another the first is kept. Raises InvalidInput if there is
+        no such column, if its time runs backwards, and if fewer than two are left.
         """
+        return self._kept(column, clock, _far_enough, _LEAST)
+
+    def commands(self, column: str, clock: Clock) -> Signal:
+        """The commands of a column, each of which holds until the next one comes.
+
+        Of those that came at one time the last is kept. Raises InvalidInput as `signal` does, but
+        one command is enough.
+        """
+        return self._kept(column, clock, _last_of_each, 1)
+
+    def _kept(
+        self, column: str, clock: Clock, keep: Callable[[Vector], Indices], least: int
+    ) -> Signal:
         stream = self._stream_of(column)
         time = stream.stamps if stream.stamps is not None else self._times(stream, clock)
         value = stream.columns[column]
@@ -96,11 +108,11 @@ class Log:
                 f"row {rows[row + 1]}; give one file for each recording, or name a column under "
                 "rows.episode that changes where another recording begins"
             )
-        kept = _last_of_each(time) if holds else _far_enough(time)
-        if len(kept) < (least := 1 if holds else _LEAST):
+        kept = keep(time)
+        if len(kept) < least:
             raise InvalidInput(
                 f"{self.source}: column {column!r} has {len(kept)} readings with a time of their "
-                f"own; at least {least} {'is' if holds else 'are'} needed"
+                f"own; needed: {least} or more"
             )
         return Signal(time[kept], value[kept], len(time) - len(kept))
 

@@ -42,7 +42,13 @@ from adr_service.logs.tracks import (
     check_velocities,
     recording_of,
 )
-from adr_service.logs.turns import bridged, on_one_branch
+from adr_service.logs.turns import (
+    beside_their_joints,
+    bridged,
+    check_jumps,
+    on_one_branch,
+    unwrapped,
+)
 
 _BEYOND = 0.1  # of a joint's range
 _SHORT_S = 2.0  # of all recordings, below which the time's unit looks wrong
@@ -107,7 +113,11 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
     check_state(model)
     given.check(model)
     parts, short = _parts(logs, given.rows.episode)
-    recordings = on_one_branch([recording_of(log, given, model) for log in parts], given, model)
+    recordings = [unwrapped(recording_of(part, given, model), given, model) for part in parts]
+    for recording in recordings:
+        check_jumps(recording, given, model)
+    recordings = on_one_branch(recordings, given, model)
+    recordings = [beside_their_joints(recording, given, model) for recording in recordings]
     check_velocities(recordings)
     check_moves(recordings)
     period = _period(recordings, given, model)
@@ -132,7 +142,7 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
     limits = _at_limit(model, np.concatenate([each.ctrl for each in episodes]))
     warnings = (
         *(
-            f"{part.source} has {part.rows} rows, which is too short for an episode; it is left out"
+            f"{part.source} is too short for an episode (rows: {part.rows}), and is left out"
             for part in short
         ),
         *bridged(recordings, given),
@@ -149,7 +159,10 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
 
 
 def _parts(logs: Sequence[Log], column: str | None) -> tuple[list[Log], list[Log]]:
-    """The recordings that a column tells apart, and those of them that are too short for a row."""
+    """Recordings by a column's value, and those with fewer than `LEAST_READINGS` rows.
+
+    The short ones are left out, unless all are short.
+    """
     if column is None:
         return list(logs), []
     parts = [part for log in logs for part in log.parts(column)]

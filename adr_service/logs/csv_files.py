@@ -11,7 +11,9 @@ from adr_service.logs.base import Log
 
 _DELIMITERS = ("\t", ";", ",")
 _SHOWN = 60  # characters of a name
-_DECIMAL_COMMA = re.compile(rb"(?:^|[;\t\n])\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*(?:[;\t\r\n]|$)")
+_CELL = r"(?:^|[;\t\n])\s*[+-]?\d*{}\d+(?:[eE][+-]?\d+)?\s*(?:[;\t\r\n]|$)"
+_DECIMAL_COMMA = re.compile(_CELL.format(",").encode())
+_DECIMAL_POINT = re.compile(_CELL.format(r"\.").encode())
 _COMMENT = b"#"  # before a header, as NumPy writes it
 
 
@@ -23,7 +25,7 @@ def read_csv(source: str, content: bytes) -> Log:
     content = head + b"\n" + rest
     text = head.decode("utf-8", errors="replace")
     delimiter = max(_DELIMITERS, key=text.count)
-    has_commas = delimiter in ";\t" and _DECIMAL_COMMA.search(rest) is not None
+    has_commas = delimiter in ";\t" and _has_decimal_commas(rest)
     try:
         table = csv.read_csv(
             io.BytesIO(content),
@@ -39,6 +41,11 @@ def read_csv(source: str, content: bytes) -> Log:
     return Log(source, (stream,), unread)
 
 
+def _has_decimal_commas(rows: bytes) -> bool:
+    """True if numbers have decimal commas, and none has a point."""
+    return _DECIMAL_COMMA.search(rows) is not None and _DECIMAL_POINT.search(rows) is None
+
+
 def _header(content: bytes) -> tuple[bytes, bytes]:
     """The header's line and the rest, without the comments before it.
 
@@ -48,7 +55,7 @@ def _header(content: bytes) -> tuple[bytes, bytes]:
     while head.startswith(_COMMENT):
         following, _, others = rest.partition(b"\n")
         cells = re.split("[,;\t]", following.decode("utf-8", errors="replace"))
-        if any(map(_is_number, cells)):
+        if not following.startswith(_COMMENT) and any(map(_is_number, cells)):
             return head.removeprefix(_COMMENT).lstrip(), rest
         head, rest = following, others
     return head, rest

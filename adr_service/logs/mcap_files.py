@@ -21,6 +21,7 @@ from adr_service.errors import AdrError, InvalidInput
 from adr_service.logs.base import MOST_BYTES, MOST_NUMBERS, Log, Stream, check_size
 
 _DEEPEST, _LONGEST = 6, 256  # of nested fields; places of a list that are read
+_WIDEST = 1024  # columns of a topic
 _STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"))
 _NAMES = ("name", "names", "joint_names")
 _LATE_S = 1.0  # a message may arrive so much later than one that was sent after it
@@ -73,6 +74,8 @@ def read_mcap(source: str, content: bytes) -> Log:
         )
         _check_unpacked(source, content)
         for schema, channel, message in reader.iter_messages():
+            if channel.topic in unread:
+                continue
             if channel.id not in decoders:
                 decoders[channel.id] = _decoder(ros, channel.message_encoding, schema)
             decode = decoders[channel.id]
@@ -87,12 +90,15 @@ def read_mcap(source: str, content: bytes) -> Log:
             topic = topics.setdefault(channel.topic, _Topic())
             stamp = stamp or message.log_time * 1e-9  # a stamp of zero was never set
             count += topic.add(stamp, _flat(channel.topic, decoded))
+            if len(topic.columns) > _WIDEST:
+                unread[channel.topic] = f"it has more than {_WIDEST:,} columns"
             if count > MOST_NUMBERS:
                 check_size(source, 0, count)
     except AdrError:
         raise
     except Exception as error:  # parsers of damaged messages raise anything
         raise InvalidInput(f"{source} is no bag that can be read: {error}") from error
+    topics = {name: topic for name, topic in topics.items() if name not in unread}
     check_size(source, sum(len(topic.columns) for topic in topics.values()), count)
     return Log(source, tuple(topic.stream() for topic in topics.values()), unread)
 

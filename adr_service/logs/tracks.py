@@ -1,6 +1,6 @@
 """Columns of a recording in the units and the order of a model, and checks of them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -8,7 +8,7 @@ import numpy as np
 
 from adr_service.criticism.measurements import why_stuck
 from adr_service.errors import InvalidInput
-from adr_service.logs.base import Log, Signal
+from adr_service.logs.base import Clock, Log, Signal
 from adr_service.logs.mapping import LogMap, actuators_of, is_slide, joints_of
 
 LEAST_READINGS = 4  # in a window, for a parabola with an error of its own
@@ -93,20 +93,20 @@ def recording_of(log: Log, given: LogMap, model: mujoco.MjModel) -> Recording:
     velocities: list[Track | None] = []
     for name in joints_of(model):
         joint, slide = given.joints[name], is_slide(model, name)
-        position = _track(log, given, joint.position, f"{name}.position", joint.zero)
+        position = _track(log.signal, given, joint.position, f"{name}.position", joint.zero)
         position = scaled(position, joint.position_factor(slide))
         positions.append(replace(position, is_fitted=joint.derive_velocity))
         velocity = None
         if joint.velocity is not None:
-            velocity = _track(log, given, joint.velocity, f"{name}.velocity", 0.0)
+            velocity = _track(log.signal, given, joint.velocity, f"{name}.velocity", 0.0)
             velocity = scaled(velocity, joint.velocity_factor(slide))
         velocities.append(velocity)
     commands: list[Track | None] = []
     for name in actuators_of(model):
         drive, command = given.actuators[name], None
         if drive.command is not None:
-            holds = drive.between == "hold"
-            command = _track(log, given, drive.command, f"{name}.command", drive.zero, holds=holds)
+            read = log.commands if drive.between == "hold" else log.signal
+            command = _track(read, given, drive.command, f"{name}.command", drive.zero)
             command = replace(scaled(command, drive.factor, drive.delay), way=drive.between)
         commands.append(command)
     known = [track for track in (*positions, *velocities, *commands) if track is not None]
@@ -125,10 +125,10 @@ def recording_of(log: Log, given: LogMap, model: mujoco.MjModel) -> Recording:
 
 
 def _track(
-    log: Log, given: LogMap, column: str, quantity: str, zero: float, *, holds: bool = False
+    read: Callable[[str, Clock], Signal], given: LogMap, column: str, quantity: str, zero: float
 ) -> Track:
     try:
-        signal = log.signal(column, given.time.clock, holds=holds)
+        signal = read(column, given.time.clock)
     except InvalidInput as error:
         raise InvalidInput(f"{quantity}: {error}") from error
     return Track(column, quantity, replace(signal, value=signal.value - zero))
@@ -141,10 +141,18 @@ def scaled(track: Track, factor: float, delay: float = 0.0) -> Track:
 
 
 def check_moves(recordings: Sequence[Recording]) -> None:
-    """Raises InvalidInput for a sensor that never changes in any recording, or that saturates."""
+    """Raises InvalidInput for a sensor that never changes in any recording, or that saturates.
+
+    Readings before the first command become no rows, and do not count.
+    """
+    begins = [next(iter(each.stretches()), (np.inf, np.inf))[0] for each in recordings]
     for tracks in zip(*(each.states for each in recordings), strict=True):
-        why = why_stuck(np.concatenate([track.signal.value for track in tracks]))
-        if why is not None:
+        parts = [
+            track.signal.value[track.signal.time >= begin]
+            for track, begin in zip(tracks, begins, strict=True)
+        ]
+        values = np.concatenate(parts)
+        if len(values) and (why := why_stuck(values)) is not None:
             raise InvalidInput(
                 f"column {tracks[0].column!r} ({tracks[0].quantity}) {why}; needed are readings "
                 "that follow the robot"

@@ -20,51 +20,109 @@ _NEARLY = 0.1  # a jump by a turn, to within a tenth
 _SPEED = 5  # readings beside a gap that tell the speed there
 
 
+def unwrapped(recording: Recording, given: LogMap, model: mujoco.MjModel) -> Recording:
+    """A recording whose positions go on where their readings begin again."""
+    positions = list(recording.positions)
+    for number, turn in enumerate(_turns_of(given, model)):
+        if turn is not None:
+            value = _going_on(positions[number], turn)
+            positions[number] = _with(positions[number], value)
+    return replace(recording, positions=positions)
+
+
+def check_jumps(recording: Recording, given: LogMap, model: mujoco.MjModel) -> None:
+    """Raises InvalidInput for hinges whose positions jump by a turn, though they are unwrapped."""
+    for name, position in zip(joints_of(model), recording.positions, strict=True):
+        if not is_slide(model, name):
+            _check_hinge(recording.source, name, position, given.joints[name])
+
+
 def on_one_branch(
     recordings: Sequence[Recording], given: LogMap, model: mujoco.MjModel
 ) -> list[Recording]:
-    """Recordings in which the same pose has the same position, whichever turn a reading began in.
+    """Unwrapped recordings in which the same pose has the same position.
 
     The median of the first recording is put next to the middle of the joint's range (zero for one
-    without limits), and the others' next to it. Set-points that wrap are put next to their joint.
-    Raises InvalidInput for readings that jump by a turn, also with the map's `wrap`.
+    without limits), and the others' next to it.
     """
-    moved = list(recordings)
-    for number, name in enumerate(joints_of(model)):
-        joint, slide, near = given.joints[name], is_slide(model, name), 0.0
-        turn = None if joint.wrap is None else abs(joint.position_factor(slide)) * joint.wrap
-        if model.joint(name).limited[0]:
-            near = float(np.mean(model.joint(name).range))
-        for which, recording in enumerate(moved):
-            track = recording.positions[number]
-            if turn is not None:
-                value = _unwrapped(track, turn)
-                value += _turns(near - float(np.median(value)), turn)
-                near = near if which else float(np.median(value))
-                track = replace(track, signal=replace(track.signal, value=value))
-                positions = [*recording.positions]
-                positions[number] = track
-                moved[which] = replace(recording, positions=positions)
-            if not slide:
-                _check_jumps(recording.source, name, track, joint)
-    return [_beside_the_joint(recording, given, model) for recording in moved]
+    middles: dict[int, float] = {}  # of the first recording, by joint
+    moved: list[Recording] = []
+    for recording in recordings:
+        positions = list(recording.positions)
+        for number, turn in enumerate(_turns_of(given, model)):
+            if turn is None:
+                continue
+            near = middles.get(number, _middle_of_range(model, joints_of(model)[number]))
+            value = positions[number].signal.value
+            value = value + turn * np.round((near - np.median(value)) / turn)
+            middles.setdefault(number, float(np.median(value)))
+            positions[number] = _with(positions[number], value)
+        moved.append(replace(recording, positions=positions))
+    return moved
 
 
-def _unwrapped(track: Track, turn: float) -> Vector:
-    """Positions that go on where the readings begin again."""
+def beside_their_joints(recording: Recording, given: LogMap, model: mujoco.MjModel) -> Recording:
+    """A recording with set-points that wrap on the branch of the joint that they move."""
+    commands = list(recording.commands)
+    for number, name in enumerate(actuators_of(model)):
+        drive, track, joint = given.actuators[name], commands[number], joint_of(model, name)
+        if drive.wrap is None or track is None or joint is None:
+            continue
+        position = recording.positions[joints_of(model).index(joint)].signal
+        time, value = track.signal.time, track.signal.value
+        near = model.actuator(name).gear[0] * np.interp(time, position.time, position.value)
+        turn = abs(drive.factor) * drive.wrap
+        commands[number] = _with(track, value + turn * np.round((near - value) / turn))
+    return replace(recording, commands=commands)
+
+
+def bridged(recordings: Sequence[Recording], given: LogMap) -> Iterator[str]:
+    """Warnings of joints whose turns across a gap rest on their speed beside it."""
+    for tracks in zip(*(each.positions for each in recordings), strict=True):
+        name = tracks[0].quantity.removesuffix(".position")
+        gaps = [gap for track in tracks for gap in track.gaps()]
+        if given.joints[name].wrap is not None and gaps:
+            longest = max(last - first for first, last in gaps)
+            yield (
+                f"{name}'s readings wrap, and have {len(gaps)} gaps, of {longest:.3g} s at most; "
+                "its turns in them are guessed from its speed on both sides. If that may be wrong "
+                "by half a turn, cut the log at its gaps (rows.episode)"
+            )
+
+
+def _turns_of(given: LogMap, model: mujoco.MjModel) -> list[float | None]:
+    """Sizes of the turns at which readings begin again, by joint, in the model's units."""
+    maps = [(given.joints[name], is_slide(model, name)) for name in joints_of(model)]
+    return [
+        None if joint.wrap is None else abs(joint.position_factor(slide)) * joint.wrap
+        for joint, slide in maps
+    ]
+
+
+def _going_on(track: Track, turn: float) -> Vector:
+    """Positions without the jumps by a turn, within stretches and across gaps."""
     time, value = track.signal.time, np.unwrap(track.signal.value, period=turn)
     gaps = np.flatnonzero(np.diff(time) > GAP * track.spacing) + 1
     edges = [0, *gaps.tolist(), len(time)]
     for begin, gap, end in zip(edges, edges[1:], edges[2:], strict=False):
         before, after = slice(max(begin, gap - _SPEED), gap), slice(gap, min(end, gap + _SPEED))
-        speed = np.mean([_speed(time[side], value[side]) for side in (before, after)])
+        speeds = [
+            np.polyfit(time[side] - time[gap], value[side], 1)[0]
+            for side in (before, after)
+            if side.stop - side.start > 1
+        ]
+        speed = np.mean(speeds) if speeds else 0.0
         due = value[gap - 1] + speed * (time[gap] - time[gap - 1])
-        value[gap:] += _turns(due - value[gap], turn)
+        value[gap:] += turn * np.round((due - value[gap]) / turn)
     return value
 
 
-def _check_jumps(source: str, name: str, position: Track, joint: JointMap) -> None:
-    """Raises InvalidInput for readings that jump by a turn."""
+def _middle_of_range(model: mujoco.MjModel, joint: str) -> float:
+    return float(np.mean(model.joint(joint).range)) if model.joint(joint).limited[0] else 0.0
+
+
+def _check_hinge(source: str, name: str, position: Track, joint: JointMap) -> None:
+    """Raises InvalidInput for positions [rad] that jump by a turn."""
     time, value = position.signal.time, position.signal.value
     jumps, is_near = np.abs(np.diff(value)), np.diff(time) <= GAP * position.spacing
     turns = np.flatnonzero(is_near & (np.abs(jumps - TURN) < _NEARLY * TURN))
@@ -87,41 +145,5 @@ def _check_jumps(source: str, name: str, position: Track, joint: JointMap) -> No
     )
 
 
-def bridged(recordings: Sequence[Recording], given: LogMap) -> Iterator[str]:
-    """Warnings of joints whose turns across a gap rest on their speed beside it."""
-    for tracks in zip(*(each.positions for each in recordings), strict=True):
-        name = tracks[0].quantity.removesuffix(".position")
-        gaps = [gap for track in tracks for gap in track.gaps()]
-        if given.joints[name].wrap is not None and gaps:
-            longest = max(last - first for first, last in gaps)
-            yield (
-                f"{name}'s readings wrap, and have {len(gaps)} gaps, of {longest:.3g} s at most; "
-                "its turns in them are guessed from its speed on both sides. If that may be wrong "
-                "by half a turn, cut the log at its gaps (rows.episode)"
-            )
-
-
-def _speed(time: Vector, value: Vector) -> float:
-    """Slope of the line through some readings; zero for one reading."""
-    return float(np.polyfit(time - time[0], value, 1)[0]) if len(time) > 1 else 0.0
-
-
-def _turns(away: float, turn: float) -> float:
-    """The whole turns that are nearest to a distance."""
-    return turn * round(away / turn)
-
-
-def _beside_the_joint(recording: Recording, given: LogMap, model: mujoco.MjModel) -> Recording:
-    """A recording with its set-points on the branch of the joint that they move."""
-    commands = list(recording.commands)
-    for number, name in enumerate(actuators_of(model)):
-        drive, track, joint = given.actuators[name], commands[number], joint_of(model, name)
-        if drive.wrap is None or track is None or joint is None:
-            continue
-        position = recording.positions[joints_of(model).index(joint)].signal
-        time, value = track.signal.time, track.signal.value
-        near = model.actuator(name).gear[0] * np.interp(time, position.time, position.value)
-        turn = abs(drive.factor) * drive.wrap
-        value = value + turn * np.round((near - value) / turn)
-        commands[number] = replace(track, signal=replace(track.signal, value=value))
-    return replace(recording, commands=commands)
+def _with(track: Track, value: Vector) -> Track:
+    return replace(track, signal=replace(track.signal, value=value))

@@ -139,8 +139,9 @@ def _found(model: mujoco.MjModel, address: str) -> tuple[Quantity, list[int], li
     chosen = [n for n in names if n != "world"] if name == "*" else [name]
     objects = [getattr(model, kind)(n).id for n in chosen]
     able = [number for number in objects if _has(model, quantity.field, number)]
-    if not able or (name != "*" and able != objects):
-        raise InvalidInput(f"{address} does nothing: {_WITHOUT[quantity.field]}")
+    if not able:
+        why = _WITHOUT[quantity.field] if objects else f"the model has no {kind}"
+        raise InvalidInput(f"{address} does nothing: {why}")
     objects = able
     if not quantity.field.startswith("dof_"):
         return quantity, objects, objects

@@ -30,7 +30,7 @@ from api.cli import (
     tune,
     upkeep,
 )
-from api.cli.family import Family
+from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console, errors
 
 _USAGE, _NOT_FOUND, _REFUSED, _UNREACHABLE = 2, 3, 4, 5
@@ -38,12 +38,12 @@ _STATUS = {"not_found": _NOT_FOUND, "unreachable": _UNREACHABLE}  # by an error'
 _BY_ANSWER = {404: _NOT_FOUND, 422: _USAGE}  # by the service's refusal; others are refused
 _BESIDE = ("mujoco", "ray", "torch", "stable-baselines3")  # whose versions change numbers
 
-app = Family(
+app = SingleOptionApp(
     help="Benchmark adaptive domain randomization.",
     epilog=(
-        "Exit status: 0 done; 1 something that was watched failed; 2 wrong use or input; "
-        "3 not found; 4 refused by the service; 5 no service answers. ADR_URL, or ADR_PORT on this "
-        "machine, names the service to ask."
+        "Exit status: 0 done; 1 something that was watched failed, or the service could not go "
+        "on; 2 wrong use or input; 3 not found; 4 refused by the service; 5 no service answers. "
+        "ADR_URL, or ADR_PORT on this machine, names the service to ask."
     ),
     no_args_is_help=True,
 )

@@ -13,9 +13,9 @@ from rich.markup import escape
 
 from adr_service.client import Json, Refused, check_benchmark, connect
 from adr_service.errors import AdrError, InvalidInput
-from api.cli.family import Family
 from api.cli.files import check_new
 from api.cli.options import AsJson, Url, members
+from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console
 
 if TYPE_CHECKING:
@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from adr_service.benchmark.verification import Verified
     from db.staging import Staged
 
-app = Family(help="Write benchmarks to files, and read and verify them.", no_args_is_help=True)
+app = SingleOptionApp(
+    help="Write benchmarks to files, and read and verify them.", no_args_is_help=True
+)
 File = Annotated[Path, typer.Argument(help="An archive, as `adr archive export` writes it.")]
 Files = Annotated[list[Path], typer.Argument(help="Archives, as `adr archive export` writes them.")]
 _ONLY = "Only this one; may be repeated."

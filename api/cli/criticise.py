@@ -8,15 +8,15 @@ import typer
 
 from adr_service.client import Json, connect
 from adr_service.errors import InvalidInput
-from api.cli.family import Family
 from api.cli.files import check_absent
 from api.cli.follow import follow
 from api.cli.options import AsJson, Url
+from api.cli.single_options import SingleOptionApp
 from api.cli.steps import progress_on
 from api.cli.terminal import console, errors
 from api.cli.verdict_table import verdict_table
 
-app = Family()
+app = SingleOptionApp()
 
 Out = Annotated[Path, typer.Option(help="Folder for verdict, report and extended model.")]
 Data = Annotated[

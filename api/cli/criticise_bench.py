@@ -7,12 +7,14 @@ from typing import Annotated
 import typer
 
 from adr_service.errors import AdrError, InvalidInput
-from api.cli.family import Family
 from api.cli.files import check_absent
 from api.cli.options import AsJson
+from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console, errors
 
-app = Family(help="Make a blind test of criticism, and score answers to it.", no_args_is_help=True)
+app = SingleOptionApp(
+    help="Make a blind test of criticism, and score answers to it.", no_args_is_help=True
+)
 
 Folder = Annotated[Path, typer.Option("--out", help="Folder for the cases, one folder each.")]
 MadeKey = Annotated[Path, typer.Option("--key", help="File for what they hide.")]

@@ -9,11 +9,11 @@ from rich.table import Table
 
 from adr_service.client import Json, connect
 from adr_service.errors import InvalidInput
-from api.cli.family import Family
 from api.cli.options import AsJson, Url
+from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console
 
-app = Family()
+app = SingleOptionApp()
 _MINARI = "minari"
 
 

@@ -7,14 +7,14 @@ import typer
 from rich.console import Console
 
 from adr_service.client import AdrClient, Json
-from api.cli.family import Family
 from api.cli.options import AsJson
 from api.cli.own_service import free_port, own_service
 from api.cli.progress import live
+from api.cli.single_options import SingleOptionApp
 from api.cli.tables import results_table
 from api.cli.terminal import console, errors
 
-app = Family()
+app = SingleOptionApp()
 BENCHMARK = {
     "tasks": ["arm"],
     "methods": ["udr", "simopt", "dropo"],

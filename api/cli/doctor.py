@@ -15,12 +15,12 @@ from rich.markup import escape
 
 from adr_service.client import Refused, Unreachable, connect
 from adr_service.errors import InvalidInput
-from api.cli.family import Family
 from api.cli.options import AsJson, Url
+from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console
 from api.settings import Settings, read_settings
 
-app = Family()
+app = SingleOptionApp()
 _LEAST_DISK_GB = 2.0
 _LEAST_FILES = 1024
 

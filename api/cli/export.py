@@ -7,11 +7,11 @@ import typer
 
 from adr_service.client import AdrClient, Json, connect
 from adr_service.errors import InvalidInput
-from api.cli.family import Family
 from api.cli.files import check_new
 from api.cli.options import Id, Url
+from api.cli.single_options import SingleOptionApp
 
-app = Family(
+app = SingleOptionApp(
     help="Write policies, learning curves and recordings for other tools.", no_args_is_help=True
 )
 Run = Annotated[str, typer.Argument(help="Id of a run.")]

@@ -7,11 +7,11 @@ import typer
 from rich.markup import escape
 
 from adr_service.errors import InvalidInput
-from api.cli.family import Family
 from api.cli.files import check_absent
+from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console
 
-app = Family()
+app = SingleOptionApp()
 
 Logs = Annotated[
     list[Path],

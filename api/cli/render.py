@@ -6,12 +6,12 @@ from typing import Annotated, Any
 import typer
 
 from adr_service.errors import InvalidInput
-from api.cli.family import Family
 from api.cli.files import check_absent
+from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console
 from api.specs import assign
 
-app = Family()
+app = SingleOptionApp()
 
 Out = Annotated[Path, typer.Argument(help="The film to write, .gif or .mp4.")]
 Policy = Annotated[Path | None, typer.Option(help="Film an episode of this policy.")]

@@ -8,14 +8,14 @@ import typer
 
 from adr_service.client import AdrClient, connect
 from adr_service.errors import InvalidInput
-from api.cli.family import Family
 from api.cli.files import check_absent, check_new
 from api.cli.follow import show_results
 from api.cli.options import AsJson, Id, Url
+from api.cli.single_options import SingleOptionApp
 from api.cli.tables import claims_table, comparisons_table, cost_table
 from api.cli.terminal import console
 
-app = Family()
+app = SingleOptionApp()
 _KINDS = (".svg", ".png", ".csv")  # of figures
 
 AsCsv = Annotated[bool, typer.Option("--csv", help="As CSV.")]

@@ -12,16 +12,16 @@ import typer
 
 from adr_service.client import connect
 from adr_service.errors import InvalidInput
-from api.cli.family import Family
 from api.cli.files import check_absent
 from api.cli.options import Url
+from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console
 
 if TYPE_CHECKING:
     from adr_service.client.robot import Limits
     from adr_service.client.robot.playback import Playback
 
-app = Family()
+app = SingleOptionApp()
 
 MaxSeconds = Annotated[float | None, typer.Option(help="Longest episode, in s.", min=0.1)]
 MaxResetSeconds = Annotated[
@@ -61,7 +61,8 @@ def robot(
     from adr_service.client.robot import Limits, Robot  # imports Gymnasium
 
     for number in (signal.SIGTERM, signal.SIGHUP):  # what ends it, ends it as Ctrl-C does
-        signal.signal(number, signal.default_int_handler)
+        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup's
+            signal.signal(number, signal.default_int_handler)
     limits = Limits(max_seconds, max_reset_seconds, tuple(max_action or ()))
     if (play is None) != (out is None):
         raise InvalidInput("--play goes with --out")

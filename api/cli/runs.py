@@ -10,14 +10,14 @@ from rich.table import Table
 from adr_service.client import AdrClient, Json, connect, is_finished
 from adr_service.client.progress import label
 from adr_service.errors import InvalidInput
-from api.cli.family import Family
 from api.cli.follow import follow
 from api.cli.options import AsJson, Id, Url, Watch, members
+from api.cli.single_options import SingleOptionApp
 from api.cli.tables import plan_table
 from api.cli.terminal import console
 from api.specs import assign, read_effects, read_spec
 
-app = Family()
+app = SingleOptionApp()
 
 SpecFile = Annotated[Path | None, typer.Argument(help="JSON file of a run or a benchmark.")]
 Task = Annotated[str | None, typer.Option(help="arm, hopper, half_cheetah, …")]

@@ -4,17 +4,16 @@ import os
 import socket
 import sys
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from adr_service.errors import InvalidInput
-from api.cli.family import Family
+from api.cli.single_options import SingleOptionApp
 from api.settings import Settings, read_settings
 
-app = Family()
+app = SingleOptionApp()
 
 
 @app.command()
@@ -69,10 +68,15 @@ def _listen(settings: Settings) -> None:
     from api.logs import configure
 
     configure(settings.log_format)
-    app = create_app(settings)
+    has_died = False
+
+    def end() -> None:
+        nonlocal has_died
+        has_died = server.should_exit = True
+
     server = uvicorn.Server(
         uvicorn.Config(
-            app,
+            create_app(settings, on_death=end),
             host=settings.host,
             port=settings.port,
             # on h11: httptools, which is faster, keeps headers of any size in memory
@@ -82,10 +86,9 @@ def _listen(settings: Settings) -> None:
             timeout_graceful_shutdown=5,  # for clients that follow a stream
         )
     )
-    app.state.end = partial(setattr, server, "should_exit", True)
     with suppress(KeyboardInterrupt, SystemExit):  # uvicorn's own statuses mean other things here
         server.run()
     if not server.started:  # the reason is in the log
         raise typer.Exit(2)
-    if getattr(app.state, "has_failed", False):
+    if has_died:
         raise typer.Exit(1)

@@ -8,13 +8,13 @@ from typing import Annotated, Any
 import typer
 
 from adr_service.errors import InvalidInput
-from api.cli.family import Family
 from api.cli.options import AsJson
+from api.cli.single_options import SingleOptionApp
 from api.cli.tables import candidates_table
 from api.cli.terminal import console
 from api.specs import assign, read_value
 
-app = Family()
+app = SingleOptionApp()
 
 
 @app.command()

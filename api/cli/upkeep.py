@@ -8,11 +8,11 @@ import typer
 from rich.markup import escape
 
 from adr_service.errors import AdrError, InvalidInput
-from api.cli.family import Family
+from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console
 from api.settings import Settings, read_settings
 
-app = Family(help="Look after the service's database.", no_args_is_help=True)
+app = SingleOptionApp(help="Look after the service's database.", no_args_is_help=True)
 DataDir = Annotated[Path | None, typer.Option(help="Folder for results.")]
 
 

@@ -30,15 +30,15 @@ def test_readings_too_soon_after_another_are_left_out_and_counted():
     assert signal.crowded == 2
 
 
-def test_a_command_that_holds_keeps_all_readings_and_the_last_of_one_time():
+def test_commands_that_hold_are_all_kept_but_for_the_last_of_one_time_alone():
     time = np.array([0.0, 2, 2.4, 4.4, 4.4, 6.4, 6.9, 9, 9])
     columns = {"time": time, "u": np.arange(9.0)}
-    signal = log(columns).signal("u", SECONDS, holds=True)
+    signal = log(columns).commands("u", SECONDS)
     np.testing.assert_array_equal(signal.value, [0, 1, 2, 4, 5, 6, 8])
     assert signal.crowded == 2
     single = {name: values[:1] for name, values in columns.items()}
-    np.testing.assert_array_equal(log(single).signal("u", SECONDS, holds=True).value, [0])
-    with pytest.raises(InvalidInput, match=r"has 1 readings .* at least 2 are needed"):
+    np.testing.assert_array_equal(log(single).commands("u", SECONDS).value, [0])
+    with pytest.raises(InvalidInput, match=r"has 1 readings .* needed: 2 or more"):
         log(single).signal("u", SECONDS)
 
 

@@ -286,8 +286,8 @@ def test_a_trial_that_is_too_short_is_left_out_with_a_warning(robot, even):
     converted = convert([log({**even, "trial": trials})], given, robot)
     assert [record.source for record in converted.records] == ["log.csv, trial 0"]
     assert [each for each in converted.warnings if "left out" in each] == [
-        "log.csv, trial 1 has 2 rows, which is too short for an episode; it is left out",
-        "log.csv, trial 2 has 1 rows, which is too short for an episode; it is left out",
+        "log.csv, trial 1 is too short for an episode (rows: 2), and is left out",
+        "log.csv, trial 2 is too short for an episode (rows: 1), and is left out",
     ]
 
 
@@ -305,6 +305,18 @@ def test_a_sensor_that_saturates_is_refused_also_where_it_was_resampled(robot, g
         InvalidInput, match=r"column 'q2' .slider.position. is saturated: .* of 5000 rows"
     ):
         convert([log(clipped)], given, robot)
+
+
+def test_readings_before_the_first_command_saturate_nothing(robot, even, given):
+    """A joint that rests at its limit until the logger has started everything."""
+    rests = {**even, "q1": np.where(even["time"] < 8, -1.0, even["q1"])}
+    rests["dq1"] = np.where(even["time"] < 8, 0.0, even["dq1"])
+    states = Stream({name: rests[name] for name in ("q1", "dq1", "q2", "dq2")}, even["time"])
+    later = even["time"] >= 9
+    commands = Stream({"u": even["u"][later]}, even["time"][later])
+    assert convert([Log("run.mcap", (states, commands))], given, robot).measurement.time[0] >= 9
+    with pytest.raises(InvalidInput, match=r"'q1' .shoulder.position. is saturated"):
+        convert([log(rests)], given, robot)
 
 
 def test_a_wrong_unit_of_a_velocity_is_blamed_on_the_map(robot, even, given):

@@ -118,6 +118,12 @@ def test_fields_of_a_list_of_messages_are_columns_of_their_place():
     }
 
 
+def test_a_topic_with_too_many_columns_is_listed_and_others_are_read(monkeypatch):
+    monkeypatch.setattr(mcap_files, "_WIDEST", 10)
+    log = read_mcap("run.mcap", json_bag({"markers": [{"x": 1, "y": 2}] * 6}, {"markers": []}))
+    assert (log.streams, log.unread) == ((), {"/state": "it has more than 10 columns"})
+
+
 @pytest.mark.parametrize(
     ("whole", "rest"), [("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs")]
 )

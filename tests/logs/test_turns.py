@@ -54,3 +54,15 @@ def test_set_points_are_put_next_to_their_joint(even, wraps):
     data = convert([log(logged)], LogMap.from_toml(given), model).measurement
     np.testing.assert_allclose(data.qpos[:, 0], motion(data.time)["q1"], atol=1e-9)
     np.testing.assert_allclose(data.ctrl[:, 0], data.qpos[:, 0] + 0.1, atol=0.01)
+
+
+def test_a_lone_reading_beside_a_gap_tells_no_speed(robot):
+    """A joint turns evenly, and one reading stands alone in a pause that is longer than a turn."""
+    time = np.arange(0, 20, 0.004)
+    kept = (time < 10.0) | (np.abs(time - 11.2) < 1e-6) | (time > 12.4)
+    even = {**motion(time), "q1": 6 * time - 60, "dq1": np.full(len(time), 6.0)}
+    logged = {name: values[kept] for name, values in {**even, "q1": in_degrees(even["q1"])}.items()}
+    logged["dq1"] = logged["dq1"] + 1e-6 * np.arange(len(logged["dq1"]))
+    data = convert([log(logged)], LogMap.from_toml(WRAPS), robot).measurement
+    away = data.qpos[:, 0] - 6 * data.time
+    np.testing.assert_allclose(away, away[0], atol=1e-6)

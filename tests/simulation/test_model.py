@@ -72,6 +72,13 @@ def test_an_address_that_would_do_nothing_or_a_part_is_refused(address, why):
     assert resolve(model, whole) == resolve(model, able)
 
 
+@pytest.mark.parametrize("address", ["pair:*.friction", "actuator:*.gear"])
+def test_all_of_what_a_model_lacks_is_refused(address):
+    bare = mujoco.MjModel.from_xml_string("<mujoco/>")
+    with pytest.raises(InvalidInput, match=r"does nothing: the model has no (pair|actuator)"):
+        resolve(bare, address)
+
+
 def test_every_kind_of_address_is_tested():
     kinds = {tuple(address.replace(":", ".").split(".")[::2]) for address in VALUES}
     assert kinds == set(FIELDS)

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from adr_service.errors import FailureCode, InvalidInput, StageFailed
+from adr_service.events import RunFailed
 from adr_service.specs import BenchmarkSpec, RunSpec
-from db import benchmarks, runs, visits
+from db import benchmarks, events, runs, visits
 from db.visits import LeaseLost
 from tests.db import leases
 from tests.service import until
@@ -144,6 +145,35 @@ def test_a_visit_that_no_robot_can_do_fails_its_run_in_one_transaction(database)
     assert (ended.state, ended.error_code) == ("failed", "target_failed")
     assert ended.error_message == "target_episode: the gripper is broken"
     assert visits.get_visit(database, task.id).error == "the gripper is broken"
+    orchestrator.close()
+
+
+def test_a_run_that_was_resumed_keeps_what_it_asked_for_when_its_former_thread_ends(database):
+    """The visit's failure is stored before the thread that waits for it has heard of it."""
+    waiting, let_go = threading.Event(), threading.Event()
+
+    def program(spec, stages, recording):
+        waiting.set()
+        assert let_go.wait(20)
+        raise StageFailed("target_episode", FailureCode.TARGET_FAILED, "the gripper is broken")
+        yield
+
+    orchestrator = Orchestrator(database, RayOptions(), program)
+    withdrawn = []
+    orchestrator._dispatcher.withdraw = withdrawn.append
+    record = runs.create_run(database, SPEC)
+    orchestrator.submit(record)
+    assert waiting.wait(20)
+    failed = RunFailed(submission=1, code="target_failed", message="the gripper is broken")
+    with database.write("test") as session:
+        events.append_to_all(session, [record.id], [failed])
+    waiting.clear()
+    orchestrator.submit(runs.resubmit(database, record.id))
+    assert waiting.wait(20)
+    let_go.set()
+    until(lambda: runs.get_run(database, record.id).state == "failed")
+    until(lambda: not orchestrator._live)
+    assert withdrawn == [record.id]  # by its last thread alone
     orchestrator.close()
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from adr_service.client.robot.limits import Limits
 from adr_service.errors import InvalidInput
 
-_ROUNDED = 1e-6  # of an action: bounds of 32 bits
+_ROUNDED = 1e-6  # relative; bounds stored as float32 differ by so much
 
 Env = gymnasium.Env[Any, Any]
 

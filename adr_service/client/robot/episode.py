@@ -37,7 +37,7 @@ class Episode:
     actions: Matrix  # (T, a), as they were sent
     rewards: Vector  # (T,)
     limited: int  # actions that the owner's limit changed
-    wrong: str = ""  # why the episode ended early and does not count
+    wrong: str = ""  # why the episode ended early, so that it has no return
     is_cut: bool = False  # the owner's time ended it, or the environment before its end
     period_s: float = np.nan  # median time between two commands; NaN for fewer
 
@@ -107,9 +107,9 @@ class Rollout:
             observation, reward, terminated, truncated, _ = self._machine.env.step(action.copy())
         self._record(_row(observation), action, float(reward))
         self._ended = terminated or truncated
-        if truncated and not terminated and not self.is_complete:
+        if truncated and not (terminated or self.is_complete or self._wrong):
             self._is_cut = True
-            self._wrong = self._wrong or "the environment ended the episode early (truncated)"
+            self._wrong = "the environment ended the episode early (truncated)"
 
     def _record(self, observation: Vector, action: Vector, reward: float) -> None:
         """Append a transition, unless its numbers are not finite."""
@@ -145,8 +145,8 @@ def slowness(period_s: float, about: Mapping[str, Any]) -> str:
     if not period_s > _SLOW * expected:
         return ""
     return (
-        f"a step took {period_s:.3g} s, and counts as {expected:g} s: what learns from this takes "
-        "the robot for that much faster"
+        f"a step took {period_s:.3g} s, and counts as {expected:g} s: methods will take the robot "
+        f"for {period_s / expected:.1f} times as fast as it is"
     )
 
 

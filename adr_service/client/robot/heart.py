@@ -71,8 +71,9 @@ class Heart:
     """Renews the lease while an episode goes on and the environment answers, and says when the
     episode should stop.
 
-    `asked` is when the claim was sent, by this file's clock: a lease begins no earlier. The first
-    heartbeat is answered before anything moves.
+    `asked` is when the claim was sent, by this file's clock: a lease begins no earlier. A first
+    heartbeat is sent before anything moves, and its answer, if there is one, decides whether it
+    does.
     """
 
     def __init__(
@@ -96,7 +97,8 @@ class Heart:
         return self._why
 
     def _stop(self, why: str) -> None:
-        self._why, self._stopped_at = why, now()
+        if not self._why:
+            self._why, self._stopped_at = why, now()
 
     def __enter__(self) -> Self:
         self._open.enter_context(self._client)
@@ -116,7 +118,9 @@ class Heart:
         return f"{self._why}, and the environment's {name} does not return" if is_late else ""
 
     def _renew(self) -> bool:
-        """Send a heartbeat; True if there is a next one to send."""
+        """Send a heartbeat, unless there is a reason to stop; True if there is a next one."""
+        if self._why:
+            return False
         asked = now()
         try:
             self._send()

@@ -117,8 +117,14 @@ class Player:
             as_measurement(self._task, TransitionDataset.concatenate(parts)),
             sum(episode.limited for episode in episodes),
             tuple(episode.why_short for episode in episodes if episode.why_short),
-            slowness(float(np.nanmedian([e.period_s for e in episodes])), self._machine.about),
+            slowness(_median([e.period_s for e in episodes]), self._machine.about),
         )
+
+
+def _median(periods: Sequence[float]) -> float:
+    """Median of those that are known; NaN if none is."""
+    known = [period for period in periods if np.isfinite(period)]
+    return float(np.median(known)) if known else np.nan
 
 
 def _check_start(task: Task, shown: Vector, start: Vector) -> None:

@@ -19,8 +19,8 @@ from adr_service.client.robot.episode import (
     to_npz,
 )
 from adr_service.client.robot.heart import MOST_BEAT_S, STOP_S, Heart, now
-from adr_service.client.robot.kept import Kept
 from adr_service.client.robot.limits import Limits
+from adr_service.client.robot.unsent_episodes import UnsentEpisode
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.json_values import printable
 from adr_service.training.policy import Policy
@@ -78,8 +78,8 @@ class Robot:
         done, name = 0, self._about["name"]
         self._report(f"{self._name} waits for episodes of {name}")
         with closing(self), self._connect(_REQUEST_S) as self._client, suppress(_Stopped):
-            for kept in Kept.all_here():
-                self._send_again(kept)
+            for left in UnsentEpisode.all_here():
+                self._send_again(left)
             while (episodes is None or done < episodes) and not self._stopped.is_set():
                 claim = partial(self._client.claim_task, self._name, [name], _WAIT_S)
                 asked, claimed = self._patiently(lambda claim=claim: (now(), claim()))
@@ -108,9 +108,12 @@ class Robot:
             try:
                 episode = run_episode(machine, task, self._actor(task), heart.watch, why_stop)
             except BaseException:  # whatever broke, the robot's owner must see to it
-                self.close()  # before anything that may wait
-                with self._connect(STOP_S) as client:
-                    _release(client, task, lease)
+                try:
+                    with heart.watch.watching("close", STOP_S):
+                        self.close()  # before anything that may wait
+                finally:
+                    with self._connect(STOP_S) as client:
+                        _release(client, task, lease)
                 raise
             if why := why_stop():
                 self._report(f"{task['id']}: stopped, {why}")
@@ -123,6 +126,7 @@ class Robot:
         longest = task["transitions"] * self._about["control_period_s"]
         if task["kind"] == "rollout" or self._limits.allows(longest):
             return
+        self.close()
         _release(self._client, task, lease)  # for a robot that may move longer
         raise InvalidInput(
             f"{task['id']} asks for {longest:g} s, and this robot may move for "
@@ -152,6 +156,7 @@ class Robot:
         """Upload the trajectory; True if the service accepted it."""
         counts = task["kind"] != "rollout"
         if counts and episode.is_cut:
+            self.close()
             _release(self._client, task, lease)  # for a robot that can do all of it
             raise InvalidInput(
                 f"{task['id']}: {episode.wrong} after {len(episode.actions)} of "
@@ -160,9 +165,9 @@ class Robot:
         if episode.wrong and (counts or not len(episode.actions)):
             self._fail(task, lease, episode.wrong)
             return False
-        kept = Kept.write(task["id"], lease, to_npz(episode, self._about, self._name))
+        unsent = UnsentEpisode.written(task["id"], lease, to_npz(episode, self._about, self._name))
         try:
-            self._send(kept)
+            self._send(unsent)
         except Refused as error:
             if error.status not in _FINAL:
                 raise
@@ -173,32 +178,28 @@ class Robot:
         self._report_episode(task, episode)
         return True
 
-    def _send(self, kept: Kept) -> None:
+    def _send(self, unsent: UnsentEpisode) -> None:
         """Upload an episode, whose file stays until the service has it."""
-        content = kept.file.read_bytes()
+        id, lease, content = unsent.task_id, unsent.lease, unsent.content
         try:
-            self._patiently(partial(self._client.complete_task, kept.task_id, kept.lease, content))
-        except Refused as error:
-            if error.status in _FINAL:
-                kept.give_up()
-            self._tell_of(kept)
+            self._patiently(partial(self._client.complete_task, id, lease, content))
+        except BaseException as error:  # also its owner, who stops it while the service is away
+            if isinstance(error, Refused) and error.status in _FINAL:
+                unsent = unsent.set_aside()
+            where = unsent.file or "no file, because none could be written"
+            self._report(f"{id}: the service does not have the episode; it is in {where}")
             raise
-        except BaseException:  # its owner stopped it while the service was away
-            self._tell_of(kept)
-            raise
-        kept.discard()
+        unsent.discard()
 
-    def _send_again(self, kept: Kept) -> None:
-        """Upload an episode of an earlier client."""
+    def _send_again(self, unsent: UnsentEpisode) -> None:
+        """Upload an episode that an earlier client left."""
+        left = f"{unsent.task_id}, left by an earlier client"
         try:
-            self._send(kept)
+            self._send(unsent)
         except Refused as error:
-            self._report(f"{kept.task_id}, of before: not accepted, {error}")
+            self._report(f"{left}: not accepted, {error}")
         else:
-            self._report(f"{kept.task_id}, of before: the service has its episode now")
-
-    def _tell_of(self, kept: Kept) -> None:
-        self._report(f"{kept.task_id}: the service does not have the episode; it is in {kept.file}")
+            self._report(f"{left}: the service has its episode now")
 
     def _report_episode(self, task: Json, episode: Episode) -> None:
         earned, steps = float(episode.rewards.sum()), len(episode.actions)
@@ -214,7 +215,7 @@ class Robot:
         try:
             self._patiently(partial(self._client.fail_task, task["id"], lease, short))
         except Refused as error:
-            if error.status != 409:  # the task is not ours any more
+            if error.status != _LOST:
                 raise
 
     def _patiently(self, ask: Callable[[], Any]) -> Any:
@@ -228,7 +229,7 @@ class Robot:
                 if wait_s is None:
                     raise
                 if not has_reported:
-                    self._report(f"{error} (it goes on as soon as that is over)")
+                    self._report(f"{error}; trying again until the service takes it")
                 has_reported = True
                 self._stopped.wait(wait_s)
         raise _Stopped

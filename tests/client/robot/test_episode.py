@@ -5,7 +5,14 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from adr_service.client.robot.episode import Machine, random_actions, run_episode, seed_of, to_npz
+from adr_service.client.robot.episode import (
+    Machine,
+    random_actions,
+    run_episode,
+    seed_of,
+    slowness,
+    to_npz,
+)
 from adr_service.client.robot.limits import Limits
 from adr_service.npz import read_arrays
 from adr_service.simulation.batch import control_period
@@ -116,3 +123,35 @@ def test_an_episode_that_should_stop_does_not_move_on(moves):
     env = fast_arm()
     episode = run(env, why_stop=lambda: "stop" if len(env.actions) >= moves else "")
     assert len(episode.actions) == len(env.actions) == moves
+
+
+@pytest.mark.parametrize(
+    ("period_s", "remark"),
+    [
+        (
+            0.05,
+            "a step took 0.05 s, and counts as 0.02 s: methods will take the robot for 2.5",
+        ),
+        (0.031, "a step took 0.031 s"),
+        (0.029, ""),
+        (np.nan, ""),
+    ],
+)
+def test_commands_that_come_too_slowly_are_remarked(period_s, remark):
+    found = slowness(period_s, ABOUT)
+    assert found.startswith(remark)
+    assert bool(found) == bool(remark)
+
+
+class Aborting(SlowArm):
+    """Its sensors fail, and it stops."""
+
+    def step(self, action):
+        observation, reward, terminated, _, info = super().step(action)
+        return observation * np.nan, reward, terminated, True, info
+
+
+def test_a_sensor_that_fails_is_the_reason_also_where_the_environment_stops():
+    episode = run(Aborting(0.0))
+    assert episode.wrong.startswith("the robot showed [nan")
+    assert not episode.is_cut

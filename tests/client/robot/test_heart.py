@@ -94,7 +94,7 @@ def test_a_call_that_does_not_return_is_reported_once():
     assert heart.why_stop() == reports[0]
 
 
-def test_the_first_heartbeat_is_answered_before_anything_moves():
+def test_a_first_heartbeat_decides_whether_anything_moves():
     """Also where the answer to the claim took longer than the lease."""
     service = Service({"cancel_requested": False})
     with heart_of(service, lease_s=60.0, asked=now() - 90) as heart:
@@ -122,3 +122,16 @@ def test_a_network_that_stalls_does_not_blind_the_watch():
         with heart.watch.watching("step", 0.01):
             assert reported.wait(10)
         service.asked.set()
+
+
+def test_the_first_reason_to_stop_stays_and_ends_the_heartbeats():
+    service, reported = Service({"cancel_requested": False}), threading.Event()
+    with heart_of(service, lambda why: reported.set(), lease_s=0.3) as heart:
+        with heart.watch.watching("step", 0.01):
+            assert reported.wait(20)
+        beats = len(service.beats)
+        service.answer = Refused(409, "the lease is lost")
+        reported.clear()
+        reported.wait(0.5)
+    assert "did not return within" in heart.why_stop()
+    assert len(service.beats) <= beats + 1  # one may have been on its way

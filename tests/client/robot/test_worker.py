@@ -1,5 +1,8 @@
 """The loop of a robot's client, with a service whose answers the test gives."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from adr_service.client.connection import Refused, Unreachable
@@ -126,7 +129,7 @@ def test_an_episode_that_the_service_does_not_take_is_sent_by_the_next_client(st
     mended, reports = Service(), []
     stopping(robot(mended, reports=reports), mended).work()
     assert read_episode("arm", 20, mended.uploads[0]).transitions == 20
-    assert "task_a, of before: the service has its episode now" in reports
+    assert "task_a, left by an earlier client: the service has its episode now" in reports
     assert not list(folder.iterdir())
 
 
@@ -144,7 +147,8 @@ def test_an_episode_that_is_refused_for_good_is_not_sent_again(status, fails, fo
     service.claim_task = lambda *_: next(claims, None) or worker.stop()
     worker.work()
     assert service.failures == (["the service refused the episode: no good"] if fails else [])
-    assert [file.name for file in folder.iterdir()] == ["task_a.npz"]
+    assert [file.name for file in folder.iterdir()] == ["task_a.lease_a.npz"]
+    assert str(folder / "task_a.lease_a.npz") in " ".join(reports)
     assert any("not accepted, no good" in each for each in reports)
 
 
@@ -199,12 +203,38 @@ def test_a_robot_that_does_not_fit_is_closed():
 
 
 def test_steps_that_take_longer_than_they_count_are_remarked():
+    """Its steps sleep for longer than the half of a period more that is let pass."""
     service, reports = Service(), []
-    robot(service, "fast_arm", reports=reports).work(1)
-    assert "a step took" not in reports[-1]
     robot(service, "sleepy_arm", reports=reports).work(1)
-    assert "; a step took 0.05" in reports[-1]
-    assert "and counts as 0.02 s" in reports[-1]
+    assert re.search(r"; a step took [\d.]+ s, and counts as 0.02 s: methods", reports[-1])
+
+
+def test_an_episode_is_sent_though_no_file_can_be_written(folder, monkeypatch):
+    service, reports = Service(), []
+    monkeypatch.setattr(Path, "replace", raising(OSError("the disk is full")))
+    robot(service, reports=reports).work(1)
+    assert len(service.uploads) == 1
+    refusing = Service(refusal=Refused(500, "a defect"))
+    with pytest.raises(Refused):
+        robot(refusing, reports=reports).work(1)
+    assert "it is in no file, because none could be written" in reports[-1]
+
+
+def raising(error):
+    def raises(*_):
+        raise error
+
+    return raises
+
+
+def test_a_robot_that_cannot_be_closed_gives_its_task_back_all_the_same():
+    service = Breaking()
+    service.robot = robot(service, "breaking_arm")
+    service.robot._env.close = raising(OSError("the bus is gone as well"))
+    with pytest.raises(OSError, match="as well") as raised:
+        service.robot.work(1)
+    assert isinstance(raised.value.__context__, RuntimeError)
+    assert len(service.released) == 1
 
 
 class Busy(Service):

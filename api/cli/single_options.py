@@ -1,4 +1,4 @@
-"""Families of commands that refuse an option which was given twice."""
+"""Commands that refuse a second value of an option that takes one."""
 
 from collections import Counter
 from typing import Any
@@ -7,7 +7,7 @@ from typer import Typer
 from typer.core import TyperCommand
 
 
-class OnceCommand(TyperCommand):
+class SingleOptionCommand(TyperCommand):
     """A command that refuses a second value of an option that is not a list.
 
     Click keeps the last one: of `--task hopper --task arm`, hopper would be lost without a word.
@@ -23,9 +23,9 @@ class OnceCommand(TyperCommand):
         return super().parse_args(ctx, args)
 
 
-class Family(Typer):
-    """A family of such commands."""
+class SingleOptionApp(Typer):
+    """An application of such commands."""
 
     def command(self, name: str | None = None, **settings: Any) -> Any:
         """Register a command, as `Typer.command` does."""
-        return super().command(name, cls=OnceCommand, **settings)
+        return super().command(name, cls=SingleOptionCommand, **settings)

@@ -1,0 +1,68 @@
+"""Episodes that the service does not have yet, in files of the robot's working directory.
+
+An episode is written before it is sent, with the lease of its task beside it. Whatever ends the
+client, the next one that starts in the same folder sends it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+_SHOWN = 8  # letters of a lease
+
+
+@dataclass(frozen=True)
+class UnsentEpisode:
+    """An episode of a task, and the file that has it."""
+
+    task_id: str
+    lease: str
+    content: bytes  # .npz
+    file: Path | None  # None: it could not be written
+
+    @classmethod
+    def written(cls, task_id: str, lease: str, content: bytes) -> "UnsentEpisode":
+        """The episode in TASK.npz, with the lease in TASK.lease; each is whole or not there."""
+        file = Path(f"{task_id}.npz").absolute()
+        try:
+            for path, part in ((file, content), (_lease_file(file), lease.encode())):
+                _write(path, part)
+        except OSError:
+            return cls(task_id, lease, content, None)
+        return cls(task_id, lease, content, file)
+
+    @classmethod
+    def all_here(cls) -> Iterator["UnsentEpisode"]:
+        """Episodes that an earlier client left, in order of their names."""
+        for lease in sorted(Path.cwd().glob("task_*.lease")):
+            file = lease.with_suffix(".npz")
+            try:
+                yield cls(lease.stem, lease.read_text(), file.read_bytes(), file)
+            except FileNotFoundError:
+                continue  # another client in this folder has sent it
+
+    def discard(self) -> None:
+        """Delete what the service has."""
+        if self.file is not None:
+            _lease_file(self.file).unlink(missing_ok=True)
+            self.file.unlink(missing_ok=True)
+
+    def set_aside(self) -> "UnsentEpisode":
+        """Give it a name of its own, because it is never sent again, and its task may come back."""
+        if self.file is None:
+            return self
+        aside = self.file.with_suffix(f".{self.lease[:_SHOWN]}.npz")
+        self.file.replace(aside)
+        _lease_file(self.file).unlink(missing_ok=True)
+        return UnsentEpisode(self.task_id, self.lease, self.content, aside)
+
+
+def _lease_file(file: Path) -> Path:
+    return file.with_suffix(".lease")
+
+
+def _write(path: Path, content: bytes) -> None:
+    part = path.with_name(f"{path.name}.part")
+    part.touch(mode=0o600)  # a lease is a secret
+    part.write_bytes(content)
+    part.replace(path)
