@@ -33,11 +33,6 @@ def test_finished_runs_go_after_their_time_and_unfinished_ones_are_taken_up(tmp_
             running.client.get(old)
         until(lambda: running.client.get(left)["state"] == "cancelled")
         assert running.client.get(recent)["state"] == "succeeded"
-
-
-def test_a_stop_does_not_look_like_a_crash(tmp_path):
-    with start_service(tmp_path, cpus=1) as running:
-        pass
-    said = running.log.read_text()
+    said = running.log.read_text()  # that it was stopped, which does not look like a crash
     assert "Finished server process" in said
     assert "SIGTERM" not in said.partition("Application startup complete")[2]

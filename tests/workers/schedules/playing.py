@@ -15,7 +15,7 @@ from db.session import open_database
 from tests.workers.schedules.ledgers import DatabaseLedger, MemoryLedger
 from tests.workers.schedules.world import Figures, World
 
-_ON_DATABASE = 200  # one schedule of so many, since each takes forty times as long there
+_ON_DATABASE = 50  # one schedule of so many, since each takes twenty times as long there
 _MEMORY = Path("/dev/shm")  # noqa: S108 - a file system that never waits for a disk
 
 
