@@ -1,7 +1,10 @@
 """Aggregates of returns and their intervals over seeds, policies and episodes."""
 
+from itertools import product
+
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from adr_service.benchmark.statistics import (
     Interval,
@@ -51,6 +54,33 @@ def test_the_interquartile_mean_is_the_mean_of_the_middle_half():
     estimate = bootstrap_interval(scores, interquartile_mean, stream("a"))
     assert estimate.value == pytest.approx(3.5)
     assert estimate.low <= 3.5 <= estimate.high
+
+
+def test_a_bootstrap_draws_seeds_and_has_the_middle_95_percent():
+    """All resamples of four seeds, whose episodes are equal, are known."""
+    earned = np.array([0.0, 1.0, 5.0, 9.0])
+    seeds = [np.full((1, 3), each) for each in earned]
+    found = bootstrap_interval(seeds, lambda scores: np.mean(scores, axis=-1), stream("a"))
+    every = np.mean(list(product(earned, repeat=4)), axis=1)
+    assert len(every) == 256
+    for bound, share in ((found.low, 0.025), (found.high, 0.975)):
+        assert np.quantile(every, share - 0.01) <= bound <= np.quantile(every, share + 0.01)
+    assert found.value == pytest.approx(3.75)
+
+
+def test_a_bootstrap_draws_episodes_within_seeds():
+    """Twelve episodes that earn 0 or 1 are a binomial."""
+    seeds = [np.array([[0.0, 1.0, 0.0, 1.0]])] * 3
+    found = bootstrap_interval(seeds, lambda scores: np.mean(scores, axis=-1), stream("a"))
+    expected = binom.ppf([0.025, 0.975], 12, 0.5) / 12
+    assert (found.low, found.high) == pytest.approx(expected)
+
+
+def test_a_bootstrap_draws_policies_within_seeds():
+    seeds = [np.repeat([[0.0], [1.0]], 5, axis=1)] * 3
+    found = bootstrap_interval(seeds, lambda scores: np.mean(scores, axis=-1), stream("a"))
+    expected = binom.ppf([0.025, 0.975], 6, 0.5) / 6
+    assert (found.low, found.high) == pytest.approx(expected)
 
 
 def test_the_probability_of_improvement_counts_pairs_and_half_of_ties():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
 from adr_service.distributions import Gaussian
 from adr_service.errors import InvalidInput
@@ -17,6 +18,7 @@ from adr_service.methods.simopt import (
 )
 from adr_service.progress import silent
 from adr_service.randomness import stream
+from adr_service.simulation.batch import Simulations
 from tests.planted import PLANTED, PROBLEM, SPACE, recorded, stuck, waving_policy
 
 
@@ -156,6 +158,31 @@ class TestUpdates:
         data = stuck(self.evidence.data, column=1, value=0.1)
         loop = ClosedLoop(PROBLEM, Evidence(self.policy, data), SimOptSettings(), 1)
         assert loop.costs(PLANTED[None], silent)[0] < 10
+
+    @pytest.mark.parametrize(
+        ("l1", "l2", "filter_std"), [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.5, 2.0, 5.0)]
+    )
+    def test_the_cost_is_the_papers_discrepancy(self, l1, l2, filter_std):
+        """Eq. 4: weighted sums of absolute and of squared differences, filtered along time."""
+        task, source = PROBLEM.task, PROBLEM.source
+        settings = SimOptSettings(l1_weight=l1, l2_weight=l2, filter_std=filter_std)
+        data = recorded(self.policy, episodes=1, steps=20)
+        wrong = 1.3 * PLANTED[None]
+        simulations = Simulations(task, source, 1)
+        simulations.set_dynamics(wrong)
+        simulations.set_state(task.state(data.observations[:1]))
+        differences = [np.zeros(4)]
+        for seen in data.next_observations:
+            now = task.observe(simulations.state)
+            simulations.step(self.policy.act(now))
+            differences.append(task.observe(simulations.state)[0] - seen)
+        known = np.concatenate([data.observations, data.next_observations[-1:]])
+        weighted = np.array(differences) / known.std(axis=0)
+        if filter_std:
+            weighted = gaussian_filter1d(weighted, filter_std, axis=0)
+        expected = l1 * np.abs(weighted).sum(axis=1).mean() + l2 * (weighted**2).sum(axis=1).mean()
+        loop = ClosedLoop(PROBLEM, Evidence(self.policy, data), settings, 1)
+        assert loop.costs(wrong, silent)[0] == pytest.approx(expected, rel=1e-6)
 
     def test_simulations_that_all_diverge_end_the_update(self):
         """The belief would narrow without any evidence."""

@@ -18,7 +18,10 @@ def earned(box):
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_bayrn_finds_the_optimum_of_a_known_return_surface(seed):
-    """Tolerance: 2 % of the range; with seeds 0 to 4 the worst regret after ten was below .01."""
+    """Tolerance: a regret of .1 of 100; with seeds 0 to 4 the worst after ten was below .01.
+
+    Of fifteen random boxes, the best has a regret of more than .1 nearly always.
+    """
     boxes = random_bounds(FORE_MASS, UdrSettings(policies=5), stream("bayrn", seed))
     returns = [earned(box) for box in boxes]
     rng = stream("propose", seed)
@@ -27,5 +30,6 @@ def test_bayrn_finds_the_optimum_of_a_known_return_surface(seed):
         boxes.append(proposal.next)
         returns.append(earned(proposal.next))
     final = propose(boxes, np.array(returns), rng)
-    assert returns[final.best] > 100 - 2.0
-    assert returns[final.best] > max(returns[:5])
+    assert returns[final.best] > 100 - 0.1
+    others = random_bounds(FORE_MASS, UdrSettings(policies=15), stream("random", seed))
+    assert returns[final.best] > max(map(earned, others))
