@@ -131,3 +131,7 @@ def test_a_training_draws_from_its_curriculum_and_is_judged_on_the_distribution(
     again = train(ARM, SOURCE, BOX, given, stream("one"), curriculum=Walk(episodes=12))
     assert again.policy.to_bytes() == moved.policy.to_bytes()
     assert again.phases == moved.phases
+    middle = Uniform.point(BOX.space, BOX.mean)
+    elsewhere = train(ARM, SOURCE, middle, given, stream("one"), curriculum=Walk(episodes=12))
+    assert elsewhere.phases == moved.phases  # it has trained on the same
+    assert elsewhere.curve != moved.curve
