@@ -144,6 +144,7 @@ async def _give_back_disk(service: Service) -> None:
 
 
 async def _watch_the_dispatcher(service: Service, on_death: Callable[[], None]) -> None:
+    """Call `on_death` once no run can go on."""
     while service.orchestrator.is_alive:
         await anyio.sleep(_LOOK_S)
     log.error("the service ends, because it cannot compute any more; start it again")

@@ -195,9 +195,10 @@ def fail(
     message: str,
     also: Callable[[Session, str, StageFailed], None] = lambda session, run_id, error: None,
 ) -> Visit:
-    """Note that no robot can do this visit, and what `also` writes of its run and the error.
+    """Note that no robot can do this visit.
 
-    The same again changes nothing. Raises NotFound and LeaseLost.
+    `also(session, run_id, error)` writes in the same transaction. The same again changes nothing.
+    Raises NotFound and LeaseLost.
     """
     with database.write("fail_task") as session:
         row = _row(session, id)

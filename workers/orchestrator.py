@@ -128,6 +128,7 @@ class Orchestrator:
                 live.cancelled.set()
                 if live.thread.cancel():
                     del self._live[_key(record)]
+                    self._dispatcher.withdraw(record.id)  # of an earlier submission, if any
                     unstarted.append((record.id, RunStopped(submission=record.submission)))
         batches = run_store.batches(unstarted)
         try:

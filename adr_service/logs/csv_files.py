@@ -11,7 +11,7 @@ from adr_service.logs.base import Log
 
 _DELIMITERS = ("\t", ";", ",")
 _SHOWN = 60  # characters of a name
-_CELL = r"(?:^|[;\t\n])\s*[+-]?\d*{}\d+(?:[eE][+-]?\d+)?\s*(?:[;\t\r\n]|$)"
+_CELL = r"(?:^|[;\t\n]) *[+-]?\d*{}\d+(?:[eE][+-]?\d+)? *(?=[;\t\r\n]|$)"
 _DECIMAL_COMMA = re.compile(_CELL.format(",").encode())
 _DECIMAL_POINT = re.compile(_CELL.format(r"\.").encode())
 _COMMENT = b"#"  # before a header, as NumPy writes it
@@ -42,23 +42,29 @@ def read_csv(source: str, content: bytes) -> Log:
 
 
 def _has_decimal_commas(rows: bytes) -> bool:
-    """True if numbers have decimal commas, and none has a point."""
-    return _DECIMAL_COMMA.search(rows) is not None and _DECIMAL_POINT.search(rows) is None
+    """True if more numbers have decimal commas than points."""
+    return len(_DECIMAL_COMMA.findall(rows)) > len(_DECIMAL_POINT.findall(rows))
 
 
 def _header(content: bytes) -> tuple[bytes, bytes]:
     """The header's line and the rest, without the comments before it.
 
-    The header is itself a comment where numbers follow, as NumPy and other programs write it.
+    The header is itself a comment where numbers follow, as NumPy and other programs write it. Then
+    it is the last comment without a number, or else the last.
     """
+    comments: list[bytes] = []
     head, _, rest = content.partition(b"\n")
     while head.startswith(_COMMENT):
-        following, _, others = rest.partition(b"\n")
-        cells = re.split("[,;\t]", following.decode("utf-8", errors="replace"))
-        if not following.startswith(_COMMENT) and any(map(_is_number, cells)):
-            return head.removeprefix(_COMMENT).lstrip(), rest
-        head, rest = following, others
-    return head, rest
+        comments.append(head.removeprefix(_COMMENT).lstrip())
+        head, _, rest = rest.partition(b"\n")
+    if not comments or not _has_numbers(head):
+        return head, rest
+    names = [comment for comment in comments if not _has_numbers(comment)] or comments
+    return names[-1], head + b"\n" + rest
+
+
+def _has_numbers(line: bytes) -> bool:
+    return any(map(_is_number, re.split("[,;\t]", line.decode("utf-8", errors="replace"))))
 
 
 def _check_header(source: str, names: list[str]) -> None:

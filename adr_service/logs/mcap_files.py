@@ -65,6 +65,7 @@ def read_mcap(source: str, content: bytes) -> Log:
         ) from error
     topics: dict[str, _Topic] = {}
     unread: dict[str, str] = {}
+    too_wide: set[str] = set()  # topics
     count = 0
     ros = DecoderFactory()
     decoders: dict[int, Callable[[bytes], Any] | None] = {}
@@ -74,7 +75,7 @@ def read_mcap(source: str, content: bytes) -> Log:
         )
         _check_unpacked(source, content)
         for schema, channel, message in reader.iter_messages():
-            if channel.topic in unread:
+            if channel.topic in too_wide:
                 continue
             if channel.id not in decoders:
                 decoders[channel.id] = _decoder(ros, channel.message_encoding, schema)
@@ -91,14 +92,15 @@ def read_mcap(source: str, content: bytes) -> Log:
             stamp = stamp or message.log_time * 1e-9  # a stamp of zero was never set
             count += topic.add(stamp, _flat(channel.topic, decoded))
             if len(topic.columns) > _WIDEST:
+                too_wide.add(channel.topic)
                 unread[channel.topic] = f"it has more than {_WIDEST:,} columns"
+                del topics[channel.topic]
             if count > MOST_NUMBERS:
                 check_size(source, 0, count)
     except AdrError:
         raise
     except Exception as error:  # parsers of damaged messages raise anything
         raise InvalidInput(f"{source} is no bag that can be read: {error}") from error
-    topics = {name: topic for name, topic in topics.items() if name not in unread}
     check_size(source, sum(len(topic.columns) for topic in topics.values()), count)
     return Log(source, tuple(topic.stream() for topic in topics.values()), unread)
 

@@ -143,7 +143,7 @@ def scaled(track: Track, factor: float, delay: float = 0.0) -> Track:
 def check_moves(recordings: Sequence[Recording]) -> None:
     """Raises InvalidInput for a sensor that never changes in any recording, or that saturates.
 
-    Readings before the first command become no rows, and do not count.
+    Readings before the first stretch become no rows, and do not count.
     """
     begins = [next(iter(each.stretches()), (np.inf, np.inf))[0] for each in recordings]
     for tracks in zip(*(each.states for each in recordings), strict=True):
@@ -152,7 +152,7 @@ def check_moves(recordings: Sequence[Recording]) -> None:
             for track, begin in zip(tracks, begins, strict=True)
         ]
         values = np.concatenate(parts)
-        if len(values) and (why := why_stuck(values)) is not None:
+        if len(values) >= LEAST_ROWS and (why := why_stuck(values)) is not None:
             raise InvalidInput(
                 f"column {tracks[0].column!r} ({tracks[0].quantity}) {why}; needed are readings "
                 "that follow the robot"

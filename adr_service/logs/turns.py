@@ -31,7 +31,7 @@ def unwrapped(recording: Recording, given: LogMap, model: mujoco.MjModel) -> Rec
 
 
 def check_jumps(recording: Recording, given: LogMap, model: mujoco.MjModel) -> None:
-    """Raises InvalidInput for hinges whose positions jump by a turn, though they are unwrapped."""
+    """Raises InvalidInput for a hinge whose positions jump by a turn, with what to change."""
     for name, position in zip(joints_of(model), recording.positions, strict=True):
         if not is_slide(model, name):
             _check_hinge(recording.source, name, position, given.joints[name])
@@ -85,7 +85,7 @@ def bridged(recordings: Sequence[Recording], given: LogMap) -> Iterator[str]:
             longest = max(last - first for first, last in gaps)
             yield (
                 f"{name}'s readings wrap, and have {len(gaps)} gaps, of {longest:.3g} s at most; "
-                "its turns in them are guessed from its speed on both sides. If that may be wrong "
+                "its turns in them are guessed from its speed beside them. If that may be wrong "
                 "by half a turn, cut the log at its gaps (rows.episode)"
             )
 

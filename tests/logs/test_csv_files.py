@@ -23,6 +23,7 @@ def columns(text):
         "# by a logger, of 2026\n# time,q 1\n0,1.5\n0.1,2.5\n",
         "# by a logger, of 2026\ntime,q 1\n0,1.5\n0.1,2.5\n",
         "# logger v2\n# rate, 500\ntime,q 1\n0,1.5\n0.1,2.5\n",
+        "# time,q 1\n# rate, 500\n0,1.5\n0.1,2.5\n",
         "time\tq 1\n0\t1,5\n0,1\t2,5e0\n",
     ],
 )
@@ -46,6 +47,12 @@ def test_a_list_in_a_cell_is_no_decimal_comma_among_numbers_with_points():
     found, texts = columns("time\tq\tmode\n0.5\t1.5\t1,2\n")
     assert (found["time"][0], found["q"][0]) == (0.5, 1.5)
     assert texts == {"mode": "it holds string"}
+
+
+def test_a_column_with_points_among_decimal_commas_is_a_text():
+    found, texts = columns("time;q;version\n0,1;1,5;2.1\n0,2;1,6;2.1\n")
+    np.testing.assert_array_equal(found["q"], [1.5, 1.6])
+    assert texts == {"version": "it holds string"}
 
 
 def test_a_comma_within_a_text_is_no_decimal_comma():

@@ -118,6 +118,13 @@ def test_fields_of_a_list_of_messages_are_columns_of_their_place():
     }
 
 
+def test_a_message_that_cannot_be_read_leaves_the_others_of_its_topic():
+    good = [{"header": {"stamp": {"sec": 1 + i, "nanosec": 0}}, "q": i} for i in range(2)]
+    log = read_mcap("run.mcap", json_bag(*good, {"header": {"stamp": {"t": 3}}, "q": 2}))
+    np.testing.assert_array_equal(log.streams[0].columns["/state.q"], [0, 1])
+    assert list(log.unread) == ["/state"]
+
+
 def test_a_topic_with_too_many_columns_is_listed_and_others_are_read(monkeypatch):
     monkeypatch.setattr(mcap_files, "_WIDEST", 10)
     log = read_mcap("run.mcap", json_bag({"markers": [{"x": 1, "y": 2}] * 6}, {"markers": []}))

@@ -98,7 +98,8 @@ class Heart:
 
     def _stop(self, why: str) -> None:
         if not self._why:
-            self._why, self._stopped_at = why, now()
+            self._stopped_at = now()  # first: the watch reads both
+            self._why = why
 
     def __enter__(self) -> Self:
         self._open.enter_context(self._client)

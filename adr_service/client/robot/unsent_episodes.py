@@ -5,6 +5,7 @@ client, the next one that starts in the same folder sends it.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,10 +26,14 @@ class UnsentEpisode:
         """The episode in TASK.npz, with the lease in TASK.lease; each is whole or not there."""
         file = Path(f"{task_id}.npz").absolute()
         try:
-            for path, part in ((file, content), (_lease_file(file), lease.encode())):
-                _write(path, part)
+            _lease_file(file).unlink(missing_ok=True)  # an earlier one is not of this episode
+            _write(file, content)
+            _write(_lease_file(file), lease.encode())
         except OSError:
-            return cls(task_id, lease, content, None)
+            for path in (file, _lease_file(file)):
+                with suppress(OSError):
+                    _part(path).unlink()
+            return cls(task_id, lease, content, file if file.exists() else None)
         return cls(task_id, lease, content, file)
 
     @classmethod
@@ -52,8 +57,11 @@ class UnsentEpisode:
         if self.file is None:
             return self
         aside = self.file.with_suffix(f".{self.lease[:_SHOWN]}.npz")
-        self.file.replace(aside)
-        _lease_file(self.file).unlink(missing_ok=True)
+        try:
+            _lease_file(self.file).unlink(missing_ok=True)
+            self.file.replace(aside)
+        except OSError:  # another client has done it, or nothing can be written any more
+            return self
         return UnsentEpisode(self.task_id, self.lease, self.content, aside)
 
 
@@ -61,8 +69,12 @@ def _lease_file(file: Path) -> Path:
     return file.with_suffix(".lease")
 
 
+def _part(path: Path) -> Path:
+    return path.with_name(f"{path.name}.part")
+
+
 def _write(path: Path, content: bytes) -> None:
-    part = path.with_name(f"{path.name}.part")
+    part = _part(path)
     part.touch(mode=0o600)  # a lease is a secret
     part.write_bytes(content)
     part.replace(path)

@@ -18,7 +18,7 @@ from adr_service.client.robot.episode import (
     slowness,
     to_npz,
 )
-from adr_service.client.robot.heart import MOST_BEAT_S, STOP_S, Heart, now
+from adr_service.client.robot.heart import MOST_BEAT_S, STOP_S, Heart, Watch, now
 from adr_service.client.robot.limits import Limits
 from adr_service.client.robot.unsent_episodes import UnsentEpisode
 from adr_service.errors import InvalidInput, UnknownName
@@ -108,31 +108,34 @@ class Robot:
             try:
                 episode = run_episode(machine, task, self._actor(task), heart.watch, why_stop)
             except BaseException:  # whatever broke, the robot's owner must see to it
-                try:
-                    with heart.watch.watching("close", STOP_S):
-                        self.close()  # before anything that may wait
-                finally:
-                    with self._connect(STOP_S) as client:
-                        _release(client, task, lease)
+                self._close_and_release(task, lease, heart.watch)
                 raise
             if why := why_stop():
                 self._report(f"{task['id']}: stopped, {why}")
                 _release(self._client, task, lease)
                 return False
-            return self._upload(task, lease, episode)
+            return self._upload(task, lease, episode, heart.watch)
 
     def _refuse_longer_than_allowed(self, task: Json, lease: str) -> None:
         """Raise InvalidInput for a whole episode that takes longer than the robot may move."""
         longest = task["transitions"] * self._about["control_period_s"]
         if task["kind"] == "rollout" or self._limits.allows(longest):
             return
-        self.close()
         _release(self._client, task, lease)  # for a robot that may move longer
         raise InvalidInput(
             f"{task['id']} asks for {longest:g} s, and this robot may move for "
             f"{self._limits.seconds:g}: allow --max-seconds {_LEEWAY * longest:.3g}, or submit "
             "runs of fewer transitions"
         )
+
+    def _close_and_release(self, task: Json, lease: str, watch: Watch) -> None:
+        """Close the environment before anything that may wait, and give the task back."""
+        try:
+            with watch.watching("close", self._limits.reset_seconds):
+                self.close()
+        finally:
+            with self._connect(STOP_S) as client:
+                _release(client, task, lease)
 
     def _give_up(self, task: Json, lease: str, why: str) -> None:
         """Release the task of an environment that hangs, and abandon the environment."""
@@ -152,12 +155,11 @@ class Robot:
         content = self._patiently(partial(self._client.content, task["links"]["policy"]))
         return Policy.from_bytes(content).act
 
-    def _upload(self, task: Json, lease: str, episode: Episode) -> bool:
+    def _upload(self, task: Json, lease: str, episode: Episode, watch: Watch) -> bool:
         """Upload the trajectory; True if the service accepted it."""
         counts = task["kind"] != "rollout"
         if counts and episode.is_cut:
-            self.close()
-            _release(self._client, task, lease)  # for a robot that can do all of it
+            self._close_and_release(task, lease, watch)  # for a robot that can do all of it
             raise InvalidInput(
                 f"{task['id']}: {episode.wrong} after {len(episode.actions)} of "
                 f"{task['transitions']} steps, whose return counts"
@@ -166,6 +168,8 @@ class Robot:
             self._fail(task, lease, episode.wrong)
             return False
         unsent = UnsentEpisode.written(task["id"], lease, to_npz(episode, self._about, self._name))
+        if unsent.file is None:
+            self._report(f"{task['id']}: no file can be written here, in case it cannot be sent")
         try:
             self._send(unsent)
         except Refused as error:
@@ -180,14 +184,14 @@ class Robot:
 
     def _send(self, unsent: UnsentEpisode) -> None:
         """Upload an episode, whose file stays until the service has it."""
-        id, lease, content = unsent.task_id, unsent.lease, unsent.content
+        task_id, lease, content = unsent.task_id, unsent.lease, unsent.content
         try:
-            self._patiently(partial(self._client.complete_task, id, lease, content))
+            self._patiently(partial(self._client.complete_task, task_id, lease, content))
         except BaseException as error:  # also its owner, who stops it while the service is away
             if isinstance(error, Refused) and error.status in _FINAL:
                 unsent = unsent.set_aside()
             where = unsent.file or "no file, because none could be written"
-            self._report(f"{id}: the service does not have the episode; it is in {where}")
+            self._report(f"{task_id}: the service does not have the episode; it is in {where}")
             raise
         unsent.discard()
 

@@ -218,6 +218,8 @@ def test_an_episode_is_sent_though_no_file_can_be_written(folder, monkeypatch):
     with pytest.raises(Refused):
         robot(refusing, reports=reports).work(1)
     assert "it is in no file, because none could be written" in reports[-1]
+    assert "task_a: no file can be written here, in case it cannot be sent" in reports
+    assert not list(folder.iterdir())
 
 
 def raising(error):
