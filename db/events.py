@@ -4,7 +4,7 @@ append_event(database, run_id, RunStarted(submission=1))     # False: it was wri
 events_of(database, run_id, after=3)
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from typing import TypeVar
 
@@ -67,6 +67,16 @@ def append_to_all(session: Session, run_ids: Sequence[str], events: Sequence[Run
         row = session.scalar(select(RunRow).where(RunRow.id == run_id))
         if row is not None:
             _append_new(session, row, events)
+
+
+def end(session: Session, run_id: str, event: Callable[[int], RunEvent]) -> None:
+    """Write the event that ends a run's present submission; inside a transaction.
+
+    A run that was deleted, has ended, or was asked to stop is left as it is.
+    """
+    if visits.is_wanted(session, run_id):
+        row = run_row(session, run_id)
+        _append_new(session, row, [event(row.submission)])
 
 
 def events_of(

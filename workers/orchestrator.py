@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple, Protocol, TypeVar
 
-from sqlalchemy.orm import Session
 from structlog.contextvars import bound_contextvars
 
 from adr_service.errors import AdrError, FailureCode, RunCancelled, StageFailed
@@ -161,7 +160,15 @@ class Orchestrator:
         The run's failure is stored together with the visit's: a service that ended in between would
         offer the visit again.
         """
-        failed = visit_store.fail(self._database, id, lease, message, _fail_run)
+        failed = visit_store.fail(
+            self._database,
+            id,
+            lease,
+            message,
+            lambda session, run_id, error: event_store.end(
+                session, run_id, lambda submission: _failure(submission, error.cause, str(error))
+            ),
+        )
         self._dispatcher.refused(failed.digest, message)
         return failed
 
@@ -278,14 +285,6 @@ class Orchestrator:
 
 def _key(record: RunRecord) -> tuple[str, int]:
     return record.id, record.submission
-
-
-def _fail_run(session: Session, run_id: str, error: StageFailed) -> None:
-    """Store that a run has failed by a visit, unless it has ended; inside a transaction."""
-    if visit_store.is_wanted(session, run_id):
-        submission = event_store.run_row(session, run_id).submission
-        failed = _failure(submission, error.cause, str(error))
-        event_store.append_to_all(session, [run_id], [failed])
 
 
 def _failure(submission: int, code: str, message: str) -> RunFailed:
