@@ -299,6 +299,7 @@ def exported_run(folder: Path) -> Names:
     row = {"iteration": 0, "normalised_return": 0.5, "policies": 1}
     row |= {"target_transitions": 0, "episodes": 50}
     budget = {"variant": "vanilla", "seed": 0, "iterations": 1, "transitions": 200}
+    budget["target"] = {"kind": "simulated"}
     return {
         "policy": Policy((layer,), "tanh", task.action_low, task.action_high),
         "get_task": get_task,

@@ -107,7 +107,7 @@ def test_a_robot_that_hangs_ends_the_command_with_what_was_played(tmp_path):
     )
     assert ended.returncode == 1
     assert "the environment's step did not return" in ended.stdout
-    assert "played.npz: 2 episodes, 16 rows" in ended.stdout
+    assert "played.npz: 2 of 4 episodes, 16 rows" in ended.stdout
     played = Measurement.from_npz((tmp_path / "played.npz").read_bytes())
     assert [last - first for first, last in played.spans()] == [8, 8]
 

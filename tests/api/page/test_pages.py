@@ -185,7 +185,7 @@ def test_a_running_stage_links_to_its_actor_in_rays_dashboard(service, http):
     training = {"max_steps": 1_000_000, "stop_at_threshold": False}
     long = {**SMOKE, "method": "prior", "seed": 80, "training": training}
     run = service.client.submit_run(long)["id"]
-    link = re.compile(r'href="(http://\S+)/#/actors/\w{32}">adr:run_\w+:trainer:\d+<')
+    link = re.compile(r'href="(http://\S+)/#/actors/\w{32}">adr:run_\w+:trainer:[0-9a-f]{6}-\d+<')
     found = until(lambda: link.search(http.get(f"/runs/{run}").text))
     assert found.group(1) == http.get("/readyz").json()["dashboard"]
     http.post(f"/v1/runs/{run}/cancel")

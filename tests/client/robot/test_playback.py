@@ -1,6 +1,5 @@
 """Planned commands on a simulated machine."""
 
-import signal
 import threading
 
 import gymnasium
@@ -150,12 +149,17 @@ def test_what_was_played_is_there_when_the_robot_fails(robot):
     assert [len(played.measurement.spans()) for played in kept] == [1, 2]
 
 
+class Stopped(Stuck):
+    """A robot whose owner presses Ctrl-C in the third episode."""
+
+    def step(self, action):
+        if self.episodes == 3:
+            raise KeyboardInterrupt
+        return super().step(action)
+
+
 def test_the_owner_can_stop_it_and_keeps_what_was_played(robot):
-    stopped = Stuck(robot)
-    stopped.step = lambda action: (
-        robot.step(action) if stopped.episodes < 3 else signal.raise_signal(signal.SIGINT)
-    )
-    player = Player(stopped, TASK, Limits(), keep=lambda played: None)
+    player = Player(Stopped(robot), TASK, Limits(), keep=lambda played: None)
     with pytest.raises(KeyboardInterrupt):
         player.play(read_plan(plan(), 2, PERIOD)[0], never)
     assert len(player.played.measurement.spans()) == 2
