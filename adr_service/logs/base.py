@@ -86,7 +86,7 @@ class Log:
         return self._kept(column, clock, _far_enough, _LEAST)
 
     def commands(self, column: str, clock: Clock) -> Signal:
-        """The commands of a column, each of which holds until the next one comes.
+        """The commands of a column; each holds until the next one comes.
 
         Of those that came at one time the last is kept. Raises InvalidInput as `signal` does, but
         one command is enough.

@@ -125,7 +125,7 @@ def _time_unit(log: Log, column: str) -> str:
 
 
 def _oddness(log: Log, column: str, size: float) -> float:
-    """How far from the likeliest pace rows come, as a logarithm, by a unit of so many seconds."""
+    """Distance of the rows' pace from the likeliest one, in logarithms; `size` is the unit in s."""
     times = _values(log, column)
     pace = size * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     return abs(np.log(pace / _LIKELY_S)) if pace > 0 else 0.0

@@ -177,7 +177,7 @@ def check_lengths(
 ) -> None:
     """Raises InvalidInput for episodes or rows that are too short, and for clocks that differ.
 
-    `step` is the model's, of which a period has a whole number.
+    A period is a multiple of `step` [s], the model's own.
     """
     if period > _LONG_S:
         raise InvalidInput(f"rows would be {period:.3g} s apart; is time.unit right?")

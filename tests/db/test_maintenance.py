@@ -72,7 +72,7 @@ def test_a_backup_is_read_where_nothing_can_be_written(database, tmp_path):
 
 @contextmanager
 def as_nobody():
-    """Without the rights of root, whom no mode stops from writing."""
+    """Run as a user without rights, because root may write anywhere."""
     user = os.geteuid()
     if user == 0:
         os.seteuid(65534)

@@ -45,7 +45,7 @@ def test_migrations_up_to_a_revision_make_its_tables(connection, revision):
 
 
 def test_databases_are_made_in_several_threads_at_once(tmp_path):
-    """As by two imports of archives, each of which makes one."""
+    """Two imports of archives at once do this."""
 
     def make(number):
         with closing(open_database(f"sqlite:///{tmp_path / str(number)}.sqlite")) as made:

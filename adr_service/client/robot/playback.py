@@ -91,7 +91,7 @@ class Player:
         """
         check_commands(self._task, plan)
         model = compiled(self._task.xml)
-        check_state(model)  # of which a measurement can be made
+        check_state(model)  # before anything moves: others give no measurement
         if start is not None and len(start) != model.nq:
             raise InvalidInput(
                 f"the plan begins at a pose of {len(start)} positions; {self._task.name} has "
