@@ -1,24 +1,22 @@
-"""Policies trained without target data, by their success over the whole search box.
+"""Policies of a study that learned without target data, by their success over the search box.
 
-    python -m benchmarks.curricula [--task T] [--methods M …] [--seeds S …] [--processes N]
+    python -m benchmarks.curricula [--variant V] archive.adr …
 
-Each policy is trained with the preset `fast`, then scored by 1000 episodes whose dynamics are
-drawn from the whole search box: the shares that earn .75 of the reward threshold, which is what the
-curricula call a success, and .9, and the mean return divided by the threshold. UDR has POLICIES
-random boxes per seed, whose mean counts. A training ends early where the policy earns the
-threshold, a curriculum's on the whole box.
-
-Every policy is kept in build/bench/curricula, so that a study that was stopped goes on where it
-was. Prints means over seeds with Student's 95 % interval.
+Scores every policy that the archives' finished runs trained on the prior, on UDR's random boxes or
+with a curriculum: EPISODES episodes whose dynamics are drawn from the whole search box, the same
+ones for all policies. Prints the shares that earn .75 of the task's reward threshold, which is what
+the curricula call a success, and .9, the mean return divided by the threshold, and the steps of a
+training, which ends early where the policy earns the threshold; a curriculum's on the whole box.
+Of a seed with several policies, the mean counts; intervals are Student's over seeds, 95 %.
 """
 
 import argparse
-import json
 import os
-import time
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import groupby
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -28,6 +26,7 @@ import numpy as np
 from adr_service.arrays import Vector
 from adr_service.benchmark.statistics import seed_interval
 from adr_service.distributions import Uniform
+from adr_service.events import RunState
 from adr_service.methods.base import CurriculumSettings
 from adr_service.methods.udr import UdrSettings
 from adr_service.programs.curriculum import curriculum_training
@@ -38,122 +37,107 @@ from adr_service.randomness import stream
 from adr_service.simulation.batch import Simulations
 from adr_service.simulation.rollout import run_episodes
 from adr_service.specs import RunSpec
-from adr_service.stages.base import compute
-from adr_service.stages.train_policy import TrainPolicy
+from adr_service.stages.train_policy import TrainedPolicy, TrainPolicy
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.training.policy import Policy
-from benchmarks.recovery import TASKS, keep
-from workers.cluster import worker_environment
+from db.runs import list_runs
+from db.session import Database
+from db.stages import find_result
+from db.staging import staged
 
-FOLDER = Path("build/bench/curricula")
-METHODS = ("prior", "udr", "fixed_dr", "auto_dr", "doraemon", "epopt")
-POLICIES = 2  # of UDR, per seed
 SUCCESS, SOLVED = 0.75, 0.9  # of the reward threshold
-EPISODES = 1000
+EPISODES = 500
 
 
 @dataclass(frozen=True)
-class Point:
+class Trained:
+    """A policy of a run."""
+
+    task: str
     method: str
     seed: int
     stage: TrainPolicy
+    result: TrainedPolicy
 
 
 def options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--task", choices=TASKS, default="hopper")
-    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
-    parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("archives", nargs="+", type=Path, metavar="archive.adr")
+    parser.add_argument("--variant", default="vanilla")
     return parser.parse_args()
 
 
 def main(given: argparse.Namespace) -> None:
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    os.environ.update(worker_environment(Path("build/bench/jax").absolute()))
-    # seeds outermost, so that a stopped study has whole repetitions
-    points = [
-        point
-        for seed in given.seeds
-        for method in given.methods
-        for point in points_of(given.task, method, seed)
-    ]
-    with ProcessPoolExecutor(
-        given.processes, mp_context=get_context("spawn"), max_tasks_per_child=1
-    ) as pool:
-        rows = list(pool.map(measured, points))
-    print("| method | earn .75 | earn .9 | mean return | phases | CPU s |")
-    print("|---|---|---|---|---|---|")
-    for method in given.methods:
-        print(line(method, [row for row in rows if row["method"] == method]))
+    trained = sorted(
+        (each for archive in given.archives for each in trained_in(archive, given.variant)),
+        key=lambda each: (each.task, each.method, each.seed),
+    )
+    cores = len(os.sched_getaffinity(0))
+    with ProcessPoolExecutor(cores, mp_context=get_context("spawn")) as pool:
+        scored = zip(trained, pool.map(box_returns, trained), strict=True)
+        print("| task | method | earn .75 | earn .9 | mean return | phases | million steps |")
+        print("|---|---|---|---|---|---|---|")
+        for names, rows in groupby(scored, key=lambda row: (row[0].task, row[0].method)):
+            print(f"| {' | '.join([*names, *cells(list(rows))])} |", flush=True)
 
 
-def points_of(task: str, method: str, seed: int) -> list[Point]:
-    given = {"task": task, "method": method, "seed": seed, "preset": "fast"}
-    spec = RunSpec.model_validate(given)
-    return [Point(method, seed, stage) for stage in trainings_of(spec)]
+def trained_in(archive: Path, variant: str) -> Iterator[Trained]:
+    """The policies of an archive's finished runs of one variant."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        archive.open("rb") as file,
+        staged(file, Path(folder)) as archived,
+    ):
+        for record in list_runs(archived.database, limit=None):
+            spec, is_done = record.spec, record.state is RunState.SUCCEEDED
+            if is_done and isinstance(spec, RunSpec) and spec.variant == variant:
+                yield from trained_by(archived.database, spec)
+
+
+def trained_by(database: Database, spec: RunSpec) -> Iterator[Trained]:
+    for stage in trainings_of(spec):
+        with database.read() as session:
+            stored = find_result(session, stage.digest)
+        assert stored is not None, "a finished run has the results of its trainings"
+        yield Trained(spec.task, spec.column, spec.seed, stage, stage.read(stored))
 
 
 def trainings_of(spec: RunSpec) -> list[TrainPolicy]:
+    """The trainings of a run, unless it learns from the target."""
     if isinstance(spec.method, CurriculumSettings):
         return [curriculum_training(spec)]
     if isinstance(spec.method, UdrSettings):
-        boxes = boxes_of(spec, spec.method.model_copy(update={"policies": POLICIES}))
-        return [training(spec, box) for box in boxes]
-    return [prior_training(spec)]
+        return [training(spec, box) for box in boxes_of(spec, spec.method)]
+    return [prior_training(spec)] if spec.method.name == "prior" else []
 
 
-def measured(point: Point) -> dict[str, Any]:
-    """The row of a point, computed unless it was before."""
-    path = FOLDER / f"{point.method}-{point.seed}-{point.stage.digest[:16]}.json"
-    if not path.exists():
-        started = time.process_time()
-        trained = point.stage.read(compute(point.stage))
-        seconds = time.process_time() - started
-        returns = box_returns(point.stage, Policy.from_bytes(trained.policy))
-        row = {
-            "method": point.method,
-            "seed": point.seed,
-            "returns": np.round(returns, 4).tolist(),
-            "steps": trained.steps,
-            "phases": [phase.model_dump() for phase in trained.phases or []],
-            "curve": [each.model_dump() for each in trained.curve],
-            "cpu_seconds": round(seconds, 1),
-        }
-        keep(path, json.dumps(row).encode())
-    return json.loads(path.read_text())
-
-
-def box_returns(stage: TrainPolicy, policy: Policy) -> Vector:
-    """Returns divided by the threshold, of episodes over the whole search box."""
+def box_returns(trained: Trained) -> Vector:
+    """Returns (EPISODES,) divided by the threshold, of episodes over the whole search box."""
+    stage = trained.stage
     task, source = get_task(stage.task), source_of(stage.task, stage.variant)
     space, rng = source.space, stream("curricula", stage.task)  # the same for all policies
     simulations = Simulations(task, source, EPISODES)
     simulations.set_dynamics(Uniform(space, space.low, space.high).sample(EPISODES, rng).values)
-    initial = task.initial(EPISODES, rng)
+    initial, policy = task.initial(EPISODES, rng), Policy.from_bytes(trained.result.policy)
     episodes = run_episodes(task, simulations, policy.act, initial, task.horizon)
     return episodes.returns / task.reward_threshold
 
 
-def line(method: str, rows: list[dict[str, Any]]) -> str:
-    parts = [
-        method,
-        interval_of(rows, lambda returns: np.mean(returns >= SUCCESS)),
-        interval_of(rows, lambda returns: np.mean(returns >= SOLVED)),
-        interval_of(rows, np.mean),
-        f"{np.mean([len(row['phases']) for row in rows]):.0f}",
-        f"{np.mean([row['cpu_seconds'] for row in rows]):.0f}",
-    ]
-    return f"| {' | '.join(parts)} |"
+def cells(rows: list[tuple[Trained, Vector]]) -> list[str]:
+    """The cells of a method, by its policies and their returns."""
 
+    def interval(score: Callable[[Vector], Any]) -> str:
+        seeds = groupby(rows, key=lambda row: row[0].seed)
+        means = [np.mean([score(returns) for _, returns in each]) for _, each in seeds]
+        return f"{seed_interval(np.array(means, np.float64))}, {len(means)} seeds"
 
-def interval_of(rows: list[dict[str, Any]], score: Callable[[Vector], Any]) -> str:
-    seeds = sorted({row["seed"] for row in rows})
-    means = [
-        np.mean([score(np.array(row["returns"])) for row in rows if row["seed"] == seed])
-        for seed in seeds
+    return [
+        interval(lambda returns: np.mean(returns >= SUCCESS)),
+        interval(lambda returns: np.mean(returns >= SOLVED)),
+        interval(np.mean),
+        f"{np.mean([len(each.result.phases or []) for each, _ in rows]):.0f}",
+        f"{np.mean([each.result.steps for each, _ in rows]) / 1e6:.2f}",
     ]
-    return f"{seed_interval(np.array(means, np.float64))}, {len(seeds)} seeds"
 
 
 if __name__ == "__main__":
