@@ -5,7 +5,8 @@ infers no distribution, so the policy is trained on a single simulator. The sear
 trust-region reflective algorithm (Branch, Coleman, Li: "A Subspace, Interior, and Conjugate
 Gradient Method for Large-Scale Bound-Constrained Minimization Problems", SIAM J. Sci. Comput. 21,
 1999) inside the search bounds. Finite differences give each Jacobian from one batch of replays.
-Residuals are divided by the standard deviation of their column.
+Residuals are divided by the standard deviation of their column. A step to a point whose replay
+diverges is shortened; a search that starts at such a point, or next to one, is left out.
 
 Standard deviations that follow from the Jacobian and the residuals (White: "A
 Heteroskedasticity-Consistent Covariance Matrix Estimator", Econometrica 48, 1980) are reported as
@@ -43,6 +44,10 @@ _GRADIENT_TOLERANCE = 1e-12  # or at a smaller scaled gradient
 _LEAST_NOISE = 1e-3
 _LEAST = 1e-6  # deviation in [0, 4], below which a covariance with others of 1 is rounding
 _MOST_CONDITION = 1e15  # of the information matrix, beyond which float64 cannot invert it
+
+
+class _Diverged(Exception):
+    """A search cannot go on, because the replay of a point diverged."""
 
 
 class _Settings(OfflineSettings):
@@ -148,25 +153,46 @@ class Sysid:
                 "mean_squared_error": float(replay.mean_squared_error(values[None])[0]),
                 "std": _finite(_deviations(best) * ranges),
                 "replays": residuals.replayed,
+                # not where there are none, so that results keep their bytes
+                **({"diverged_replays": residuals.diverged} if residuals.diverged else {}),
             },
         )
 
     def _search(
         self, residuals: "_Residuals", d: int, rng: np.random.Generator, progress: Progress
     ) -> list[OptimizeResult]:
-        """The ends of the searches, from the middle of the box and from a Latin hypercube."""
+        """The ends of the searches, from the middle of the box and from a Latin hypercube.
+
+        Raises InvalidInput if the replay diverged in all of them.
+        """
         others = qmc.LatinHypercube(d, rng=rng).random(self._settings.starts - 1)
         starts = ParameterSpace.WIDTH * np.concatenate([np.full((1, d), 0.5), others])
         ends: list[OptimizeResult] = []
-        for start in starts:
-            ends.append(self._search_from(start, residuals))
-            progress(len(ends) / len(starts), cost=float(ends[-1].cost))
+        lost = ""
+        for number, start in enumerate(starts, 1):
+            try:
+                ends.append(self._search_from(start, residuals))
+                progress(number / len(starts), cost=float(ends[-1].cost))
+            except _Diverged as error:
+                lost = str(error)
+        if not ends:
+            raise InvalidInput(f"{lost}, and no other of {len(starts)} searches could go on")
         return ends
 
     def _search_from(self, start: Vector, residuals: "_Residuals") -> OptimizeResult:
-        """The end of min 1/2 ||r(x)||^2 from a start (d,), by Branch, Coleman and Li."""
+        """The end of min 1/2 ||r(x)||^2 from a start (d,), by Branch, Coleman and Li.
+
+        Raises _Diverged at a point without a Jacobian; others that diverge only shorten steps.
+        """
+
+        def value(x: Vector) -> Vector:
+            found = residuals.value(x)
+            if np.array_equal(x, start):
+                residuals.check(found, x)
+            return found
+
         return least_squares(
-            residuals.value,
+            value,
             start,
             jac=residuals.jacobian,  # pyright: ignore[reportArgumentType]
             bounds=(0, ParameterSpace.WIDTH),
@@ -184,27 +210,31 @@ class _Residuals:
         self._replay, self._space = replay, problem.source.space
         self._scale = column_scales(replay.targets)
         self.replayed = 0  # points
+        self.diverged = 0  # of these
 
     def value(self, x: Vector) -> Vector:
-        """The residuals r(x), (m,), of all windows and columns."""
+        """The residuals r(x), (m,), of all windows and columns; not finite where it diverged."""
         return self._errors(x[None])[0]
 
     def jacobian(self, x: Vector) -> Matrix:
         """The Jacobian (m, d), by one-sided differences towards the inside of the box."""
         steps = np.where(x + _STEP <= self._space.WIDTH, _STEP, -_STEP)
-        around = self._errors(np.concatenate([x[None], x + np.diag(steps)]))
+        points = np.concatenate([x[None], x + np.diag(steps)])
+        around = self._errors(points)
+        for errors, point in zip(around, points, strict=True):
+            self.check(errors, point)
         return ((around[1:] - around[0]) / steps[:, None]).T
+
+    def check(self, errors: Vector, x: Vector) -> None:
+        """Raise _Diverged if the residuals (m,) of a point (d,) are not finite."""
+        if not np.isfinite(errors).all():
+            pairs = zip(self._space.names, self._space.denormalise(x[None])[0], strict=True)
+            raise _Diverged(f"a replay diverged at {', '.join(f'{n} {v:.4g}' for n, v in pairs)}")
 
     def _errors(self, points: Matrix) -> Matrix:
         predictions = self._replay.predict(self._space.denormalise(points))
         self.replayed += len(points)
-        is_finite = np.isfinite(predictions).all(axis=(1, 2))
-        if not is_finite.all():
-            at = self._space.denormalise(points[[np.argmin(is_finite)]])[0]
-            given = ", ".join(f"{n} {v:.4g}" for n, v in zip(self._space.names, at, strict=True))
-            raise InvalidInput(
-                f"a replay diverged at {given}; the least-squares search cannot go on"
-            )
+        self.diverged += int(np.sum(~np.isfinite(predictions).all(axis=(1, 2))))
         return ((predictions - self._replay.targets) / self._scale).reshape(len(points), -1)
 
 

@@ -18,6 +18,7 @@ from adr_service.methods.sysid import (
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.progress import silent
 from adr_service.randomness import stream
+from adr_service.simulation.replay import Replay
 from adr_service.tasks.base import Source
 from tests.planted import ARM, PLANTED, PROBLEM, SPACE, distance, recorded, stuck, waving_policy
 
@@ -161,10 +162,26 @@ def test_windows_longer_than_the_recording_are_refused():
         fit(recorded(waving_policy(), steps=20), steps=21)
 
 
-def test_a_diverged_replay_ends_the_search():
+def test_searches_keep_away_from_points_whose_replay_diverges(monkeypatch):
+    """One of the four starts lies where nothing can be simulated; others would step into it."""
+    data, known = recorded(waving_policy(), steps=20), Replay.predict
+
+    def predict(replay, values):
+        predictions, mass = known(replay, values), SPACE.normalise(values)[:, 0]
+        predictions[(mass > 1.3) & (mass < 1.6)] = np.nan
+        return predictions
+
+    monkeypatch.setattr(Replay, "predict", predict)
+    estimate = fit(data)
+    assert len(estimate.diagnostics["costs"]) == 3
+    assert estimate.diagnostics["diverged_replays"] > 1, "no search stepped into it"
+    assert np.allclose(estimate.distribution.mean, PLANTED)
+
+
+def test_recordings_that_no_simulator_can_replay_are_refused():
     data = recorded(waving_policy(), steps=5)
     absurd = data.observations.copy()
     absurd[:, 2:] = 1e9
-    diverged = r"a replay diverged at \w+ [\d.]+, "
+    diverged = r"a replay diverged at \w+ [\d.]+, .*, and no other of 4 searches could go on"
     with pytest.raises(InvalidInput, match=diverged):
         fit(replace(data, observations=absurd))
