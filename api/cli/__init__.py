@@ -8,7 +8,7 @@ from importlib.metadata import version
 from typing import Annotated
 
 import typer
-from rich.markup import escape
+from rich.text import Text
 
 import adr_service
 from adr_service.client import Refused
@@ -80,8 +80,7 @@ def main() -> None:
     try:
         app()
     except (AdrError, OSError) as error:
-        said = escape(_told(error))
-        errors.print(f"[red]error:[/red] {said}", highlight=False, soft_wrap=True)
+        errors.print(Text.assemble(("error:", "red"), f" {_told(error)}"), soft_wrap=True)
         raise SystemExit(status_of(error)) from error
 
 

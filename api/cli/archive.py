@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
 
 from adr_service.client import Json, Refused, check_benchmark, connect
 from adr_service.errors import AdrError, InvalidInput
@@ -82,7 +81,7 @@ def import_(files: Files, url: Url = None, as_json: AsJson = False) -> None:
             if as_json:
                 console.print_json(data=added)
             else:
-                console.print(f"{escape(str(file))}: {_summary(added)}")
+                console.print(f"{file}: {_summary(added)}")
 
 
 @app.command()

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 from rich.table import Table
 
 from adr_service.client import Json, connect
@@ -51,7 +50,7 @@ def _datasets_table(stored: list[Json]) -> Table:
     table = Table("id", "transitions", "episodes", "period", "origin", box=None)
     for data in stored:
         counts = (str(data["transitions"]), str(data["episodes"]), f"{data['dt']:g} s")
-        table.add_row(data["id"], *counts, escape(data["origin"]))
+        table.add_row(data["id"], *counts, data["origin"])
     return table
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import typer
 from rich.console import Console
-from rich.markup import escape
+from rich.text import Text
 
 from adr_service.client import Refused, Unreachable, connect
 from adr_service.errors import InvalidInput
@@ -54,15 +54,16 @@ def report(output: Console, results: Iterable[Check]) -> bool:
     """Print each check; True if nothing needed is missing."""
     is_fit = True
     for check in results:
-        output.print(f"{_mark(check)} {escape(check.text)}", highlight=False)
+        output.print(Text.assemble(_mark(check), f" {check.text}"))
         is_fit = is_fit and check.is_fine
     return is_fit
 
 
-def _mark(check: Check) -> str:
+def _mark(check: Check) -> tuple[str, str]:
+    """A word and its colour."""
     if check.is_good:
-        return "[green]ok[/green]  "
-    return "[red]no[/red]  " if check.is_needed else "[yellow]note[/yellow]"
+        return "ok  ", "green"
+    return ("no  ", "red") if check.is_needed else ("note", "yellow")
 
 
 def checks(url: str | None) -> Iterator[Check]:

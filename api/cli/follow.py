@@ -1,7 +1,6 @@
 """Follow a run, a benchmark or a criticism to its end, and print the results."""
 
 import typer
-from rich.markup import escape
 
 from adr_service.client import AdrClient, Json
 from api.cli.progress import failures, live
@@ -22,7 +21,7 @@ def follow(client: AdrClient, id: str, as_json: bool = False) -> None:
         show_results(client, final)
     states = final["states"] if "states" in final else {final["state"]: 1}
     for line in failures(final):
-        errors.print(escape(line), highlight=False, soft_wrap=True)
+        errors.print(line, highlight=False, soft_wrap=True)
     if set(states) != {"succeeded"}:
         raise typer.Exit(1)
 

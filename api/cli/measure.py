@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
+from rich.text import Text
 
 from adr_service.errors import InvalidInput
 from api.cli.files import check_absent
@@ -53,4 +53,4 @@ def measure(
     )
     console.print(f"{out.with_suffix('.html')}: what was read, and what the data could show")
     for warning in converted.warnings:
-        console.print(f"[yellow]look at this:[/yellow] {escape(warning)}", highlight=False)
+        console.print(Text.assemble(("look at this:", "yellow"), f" {warning}"))

@@ -74,8 +74,7 @@ def robot(
     if play is not None and out is not None:
         _play(env, task, limits, play, out)
         return
-    tell = partial(console.print, markup=False)
-    worker = Robot(partial(connect, url), task, env, name or "robot", limits, tell)
+    worker = Robot(partial(connect, url), task, env, name or "robot", limits, console.print)
     worker.work(episodes)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from rich.console import Group, RenderableType
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
@@ -34,7 +33,7 @@ def _by_place(rows: Sequence[Json], table: Callable[[Sequence[Json]], Table]) ->
         places.setdefault(f"{row['task']}, {row['variant']}", []).append(row)
     tables = {place: table(group) for place, group in places.items()}
     for place, each in tables.items():
-        each.title, each.title_justify, each.title_style = escape(place), "left", "bold"
+        each.title, each.title_justify, each.title_style = place, "left", "bold"
     return list(tables.values())
 
 
@@ -121,8 +120,7 @@ def claims_table(report: Json) -> RenderableType:
     table = Table("", "claim", "verdict", "measured", box=None, padding=(0, 2, 0, 0))
     for finding in report["findings"]:
         evidence = "\n".join(finding["evidence"]) or "–"
-        cells = (finding["claim"], finding["statement"], _verdict(finding), evidence)
-        table.add_row(*map(escape, cells))
+        table.add_row(finding["claim"], finding["statement"], _verdict(finding), evidence)
     title = f"preset {report['preset']}" + (f", but {changed}" if changed else "")
     return Group(Text(title, style="bold"), table)
 
@@ -187,13 +185,11 @@ def candidates_table(found: Sequence["Candidate"]) -> RenderableType:
     for each in found:
         errors = {trial.error for trial in each.trials if trial.error}
         table.add_row(
-            escape(
-                ", ".join(f"{name}={json.dumps(value)}" for name, value in each.changes.items())
-            ),
+            ", ".join(f"{name}={json.dumps(value)}" for name, value in each.changes.items()),
             f"{each.reached} of {len(each.trials)}",
             _range(each.cpu_seconds),
             _range(each.returns),
-            escape("; ".join(sorted(errors))),
+            "; ".join(sorted(errors)),
         )
     return table
 

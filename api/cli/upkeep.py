@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 
 from adr_service.errors import AdrError, InvalidInput
 from api.cli.single_options import SingleOptionApp
@@ -37,7 +36,7 @@ def check(data_dir: DataDir = None) -> None:
             "\n".join([heading, *open_ends, "or else restore a backup: adr db restore COPY"])
         )
     rows = ", ".join(f"{count} {table}" for table, count in maintenance.counts(path).items())
-    console.print(escape(f"{path} is sound: {rows}; revision {maintenance.revision_of(path)}"))
+    console.print(f"{path} is sound: {rows}; revision {maintenance.revision_of(path)}")
 
 
 @app.command()
@@ -48,7 +47,7 @@ def backup(
     from db import maintenance
 
     maintenance.backup(_file(_settings(data_dir)), copy)
-    console.print(escape(f"{copy}: {copy.stat().st_size / 1e6:.1f} MB"))
+    console.print(f"{copy}: {copy.stat().st_size / 1e6:.1f} MB")
 
 
 @app.command()
@@ -72,7 +71,7 @@ def restore(
                 path.unlink(missing_ok=True)
             raise
     kept = f"; the file that was there is {aside} now" if aside else ""
-    console.print(escape(f"{path} is {copy} now{kept}"))
+    console.print(f"{path} is {copy} now{kept}")
 
 
 def _refuse_a_running_service(folder: Path) -> None:
@@ -96,7 +95,7 @@ def upgrade(data_dir: DataDir = None) -> None:
     path = _file(settings)
     before = maintenance.revision_of(path)
     open_database(settings.database).close()
-    console.print(escape(f"{path}: revision {before} -> {maintenance.revision_of(path)}"))
+    console.print(f"{path}: revision {before} -> {maintenance.revision_of(path)}")
 
 
 def _settings(data_dir: Path | None) -> Settings:

@@ -1,7 +1,6 @@
 """The verdict of a criticism on a terminal."""
 
 from rich.console import Group, RenderableType
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
@@ -36,8 +35,10 @@ def _add_cause(table: Table, prefix: str, cause: Json) -> None:
     """Add a row for each strength of a cause."""
     for strength, estimate in cause["parameters"].items():
         table.add_row(
-            *map(escape, (prefix + cause["kind"], cause["location"], strength)),
-            escape(quantity_text(estimate["value"], estimate["unit"])),
-            escape(interval_text(estimate["low"], estimate["high"])),
+            prefix + cause["kind"],
+            cause["location"],
+            strength,
+            quantity_text(estimate["value"], estimate["unit"]),
+            interval_text(estimate["low"], estimate["high"]),
             f"{cause['gain_nats']:.0f}",
         )

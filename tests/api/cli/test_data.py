@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from adr_service.errors import InvalidInput
 from adr_service.transitions import TransitionDataset
 from api.cli.data import _datasets_table, read_recording
+from api.cli.terminal import console
 from tests.recordings import recording
 
 
@@ -79,7 +79,6 @@ def test_the_origin_of_a_recording_is_shown_as_it_is():
     """It may look like Rich's markup, which was left out or ended the command."""
     data = {"id": "data_1", "transitions": 2, "episodes": 1, "dt": 0.02}
     table = _datasets_table([{**data, "origin": name} for name in ("log[a].npz", "log[/run].npz")])
-    console = Console(width=120)
     with console.capture() as captured:
         console.print(table)
     assert "log[a].npz" in captured.get()

@@ -11,7 +11,7 @@ from api.cli.doctor import Check, report
 
 def shown(*checks):
     """True if a machine with these checks is fit, and the text on the terminal."""
-    is_fit = report(Console(file=(output := io.StringIO()), width=200), checks)
+    is_fit = report(Console(file=(output := io.StringIO()), width=200, markup=False), checks)
     return is_fit, output.getvalue()
 
 

@@ -59,7 +59,7 @@ def test_a_run_is_a_line_of_80_columns_and_its_names_are_whole():
     spec = {"task": "half_cheetah", "variant": "unmodeled", "seed": 3}
     run = {"id": f"run_{'0' * 16}", "state": "succeeded", "created_at": "2026-11-25T13:20:11Z"}
     table = runs_table([{**run, "spec": {**spec, "method": {"name": "dropo_smoothed"}}}])
-    Console(file=(output := io.StringIO()), width=78).print(table)
+    Console(file=(output := io.StringIO()), width=78, markup=False).print(table)
     words = output.getvalue().split()
     assert {run["id"], "half_cheetah,", "unmodeled", "dropo_smoothed", "13:20"} <= set(words)
 

@@ -44,7 +44,7 @@ TRIAL = Trial(
 
 
 def shown(table, width=80):
-    Console(file=(output := io.StringIO()), width=width).print(table)
+    Console(file=(output := io.StringIO()), width=width, markup=False).print(table)
     return output.getvalue()
 
 

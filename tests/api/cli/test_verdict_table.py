@@ -26,7 +26,7 @@ VERDICT = {
 
 
 def shown(verdict, width=80):
-    console = Console(file=(output := io.StringIO()), width=width)
+    console = Console(file=(output := io.StringIO()), width=width, markup=False)
     console.print(verdict_table(verdict))
     return output.getvalue()
 
