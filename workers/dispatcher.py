@@ -24,7 +24,7 @@ import ray
 from ray.exceptions import RayError, RayTaskError
 
 from adr_service.benchmark.cost import Execution
-from adr_service.errors import AdrError, FailureCode, RunCancelled
+from adr_service.errors import AdrError, FailureCode, InvalidInput, RunCancelled
 from adr_service.stages.base import AnyStage, StageResult
 from workers.actors import Ending, Failed
 from workers.cluster import Cluster, ClusterUnavailable, RayOptions
@@ -88,7 +88,11 @@ class Dispatcher:
         return self._cluster.dashboard_url if self._ready.done() else None
 
     def submit(self, stage: AnyStage, run_id: str) -> Future[StageResult]:
-        """Ask for a stage's result, for a run."""
+        """Ask for a stage's result, for a run.
+
+        Raises InvalidInput for inputs that are no JSON: here, so that the run that asks ends alone.
+        """
+        _check_inputs(stage)
         if self._stop.is_set():
             raise ClusterUnavailable("the dispatcher has stopped; restart the service")
         future: Future[StageResult] = Future()
@@ -303,6 +307,14 @@ class Dispatcher:
         for job in self._jobs.running():
             job.leave()
             self._jobs.lose(job, "Ray has died")
+
+
+def _check_inputs(stage: AnyStage) -> None:
+    """Compute the digest, which the stage keeps."""
+    try:
+        _ = stage.digest
+    except (TypeError, ValueError, RecursionError) as error:  # as from a method's state
+        raise InvalidInput(f"an input of {stage.kind} is no JSON: {error}") from error
 
 
 def _not_computed(error: RayTaskError) -> Failed:

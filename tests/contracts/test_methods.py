@@ -11,6 +11,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from adr_service.errors import InvalidInput
+from adr_service.json_values import canonical_json
 from adr_service.methods.base import (
     CurriculumSettings,
     Evidence,
@@ -204,12 +205,12 @@ def test_the_first_question_is_answered_without_evidence(name):
 def test_state_is_json_and_neither_ask_nor_tell_changes_it(name):
     method = settings_of(name).create()
     state = method.start(PROBLEM)
-    before = json.dumps(state)
+    before = canonical_json(state)
     asked = method.ask(PROBLEM, state).to_json()
     update = method.tell(PROBLEM, state, Evidence(POLICY, DATA), stream("state"), silent)
-    assert json.dumps(state) == before
+    assert canonical_json(state) == before
     assert method.ask(PROBLEM, state).to_json() == asked
-    stored = json.loads(json.dumps(update.state))
+    stored = json.loads(canonical_json(update.state))
     assert stored == update.state
     assert method.ask(PROBLEM, stored).to_json() == method.ask(PROBLEM, update.state).to_json()
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from adr_service.errors import RunCancelled, StageFailed
+from adr_service.errors import InvalidInput, RunCancelled, StageFailed
 from adr_service.programs import run
 from adr_service.specs import RunSpec
 from adr_service.stages.base import compute
@@ -58,6 +58,18 @@ def test_a_stage_gives_the_same_on_ray_as_here(started):
     dispatcher, _ = started
     stage = training(1)
     assert dispatcher.submit(stage, "run_a").result(60) == compute(stage)
+
+
+def test_inputs_that_are_no_json_end_the_run_that_has_them_alone(started):
+    """They stopped the dispatcher, and with it all runs, whenever the service started again."""
+    dispatcher, _ = started
+    stage = replace(training(2), start=object())
+    with pytest.raises(InvalidInput, match="an input of train_policy is no JSON: .*not JSON ser"):
+        dispatcher.submit(stage, "run_a")
+    stage = replace(training(2), seed=float("-inf"))
+    with pytest.raises(InvalidInput, match="an input of train_policy is no JSON: Out of range"):
+        dispatcher.submit(stage, "run_a")
+    assert dispatcher.submit(evaluation(2), "run_b").result(60) == compute(evaluation(2))
 
 
 def test_a_training_reports_its_checkpoint_while_it_goes_on(started):
