@@ -11,6 +11,8 @@ from typing import TypeVar
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
+from adr_service.benchmark.replay import agree
+from adr_service.errors import InvalidInput
 from adr_service.events import (
     CriticismFinished,
     IterationFinished,
@@ -127,9 +129,13 @@ def run_row(session: Session, run_id: str) -> RunRow:
 def _append_new(session: Session, row: RunRow, events: Sequence[RunEvent]) -> int:
     """Write those events that a run does not have yet; their number.
 
-    What the run has is looked up once for all of them.
+    What the run has is looked up once for all of them. Raises InvalidInput for an iteration that
+    came out otherwise before.
     """
     known = _known_keys(session, row.id, [event.key for event in events])
+    for event in events:
+        if isinstance(event, IterationFinished) and event.key in known:
+            _check_again(session, row.id, event)
     new = {event.key: event for event in events if event.key not in known}
     if new:
         numbers = select(func.max(EventRow.seq)).where(EventRow.run_id == row.id)
@@ -139,6 +145,17 @@ def _append_new(session: Session, row: RunRow, events: Sequence[RunEvent]) -> in
             session.add(EventRow(run_id=row.id, seq=seq, key=key, created_at=now, **body))
             _advance(session, row, event)
     return len(new)
+
+
+def _check_again(session: Session, run_id: str, event: IterationFinished) -> None:
+    """Refuse another answer of an iteration that a run has: later ones would not belong to it."""
+    mine = select(EventRow.body).where(EventRow.run_id == run_id, EventRow.key == event.key)
+    before = IterationFinished.model_validate_json(session.scalars(mine).one())
+    if not agree(event.model_dump(), before.model_dump()):
+        raise InvalidInput(
+            f"iteration {event.iteration} came out otherwise than before: a method, a task or the "
+            "service has changed since; submit a new run"
+        )
 
 
 def _advance(session: Session, row: RunRow, event: RunEvent) -> None:

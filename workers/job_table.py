@@ -64,8 +64,9 @@ class JobTable:
 
     def accept(self, stage: AnyStage, run_id: str, future: Future[StageResult]) -> None:
         """Let a run have a stage's stored result, or wait for it."""
-        waiter = Waiter(run_id, future)
-        if (job := self._jobs.get(stage.digest)) is not None:
+        waiter, job = Waiter(run_id, future), self._jobs.get(stage.digest)
+        # a robot's is looked up again, because its visit was withdrawn if the run had failed
+        if job is not None and stage.role != "robot":
             job.waiters.append(waiter)
             return
         ids = ids_of(stage, run_id)
@@ -75,8 +76,9 @@ class JobTable:
             case Refused(error):
                 future.set_exception(_not_stored(stage, error))
             case None:
-                job = Job(stage, next(self._numbers), run_id, asked=time.time())
-                self._jobs[stage.digest] = job
+                if job is None:
+                    job = Job(stage, next(self._numbers), run_id, asked=time.time())
+                    self._jobs[stage.digest] = job
                 job.waiters.append(waiter)
             case result:
                 future.set_result(result)

@@ -2,6 +2,7 @@
 
 import pytest
 
+from adr_service.errors import InvalidInput
 from adr_service.events import (
     IterationFinished,
     RunFailed,
@@ -62,6 +63,17 @@ def test_iterations_come_in_the_order_of_the_runs(database):
         (first, 0),
         (first, 1),
     ]
+
+
+def test_an_iteration_that_comes_out_otherwise_is_refused(database):
+    """A run that is resumed with a corrected method would mix the answers of both."""
+    run = runs.create_run(database, SPEC)
+    assert events.append_event(database, run.id, an_iteration(1))
+    assert not events.append_event(database, run.id, an_iteration(1)), "the same again"
+    other = an_iteration(1).model_copy(update={"inferences": ["f" * 64]})
+    with pytest.raises(InvalidInput, match=r"iteration 1 came out otherwise .* submit a new run"):
+        events.append_event(database, run.id, other)
+    assert len(events.events_of(database, run.id)) == 2
 
 
 def an_iteration(number):

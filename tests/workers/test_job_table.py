@@ -1,5 +1,6 @@
 """The table of jobs on one thread, without Ray: sharing, attempts, and a database in trouble."""
 
+import logging
 from concurrent.futures import Future
 from dataclasses import replace
 
@@ -90,6 +91,30 @@ def test_a_robots_episode_waits_for_no_core(table):
     table.store.results[EPISODE.digest] = RESULT
     table.jobs.arrived(EPISODE.digest)
     assert future.result(0) == RESULT
+
+
+def test_an_episode_that_is_asked_for_again_is_offered_again(table, monkeypatch):
+    """The run had failed, which withdrew its visits, and goes on before its old wait has ended."""
+    offered, find = [], table.store.find
+    monkeypatch.setattr(table.store, "find", lambda *asked: offered.append(asked) or find(*asked))
+    futures = [table.ask(EPISODE) for _ in range(2)]
+    assert offered == [(EPISODE, "run_a")] * 2
+    table.store.results[EPISODE.digest] = RESULT
+    table.jobs.arrived(EPISODE.digest)
+    assert [future.result(0) for future in futures] == [RESULT] * 2
+
+
+def test_every_ending_of_a_stage_has_a_line_in_the_log(table, caplog):
+    caplog.set_level(logging.INFO)
+    table.ask(TRAINING)
+    table.finish(table.start())
+    table.ask(criticism())
+    table.end(table.start(), Failed("unknown_name", "there is no task 'x'"))
+    mine = [line for line in caplog.records if line.name == "workers.job_table"]
+    assert [(line.getMessage(), line.kind, line.stage, line.attempt) for line in mine] == [
+        ("stage finished", "train_policy", TRAINING.digest, 1),
+        ("stage failed: there is no task 'x'", "criticise", criticism().digest, 1),
+    ]
 
 
 def test_a_refused_episode_fails_with_the_robots_message(table):
