@@ -163,6 +163,16 @@ class ArtifactRow(Base):
     content: Mapped[bytes] = mapped_column(LargeBinary)
 
 
+class ImportedStageRow(Base):
+    """A stage whose result came by an archive: another cluster's cores computed it."""
+
+    __tablename__ = "imported_stages"
+
+    digest: Mapped[str] = mapped_column(
+        ForeignKey("stages.digest", ondelete="CASCADE"), primary_key=True
+    )
+
+
 class CheckpointRow(Base):
     """The best policy so far of a training that has no result yet."""
 

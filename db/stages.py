@@ -3,9 +3,9 @@
 import json
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import FiniteFloat, TypeAdapter, ValidationError
+from pydantic import Field, FiniteFloat, Strict, TypeAdapter, ValidationError
 from sqlalchemy import ColumnElement, Row, Select, delete, exists, func, select
 from sqlalchemy.orm import Session
 
@@ -17,6 +17,7 @@ from db.models import (
     CheckpointRow,
     DatasetRow,
     EventRow,
+    ImportedStageRow,
     StageArtifactRow,
     StageRow,
     TargetTaskRow,
@@ -39,6 +40,7 @@ _OF_EVENT = (EventRow.type == _FINISHED) & (
 )
 _PROVENANCE = TypeAdapter(dict[Line, Line])
 _NUMBERS = TypeAdapter(dict[str, bool | int | FiniteFloat | None])
+_CORES = TypeAdapter(Annotated[int, Strict(), Field(ge=1)] | None)
 _UNMENTIONED = ~exists().where(_MENTIONED)
 _MEASURED = StageRow.timing.is_not(None)
 _LATEST = 4e9  # seconds since 1970: the year 2096
@@ -94,9 +96,12 @@ def note_checkpoint(session: Session, digest: str, steps: int, policy: bytes) ->
 
 
 def executions_between(database: Database, first: float, last: float) -> list[Execution]:
-    """Measured executions, for any run, that overlap the time from `first` to `last`."""
+    """Executions measured here, for any run, that overlap the time from `first` to `last`."""
     early, late = (datetime.fromtimestamp(at, UTC) for at in (first, last + _STORED_LATE_S))
-    query = _executions().where(StageRow.created_at >= early, StageRow.created_at <= late)
+    elsewhere = exists().where(ImportedStageRow.digest == StageRow.digest)
+    query = _executions().where(
+        StageRow.created_at >= early, StageRow.created_at <= late, ~elsewhere
+    )
     with database.read() as session:
         executions = [_execution(row) for row in session.execute(query)]
     return [e for e in executions if e.placed < last and e.ended > first]
@@ -135,10 +140,11 @@ def is_readable(row: StageRow) -> bool:
     try:
         _PROVENANCE.validate_json(row.provenance)
         timing = None if row.timing is None else _NUMBERS.validate_json(row.timing)
+        if timing is None:
+            return True
+        _CORES.validate_python(timing.get("cores"))
     except ValidationError:
         return False
-    if timing is None:
-        return True
     if timing.keys() != set(_TIMING) or None in (timing[name] for name in _TIMING[:4]):
         return False
     return all(0 <= number < _LATEST for number in timing.values() if number is not None)
@@ -188,6 +194,7 @@ def copy_result(session: Session, source: Session, digest: str) -> bool:
         return False
     session.add(copy_of(source.get_one(StageRow, digest)))
     session.flush()
+    session.add(ImportedStageRow(digest=digest))
     for name, key in _parts(source, digest).items():
         add_artifact(session, source.get_one(ArtifactRow, key).content)
         session.add(StageArtifactRow(digest=digest, name=name, sha256=key))

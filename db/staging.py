@@ -11,7 +11,7 @@ import shutil
 from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO, Any
@@ -138,10 +138,10 @@ def _value(given: Any, column: Column[Any]) -> Any:
     if kind is datetime and isinstance(given, str):
         try:
             moment = datetime.fromisoformat(given)
-        except ValueError:
-            moment = datetime.min
-        if moment.tzinfo is not None:
-            return moment
+            if moment.tzinfo is not None:
+                return moment.astimezone(UTC)
+        except (ValueError, OverflowError):
+            pass
     elif kind is float and isinstance(given, int | float) and abs(given) < _LARGEST_FLOAT:
         return float(given)
     elif isinstance(given, str) and kind is str:

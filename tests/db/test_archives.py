@@ -12,7 +12,7 @@ from adr_service.errors import InvalidInput
 from adr_service.events import TrainingEvaluated
 from adr_service.programs.references import reference_training
 from adr_service.specs import BenchmarkExtension, BenchmarkPart
-from db import archives, benchmarks, events, runs, staging
+from db import archives, benchmarks, events, runs, stages, staging
 from db.errors import DiskFull, NotFound, NotPossible
 from db.models import ArtifactRow, StageRow
 from db.session import open_database
@@ -457,6 +457,7 @@ def _evaluated(*returns):
 HOSTILE = {
     "an end of the far future": ("stages", _timed(ended=1e12), "unreadable execution"),
     "an execution of no time": ("stages", _timed(cpu=-1.0), "unreadable execution"),
+    "half a core": ("stages", _timed(cores=1.5), "unreadable execution"),
     "no returns": ("stages", _evaluated(), "has 0 returns"),
     "returns without end": ("stages", _evaluated(1.7e308, 1.0), "less than or equal to"),
     "a column more": ("runs", _first(evil=1), "has the columns"),
@@ -584,6 +585,22 @@ def test_an_archive_of_an_earlier_version_is_upgraded_as_its_database_would_be(
     assert report.added == report.runs
     [droid] = benchmarks.get_benchmark(other, id).spec.methods
     assert (droid.name, droid.budget) == ("droid", 30)
+
+
+def test_imported_results_take_no_core_of_this_service(file_database, other, tmp_path):
+    """Both machines were busy at the same time: their cores would have been counted as one's."""
+    id = finished_benchmark(file_database)
+    assert stages.executions_between(file_database, 0.0, 4e9)
+    imported(other, exported(file_database, id, tmp_path / "a.adr"))
+    assert count(other, "stages") == count(file_database, "stages")
+    assert stages.executions_between(other, 0.0, 4e9) == []
+
+
+def test_times_are_of_the_zone_that_an_archive_gives_them(path, other):
+    at_noon = _first(created_at="2026-01-01T12:00:00+12:00")
+    imported(other, rewritten(path, with_rows("runs", at_noon)))
+    times = {run.created_at for run in runs.list_runs(other, limit=None)}
+    assert datetime(2026, 1, 1, tzinfo=UTC) in times
 
 
 @pytest.mark.parametrize("spec", ["{", "[]"])

@@ -113,7 +113,7 @@ def test_every_ending_of_a_stage_has_a_line_in_the_log(table, caplog):
     mine = [line for line in caplog.records if line.name == "workers.job_table"]
     assert [(line.getMessage(), line.kind, line.stage, line.attempt) for line in mine] == [
         ("stage finished", "train_policy", TRAINING.digest, 1),
-        ("stage failed: there is no task 'x'", "criticise", criticism().digest, 1),
+        ("stage failed: criticise: there is no task 'x'", "criticise", criticism().digest, 1),
     ]
 
 
