@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
@@ -43,6 +43,8 @@ class Service:
     database: Database
     orchestrator: Orchestrator
     films: Films = field(default_factory=Films)
+    # the best methods on the first page, by benchmark and the moment of its last change
+    leaders: dict[tuple[str, datetime], dict[str, Any] | None] = field(default_factory=dict)
 
     def check_dataset(self, spec: AnyRun) -> None:
         """Refuse a run whose dataset is unknown, or not of its task."""

@@ -1,5 +1,6 @@
 """The service's settings, from the environment (`ADR_…`) or the command line."""
 
+import re
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,6 +15,7 @@ from pydantic import (
 )
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from adr_service.client.http import check_token
 from adr_service.errors import InvalidInput
 from api.logs import LogFormat
 
@@ -91,6 +93,7 @@ class Settings(BaseSettings):
         for name, token in (("ADR_TOKEN", self.token), ("ADR_ROBOT_TOKEN", self.robot_token)):
             if 0 < len(token) < _SHORTEST_TOKEN:
                 raise ValueError(f"{name} must have {_SHORTEST_TOKEN} characters or more")
+            check_token(name, token.get_secret_value())
         if self.robot_token and self.robot_token == self.token:
             raise ValueError("ADR_ROBOT_TOKEN must not be ADR_TOKEN: robots could do everything")
         if self.robot_token and not self.token:
@@ -115,7 +118,7 @@ class Settings(BaseSettings):
     @classmethod
     def _is_an_address(cls, given: str) -> str:
         host, _, port = given.rpartition(":")
-        if given in {"local", "auto"} or (host and port.isdigit()):
+        if given in {"local", "auto"} or (host and "/" not in host and port.isdigit()):
             return given
         raise ValueError(f"{given!r} is no address; accepted are local, auto, and HOST:PORT")
 
@@ -123,9 +126,21 @@ class Settings(BaseSettings):
     @classmethod
     def _is_a_rate(cls, given: str) -> str:
         try:
-            parse(given)
-        except ValueError as error:
-            raise ValueError(f"{given!r} is no rate; as 500/second or 1000/minute") from error
+            amount = parse(given).amount
+        except ValueError:
+            amount = 0
+        if amount < 1:
+            raise ValueError(f"{given!r} is no rate; as 500/second or 1000/minute")
+        return given
+
+    @field_validator("allowed_hosts")
+    @classmethod
+    def _are_names(cls, given: str) -> str:
+        for name in given.split(","):
+            if re.search(r"[^:]:\d+$|/", name.strip()):
+                raise ValueError(
+                    f"{name.strip()!r} is no name; give it without a port and a scheme"
+                )
         return given
 
     @property
@@ -147,13 +162,18 @@ def read_settings(**given: Any) -> Settings:
 def _explained(error: ValidationError) -> str:
     """Name each invalid variable, the reason and the given value, unless that is a secret."""
     return "; ".join(
-        f"{'ADR_' + str(e['loc'][0]).upper() + ': ' if e['loc'] else ''}"
-        f"{e['msg'].removeprefix('Value error, ')}"
-        + ("" if _is_secret(e["loc"]) else f" (given: {e['input']})")
+        ("" if (name := _field(e["loc"])) is None else f"ADR_{name.upper()}: ")
+        + e["msg"].removeprefix("Value error, ")
+        + ("" if _is_secret(name) else f" (given: {e['input']})")
         for e in error.errors()
     )
 
 
-def _is_secret(location: tuple[int | str, ...]) -> bool:
+def _field(location: tuple[int | str, ...]) -> str | None:
+    """The field of an error, which may be told by a variable; None: all settings together."""
+    return str(location[0]).removeprefix("adr_") if location else None
+
+
+def _is_secret(field: str | None) -> bool:
     """True for a secret, and for all settings together, which contain secrets."""
-    return not location or Settings.model_fields[str(location[0])].annotation is SecretStr
+    return field is None or Settings.model_fields[field].annotation is SecretStr

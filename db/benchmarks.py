@@ -124,6 +124,14 @@ def states_of(database: Database, benchmark_ids: Sequence[str]) -> dict[str, dic
     return states
 
 
+def changes_of(database: Database, benchmark_ids: Sequence[str]) -> dict[str, datetime]:
+    """When a benchmark's runs changed last, by benchmark."""
+    mine = RunRow.benchmark_id.in_(benchmark_ids)
+    query = select(RunRow.benchmark_id, func.max(RunRow.updated_at)).where(mine)
+    with database.read() as session:
+        return {str(id): last for id, last in session.execute(query.group_by(RunRow.benchmark_id))}
+
+
 def extend_benchmark(
     database: Database,
     benchmark_id: str,

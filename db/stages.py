@@ -40,7 +40,7 @@ _OF_EVENT = (EventRow.type == _FINISHED) & (
 )
 _PROVENANCE = TypeAdapter(dict[Line, Line])
 _NUMBERS = TypeAdapter(dict[str, bool | int | FiniteFloat | None])
-_CORES = TypeAdapter(Annotated[int, Strict(), Field(ge=1)] | None)
+_CORES = TypeAdapter(Annotated[int, Strict(), Field(ge=1)])
 _UNMENTIONED = ~exists().where(_MENTIONED)
 _MEASURED = StageRow.timing.is_not(None)
 _LATEST = 4e9  # seconds since 1970: the year 2096
@@ -142,7 +142,8 @@ def is_readable(row: StageRow) -> bool:
         timing = None if row.timing is None else _NUMBERS.validate_json(row.timing)
         if timing is None:
             return True
-        _CORES.validate_python(timing.get("cores"))
+        if timing.get("cores") is not None:
+            _CORES.validate_python(timing["cores"])
     except ValidationError:
         return False
     if timing.keys() != set(_TIMING) or None in (timing[name] for name in _TIMING[:4]):

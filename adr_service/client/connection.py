@@ -9,31 +9,15 @@ from typing import IO, Any, Self
 
 import httpx2
 
+from adr_service.client.http import Refused, Unreachable, check_answer, check_token
 from adr_service.client.progress import headline, runs_of, succeeded
 from adr_service.client.tables import Json, Results, Rows
-from adr_service.errors import AdrError, InvalidInput
+from adr_service.errors import InvalidInput
 
 DEFAULT_URL = "http://127.0.0.1:8000"
 _POLL_S = 1.0
 _PATIENCE_S = 300.0  # for a service that is busy or restarts, while something is watched
 _LONG_S = 3600.0  # for an archive to be written or read
-_OF_A_PROXY = (502, 503, 504)  # our own 503 has a Retry-After
-
-
-class Refused(AdrError):
-    """The service refused a request; the message says why."""
-
-    code = "refused"
-
-    def __init__(self, status: int, detail: str, retry_after_s: float | None = None):
-        super().__init__(detail)
-        self.status, self.retry_after_s = status, retry_after_s
-
-
-class Unreachable(AdrError):
-    """No service answers at the address."""
-
-    code = "unreachable"
 
 
 class AdrClient:
@@ -46,8 +30,7 @@ class AdrClient:
     def __init__(self, url: str = DEFAULT_URL, token: str = "", timeout_s: float = 60.0):
         headers = {"Authorization": f"Bearer {token}"} if token else {}
         self.url = url.rstrip("/")
-        if not token.isascii():
-            raise InvalidInput("ADR_TOKEN has characters that no token has")
+        check_token("ADR_TOKEN", token)
         try:
             self._http = httpx2.Client(base_url=self.url, headers=headers, timeout=timeout_s)
         except httpx2.InvalidURL as error:
@@ -131,7 +114,7 @@ class AdrClient:
         with self._answering(), sent as response:
             if response.is_error:
                 response.read()
-            _check(response, self.url)
+            check_answer(response, self.url)
             for portion in response.iter_bytes():
                 file.write(portion)
 
@@ -332,7 +315,7 @@ class AdrClient:
     def _request(self, method: str, path: str, **more: Any) -> httpx2.Response:
         with self._answering():
             response = self._http.request(method, path, **more)
-        _check(response, self.url)
+        check_answer(response, self.url)
         return response
 
     @contextmanager
@@ -390,31 +373,3 @@ def _path(id: str) -> str:
 
 def _dry(dry_run: bool) -> dict[str, str]:
     return {"validate_only": "true"} if dry_run else {}
-
-
-def _check(response: httpx2.Response, url: str) -> None:
-    """Raise Refused or Unreachable for an answer that is an error."""
-    if not response.is_error:
-        return
-    wait = response.headers.get("Retry-After")
-    after = float(wait) if wait is not None and wait.isdigit() else None
-    if after is None and response.status_code in _OF_A_PROXY:
-        raise Unreachable(
-            f"the server at {url} is not the service: "
-            f"{response.status_code} {response.reason_phrase}"
-        )
-    raise Refused(response.status_code, _explain(response), after)
-
-
-def _explain(response: httpx2.Response) -> str:
-    try:
-        problem: Json = response.json()
-    except ValueError:
-        return f"{response.status_code} {response.text[:200]}"
-    if response.status_code == 401:
-        return "the service asks for its token: set ADR_TOKEN, or correct it"
-    details = [
-        f"{error['pointer']}: {error['detail']} (given: {error['given']})"
-        for error in problem.get("errors", [])
-    ]
-    return "\n  ".join([problem.get("detail", str(problem)), *details])

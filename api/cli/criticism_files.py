@@ -2,10 +2,11 @@
 
 import os
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -32,6 +33,7 @@ from adr_service.tasks.base import Task
 from adr_service.tasks.catalogue import get_task, variant_of
 from api.cli.files import check_absent, naming, read
 
+T = TypeVar("T")
 Bounds = Mapping[int, tuple[float, float]]  # by number of an actuator or a joint
 Pose = Mapping[int, float]  # positions [rad or m] by number of a joint
 
@@ -170,7 +172,7 @@ def limits_of(texts: Sequence[str], nominal: Nominal) -> Bounds:
     """
     model = nominal.model(nominal.start)
     names = commanded_actuators(model)
-    given = dict(_bounds("limit", "actuator", text, names) for text in texts)
+    given = _once("limit", [_bounds("limit", "actuator", text, names) for text in texts], names)
     limits = model.actuator_ctrlrange[: len(names)].copy()
     for number, bounds in given.items():
         limits[number] = bounds
@@ -182,14 +184,14 @@ def reach_of(texts: Sequence[str], nominal: Nominal) -> Bounds:
     """Allowed positions of texts NAME=LOW:HIGH, by the joint's number."""
     model = nominal.model(nominal.start)
     names = [model.joint(i).name for i in range(model.njnt)]
-    return dict(_bounds("reach", "joint", text, names) for text in texts)
+    return _once("reach", [_bounds("reach", "joint", text, names) for text in texts], names)
 
 
 def start_of(texts: Sequence[str], nominal: Nominal) -> Pose:
     """Positions of texts NAME=VALUE, by the joint's number."""
     model = nominal.model(nominal.start)
     names = [model.joint(i).name for i in range(model.njnt)]
-    pose: dict[int, float] = {}
+    pose: list[tuple[int, float]] = []
     for text in texts:
         name, _, value = text.partition("=")
         if name not in names:
@@ -206,8 +208,16 @@ def start_of(texts: Sequence[str], nominal: Nominal) -> Pose:
             raise InvalidInput(
                 f"--start {text!r}: {name} may be at {low:.4g} to {high:.4g} rad or m"
             )
-        pose[names.index(name)] = position
-    return pose
+        pose.append((names.index(name), position))
+    return _once("start", pose, names)
+
+
+def _once(option: str, given: Sequence[tuple[int, T]], names: Sequence[str]) -> dict[int, T]:
+    """What is given of each number; raises InvalidInput where one is given twice."""
+    for number, count in Counter(number for number, _ in given).items():
+        if count > 1:
+            raise InvalidInput(f"--{option} has {names[number]} {count} times")
+    return dict(given)
 
 
 def _bounds(

@@ -1,5 +1,6 @@
 """A service of one's own in another process, for as long as a block."""
 
+import os
 import socket
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from adr_service.client import AdrClient, Unreachable, connect
 from adr_service.errors import AdrError
 
 _START_TIMEOUT_S = 120.0
+_SHARED = ("DATABASE_URL", "RAY_ADDRESS", "MAX_CORES", "RESOURCE", "HOST")  # of ADR_…
 
 
 class ServiceDidNotStart(AdrError):
@@ -31,7 +33,7 @@ def own_service(data_dir: Path, port: int) -> Generator[AdrClient]:
     with log_path.open("w") as log:
         # a Ctrl-C is ours to handle: the service may still be asked for what it has
         process = subprocess.Popen(  # noqa: S603 - our own command
-            command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+            command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, env=_own()
         )
     try:
         with connect(f"http://127.0.0.1:{port}") as client:
@@ -40,6 +42,12 @@ def own_service(data_dir: Path, port: int) -> Generator[AdrClient]:
     finally:
         process.terminate()
         process.wait(timeout=60)
+
+
+def _own() -> dict[str, str]:
+    """The environment without what names another database, cluster or address."""
+    shared = {f"ADR_{name}" for name in _SHARED} | {"RAY_ADDRESS"}
+    return {name: value for name, value in os.environ.items() if name.upper() not in shared}
 
 
 def free_port() -> int:

@@ -2,6 +2,7 @@
 
 import json
 import logging
+from collections.abc import Sequence
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
@@ -20,9 +21,7 @@ from db.models import VisitState
 router = APIRouter(include_in_schema=False)
 _SHOWN = 50  # of each list; the API has the rest
 log = logging.getLogger(__name__)
-_MOST_KEPT = 1000
-# by benchmark and the states of its runs: a page that renews itself must be cheap
-_leaders: dict[tuple[str, tuple[tuple[str, int], ...]], dict[str, Any] | None] = {}
+_MOST_KEPT = 1000  # leaders
 
 
 @router.get("/")
@@ -44,27 +43,36 @@ def overview(request: Request, service: ServiceDependency) -> Response:
         activities=sorted(activities, key=lambda each: each.state),
         owners=titles(service, (each.started_by for each in activities)),
         benchmarks=benchmarks,
-        leaders={each.id: _leader(service, each) for each in benchmarks},
+        leaders=_leaders(service, benchmarks),
         runs=single,
     )
 
 
-def _leader(service: Service, benchmark: BenchmarkSummary) -> dict[str, Any] | None:
-    """The best method of a finished benchmark; nothing is compared while results still come."""
-    if not benchmark.is_finished:
-        return None
-    key = (benchmark.id, tuple(benchmark.states.items()))
-    if key not in _leaders:
-        if len(_leaders) > _MOST_KEPT:
-            _leaders.clear()
-        runs = benchmark_store.runs_of(service.database, benchmark.id)
-        try:
-            found = json.loads(results_json(service, benchmark.id, runs))["aggregates"]
-        except InvalidInput as error:  # an imported run without its results may have any events
-            log.warning("%s has no table: %s", benchmark.id, error)
-            found = []
-        # a stored table outlives the package of a method
-        kinds = ((row, methods().get(row["method"])) for row in found)
-        ranked = [row for row, kind in kinds if kind is not None and not kind.is_reference]
-        _leaders[key] = max(ranked, key=lambda row: row["interquartile_mean"], default=None)
-    return _leaders[key]
+def _leaders(
+    service: Service, benchmarks: Sequence[BenchmarkSummary]
+) -> dict[str, dict[str, Any] | None]:
+    """The best methods of finished benchmarks; nothing is compared while results still come.
+
+    They are kept until a run changes, because a page that renews itself must be cheap.
+    """
+    finished = [benchmark.id for benchmark in benchmarks if benchmark.is_finished]
+    changes, kept = benchmark_store.changes_of(service.database, finished), service.leaders
+    if len(kept) > _MOST_KEPT:
+        kept.clear()
+    for key in changes.items():
+        if key not in kept:
+            kept[key] = _leader(service, key[0])
+    return {id: kept[id, changed] for id, changed in changes.items()}
+
+
+def _leader(service: Service, id: str) -> dict[str, Any] | None:
+    runs = benchmark_store.runs_of(service.database, id)
+    try:
+        found = json.loads(results_json(service, id, runs))["aggregates"]
+    except InvalidInput as error:  # an imported run without its results may have any events
+        log.warning("%s has no table: %s", id, error)
+        found = []
+    # a stored table outlives the package of a method
+    kinds = ((row, methods().get(row["method"])) for row in found)
+    ranked = [row for row, kind in kinds if kind is not None and not kind.is_reference]
+    return max(ranked, key=lambda row: row["interquartile_mean"], default=None)

@@ -57,7 +57,9 @@ class _Shown:
 
     async def _show(self, start: Message) -> None:
         self.has_begun = True
-        address = self._scope["path"] if self._scope["method"] == "GET" else "/"
+        query = self._scope["query_string"].decode("latin-1")
+        asked = self._scope["path"] + (f"?{query}" if query else "")
+        address = asked if self._scope["method"] == "GET" else "/"
         page = problem_page(self._scope, json.loads(self._body), address)
         for name, value in Headers(raw=start["headers"]).items():
             # a browser that is asked for a password shows its own window, not our form

@@ -34,7 +34,7 @@ class Given(BaseModel):
     variants: list[str] = []
     methods: list[str] = []
     collectors: list[str] = []
-    seeds: Annotated[str, Field(max_length=10_000)] = ""
+    seeds: Annotated[str, Field(max_length=100_000)] = ""
     preset: str = "quick"
     references: bool = False
     settings: str = ""

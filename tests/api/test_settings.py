@@ -29,9 +29,14 @@ def test_rays_own_variable_names_the_cluster_unless_ours_does(monkeypatch):
         ({"token": "short"}, "ADR_TOKEN must have 16 characters or more"),
         ({"token": SECRET, "robot_token": SECRET}, "ADR_ROBOT_TOKEN must not be ADR_TOKEN"),
         ({"robot_token": SECRET}, "has no effect without ADR_TOKEN"),
+        ({"token": SECRET + "\n"}, "ADR_TOKEN has characters that no token has"),
         ({"rate": "many"}, "'many' is no rate; as 500/second"),
+        ({"rate": "0/second"}, "'0/second' is no rate"),
+        ({"allowed_hosts": "adr, adr.org:80"}, "'adr.org:80' is no name; give it without a port"),
+        ({"allowed_hosts": "https://adr.org"}, "'https://adr.org' is no name"),
         ({"ray_address": "head"}, "'head' is no address; accepted are local, auto, and HOST:PORT"),
         ({"ray_address": "head:"}, "'head:' is no address"),
+        ({"ray_address": "http://head:8265"}, "'http://head:8265' is no address"),
         ({"ray_address": "auto", "cpus": 2}, "ADR_CPUS is for a Ray of the service's own"),
         ({"max_cores": 8}, "ADR_MAX_CORES and ADR_RESOURCE are for a cluster that is joined"),
         ({"ray_address": "auto", "max_cores": 0}, "ADR_MAX_CORES: .*greater than or equal to 1"),
@@ -45,8 +50,15 @@ def test_an_invalid_setting_is_named_with_the_accepted_values(given, message):
         read_settings(**given)
 
 
+@pytest.mark.parametrize("variable", ["ADR_RAY_ADDRESS", "RAY_ADDRESS"])
+def test_an_invalid_variable_is_named(monkeypatch, variable):
+    monkeypatch.setenv(variable, "head")
+    with pytest.raises(InvalidInput, match=r"ADR_RAY_ADDRESS: 'head' is no .* \(given: head\)"):
+        read_settings()
+
+
 def test_a_message_never_has_a_secret():
-    for given in ({"token": "secret-but-short"[:10]}, {"token": 12345}):
+    for given in ({"token": "secret-but-short"[:10]}, {"token": 12345}, {"token": "s p" * 9}):
         with pytest.raises(InvalidInput) as refused:
             read_settings(**given)
         assert str(next(iter(given.values()))) not in str(refused.value)

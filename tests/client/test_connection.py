@@ -1,5 +1,6 @@
 """The Python client, and servers that are not the service."""
 
+import re
 import threading
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -82,11 +83,30 @@ def test_another_server_is_not_taken_for_the_service():
         client.ready()
 
 
+def test_an_address_that_sends_elsewhere_is_not_taken_for_an_answer():
+    """A proxy sends http to https; its page was kept as a policy, a table or an archive."""
+    moved = (301, {"Location": "https://adr.example/"}, b"<html>moved</html>")
+    refused = pytest.raises(Unreachable, match=r"sends to 'https://adr.example/'; .* ADR_URL")
+    with server(200, answers=[moved]) as url, AdrClient(url) as client, refused:
+        client.results_csv("run_0")
+
+
+@pytest.mark.parametrize(
+    "body",
+    ['"nope"', "[1]", '{"detail": [{"loc": [], "msg": "no"}]}', '{"detail": "x", "errors": ["a"]}'],
+)
+def test_an_error_of_another_server_is_shown_as_it_is(body):
+    refused = pytest.raises(Refused, match=re.escape(f"404 {body}"))
+    with server(404, answers=[(404, {}, body.encode())]) as url, AdrClient(url) as client, refused:
+        client.get("run_0")
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ({"url": "http://127.0.0.1:abc"}, "'http://127.0.0.1:abc' is no address of a service"),
         ({"token": "geheim-ü"}, "ADR_TOKEN has characters that no token has"),
+        ({"token": "from-a-file\n"}, "ADR_TOKEN has characters that no token has"),
     ],
 )
 def test_an_address_or_a_token_that_cannot_be_one_is_refused(given, message):

@@ -9,7 +9,15 @@ from adr_service.criticism.extension import extend
 from adr_service.errors import InvalidInput
 from adr_service.progress import silent
 from adr_service.tasks.catalogue import get_task
-from api.cli.criticism_files import criticise_files, nominal_of, portable, write
+from api.cli.criticism_files import (
+    criticise_files,
+    limits_of,
+    nominal_of,
+    portable,
+    reach_of,
+    start_of,
+    write,
+)
 
 MASS = "body:upper.mass=0.5:2"
 
@@ -67,6 +75,22 @@ def test_other_options_are_refused(model, task, variant, file, free, message):
     path = None if file is None else model.parent / file
     with pytest.raises(InvalidInput, match=message):
         nominal_of(task, variant, path, free)
+
+
+@pytest.mark.parametrize(
+    ("read", "texts"),
+    [
+        (limits_of, ["shoulder=-0.2:0.2", "shoulder=-1:1"]),
+        (reach_of, ["shoulder=-1:1", "elbow=0:1", "shoulder=0:1"]),
+        (start_of, ["shoulder=0.1", "shoulder=0.2"]),
+    ],
+)
+def test_a_name_that_is_given_twice_is_refused(read, texts):
+    """The last one won, and commands went beyond the limit that was meant."""
+    nominal, _ = nominal_of("arm", None, None, [])
+    with pytest.raises(InvalidInput, match=r"--(limit|reach|start) has shoulder 2 times"):
+        read(texts, nominal)
+    assert list(read(texts[:1], nominal)) == [0]
 
 
 def test_a_file_that_is_no_model_is_refused(tmp_path):

@@ -39,6 +39,16 @@ def test_options_that_cannot_be_obeyed_are_refused(adr_here, command, message):
     assert message in errors.replace("\n", " ")
 
 
+@pytest.mark.parametrize(
+    "command",
+    ["tune arm --over seed=[1] --seconds inf", "robot --task arm --env a:b --max-seconds inf"],
+)
+def test_a_number_without_an_end_is_refused(adr_here, command):
+    status, _, errors = adr_here(*command.split())
+    assert status == 2
+    assert f"takes a finite number; given {command.split()[-1]}." in errors.replace("\n", " ")
+
+
 @pytest.mark.parametrize("command", [["list"], ["status", "run_a"], ["results", "run_a"]], ids=str)
 def test_the_address_of_the_service_may_come_from_the_environment(adr_here, monkeypatch, command):
     monkeypatch.setenv("ADR_URL", "http://127.0.0.1:9")

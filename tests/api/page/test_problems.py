@@ -1,7 +1,7 @@
 """Refusals as pages for people and as JSON for programs."""
 
 import pytest
-from fastapi import FastAPI
+from fastapi import FastAPI, Response
 from fastapi.testclient import TestClient
 
 from api import errors
@@ -19,6 +19,10 @@ def client():
     def defect() -> None:
         raise ValueError("secret")
 
+    @app.api_route("/locked", methods=["GET", "POST"])
+    def locked() -> Response:
+        return errors.problem(401, "unauthorized", "there is a token")
+
     @app.get("/text")
     def text() -> str:
         return "as it is"
@@ -32,6 +36,13 @@ def test_a_browser_gets_a_page_and_a_program_gets_json(client):
     assert (page.status_code, page.headers["Content-Type"]) == (404, "text/html; charset=utf-8")
     assert "<h1>" in page.text
     assert client.get("/nothing").json()["status"] == 404
+
+
+def test_after_a_login_the_page_that_was_asked_for_is_shown(client):
+    page = client.get("/locked?id=bench_1&id=bench_2", headers=HTML)
+    assert 'name="next" value="/locked?id=bench_1&amp;id=bench_2"' in page.text
+    page = client.post("/locked?id=bench_1", headers=HTML)
+    assert 'name="next" value="/"' in page.text
 
 
 def test_a_defect_is_a_page_that_tells_nothing_of_the_inside(client):

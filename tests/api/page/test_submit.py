@@ -28,6 +28,11 @@ def test_settings_of_methods_are_not_in_the_form():
     assert as_filled_in(spec).methods == ["dropo"]
 
 
+def test_as_many_seeds_as_a_benchmark_may_have_are_filled_in():
+    given = {"tasks": ["arm"], "methods": ["udr"], "seeds": list(range(5000)), "references": False}
+    assert numbers_in(as_filled_in(BenchmarkSpec.model_validate(given)).seeds)[-1] == 4999
+
+
 def test_seeds_are_numbers_with_spaces_or_commas_between():
     assert numbers_in("0, 1 2,3") == [0, 1, 2, 3]
     with pytest.raises(InvalidInput, match="given '-1'"):

@@ -1,0 +1,78 @@
+"""What requests and answers may be: tokens, refusals, and answers of another server."""
+
+import re
+
+import httpx2
+from pydantic import BaseModel, ValidationError
+
+from adr_service.errors import AdrError, InvalidInput
+
+_OF_A_PROXY = (502, 503, 504)  # our own 503 has a Retry-After
+
+
+class Refused(AdrError):
+    """The service refused a request; the message says why."""
+
+    code = "refused"
+
+    def __init__(self, status: int, detail: str, retry_after_s: float | None = None):
+        super().__init__(detail)
+        self.status, self.retry_after_s = status, retry_after_s
+
+
+class Unreachable(AdrError):
+    """No service answers at the address."""
+
+    code = "unreachable"
+
+
+class _Field(BaseModel):
+    pointer: str
+    detail: str
+    given: str
+
+
+class _Problem(BaseModel):
+    """A refusal of the service, as far as its message needs it."""
+
+    detail: str
+    errors: list[_Field] = []
+
+
+def check_token(name: str, token: str) -> None:
+    """Refuse a secret that no header can carry; the message does not show it."""
+    if not re.fullmatch("[!-~]*", token):
+        raise InvalidInput(
+            f"{name} has characters that no token has: accepted are those of ASCII, without spaces "
+            "and ends of lines"
+        )
+
+
+def check_answer(response: httpx2.Response, url: str) -> None:
+    """Raise Refused or Unreachable for an answer that is an error, or sends elsewhere."""
+    if response.is_redirect:
+        raise Unreachable(
+            f"the server at {url} sends to {response.headers['location']!r}; name the address of "
+            "the service itself in ADR_URL"
+        )
+    if not response.is_error:
+        return
+    wait = response.headers.get("Retry-After")
+    after = float(wait) if wait is not None and wait.isdigit() else None
+    if after is None and response.status_code in _OF_A_PROXY:
+        raise Unreachable(
+            f"the server at {url} is not the service: "
+            f"{response.status_code} {response.reason_phrase}"
+        )
+    raise Refused(response.status_code, _explain(response), after)
+
+
+def _explain(response: httpx2.Response) -> str:
+    try:
+        problem = _Problem.model_validate_json(response.content)
+    except ValidationError:  # another server's
+        return f"{response.status_code} {response.text[:200]}"
+    if response.status_code == 401:
+        return "the service asks for its token: set ADR_TOKEN, or correct it"
+    details = [f"{e.pointer}: {e.detail} (given: {e.given})" for e in problem.errors]
+    return "\n  ".join([problem.detail, *details])
