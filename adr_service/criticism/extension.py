@@ -67,6 +67,16 @@ def _written(nominal: Nominal, parameters: Vector, effects: Sequence[Effect]) ->
     spec.copy_back(model)
     for body in spec.bodies[1:]:  # the one field of an effect that MuJoCo does not copy back
         body.gravcomp = float(model.body_gravcomp[model.body(body.name).id])
+    # what MuJoCo works out from inertias and positions as it compiles is not worked out again
+    for number, actuator in enumerate(spec.actuators):
+        actuator.biasprm = model.actuator_biasprm[number]
+    for number, joint in enumerate(spec.joints):
+        if joint.springdamper.any():
+            joint.stiffness[0] = model.jnt_stiffness[number]
+            joint.damping[0] = model.dof_damping[model.jnt_dofadr[number]]
+            joint.springdamper = np.zeros(2)
+    for number, tendon in enumerate(spec.tendons):
+        tendon.springlength = model.tendon_lengthspring[number]
     return written_out(spec)
 
 

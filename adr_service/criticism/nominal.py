@@ -101,6 +101,7 @@ class Nominal:
         for kind in ("bodies", "joints", "geoms", "actuators"):
             for number, element in enumerate(getattr(spec, kind)):
                 element.name = element.name or f"unnamed_{number}"  # an effect needs a place
+        spec.compiler.fusestatic = False  # bodies without a joint are places of effects
         make_inertias_explicit(spec)
         if spec.compiler.settotalmass > 0:
             raise InvalidInput(

@@ -20,9 +20,16 @@ def obeys_limits(model: mujoco.MjModel) -> Mask:
 
 
 def largest_force(model: mujoco.MjModel, actuator: int) -> float:
-    """Largest force of an actuator, after its gear."""
-    gain = abs(model.actuator_gear[actuator, 0] * model.actuator_gainprm[actuator, 0])
-    return float(gain * _largest_command(model, actuator))
+    """Largest force of an actuator, after its gear, as far as its own and its joint's bounds."""
+    gear = abs(float(model.actuator_gear[actuator, 0]))
+    force = abs(float(model.actuator_gainprm[actuator, 0])) * _largest_command(model, actuator)
+    if model.actuator_forcelimited[actuator]:
+        force = min(force, float(np.abs(model.actuator_forcerange[actuator]).max()))
+    joint = int(model.actuator_trnid[actuator, 0])
+    is_on_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+    if is_on_joint and model.jnt_actfrclimited[joint]:
+        return min(gear * force, float(np.abs(model.jnt_actfrcrange[joint]).max()))
+    return gear * force
 
 
 def _largest_command(model: mujoco.MjModel, actuator: int) -> float:

@@ -34,13 +34,17 @@ FRICTION = Mechanism(
 
 
 def _softness(model: mujoco.MjModel, geom: int, values: Vector) -> None:
-    model.geom_solref[geom, 0] *= 1 + values[0]
-    model.pair_solref[_pairs(model, geom), 0] *= 1 + values[0]
+    """Lengthen time constants; a `solref` that is a stiffness and a damping, negative, has none."""
+    if model.geom_solref[geom, 0] > 0:
+        model.geom_solref[geom, 0] *= 1 + values[0]
+    for pair in _pairs(model, geom):
+        if model.pair_solref[pair, 0] > 0:
+            model.pair_solref[pair, 0] *= 1 + values[0]
 
 
 def _has_time_constant(model: mujoco.MjModel, geom: int) -> bool:
-    """True unless its `solref` is a stiffness and a damping, which are negative."""
-    return _can_touch(model, geom) and bool(model.geom_solref[geom, 0] > 0)
+    own, pairs = model.geom_solref[geom, 0] > 0, model.pair_solref[_pairs(model, geom), 0] > 0
+    return _can_touch(model, geom) and bool(own or pairs.any())
 
 
 SOFTNESS = Mechanism(

@@ -82,7 +82,7 @@ def apply(model: mujoco.MjModel, effects: Sequence[Effect]) -> None:
 
 
 def make_inertias_explicit(spec: mujoco.MjSpec) -> None:
-    """Write out every body's inertia, so that effects can change it."""
+    """Write out every body's inertia, so that effects can change it, also beyond bounds."""
     inferred = spec.compiler.inertiafromgeom == _Inferred.mjINERTIAFROMGEOM_TRUE
     spec.compiler.inertiafromgeom = _Inferred.mjINERTIAFROMGEOM_AUTO
     for body in spec.bodies[1:]:
@@ -91,6 +91,14 @@ def make_inertias_explicit(spec: mujoco.MjSpec) -> None:
             body.explicitinertial = False
             spec.adopt_inertial(body)
     spec.compiler.inertiafromgeom = _Inferred.mjINERTIAFROMGEOM_FALSE
+    if spec.compiler.boundmass > 0 or spec.compiler.boundinertia > 0:
+        bounded = spec.copy().compile()
+        for body in spec.bodies[1:]:
+            known = bounded.body(body.name)
+            body.mass, body.inertia = float(known.mass[0]), known.inertia
+            body.ipos, body.iquat = known.ipos, known.iquat
+            body.fullinertia = np.full(6, np.nan)
+        spec.compiler.boundmass = spec.compiler.boundinertia = 0.0
 
 
 def check_simulated(model: mujoco.MjModel, effects: Sequence[Effect]) -> None:

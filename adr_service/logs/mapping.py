@@ -104,20 +104,24 @@ class JointMap(Wire):
 
     def check(self, name: str, is_slide: bool) -> None:
         """Raises InvalidInput for units of angles at a slide, or of lengths at a hinge."""
-        known, kind = (LENGTHS, "a slide") if is_slide else (ANGLES, "a hinge")
         unit = (
             "rpm" if self.velocity_unit == "rpm" else (self.velocity_unit or "").removesuffix("/s")
         )
         for given in (self.unit, unit):
-            if given and given not in known and not (given == "rpm" and not is_slide):
-                raise InvalidInput(
-                    f"joints.{name}: the joint is {kind}, whose units are {', '.join(known)}; "
-                    f"given {given!r}"
-                )
+            if given and not (given == "rpm" and not is_slide):
+                _check_unit(f"joints.{name}", given, is_slide)
 
     def _size(self, is_slide: bool) -> float:
         known = LENGTHS if is_slide else ANGLES
         return known[self.unit] if self.unit else 1.0
+
+
+def _check_unit(field: str, given: str, is_slide: bool) -> None:
+    known, kind = (LENGTHS, "a slide") if is_slide else (ANGLES, "a hinge")
+    if given not in known:
+        raise InvalidInput(
+            f"{field}: the joint is {kind}, whose units are {', '.join(known)}; given {given!r}"
+        )
 
 
 class ActuatorMap(Wire):
@@ -173,6 +177,7 @@ class LogMap(Wire):
         for name, joint in self.joints.items():
             joint.check(name, is_slide(model, name))
         for name, drive in self.actuators.items():
+            _check_set_point(name, drive, model)
             self._check_wrap(name, drive, model)
 
     def _check_wrap(self, name: str, drive: ActuatorMap, model: mujoco.MjModel) -> None:
@@ -190,6 +195,19 @@ class LogMap(Wire):
                 "position of that joint, needs a wrap as well: the size of a turn in the "
                 "command's own unit, by which it is put next to the joint"
             )
+
+
+def _check_set_point(name: str, drive: ActuatorMap, model: mujoco.MjModel) -> None:
+    """Raises InvalidInput for the unit of a position that a command is not, or not in its kind."""
+    if drive.unit is None:
+        return
+    joint = joint_of(model, name)
+    if joint is None or not _is_servo(model, name):
+        raise InvalidInput(
+            f"actuators.{name}.unit is for a set-point that is a joint's position; this command is "
+            "in the actuator's own unit, to which `scale` brings it"
+        )
+    _check_unit(f"actuators.{name}", drive.unit, is_slide(model, joint))
 
 
 def joints_of(model: mujoco.MjModel) -> list[str]:

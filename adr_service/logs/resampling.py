@@ -18,15 +18,14 @@ _TO_STD = 1.4826  # from the median of absolute deviations to a standard deviati
 
 
 def sampled(track: Track, centres: Vector, period: float) -> tuple[Vector, Vector]:
-    """Values and slopes at the centres (n,)."""
-    if track.is_fitted:
-        return _parabolas(track.signal, centres, period)
+    """Values and slopes at the centres (n,), by the readings of their stretch alone."""
     time, value = track.signal.time, track.signal.value
-    # the readings of this stretch, and none beyond a gap
     edges = [edge for gap in track.gaps() for edge in gap]
     begin = max([edge for edge in edges if edge <= centres[0]], default=-np.inf)
     end = min([edge for edge in edges if edge >= centres[-1]], default=np.inf)
     own = (time >= begin) & (time <= end)
+    if track.is_fitted:
+        return _parabolas(Signal(time[own], value[own]), centres, period)
     spline = CubicSpline(time[own], value[own])
     return spline(centres), spline(centres, 1)
 

@@ -50,8 +50,9 @@ class Criticise(Stage[Criticised]):
     # file without the attributes that MuJoCo's writer adds, 9: data without noise, ranges of
     # commands without those that nobody obeys, and unmeasured columns that hold a constant, 10: the
     # confidence of `unknown`, effects in positions that nobody measured, models that do not cut
-    # commands or have an actuator without a gain
-    version: ClassVar = 10
+    # commands or have an actuator without a gain, 11: bounds of drives' forces, least masses, and
+    # what MuJoCo works out as it compiles a model
+    version: ClassVar = 11
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 

@@ -35,6 +35,61 @@ def test_an_extended_arm_is_the_robot_that_lacked_nothing():
         np.testing.assert_array_equal(getattr(written, field), getattr(expected, field), field)
 
 
+TWO_LINKS = """<mujoco><compiler {compiler}/><worldbody><body name="upper">
+<joint name="shoulder" axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass="1"/>
+<body name="lower" pos=".3 0 0"><joint name="elbow" axis="0 1 0" {elbow}/>
+<geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass=".3"/>
+<body name="tip" pos=".3 0 0">
+<inertial pos="0 0 0" mass="1e-4" diaginertia="1e-7 1e-7 1e-7"/></body>
+</body></body></worldbody>
+<tendon><fixed name="belt" stiffness="{belt}" springlength="-1"><joint joint="shoulder" coef="1"/>
+<joint joint="elbow" coef="-1"/></fixed></tendon>
+<actuator><motor joint="shoulder"/>{drive}</actuator></mujoco>"""
+RESOLVED = {  # by MuJoCo, as it compiles
+    "least masses": {"compiler": 'boundmass="0.001" boundinertia="0.0001"'},
+    "static bodies": {"compiler": 'fusestatic="true"'},
+    "a ratio of damping": {"drive": '<position joint="elbow" kp="20" dampratio="1"/>'},
+    "a spring and damper": {"elbow": 'springdamper="0.3 1"'},
+    "the length of a tendon": {"belt": "5", "elbow": 'ref="0.4"'},
+}
+
+
+def moved(model):
+    """The state after half a second."""
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:], data.ctrl[:2] = 0.3, 1.0, 0.2
+    mujoco.mj_step(model, data, nstep=250)
+    return np.concatenate([data.qpos, data.qvel])
+
+
+@pytest.mark.parametrize("given", RESOLVED.values(), ids=RESOLVED)
+@pytest.mark.parametrize(
+    ("kind", "place", "values"),
+    [
+        ("body_load", "body:lower", (0.05, 0.01, 0.0, 0.0)),
+        ("body_mass", "body:lower", (0.5,)),
+        ("joint_armature", "joint:elbow", (0.05,)),
+        ("joint_reference_offset", "joint:elbow", (0.1,)),
+    ],
+)
+def test_what_mujoco_works_out_as_it_compiles_is_worked_out_once(given, kind, place, values):
+    """Of the model as it is: its effects change no more than they say, in a written one as well."""
+    robot = TWO_LINKS.format(**{"compiler": "", "elbow": "", "belt": "0", "drive": "", **given})
+    nominal = Nominal.of_model(robot, ParameterSpace(()))
+    effects = [Effect(kind, place, values)]
+    nothing = [Effect(kind, place, tuple(0.0 for _ in values))]
+    expected = moved(mujoco.MjModel.from_xml_string(robot))
+    np.testing.assert_allclose(moved(nominal.model(nominal.start)), expected, rtol=1e-9)
+    np.testing.assert_array_equal(
+        moved(nominal.model(nominal.start, nothing)), moved(nominal.model(nominal.start))
+    )
+    fitted = moved(nominal.model(nominal.start, effects))
+    assert not np.allclose(fitted, expected, rtol=1e-4)
+    written = extend(nominal, nominal.start, effects).nominal().model(np.empty(0))
+    np.testing.assert_allclose(moved(written), fitted, rtol=1e-9)
+
+
 def test_the_lines_to_write_into_ones_own_file_are_told():
     nominal = arm()[1]
     friction = Effect("joint_coulomb_friction", "joint:shoulder", (0.25,))

@@ -70,6 +70,23 @@ def test_the_largest_force_of_an_unlimited_actuator_is_that_of_command_one(cart)
     assert largest_force(model, 0) == 3.0  # its gear
 
 
+def test_the_largest_force_is_within_the_bounds_of_the_drive_and_of_its_joint():
+    """A position servo's gain times its largest command is far beyond what it can do."""
+
+    def force(drive="", joint=""):
+        model = mujoco.MjModel.from_xml_string(
+            f"""<mujoco><worldbody><body><joint name="j" {joint}/><geom size="1"/></body>
+            </worldbody><actuator><position joint="j" kp="500" ctrlrange="-3 3" gear="2" {drive}/></actuator>
+            </mujoco>"""
+        )
+        return largest_force(model, 0)
+
+    assert force() == 3000
+    assert force('forcerange="-3 2"') == 6
+    assert force('forcerange="-3 2"', 'actuatorfrcrange="-5 5"') == 5
+    assert force(joint='actuatorfrcrange="-5 1"') == 5
+
+
 def test_saturation_is_not_tried_where_no_command_is_cut(cart):
     model = cart()
     model.actuator_ctrllimited[:] = 1

@@ -28,6 +28,21 @@ def test_friction_changes_a_geom_or_its_pair_in_proportion(cart):
     assert model.geom("skin").friction[0] == 1.0
 
 
+def test_a_stiffness_in_the_place_of_a_time_constant_is_left_alone(cart):
+    """A geom may have one and its pair the other; the pair's is what acts."""
+    stiff = XML.replace('0.1 0.1 0.1"/></contact>', '0.1 0.1 0.1" solref="-1000 -20"/></contact>')
+    softer = Effect("contact_softness", "geom:sole", (0.5,))
+    model = cart(softer, xml=stiff)
+    assert model.pair_solref[0].tolist() == [-1000, -20]
+    assert model.geom("sole").solref[0] == pytest.approx(0.03)
+    own = XML.replace('name="sole"', 'name="sole" solref="-1000 -20"')
+    model = cart(softer, xml=own)
+    assert model.geom("sole").solref.tolist() == [-1000, -20]
+    assert model.pair_solref[0, 0] == pytest.approx(0.03)
+    both = stiff.replace('name="sole"', 'name="sole" solref="-1000 -20"')
+    assert get_mechanism("contact_softness").locations(cart(xml=both)) == ["geom:skin"]
+
+
 @pytest.mark.parametrize(
     ("kind", "field", "expected"),
     [("contact_margin", "margin", 0.5), ("contact_softness", "solref", 0.03)],

@@ -33,6 +33,7 @@ from tests.logs.conftest import MAP, XML
         ("[joints.shoulder]", "[joints.shoulder", "the map is no TOML"),
         ('"q1"', '"q1"\nscale = 0', "joints.shoulder.scale: a scale of 0 makes all readings zero"),
         ('command = "u"', 'command = "u"\nscale = 0', "actuators.motor.scale: a scale of 0"),
+        ('command = "u"', 'command = "u"\nunit = "deg"', "motor.unit is for a set-point that is a"),
         (
             'command = "u"',
             'command = "u"\nwrap = 6.3',
@@ -44,6 +45,15 @@ def test_a_wrong_map_is_refused_with_its_field(robot, old, new, message):
     assert old in MAP
     with pytest.raises(InvalidInput, match=message):
         LogMap.from_toml(MAP.replace(old, new)).check(robot)
+
+
+def test_the_unit_of_a_set_point_is_of_its_joints_kind():
+    """A hinge's set-points in millimetres became a thousandth of themselves."""
+    servo = mujoco.MjModel.from_xml_string(XML.replace("<motor", "<position"))
+    LogMap.from_toml(MAP.replace('command = "u"', 'command = "u"\nunit = "deg"')).check(servo)
+    lengths = LogMap.from_toml(MAP.replace('command = "u"', 'command = "u"\nunit = "mm"'))
+    with pytest.raises(InvalidInput, match=r"actuators.motor: the joint is a hinge, .* given 'mm'"):
+        lengths.check(servo)
 
 
 def test_a_set_point_of_a_joint_that_wraps_needs_a_wrap_as_well(robot):
