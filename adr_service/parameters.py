@@ -31,7 +31,8 @@ class Parameter:
     feasible_low: float
 
     def __post_init__(self) -> None:
-        if not (self.feasible_low <= self.low < self.high and np.isfinite(self.high)):
+        bounds = (self.feasible_low, self.low, self.high)
+        if not (self.feasible_low <= self.low < self.high and np.isfinite(bounds).all()):
             raise InvalidInput(
                 f"parameter {self.name!r} needs feasible_low <= low < high, all finite; "
                 f"given {self.feasible_low}, {self.low}, {self.high}"

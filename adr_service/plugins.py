@@ -16,8 +16,8 @@ def load(point: EntryPoint) -> Any:
     """Import the object that an entry point names."""
     try:
         return point.load()
-    # a foreign module may raise anything while it is imported
-    except Exception as error:
+    # a foreign module may raise anything while it is imported, or even exit
+    except (Exception, SystemExit) as error:
         raise InvalidInput(f"{origin(point)} cannot be loaded: {error!r}") from error
 
 

@@ -21,6 +21,13 @@ def test_an_entry_point_that_leads_nowhere_is_named_with_the_cause(value, cause)
         load(EntryPoint("broken", value, "adr_service.tasks"))
 
 
+def test_a_module_that_exits_is_named(tmp_path, monkeypatch):
+    (tmp_path / "exits.py").write_text("import sys; sys.exit(3)")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(InvalidInput, match=r"'exits:x'.*cannot be loaded: SystemExit\(3\)"):
+        load(EntryPoint("broken", "exits:x", "adr_service.tasks"))
+
+
 def test_the_origin_of_an_entry_point_names_its_group():
     point = EntryPoint("cart", "own:ENTRY", "adr_service.tasks")
     assert origin(point) == "entry point 'cart' = 'own:ENTRY' (group adr_service.tasks)"

@@ -61,7 +61,7 @@ class DoraemonSettings(CurriculumSettings):
     success_rate: float = Field(
         0.5, gt=0, lt=1, description="share of episodes that succeed, at least"
     )
-    kl: float = Field(0.05, gt=0, le=10, description="divergence of a move, at most [nat]")
+    kl: float = Field(0.05, gt=0, le=1, description="divergence of a move, at most [nat]")
     peak: float = Field(100.0, gt=1, le=10_000, description="both shapes of each Beta at the start")
 
     label: ClassVar[str] = "DORAEMON"

@@ -29,6 +29,7 @@ from adr_service.citations import Paper
 from adr_service.distributions import Gaussian
 from adr_service.errors import InvalidInput
 from adr_service.methods.base import Estimate, OfflineSettings, Problem, ReplayFrom
+from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
 from adr_service.search.cma_es import belief, strategy
 from adr_service.simulation.batch import Simulations
@@ -61,7 +62,12 @@ class _Settings(OfflineSettings):
         description=f"simulated replays of the data, rounded up to whole populations; default: "
         f"{_PER_PARAMETER} per parameter",
     )
-    initial_std: float = Field(1.0, gt=0, description="of the search, in [0, 4] coordinates")
+    initial_std: float = Field(
+        1.0,
+        gt=0,
+        le=ParameterSpace.WIDTH / 3,
+        description="of the search, in [0, 4] coordinates; CMA-ES allows a third of the box",
+    )
     papers: ClassVar[tuple[Paper, ...]] = (PAPER,)
 
     def create(self) -> "Droid":

@@ -23,7 +23,7 @@ from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, PositiveFloat
+from pydantic import AfterValidator, Field, PositiveFloat
 from scipy.stats import qmc
 
 from adr_service.arrays import Array3, Matrix, Vector
@@ -41,7 +41,16 @@ from adr_service.transitions import TransitionDataset
 _WORST = 1e12  # in the place of an infinite loss; CMA-ES compares ranks only
 _TOGETHER = 16  # simulations at a time; changes no bit
 
-_Several = Annotated[list[PositiveFloat], Field(min_length=2, max_length=100)]
+
+def _different(values: list[float]) -> list[float]:
+    if len(set(values)) < len(values):
+        raise ValueError(f"every value is tried once; given {values}")
+    return values
+
+
+_Several = Annotated[
+    list[PositiveFloat], Field(min_length=2, max_length=100), AfterValidator(_different)
+]
 
 
 PAPER = Paper(

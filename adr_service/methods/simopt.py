@@ -25,10 +25,10 @@ Where we differ, and why:
 """
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 from scipy.linalg import eigh
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
@@ -77,12 +77,22 @@ class _Settings(OnlineSettings):
         description="0: the covariance is that of the weighted samples; above 0 (guided policy "
         "search: 2), it keeps its shape and changes by the damped scale alone",
     )
-    min_temperature: float = Field(1e-3, gt=0, description="lowest temperature of an update")
+    min_temperature: float = Field(
+        1e-3, gt=0, le=1e6, description="lowest temperature of an update"
+    )
     # SimuRLacra's discrepancy
-    l1_weight: float = Field(0.5, ge=0, description="weight of the L1 norm in the discrepancy")
-    l2_weight: float = Field(1.0, ge=0, description="weight of the squared L2 norm in it")
-    filter_std: float = Field(5.0, ge=0, description="Gaussian filter over time [steps]")
+    l1_weight: float = Field(
+        0.5, ge=0, le=1e6, description="weight of the L1 norm in the discrepancy"
+    )
+    l2_weight: float = Field(1.0, ge=0, le=1e6, description="weight of the squared L2 norm in it")
+    filter_std: float = Field(5.0, ge=0, le=1000, description="Gaussian filter over time [steps]")
     papers: ClassVar[tuple[Paper, ...]] = (PAPER,)
+
+    @model_validator(mode="after")
+    def _has_a_discrepancy(self) -> Self:
+        if self.l1_weight == 0 and self.l2_weight == 0:
+            raise ValueError("l1_weight and l2_weight are both 0: all simulations would be alike")
+        return self
 
     def create(self) -> "SimOpt":
         return SimOpt(self)

@@ -112,7 +112,7 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             self._camera = None
 
     def _observe(self, state: State) -> np.ndarray:
-        observation = self._task.observe(state)[0]
+        observation = np.array(self._task.observe(state)[0])  # perhaps of the state itself
         if self._noise > 0:
             measured = self._task.measured
             observation[:measured] += self._noise * self.np_random.standard_normal(measured)

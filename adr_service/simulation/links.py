@@ -91,8 +91,8 @@ def _reshapable(task: Task, source: Source) -> Reshapable:
 def _without_textures(xml: str) -> mujoco.MjSpec:
     """The model without materials and textures, which take most of its compilation time."""
     spec = mujoco.MjSpec.from_string(xml)
-    for geom in spec.geoms:
-        geom.material = ""
+    for element in (*spec.geoms, *spec.sites, *spec.tendons, *spec.skins):
+        element.material = ""
     for asset in (*spec.materials, *spec.textures):
         spec.delete(asset)
     return spec

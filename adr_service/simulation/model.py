@@ -92,7 +92,7 @@ FIELDS: dict[tuple[str, str], Quantity] = {  # by (object kind, attribute)
 
 def link_of(address: str) -> str | None:
     """The link whose length an address names; None for all other addresses."""
-    match = re.fullmatch(r"link:(\w+)\.length", address)
+    match = re.fullmatch(r"link:(.+)\.length", address)
     return match.group(1) if match else None
 
 
@@ -136,9 +136,10 @@ def _found(model: mujoco.MjModel, address: str) -> tuple[Quantity, list[int], li
     names = _names(model, kind)
     if name != "*" and name not in names:
         raise UnknownName(kind, name, names)
-    chosen = [n for n in names if n != "world"] if name == "*" else [name]
-    objects = [getattr(model, kind)(n).id for n in chosen]
-    able = [number for number in objects if _has(model, quantity.field, number)]
+    # by number, because elements need no name
+    every = range(1 if kind == "body" else 0, len(names))  # the world is no body
+    objects = list(every) if name == "*" else [names.index(name)]
+    able = [number for number in objects if _has(model, quantity, number)]
     if not able:
         why = _WITHOUT[quantity.field] if objects else f"the model has no {kind}"
         raise InvalidInput(f"{address} does nothing: {why}")
@@ -150,14 +151,19 @@ def _found(model: mujoco.MjModel, address: str) -> tuple[Quantity, list[int], li
 
 # why an object of a kind may lack a quantity
 _WITHOUT = {
+    "body_mass": "the world does not move, and a body without mass has no inertia to scale",
     "actuator_biasprm": "the force of the actuator has no bias (biastype affine has one)",
     "dof_damping": "a free or a ball joint has several, and no address for them",
     "dof_armature": "a free or a ball joint has several, and no address for them",
 }
 
 
-def _has(model: mujoco.MjModel, field: str, number: int) -> bool:
+def _has(model: mujoco.MjModel, quantity: Quantity, number: int) -> bool:
     """True if a quantity of an object takes part in its physics, and is one number."""
+    field = quantity.field
+    if field == "body_mass":
+        has_inertia = quantity.scaled is None or bool(model.body_mass[number] > 0)
+        return number > 0 and has_inertia
     if field == "actuator_biasprm":
         return bool(model.actuator_biastype[number] == mujoco.mjtBias.mjBIAS_AFFINE)
     single = [int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)]

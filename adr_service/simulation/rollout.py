@@ -131,7 +131,7 @@ def follow(
 
 def _observed(task: Task, state: State, noise: Callable[[], Matrix] | None) -> Matrix:
     """The policy's view of `state`, (n, columns), with noise on the measured columns."""
-    columns = task.observe(state)
+    columns = np.array(task.observe(state))  # perhaps the state itself
     if noise is not None:
         columns[:, : task.measured] += noise()
     return columns

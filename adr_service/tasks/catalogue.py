@@ -12,6 +12,8 @@ from dataclasses import replace
 from functools import cache
 from importlib.metadata import EntryPoint
 
+import numpy as np
+
 from adr_service import tasks
 from adr_service.effects.base import parse_domain
 from adr_service.errors import InvalidInput, UnknownName
@@ -85,13 +87,22 @@ def first_like(task: str, variant: str) -> str:
 
 
 def target_like(task: str, variant: str) -> str:
-    """The first variant whose simulator and noise are those of the variant's target."""
+    """The first variant whose simulator, truth and noise are those of the variant's target.
+
+    Raises InvalidInput if there is none.
+    """
     hidden = variant_of(task, variant).hidden
-    return next(
-        name
-        for name, other in variants_of(task).items()
-        if other.source == hidden.source and other.hidden.noise_variance == hidden.noise_variance
+    for name, other in variants_of(task).items():
+        if other.source == hidden.source and _is_same_target(other.hidden, hidden):
+            return name
+    raise InvalidInput(
+        f"no variant of {task} has the simulator of the target of {variant!r}, with its noise"
     )
+
+
+def _is_same_target(one: Hidden, other: Hidden) -> bool:
+    same_noise = one.noise_variance == other.noise_variance
+    return same_noise and np.array_equal(one.values, other.values)
 
 
 def source_of(task: str, domain: str) -> Source:

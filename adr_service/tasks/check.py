@@ -29,12 +29,25 @@ def check_task(entry: Entry) -> None:
                 "returns are divided by reward_threshold, which must be positive and finite; given "
                 f"{task.reward_threshold}"
             )
+        _check_numbers(task)
         _check_vanilla(entry)
         for variant in entry.variants.values():
             _check_source(task, variant.source, variant.truth)
             _check_source(task, variant.hidden.source, variant.hidden.values)
     except InvalidInput as error:
         raise InvalidInput(f"task {task.name!r}: {error}") from error
+    except Exception as error:  # a user's own functions may raise anything
+        raise InvalidInput(f"task {task.name!r}: {type(error).__name__}: {error}") from error
+
+
+def _check_numbers(task: Task) -> None:
+    low, high = np.asarray(task.action_low), np.asarray(task.action_high)
+    if not (low.shape == high.shape and (low < high).all()):
+        raise InvalidInput(f"action_low must be below action_high; given {low} and {high}")
+    for name in ("horizon", "frame_skip"):
+        number = getattr(task, name)
+        if not (isinstance(number, int) and number >= 1):
+            raise InvalidInput(f"{name} must be a whole number of 1 or more; given {number!r}")
 
 
 def _check_vanilla(entry: Entry) -> None:
@@ -45,12 +58,17 @@ def _check_vanilla(entry: Entry) -> None:
             "it has no variant 'vanilla', on whose source the oracle is trained; it has "
             f"{', '.join(entry.variants)}"
         )
-    space = entry.variants["vanilla"].source.space
+    source = entry.variants["vanilla"].source
     for name, variant in entry.variants.items():
-        if variant.hidden.source.space != space:
+        if variant.hidden.source.space != source.space:
             raise InvalidInput(
                 f"the truth of the variant {name!r} is not over the parameters of the source of "
-                f"'vanilla', which are {', '.join(space.names)}"
+                f"'vanilla', which are {', '.join(source.space.names)}"
+            )
+        if variant.hidden.source != source:
+            raise InvalidInput(
+                f"the target of the variant {name!r} has values that the source of 'vanilla', on "
+                "which the oracle is trained, has not; put them into the truth, or into both"
             )
 
 
@@ -58,7 +76,10 @@ def _check_source(task: Task, source: Source, values: Vector) -> None:
     """Take a few steps under `values` and check every function of the task on the way."""
     simulations = Simulations(task, source, _N)
     simulations.set_dynamics(np.tile(values, (_N, 1)))
-    simulations.set_state(task.initial(_N, np.random.default_rng(0)))
+    initial, model = task.initial(_N, np.random.default_rng(0)), simulations.model(0)
+    _check_shape("initial's qpos", initial.qpos, (_N, model.nq))
+    _check_shape("initial's qvel", initial.qvel, (_N, model.nv))
+    simulations.set_state(initial)
     before = simulations.state
     for step in range(_STEPS):
         action = task.action_low if step % 2 else task.action_high
@@ -66,8 +87,13 @@ def _check_source(task: Task, source: Source, values: Vector) -> None:
         after = simulations.state
         actions = np.tile(action, (_N, 1))
         _check_shape("observe", task.observe(after), (_N, len(task.columns)))
-        _check_shape("reward", task.reward(before, actions, after), (_N,))
-        _check_shape("terminated", task.terminated(after), (_N,))
+        reward, ended = task.reward(before, actions, after), task.terminated(after)
+        _check_shape("reward", reward, (_N,))
+        _check_shape("terminated", ended, (_N,))
+        if not np.isfinite(reward).all():
+            raise InvalidInput(f"reward must be finite; it gave {reward}")
+        if ended.dtype != bool:
+            raise InvalidInput(f"terminated must give booleans; it gave {ended.dtype}")
         before = after
     _check_round_trip(task, simulations)
 

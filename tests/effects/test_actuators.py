@@ -76,7 +76,8 @@ def test_the_largest_force_is_within_the_bounds_of_the_drive_and_of_its_joint():
     def force(drive="", joint=""):
         model = mujoco.MjModel.from_xml_string(
             f"""<mujoco><worldbody><body><joint name="j" {joint}/><geom size="1"/></body>
-            </worldbody><actuator><position joint="j" kp="500" ctrlrange="-3 3" gear="2" {drive}/></actuator>
+            </worldbody><actuator>
+            <position joint="j" kp="500" ctrlrange="-3 3" gear="2" {drive}/></actuator>
             </mujoco>"""
         )
         return largest_force(model, 0)

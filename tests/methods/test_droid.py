@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from adr_service.distributions import Gaussian
 from adr_service.errors import InvalidInput
-from adr_service.methods.droid import Droid, DroidSettings
+from adr_service.methods.droid import Droid, DroidSettings, _ranked
 from adr_service.progress import silent
 from adr_service.randomness import stream
 from tests.planted import PROBLEM, SPACE, distance, recorded, waving_policy
@@ -59,6 +60,16 @@ def test_a_search_whose_candidates_all_diverge_says_so():
     absurd[:, 2:] = 1e9
     with pytest.raises(InvalidInput, match="all 8 candidates of a population diverged"):
         fit(replace(DATA, observations=absurd), budget=30)
+
+
+def test_a_replay_that_diverges_is_worse_than_all_others():
+    assert _ranked(np.array([1.0, np.nan, 3.0])).tolist() == [1.0, 30.0, 3.0]
+
+
+def test_deviations_that_the_search_would_not_take_are_refused():
+    """CMA-ES keeps below a third of the box, whatever it is given."""
+    with pytest.raises(ValidationError, match=r"less than or equal to 1\.33"):
+        DroidSettings(initial_std=2.0)
 
 
 def test_by_default_the_budget_grows_with_the_parameters():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy import stats
 
 from adr_service.errors import InvalidInput
@@ -167,6 +168,11 @@ def test_the_reported_error_is_that_of_the_estimated_mean():
 def test_several_epsilons_are_several_settings():
     several = DropoSettings(epsilon=[1e-5, 1e-3])
     assert [settings.epsilon for settings in several.each] == [1e-5, 1e-3]
+
+
+def test_a_value_of_epsilon_is_tried_once():
+    with pytest.raises(ValidationError, match="every value is tried once"):
+        DropoSettings(epsilon=[1e-5, 1e-5])
 
 
 def test_a_search_with_several_epsilons_is_refused():

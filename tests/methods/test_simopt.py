@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.ndimage import gaussian_filter1d
 
 from adr_service.distributions import Gaussian
@@ -202,11 +203,35 @@ class TestUpdates:
         assert all(0 <= each["clipped_draws"] <= 20 for each in facts)
         assert all(each["diverged"] == 0 for each in facts)
 
-    def test_updates_go_on_from_the_state(self):
-        first = self.update(SimOptSettings(updates=1, samples=20))
-        second = self.update(SimOptSettings(updates=1, samples=20), first.state, "second")
-        deviations = [each.diagnostics["updates"][0]["std"] for each in (first, second)]
-        assert np.all(np.array(deviations[1]) != deviations[0])
+    def test_two_updates_are_one_after_the_other(self):
+        """The second goes on from the state that the first has left."""
+        together, apart = (SimOpt(SimOptSettings(updates=n, samples=20)) for n in (2, 1))
+        start, rng = apart.start(PROBLEM), stream("simopt")
+        once = apart.tell(PROBLEM, start, self.evidence, rng, silent)
+        twice = apart.tell(PROBLEM, once.state, self.evidence, rng, silent)
+        both = together.tell(PROBLEM, start, self.evidence, stream("simopt"), silent)
+        assert twice.state == both.state
+        facts = [*once.diagnostics["updates"], *twice.diagnostics["updates"]]
+        assert facts == both.diagnostics["updates"]
+
+    def test_a_simulation_that_diverges_is_no_better_than_the_worst(self):
+        loop = ClosedLoop(PROBLEM, self.evidence, SimOptSettings(), 3)
+        absurd = PLANTED * np.array([1.0, 1.0, -1e9, 1.0])  # friction that drives
+        costs = loop.costs(np.array([PLANTED, absurd, 1.3 * PLANTED]), silent)
+        assert loop.diverged == 1
+        assert costs[1] == costs[2] > costs[0]
+
+    @pytest.mark.parametrize(
+        ("wrong", "message"),
+        [
+            ({"l1_weight": 0.0, "l2_weight": 0.0}, "all simulations would be alike"),
+            ({"filter_std": 1e9}, "less than or equal to 1000"),
+            ({"min_temperature": 1e13}, "less than or equal to 1000000"),
+        ],
+    )
+    def test_settings_with_which_nothing_is_learned_are_refused(self, wrong, message):
+        with pytest.raises(ValidationError, match=message):
+            SimOptSettings(**wrong)
 
     def test_simopt_1_does_the_same_updates_under_another_name(self):
         one = self.update(SimOptSettings(updates=2, samples=20))

@@ -118,6 +118,32 @@ def test_a_star_names_all_of_a_kind_but_the_world():
     assert model.body_mass.tolist() == [0.0, 3.0, 3.0]
 
 
+def test_a_star_names_elements_without_a_name_as_well():
+    bare = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body><joint damping="2"/><geom size=".1" mass="3"/></body>
+        <body><joint damping="1"/><geom size=".1" mass="3"/></body></worldbody></mujoco>"""
+    )
+    for address, field in (("joint:*.damping", "dof_damping"), ("body:*.mass", "body_mass")):
+        write(bare, resolve(bare, address), 7.0)
+        assert getattr(bare, field)[-2:].tolist() == [7.0, 7.0]
+    assert bare.body_mass[0] == 0
+
+
+def test_what_has_no_inertia_is_left_alone():
+    """A frame without mass: its inertia would be no number, and so would every simulation."""
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body name="arm"><joint/><geom size=".1" mass="3"/>
+        <body name="flange"/></body></worldbody></mujoco>"""
+    )
+    write(model, resolve(model, "body:*.inertial"), 6.0)
+    assert model.body_mass.tolist() == [0, 6, 0]
+    assert np.isfinite(model.body_inertia).all()
+    with pytest.raises(InvalidInput, match="a body without mass has no inertia to scale"):
+        resolve(model, "body:flange.inertial")
+    with pytest.raises(InvalidInput, match="the world does not move"):
+        resolve(model, "body:world.mass")
+
+
 def test_a_friction_holds_in_both_directions_of_a_pair():
     model = mujoco.MjModel.from_xml_string(XML)
     write(model, resolve(model, "pair:left.friction"), 0.4)

@@ -28,6 +28,26 @@ def no_power(observations):
     return np.zeros((len(observations), 2))
 
 
+def test_noise_of_sensors_stays_out_of_the_state_that_a_task_shows_as_it_is():
+    """`observe` may give the state's own array; its noise earned rewards and ended episodes."""
+
+    class Bare(type(ARM)):
+        def observe(self, state):
+            return state.qvel
+
+        def reward(self, before, actions, after):
+            return np.abs(after.qvel - before.qvel).sum(axis=1)
+
+    initial = State(np.zeros((3, 2)), np.zeros((3, 2)))  # it hangs at rest
+    rng = np.random.default_rng(0)
+    bare = Bare(columns=("one [rad/s]", "other [rad/s]"), measured=2)
+    episodes = run_episodes(
+        bare, simulations_of(3), no_power, initial, 20, lambda: rng.normal(size=(3, 2))
+    )
+    assert np.abs(episodes.rewards).max() < 1e-9
+    assert np.abs(episodes.observations).max() > 1
+
+
 def test_nothing_is_earned_or_recorded_after_the_end():
     initial = ARM.initial(3, np.random.default_rng(0))
     episodes = run_episodes(ARM, simulations_of(3), full_power, initial, 200)

@@ -59,12 +59,6 @@ def test_an_online_method_answers_with_the_distribution_of_its_new_state(online)
     assert online.distribution.to_json() == asked.to_json()
 
 
-def test_the_next_inference_goes_on_from_the_new_state(online):
-    following = replace(ONLINE, state=online.state)
-    second = following.read(compute(following))
-    assert second.distribution.to_json() != online.distribution.to_json()
-
-
 @pytest.mark.parametrize("stage", [OFFLINE, ONLINE], ids=["offline", "online"])
 def test_its_cost_covers_what_it_simulates(stage, request):
     result = request.getfixturevalue("offline" if stage is OFFLINE else "online")
