@@ -48,7 +48,7 @@ def _gain(verdict: Json) -> list[str]:
         f"on episodes set aside, {removed} of the squared error "
         "one step ahead is gone (of a filter that knows the sensors' noise)"
     ]
-    if step["judged_with"] < step["of_the_model"]:
+    if step and step["judged_with"] < step["of_the_model"]:
         lines.append(
             f"judged at steps of {1000 * step['judged_with']:.3g} ms; extended.xml keeps the "
             f"model's {1000 * step['of_the_model']:.3g} ms"

@@ -36,6 +36,7 @@ from adr_service.progress import silent
 from adr_service.randomness import stream
 from adr_service.simulation.rollout import random_actions
 from adr_service.simulation.target import simulate_recording
+from adr_service.stages.infer import Infer
 from adr_service.tasks.base import Hidden, Source
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.transitions import TransitionDataset
@@ -94,7 +95,7 @@ def measured(point: Point) -> dict[str, Any]:
     """The row of a point, computed unless it was before."""
     settings = methods()[point.method].model_validate({})
     assert isinstance(settings, OfflineSettings)
-    key = sha256(json.dumps([vars(point), settings.model_dump()]).encode())
+    key = sha256(json.dumps([vars(point), settings.model_dump(), Infer.version]).encode())
     path = FOLDER / f"{key[:16]}.json"
     if not path.exists():
         truth, data = recorded(point)

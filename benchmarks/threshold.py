@@ -131,7 +131,11 @@ def train(given: argparse.Namespace) -> None:
         "task": task,
         "seed": given.seed,
         "training": stage.training.model_dump(),
-        **(outcome_of_result(values) if values else outcome_by_evaluations(task, curve)),
+        **(
+            outcome_of_result(values)
+            if given.seconds is None
+            else outcome_by_evaluations(task, curve)
+        ),
         "confirmation": values.get("confirmation"),
         "diverged_episodes": values.get("diverged_episodes"),
         "curve": curve,
@@ -149,7 +153,7 @@ def outcome_of_result(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def outcome_by_evaluations(task: str, curve: list[dict[str, float]]) -> dict[str, Any]:
-    """The outcome of a training that its time has stopped: its first point at the threshold."""
+    """The outcome of a training that has so much time: its first point at the threshold."""
     earned = [each for each in curve if each["mean_return"] >= get_task(task).reward_threshold]
     point = earned[0] if earned else max(curve, key=lambda each: each["mean_return"])
     return {

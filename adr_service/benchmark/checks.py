@@ -45,6 +45,12 @@ class Evidence:
     gap: Gap | None = None
     is_tested: bool = True  # False: it must hold for every seed, and has no error of a test
     needed: Callable[[float], float] = lambda level: float("inf")  # seeds for a two-sided level
+    in_part: bool = False  # some of several checks were measured
+
+    @property
+    def is_measured(self) -> bool:
+        """True if there was something to test, whatever came out: such claims share the level."""
+        return self.gap is None or self.in_part
 
     @property
     def leans_to_support(self) -> bool:
@@ -266,7 +272,7 @@ def conjunction(answers: Sequence[Evidence]) -> Evidence:
         gaps.append("measured in part")
     lines = list(dict.fromkeys(line for answer in answers for line in answer.lines))
     against = [answer for answer in answers if not answer.leans_to_support]
-    judged = [each for each in answers if each.gap is None or each.contradicts < 1]
+    judged = [each for each in answers if each.is_measured]
     count = max(1, len(judged))
 
     def needed(level: float) -> float:
@@ -281,6 +287,7 @@ def conjunction(answers: Sequence[Evidence]) -> Evidence:
         min(gaps, default=None, key=GAPS.index),
         any(answer.is_tested for answer in judged or answers),
         needed,
+        bool(judged),
     )
 
 

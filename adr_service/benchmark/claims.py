@@ -185,11 +185,7 @@ def _report(outcomes: Sequence[Outcome]) -> Report:
 def _judged(evidence: Sequence[Evidence], claims: Sequence["Claim"]) -> list[ClaimReport]:
     """The verdicts on claims, which hold together at `_LEVEL`."""
     values = [min(1.0, 2 * min(each.supports, each.contradicts)) for each in evidence]
-    measured = [
-        index
-        for index, each in enumerate(evidence)
-        if each.is_tested and (values[index] < 1 or each.gap is None)
-    ]
+    measured = [i for i, each in enumerate(evidence) if each.is_tested and each.is_measured]
     settled = {i for i, each in enumerate(evidence) if not each.is_tested and values[i] == 0}
     for place, index in enumerate(sorted(measured, key=lambda i: values[i])):
         if values[index] >= _LEVEL / (len(measured) - place):

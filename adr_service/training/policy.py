@@ -52,6 +52,7 @@ _SQUASHES: dict[Squash, Callable[[np.ndarray, int], np.ndarray]] = {
     "clip": _clip,
     "bins": _bins,
 }
+_UNREADABLE = (SafetensorError, KeyError, TypeError, ValueError, RecursionError, OverflowError)
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,11 @@ class Policy:
                 "a policy needs a layer, and as many lower as upper bounds of actions: "
                 f"{len(self.layers)} layers, {len(self.action_low)} lower and "
                 f"{len(self.action_high)} upper bounds"
+            )
+        bounds = np.array([self.action_low, self.action_high])
+        if bounds.ndim != 2 or not (np.isfinite(bounds).all() and (bounds[0] <= bounds[1]).all()):
+            raise InvalidInput(
+                f"bounds of actions must be finite numbers, the lower ones first; given {bounds}"
             )
         for weight, bias in self.layers:
             if weight.ndim != 2 or bias.shape != (len(weight),):
@@ -137,7 +143,7 @@ class Policy:
             low, high = frozen(description["action_low"]), frozen(description["action_high"])
             squash = description.get("squash", "tanh")
             return cls(layers, description["activation"], low, high, squash)
-        except (SafetensorError, KeyError, TypeError, ValueError, InvalidInput) as error:
+        except (*_UNREADABLE, InvalidInput) as error:
             raise InvalidInput(
                 "not the bytes of a policy, a safetensors file as `adr results RUN --policy FILE` "
                 f"writes it ({error})"

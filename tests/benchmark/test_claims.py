@@ -265,6 +265,18 @@ def test_verdicts_are_corrected_for_the_number_of_claims():
     assert [each.verdict for each in both] == ["supported", "supported"]
 
 
+def test_a_claim_that_is_measured_in_part_shares_the_level_whatever_came_out():
+    """Where only those that look contradicted count, verdicts hold together at less than 95 %."""
+    found = Evidence(0.02, 0.98, [])
+    gap = Evidence(1.0, 1.0, [], "not measured")
+    in_part = conjunction([Evidence(0.3, 0.7, []), gap])
+    assert (in_part.gap, in_part.is_measured) == ("measured in part", True)
+    verdicts = [each.verdict for each in _judged([found, gap], CLAIMS[:2])]
+    assert verdicts == ["supported", "not measured"]
+    verdicts = [each.verdict for each in _judged([found, in_part], CLAIMS[:2])]
+    assert verdicts == ["undecided", "measured in part"]
+
+
 def test_a_method_that_shares_no_seed_with_the_oracle_is_not_judged():
     found = [o for o in hopper({}) if o.spec.method.name == "oracle"]
     others = hopper({}, seeds=(70, 80, 90))

@@ -16,6 +16,7 @@ from adr_service.benchmark.comparison import (
 )
 from adr_service.methods.catalogue import methods
 from tests.benchmark.conftest import ITERATIONS, METHODS, with_a_third_seed
+from tests.benchmark.test_claims import outcome as at_level
 
 
 def test_the_table_has_every_method_with_its_interval_and_counts(benchmark):
@@ -62,6 +63,19 @@ def test_every_pair_of_methods_is_compared_after_the_last_iteration(benchmark):
     names = {run.column for run in benchmark[0].runs()}
     assert len(names) == 6 + 3 * 3
     assert len(found) == 2 * len(names) * (len(names) - 1) // 2
+
+
+def test_the_first_of_a_pair_is_the_better_one_where_it_earns_more():
+    found = [
+        at_level(level, method=method, seed=seed)
+        for method, level in (("simopt", 1.0), ("dropo", 0.5))
+        for seed in (0, 1, 2)
+    ]
+    (pair,) = comparisons(found)
+    better = pair.method == "simopt"
+    assert {pair.method, pair.other} == {"simopt", "dropo"}
+    assert pair.probability == (1.0 if better else 0.0)
+    assert pair.difference == pytest.approx(0.5 if better else -0.5, abs=0.02)
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,11 @@
 
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import safetensors.numpy
 
 from adr_service.errors import InvalidInput
 from adr_service.training.policy import Policy
@@ -26,6 +28,11 @@ def test_actions_stay_within_their_bounds():
     assert actions.min(axis=0) == pytest.approx([-1, -2])
 
 
+def described(text):
+    """A file without layers, with this description."""
+    return safetensors.numpy.save({"x": np.zeros(1, np.float32)}, {"policy": text})
+
+
 @pytest.mark.parametrize(
     "content",
     [
@@ -35,8 +42,14 @@ def test_actions_stay_within_their_bounds():
         struct.pack("<Q", 2) + b"{}",
         policy().to_bytes()[:-7],
         policy().to_bytes().replace(b'\\"layers\\": 3', b'\\"layers\\": 0'),
+        described('"[' + "[" * 200_000),
+        described('{"activation": "relu", "layers": 0, "action_low": [1e999]}'),
+        described(f'{{"activation": "relu", "layers": 0, "action_low": [{10**400}]}}'),
     ],
-    ids=["empty", "nonsense", "huge header", "no tensors", "truncated", "no layers"],
+    ids=[
+        *("empty", "nonsense", "huge header", "no tensors", "truncated", "no layers"),
+        *("nested without end", "no number", "a huge number"),
+    ],
 )
 def test_bytes_of_anything_else_are_refused(content):
     with pytest.raises(InvalidInput, match="not the bytes of a policy"):
@@ -85,6 +98,15 @@ def test_a_policy_is_the_tanh_of_its_network_scaled_to_the_bounds():
     single = Policy(((weight, bias),), "relu", np.array([-1.0, -2.0]), np.array([1.0, 4.0]))
     actions = single.act(np.array([[0.3, 0.5]]))
     np.testing.assert_allclose(actions[0], [np.tanh(0.6), 1 + 3 * np.tanh(-0.5)], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [([3.0, 0.0], [1.0, 1.0]), ([np.nan, 0.0], [1.0, 1.0]), ([[0.0], [0.0]], [[1.0], [1.0]])],
+)
+def test_bounds_between_which_no_action_lies_are_refused(low, high):
+    with pytest.raises(InvalidInput, match="bounds of actions must be finite numbers"):
+        replace(policy(), action_low=np.array(low), action_high=np.array(high))
 
 
 def test_an_unknown_activation_is_refused_with_the_known_ones():
