@@ -14,7 +14,7 @@ import numpy as np
 
 from adr_service.arrays import Indices, Matrix, frozen, spans
 from adr_service.errors import InvalidInput
-from adr_service.json_values import sha256
+from adr_service.json_values import is_a_line, sha256
 from adr_service.npz import read_arrays, write_arrays
 
 MOST_EPISODES = 100_000
@@ -43,15 +43,10 @@ class TransitionDataset:
     def __post_init__(self) -> None:
         for name in ("observations", "actions", "next_observations"):
             object.__setattr__(self, name, _finite_matrix(name, getattr(self, name)))
-        episodes = np.array(self.episodes, dtype=np.int64)
-        episodes.flags.writeable = False
-        object.__setattr__(self, "episodes", episodes)
+        object.__setattr__(self, "episodes", _ids(np.asarray(self.episodes)))
         self._check_rows()
         self._check_episodes()
-        if len(self.columns) != self.observations.shape[1]:
-            raise InvalidInput(
-                f"{len(self.columns)} column names for {self.observations.shape[1]} columns"
-            )
+        self._check_names()
         if not 0 < self.dt < np.inf:
             raise InvalidInput(f"the control period must be positive; given {self.dt} s")
 
@@ -68,13 +63,30 @@ class TransitionDataset:
     def _check_episodes(self) -> None:
         if not len(self.episodes):
             raise InvalidInput("a recording has at least one transition; this has none")
-        if np.any(np.diff(self.episodes) < 0):
+        if np.any(self.episodes[1:] < self.episodes[:-1]):
             raise InvalidInput("episode ids must not decrease from row to row")
         if self.episode_count > MOST_EPISODES:
             raise InvalidInput(
                 f"a recording has {MOST_EPISODES:,} episodes at most; this has "
                 f"{self.episode_count:,}"
             )
+
+    def _check_names(self) -> None:
+        """Raise InvalidInput for what no file could give back."""
+        width = max(self.observations.shape[1], self.actions.shape[1])
+        if width > MOST_COLUMNS:
+            raise InvalidInput(f"a matrix has {width} columns; accepted are {MOST_COLUMNS}")
+        if len(self.columns) != self.observations.shape[1]:
+            raise InvalidInput(
+                f"{len(self.columns)} column names for {self.observations.shape[1]} columns"
+            )
+        limits = [(name, _LONGEST_NAME) for name in self.columns]
+        for text, longest in (*limits, (self.origin, _LONGEST_ORIGIN)):
+            if len(text) > longest:
+                raise InvalidInput(f"a text of {len(text)} characters; accepted are {longest}")
+            if not is_a_line(text):
+                shown = repr(text[:_LONGEST_NAME])
+                raise InvalidInput(f"{shown} has ends of lines or control characters")
 
     def __len__(self) -> int:
         return len(self.observations)
@@ -233,6 +245,15 @@ def _cut(origin: str) -> str:
     end = " …"
     is_short = len(origin) <= _LONGEST_ORIGIN
     return origin if is_short else origin[: _LONGEST_ORIGIN - len(end)] + end
+
+
+def _ids(given: np.ndarray) -> Indices:
+    """Episode ids as they are kept, read-only."""
+    if given.size and (given.dtype.kind not in "iu" or int(given.max()) >= 2**63):
+        raise InvalidInput(f"episodes must be integers below 2**63; given {given.dtype} {given}")
+    ids = np.array(given, dtype=np.int64)
+    ids.flags.writeable = False
+    return ids
 
 
 def _finite_matrix(name: str, values: np.ndarray) -> Matrix:

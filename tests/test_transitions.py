@@ -93,6 +93,29 @@ def test_arrays_that_do_not_fit_together_are_refused(changes):
         dataset(**changes)
 
 
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"origin": "a\nb"}, r"'a\\nb' has ends of lines"),
+        ({"columns": ("a", "b\x07", "c")}, "has ends of lines or control characters"),
+        ({"origin": "a" * 10_001}, "a text of 10001 characters; accepted are 10000"),
+        ({"columns": ("a", "b" * 201, "c")}, "a text of 201 characters; accepted are 200"),
+        ({"actions": np.zeros((5, 1001))}, "a matrix has 1001 columns; accepted are 1000"),
+        ({"episodes": np.array([0, 0.5, 1, 1, 1])}, "episodes must be integers below 2"),
+        ({"episodes": np.array([0, 0, 2**63, 2**63, 2**63], np.uint64)}, "integers below 2"),
+    ],
+)
+def test_what_its_own_file_could_not_give_back_is_refused(changes, message):
+    with pytest.raises(InvalidInput, match=message):
+        dataset(**changes)
+
+
+def test_ids_may_be_as_far_apart_as_they_can_be():
+    lowest, highest = -(2**63), 2**63 - 1
+    data = dataset(episodes=(lowest, lowest, 0, highest, highest))
+    assert data.episode_count == 3
+
+
 def test_bytes_that_are_no_npz_are_refused():
     with pytest.raises(InvalidInput, match="not a readable"):
         TransitionDataset.from_npz(b"not a zip")
