@@ -117,7 +117,20 @@ def test_who_reads_an_answer_slowly_gets_it_all_and_who_does_not_read_is_cut(mon
         assert read_to_the_end(silent) < LARGE
 
 
-def test_a_client_that_reads_one_answer_after_the_other_keeps_its_connection(monkeypatch):
+@pytest.fixture
+def made(monkeypatch):
+    """The connections that were made: a client that lost its own makes another in silence."""
+    known, make = [], connections._Bounded.connection_made
+
+    def connection_made(self, transport):
+        known.append(transport)
+        make(self, transport)
+
+    monkeypatch.setattr(connections._Bounded, "connection_made", connection_made)
+    return known
+
+
+def test_a_client_that_reads_one_answer_after_the_other_keeps_its_connection(monkeypatch, made):
     monkeypatch.setattr(connections, "_STALLED_S", 0.3)
     with served(5) as port, httpx2.Client(base_url=f"http://127.0.0.1:{port}") as client:
         for _ in range(6):
@@ -128,6 +141,7 @@ def test_a_client_that_reads_one_answer_after_the_other_keeps_its_connection(mon
                     got += len(part)
                     time.sleep(0.02)
             assert got == LARGE
+    assert len(made) == 1
 
 
 def read_to_the_end(client):
@@ -139,12 +153,13 @@ def read_to_the_end(client):
     return got
 
 
-def test_an_idle_client_that_asks_again_in_time_keeps_its_connection(monkeypatch):
+def test_an_idle_client_that_asks_again_in_time_keeps_its_connection(monkeypatch, made):
     monkeypatch.setitem(connections._SECONDS, "head", 1.0)
     with served(5) as port, httpx2.Client(base_url=f"http://127.0.0.1:{port}") as client:
         for _ in range(4):
             assert client.get("/quick").text == '"here"'
             time.sleep(0.6)  # longer than the clock in all
+    assert len(made) == 1
 
 
 @pytest.mark.parametrize(("files", "allowed"), [(1024, 512), (600, 88), (100, 64), (10**6, 1000)])
