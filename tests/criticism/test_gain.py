@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adr_service.criticism.gain import measure_gain
+from adr_service.criticism.gain import _interval, measure_gain
 from adr_service.criticism.measurements import Measurement
 from tests.hidden import recorded
 
@@ -93,3 +93,8 @@ def test_short_episodes_have_no_far_horizon(baseline, refined, sealed):
 
 def test_a_gain_has_no_nan_in_json(gain):
     assert json.dumps(gain.to_json(), allow_nan=False)
+
+
+def test_an_interval_leaves_a_fortieth_of_the_draws_beyond_each_end():
+    assert _interval(np.linspace(0, 1, 1001)) == pytest.approx((0.025, 0.975))
+    assert _interval(np.append(np.linspace(0, 1, 1001), np.nan)) == pytest.approx((0.025, 0.975))

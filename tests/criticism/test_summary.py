@@ -36,6 +36,15 @@ def test_an_interval_contains_the_planted_strength(refined, friction):
     assert strength.unit == "N m"
 
 
+def test_an_interval_is_as_wide_as_its_level_asks_for(refined, friction):
+    """Student's 97.5 % quantile of its deviation on either side: 2.57 with few episodes."""
+    (strength,) = named_cause(refined, slice(0, 1), weighed(refined, friction)).strengths
+    (variance,) = np.diagonal(refined.normal.covariance())[refined.columns_of(slice(0, 1))]
+    deviation = np.sqrt(variance)
+    assert 1.96 < (strength.high - strength.value) / deviation < 3
+    assert strength.high - strength.value == pytest.approx(strength.value - strength.low)
+
+
 def test_a_cause_has_the_gain_and_the_confidence_of_its_evidence(refined, friction):
     cause = named_cause(refined, slice(0, 1), weighed(refined, friction))
     assert (cause.gain, cause.confidence) == (60.0, 0.75)

@@ -95,3 +95,25 @@ def test_idle_actors_end_and_busy_ones_stay(cluster, run_id):
     assert busy.core.actors == {"trainer": busy}
     with pytest.raises(ray.exceptions.RayActorError):
         ray.get(idle.handle.__ray_ready__.remote())
+
+
+def warm(node):
+    core = Core(node)
+    core.actors["trainer"] = Actor(node, "trainer", None, core)
+    return core
+
+
+def test_a_node_at_work_is_preferred_and_the_one_that_lost_the_stage_is_avoided(pool):
+    """So the others become idle and can be released, and a sick node does not get it again."""
+    pool._cores = [warm("small"), warm("large"), warm("large")]
+    first = pool.take("trainer", "run_a", avoid="small")
+    assert first.core.node == "large"
+    second = pool.take("trainer", "run_a", avoid=None)
+    assert second.core.node == "large"
+    assert pool.take("trainer", "run_a", avoid="small") is None
+    assert pool.take("trainer", "run_a", avoid=None).core.node == "small"
+
+
+def test_a_node_without_others_is_not_avoided(pool):
+    pool._cores = [warm("only")]
+    assert pool.take("trainer", "run_a", avoid="only").core.node == "only"
