@@ -249,9 +249,11 @@ def _cut(origin: str) -> str:
 
 def _ids(given: np.ndarray) -> Indices:
     """Episode ids as they are kept, read-only."""
-    if given.size and (given.dtype.kind not in "iu" or int(given.max()) >= 2**63):
+    with np.errstate(invalid="ignore"):
+        ids = np.array(given, dtype=np.int64)
+    # a comparison of large floats would round
+    if ids.tolist() != given.tolist():
         raise InvalidInput(f"episodes must be integers below 2**63; given {given.dtype} {given}")
-    ids = np.array(given, dtype=np.int64)
     ids.flags.writeable = False
     return ids
 

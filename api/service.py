@@ -43,8 +43,8 @@ class Service:
     database: Database
     orchestrator: Orchestrator
     films: Films = field(default_factory=Films)
-    # the best methods on the first page, by benchmark and the moment of its last change
-    leaders: dict[tuple[str, datetime], dict[str, Any] | None] = field(default_factory=dict)
+    # the best methods on the first page with the moment of a benchmark's last change, by benchmark
+    leaders: dict[str, tuple[datetime, dict[str, Any] | None]] = field(default_factory=dict)
 
     def check_dataset(self, spec: AnyRun) -> None:
         """Refuse a run whose dataset is unknown, or not of its task."""

@@ -137,7 +137,7 @@ class Settings(BaseSettings):
     @classmethod
     def _are_names(cls, given: str) -> str:
         for name in given.split(","):
-            if re.search(r"[^:]:\d+$|/", name.strip()):
+            if re.search(r"^[^:]*:\d+$|[\[\]/]", name.strip()):
                 raise ValueError(
                     f"{name.strip()!r} is no name; give it without a port and a scheme"
                 )
@@ -170,7 +170,10 @@ def _explained(error: ValidationError) -> str:
 
 
 def _field(location: tuple[int | str, ...]) -> str | None:
-    """The field of an error, which may be told by a variable; None: all settings together."""
+    """The setting that an error is about; None if it is about several.
+
+    Its location may have the variable's prefix.
+    """
     return str(location[0]).removeprefix("adr_") if location else None
 
 

@@ -151,7 +151,8 @@ def _check_again(session: Session, run_id: str, event: IterationFinished) -> Non
     """Refuse another answer of an iteration that a run has: later ones would not belong to it."""
     mine = select(EventRow.body).where(EventRow.run_id == run_id, EventRow.key == event.key)
     before = IterationFinished.model_validate_json(session.scalars(mine).one())
-    if not agree(event.model_dump(), before.model_dump()):
+    stored = before.model_fields_set  # earlier versions have fewer
+    if not agree(event.model_dump(include=stored), before.model_dump(include=stored)):
         raise InvalidInput(
             f"iteration {event.iteration} came out otherwise than before: a method, a task or the "
             "service has changed since; submit a new run"

@@ -71,7 +71,9 @@ class TestChart:
     def test_the_service_has_settings_that_it_knows(self):
         cluster = rendered({**TOKENS, "api": {"settings": {"ADR_RETENTION_DAYS": "30"}}})
         (api,) = [each for each in containers(cluster["RayCluster", "adr"]) if "env" in each]
-        given = {each["name"]: each.get("value", each["name"].ljust(16)) for each in api["env"]}
+        given = {
+            each["name"]: each.get("value", each["name"].ljust(16, "x")) for each in api["env"]
+        }
         names = {name.removeprefix("ADR_").lower() for name in given}
         assert names <= set(Settings.model_fields)
         read = Settings.model_validate({name[4:].lower(): value for name, value in given.items()})

@@ -45,7 +45,7 @@ class Evidence:
     gap: Gap | None = None
     is_tested: bool = True  # False: it must hold for every seed, and has no error of a test
     needed: Callable[[float], float] = lambda level: float("inf")  # seeds for a two-sided level
-    in_part: bool = False  # some of several checks were measured
+    in_part: bool = False  # at least one of several checks was measured
 
     @property
     def is_measured(self) -> bool:

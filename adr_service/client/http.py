@@ -1,4 +1,4 @@
-"""What requests and answers may be: tokens, refusals, and answers of another server."""
+"""Checks of tokens and of answers, and the errors of refusals."""
 
 import re
 
@@ -50,10 +50,11 @@ def check_token(name: str, token: str) -> None:
 
 def check_answer(response: httpx2.Response, url: str) -> None:
     """Raise Refused or Unreachable for an answer that is an error, or sends elsewhere."""
-    if response.is_redirect:
+    if response.is_redirect:  # any 3xx, with or without a place
+        place = response.headers.get("location", "nowhere")
         raise Unreachable(
-            f"the server at {url} sends to {response.headers['location']!r}; name the address of "
-            "the service itself in ADR_URL"
+            f"the server at {url} answers {response.status_code} and sends to {place!r}; name the "
+            "address of the service itself in ADR_URL"
         )
     if not response.is_error:
         return

@@ -92,11 +92,12 @@ def make_inertias_explicit(spec: mujoco.MjSpec) -> None:
             spec.adopt_inertial(body)
     spec.compiler.inertiafromgeom = _Inferred.mjINERTIAFROMGEOM_FALSE
     if spec.compiler.boundmass > 0 or spec.compiler.boundinertia > 0:
-        bounded = spec.copy().compile()
-        for body in spec.bodies[1:]:
-            known = bounded.body(body.name)
-            body.mass, body.inertia = float(known.mass[0]), known.inertia
-            body.ipos, body.iquat = known.ipos, known.iquat
+        whole = spec.copy()
+        whole.compiler.fusestatic = False  # so that bodies keep their numbers
+        bounded = whole.compile()
+        for number, body in enumerate(spec.bodies[1:], 1):
+            body.mass, body.inertia = float(bounded.body_mass[number]), bounded.body_inertia[number]
+            body.ipos, body.iquat = bounded.body_ipos[number], bounded.body_iquat[number]
             body.fullinertia = np.full(6, np.nan)
         spec.compiler.boundmass = spec.compiler.boundinertia = 0.0
 

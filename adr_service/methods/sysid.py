@@ -6,7 +6,7 @@ trust-region reflective algorithm (Branch, Coleman, Li: "A Subspace, Interior, a
 Gradient Method for Large-Scale Bound-Constrained Minimization Problems", SIAM J. Sci. Comput. 21,
 1999) inside the search bounds. Finite differences give each Jacobian from one batch of replays.
 Residuals are divided by the standard deviation of their column. A step to a point whose replay
-diverges is shortened; a search that starts at such a point, or next to one, is left out.
+diverges is shortened; a search that starts at such a point, or comes next to one, is left out.
 
 Standard deviations that follow from the Jacobian and the residuals (White: "A
 Heteroskedasticity-Consistent Covariance Matrix Estimator", Econometrica 48, 1980) are reported as
@@ -176,7 +176,7 @@ class Sysid:
             except _Diverged as error:
                 lost = str(error)
         if not ends:
-            raise InvalidInput(f"{lost}, and no other of {len(starts)} searches could go on")
+            raise InvalidInput(f"{lost}, and none of {len(starts)} searches could go on")
         return ends
 
     def _search_from(self, start: Vector, residuals: "_Residuals") -> OptimizeResult:

@@ -42,11 +42,13 @@ def check_task(entry: Entry) -> None:
 
 def _check_numbers(task: Task) -> None:
     low, high = np.asarray(task.action_low), np.asarray(task.action_high)
-    if not (low.shape == high.shape and (low < high).all()):
+    if low.shape != high.shape:
+        raise InvalidInput(f"action_low has shape {low.shape}, and action_high {high.shape}")
+    if not (low < high).all():
         raise InvalidInput(f"action_low must be below action_high; given {low} and {high}")
     for name in ("horizon", "frame_skip"):
         number = getattr(task, name)
-        if not (isinstance(number, int) and number >= 1):
+        if not (isinstance(number, int | np.integer) and number >= 1):
             raise InvalidInput(f"{name} must be a whole number of 1 or more; given {number!r}")
 
 
@@ -67,8 +69,10 @@ def _check_vanilla(entry: Entry) -> None:
             )
         if variant.hidden.source != source:
             raise InvalidInput(
-                f"the target of the variant {name!r} has values that the source of 'vanilla', on "
-                "which the oracle is trained, has not; put them into the truth, or into both"
+                f"the target of the variant {name!r} has the fixed values "
+                f"{dict(variant.hidden.source.fixed)} and {len(variant.hidden.source.effects)} "
+                f"effects, and the source of 'vanilla', on which the oracle is trained, "
+                f"{dict(source.fixed)} and {len(source.effects)}; they must be the same"
             )
 
 

@@ -21,7 +21,6 @@ from db.models import VisitState
 router = APIRouter(include_in_schema=False)
 _SHOWN = 50  # of each list; the API has the rest
 log = logging.getLogger(__name__)
-_MOST_KEPT = 1000  # leaders
 
 
 @router.get("/")
@@ -56,13 +55,13 @@ def _leaders(
     They are kept until a run changes, because a page that renews itself must be cheap.
     """
     finished = [benchmark.id for benchmark in benchmarks if benchmark.is_finished]
-    changes, kept = benchmark_store.changes_of(service.database, finished), service.leaders
-    if len(kept) > _MOST_KEPT:
-        kept.clear()
-    for key in changes.items():
-        if key not in kept:
-            kept[key] = _leader(service, key[0])
-    return {id: kept[id, changed] for id, changed in changes.items()}
+    found: dict[str, dict[str, Any] | None] = {}
+    for id, changed in benchmark_store.changes_of(service.database, finished).items():
+        before = service.leaders.get(id)
+        if before is None or before[0] != changed:
+            before = service.leaders[id] = (changed, _leader(service, id))
+        found[id] = before[1]
+    return found
 
 
 def _leader(service: Service, id: str) -> dict[str, Any] | None:

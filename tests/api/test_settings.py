@@ -34,6 +34,7 @@ def test_rays_own_variable_names_the_cluster_unless_ours_does(monkeypatch):
         ({"rate": "0/second"}, "'0/second' is no rate"),
         ({"allowed_hosts": "adr, adr.org:80"}, "'adr.org:80' is no name; give it without a port"),
         ({"allowed_hosts": "https://adr.org"}, "'https://adr.org' is no name"),
+        ({"allowed_hosts": "[2001:db8::1]"}, r"'\[2001:db8::1\]' is no name"),
         ({"ray_address": "head"}, "'head' is no address; accepted are local, auto, and HOST:PORT"),
         ({"ray_address": "head:"}, "'head:' is no address"),
         ({"ray_address": "http://head:8265"}, "'http://head:8265' is no address"),
@@ -48,6 +49,11 @@ def test_rays_own_variable_names_the_cluster_unless_ours_does(monkeypatch):
 def test_an_invalid_setting_is_named_with_the_accepted_values(given, message):
     with pytest.raises(InvalidInput, match=message):
         read_settings(**given)
+
+
+def test_an_address_of_ipv6_is_a_name_of_the_service():
+    names = "2001:db8::8a2e:370:7334, adr.example"
+    assert read_settings(allowed_hosts=names).allowed_hosts == names
 
 
 @pytest.mark.parametrize("variable", ["ADR_RAY_ADDRESS", "RAY_ADDRESS"])

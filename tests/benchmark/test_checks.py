@@ -99,7 +99,7 @@ def test_equal_seeds_are_taken_to_spread_as_trainings_do():
 
 
 def test_a_nested_contradiction_counts_in_the_correction():
-    inner = Evidence(1.0, 0.03, [], "not measured")
+    inner = Evidence(1.0, 0.03, [], "not measured", in_part=True)
     assert conjunction([inner, inner]).contradicts == 0.06
 
 

@@ -83,10 +83,16 @@ def test_another_server_is_not_taken_for_the_service():
         client.ready()
 
 
-def test_an_address_that_sends_elsewhere_is_not_taken_for_an_answer():
+@pytest.mark.parametrize(
+    ("status", "headers", "place"),
+    [(301, {"Location": "https://adr.example/"}, "https://adr.example/"), (300, {}, "nowhere")],
+)
+def test_an_address_that_sends_elsewhere_is_not_taken_for_an_answer(status, headers, place):
     """A proxy sends http to https; its page was kept as a policy, a table or an archive."""
-    moved = (301, {"Location": "https://adr.example/"}, b"<html>moved</html>")
-    refused = pytest.raises(Unreachable, match=r"sends to 'https://adr.example/'; .* ADR_URL")
+    moved = (status, headers, b"<html>moved</html>")
+    refused = pytest.raises(
+        Unreachable, match=f"answers {status} and sends to '{place}'; .* ADR_URL"
+    )
     with server(200, answers=[moved]) as url, AdrClient(url) as client, refused:
         client.results_csv("run_0")
 

@@ -1,6 +1,9 @@
 """Events of runs, each written once."""
 
+from datetime import UTC, datetime
+
 import pytest
+from sqlalchemy import insert
 
 from adr_service.errors import InvalidInput
 from adr_service.events import (
@@ -14,6 +17,7 @@ from adr_service.events import (
 )
 from db import events, runs
 from db.errors import NotFound
+from db.models import EventRow
 from tests.db.rows import SPEC
 
 
@@ -74,6 +78,18 @@ def test_an_iteration_that_comes_out_otherwise_is_refused(database):
     with pytest.raises(InvalidInput, match=r"iteration 1 came out otherwise .* submit a new run"):
         events.append_event(database, run.id, other)
     assert len(events.events_of(database, run.id)) == 2
+
+
+def test_an_iteration_of_an_early_version_lacks_fields_and_is_no_other(database):
+    run = runs.create_run(database, SPEC)
+    early = an_iteration(1)
+    assert "inferences" not in early.model_fields_set
+    with database.write("test") as session:
+        body = early.model_dump_json(exclude={"inferences", "diverged_episodes"})
+        row = {"run_id": run.id, "seq": 2, "key": early.key, "type": early.type, "body": body}
+        session.execute(insert(EventRow).values(**row, created_at=datetime.now(UTC)))
+    now = early.model_copy(update={"inferences": ["f" * 64]})
+    assert not events.append_event(database, run.id, now)
 
 
 def an_iteration(number):

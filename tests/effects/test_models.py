@@ -94,3 +94,16 @@ def test_explicit_inertias_leave_the_model_as_it_was():
     explicit, plain = spec.compile(), mujoco.MjModel.from_xml_string(xml)
     np.testing.assert_allclose(explicit.body_mass, plain.body_mass, rtol=1e-12)
     np.testing.assert_allclose(explicit.body_inertia, plain.body_inertia, rtol=1e-9)
+
+
+@pytest.mark.parametrize("static", ["false", "true"])
+def test_least_masses_are_written_out_for_bodies_without_a_name(static):
+    spec = mujoco.MjSpec.from_string(
+        f"""<mujoco><compiler boundmass="0.01" boundinertia="0.001" fusestatic="{static}"/>
+        <worldbody><body><joint/><geom size=".1" mass="1"/><body>
+        <inertial pos="0 0 1" mass="0.001" diaginertia="1e-6 1e-6 1e-6"/></body></body></worldbody>
+        </mujoco>"""
+    )
+    make_inertias_explicit(spec)
+    assert spec.compiler.boundmass == 0
+    assert [body.mass for body in spec.bodies[1:]] == [1.0, 0.01]

@@ -182,6 +182,6 @@ def test_recordings_that_no_simulator_can_replay_are_refused():
     data = recorded(waving_policy(), steps=5)
     absurd = data.observations.copy()
     absurd[:, 2:] = 1e9
-    diverged = r"a replay diverged at \w+ [\d.]+, .*, and no other of 4 searches could go on"
+    diverged = r"a replay diverged at \w+ [\d.]+, .*, and none of 4 searches could go on"
     with pytest.raises(InvalidInput, match=diverged):
         fit(replace(data, observations=absurd))

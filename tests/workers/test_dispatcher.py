@@ -63,13 +63,13 @@ def test_a_stage_gives_the_same_on_ray_as_here(started):
 def test_inputs_that_are_no_json_end_the_run_that_has_them_alone(started):
     """They stopped the dispatcher, and with it all runs, whenever the service started again."""
     dispatcher, _ = started
-    stage = replace(training(2), start=object())
+    stage = replace(training(97), start=object())
     with pytest.raises(InvalidInput, match="an input of train_policy is no JSON"):
         dispatcher.submit(stage, "run_a")
-    stage = replace(training(2), seed=float("-inf"))
+    stage = replace(training(97), seed=float("-inf"))
     with pytest.raises(InvalidInput, match="an input of train_policy is no JSON: Out of range"):
         dispatcher.submit(stage, "run_a")
-    assert dispatcher.submit(training(2), "run_b").result(60) == compute(training(2))
+    assert dispatcher.submit(training(97), "run_b").result(60) == compute(training(97))
 
 
 def test_a_training_reports_its_checkpoint_while_it_goes_on(started):

@@ -2,14 +2,21 @@
 
 import pytest
 
-from api.cli.own_service import ServiceDidNotStart, own_service
+from api.cli.own_service import ServiceDidNotStart, _own, own_service
+
+
+def test_it_keeps_the_settings_that_name_nothing_shared(monkeypatch):
+    shared = ("ADR_DATABASE_URL", "ADR_RAY_ADDRESS", "RAY_ADDRESS", "ADR_HOST")
+    for name in (*shared, "ADR_MAX_CORES", "ADR_RESOURCE", "ADR_TOKEN"):
+        monkeypatch.setenv(name, "x")
+    left = {name for name in _own() if name.startswith(("ADR_", "RAY_"))}
+    assert "ADR_TOKEN" in left
+    assert not left & {*shared, "ADR_MAX_CORES", "ADR_RESOURCE"}
 
 
 def test_it_neither_uses_the_database_nor_the_cluster_of_another(tmp_path, monkeypatch):
     """It begins with what the command gives it: `adr demo` went on with another's runs."""
-    monkeypatch.setenv("ADR_DATABASE_URL", "mysql://elsewhere")  # refused where it is read
     monkeypatch.setenv("ADR_RAY_ADDRESS", "nowhere")
-    monkeypatch.setenv("ADR_HOST", "192.0.2.1")
     monkeypatch.setenv("ADR_RATE", "never")
     with (
         pytest.raises(ServiceDidNotStart, match="ADR_RATE: 'never' is no rate") as ended,
@@ -17,4 +24,3 @@ def test_it_neither_uses_the_database_nor_the_cluster_of_another(tmp_path, monke
     ):
         pass
     assert "ADR_RAY_ADDRESS" not in str(ended.value)
-    assert "listen" not in str(ended.value)
