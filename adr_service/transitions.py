@@ -73,20 +73,19 @@ class TransitionDataset:
 
     def _check_names(self) -> None:
         """Raise InvalidInput for what no file could give back."""
-        width = max(self.observations.shape[1], self.actions.shape[1])
-        if width > MOST_COLUMNS:
-            raise InvalidInput(f"a matrix has {width} columns; accepted are {MOST_COLUMNS}")
         if len(self.columns) != self.observations.shape[1]:
             raise InvalidInput(
                 f"{len(self.columns)} column names for {self.observations.shape[1]} columns"
             )
-        limits = [(name, _LONGEST_NAME) for name in self.columns]
-        for text, longest in (*limits, (self.origin, _LONGEST_ORIGIN)):
+        named = [("columns", text, _LONGEST_NAME) for text in self.columns]
+        for name, text, longest in (*named, ("origin", self.origin, _LONGEST_ORIGIN)):
             if len(text) > longest:
-                raise InvalidInput(f"a text of {len(text)} characters; accepted are {longest}")
+                raise InvalidInput(
+                    f"{name} has a text of {len(text)} characters; accepted are {longest}"
+                )
             if not is_a_line(text):
                 shown = repr(text[:_LONGEST_NAME])
-                raise InvalidInput(f"{shown} has ends of lines or control characters")
+                raise InvalidInput(f"{name} has ends of lines or control characters: {shown}")
 
     def __len__(self) -> int:
         return len(self.observations)
@@ -265,6 +264,10 @@ def _finite_matrix(name: str, values: np.ndarray) -> Matrix:
     matrix = frozen(values)
     if matrix.ndim != 2:
         raise InvalidInput(f"{name} must be a matrix; its shape is {matrix.shape}")
+    if matrix.shape[1] > MOST_COLUMNS:
+        raise InvalidInput(
+            f"{name} has the shape {matrix.shape}; accepted are {MOST_COLUMNS} columns"
+        )
     if not np.all(np.isfinite(matrix)):
         row, column = np.argwhere(~np.isfinite(matrix))[0]
         raise InvalidInput(f"{name} is not finite at row {row}, column {column}")
@@ -280,27 +283,18 @@ def _check_fields(fields: Mapping[str, np.ndarray]) -> None:
         raise InvalidInput(f"the .npz lacks {missing}; it has {sorted(fields)}")
     if (dt := fields["dt"]).dtype.kind not in "iuf" or dt.ndim != 0:
         raise InvalidInput(f"dt must be one number; given {dt.dtype} {dt.shape}")
-    for name in ("observations", "actions", "next_observations"):
-        if max(fields[name].shape[1:], default=0) > MOST_COLUMNS:
-            raise InvalidInput(
-                f"{name} has the shape {fields[name].shape}; accepted are {MOST_COLUMNS} columns"
-            )
-    _check_texts(fields, "columns", 1, _LONGEST_NAME)
-    _check_texts(fields, "origin", 0, _LONGEST_ORIGIN)
+    _check_texts(fields, "columns", 1)
+    _check_texts(fields, "origin", 0)
 
 
-def _check_texts(
-    fields: Mapping[str, np.ndarray], name: str, dimensions: int, longest: int
-) -> None:
-    """Raise InvalidInput unless an optional array holds texts of `longest` characters at most."""
+def _check_texts(fields: Mapping[str, np.ndarray], name: str, dimensions: int) -> None:
+    """Raise InvalidInput unless an optional array holds texts."""
     texts = fields.get(name, np.array(""))
-    if texts.size and (texts.dtype.kind != "U" or texts.ndim > dimensions):
+    if texts.ndim > dimensions or (texts.size and texts.dtype.kind != "U"):
         raise InvalidInput(
             f"{name} must be {'one text' if dimensions == 0 else 'a list of texts'}; given "
             f"{texts.dtype} {texts.shape}"
         )
-    if (length := max(map(len, texts.ravel().tolist()), default=0)) > longest:
-        raise InvalidInput(f"{name} has a text of {length} characters; accepted are {longest}")
 
 
 def _episodes(fields: Mapping[str, np.ndarray]) -> np.ndarray:
