@@ -43,7 +43,7 @@ def test_a_plan_is_played_and_judged_together_with_the_first_recording(adr_here,
     play = ["--task", "arm", "--env", "an_arm_of_a_test:make", "--out", "second.npz"]
     status, shown, errors = adr_here("robot", "--play", "next.npz", *play, "--max-action", "0.5")
     assert status == 0, errors
-    assert "second.npz: 12 episodes" in shown
+    assert "second.npz: 12 of 12 episodes" in shown
     assert "commands were beyond your limit, and were sent at it" in shown
     status, _, errors = adr_here("robot", "--play", "next.npz", *play)
     assert (status, "second.npz is there already" in errors) == (2, True)
