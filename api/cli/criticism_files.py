@@ -213,7 +213,7 @@ def start_of(texts: Sequence[str], nominal: Nominal) -> Pose:
 
 
 def _once(option: str, given: Sequence[tuple[int, T]], names: Sequence[str]) -> dict[int, T]:
-    """What is given of each number; raises InvalidInput where one is given twice."""
+    """The values by number. Raises InvalidInput if a number has two."""
     for number, count in Counter(number for number, _ in given).items():
         if count > 1:
             raise InvalidInput(f"--{option} has {names[number]} {count} times")

@@ -273,7 +273,7 @@ def test_verdicts_are_corrected_for_the_number_of_claims():
 
 
 def test_a_claim_that_is_measured_in_part_shares_the_level_whatever_came_out():
-    """Where only those that look contradicted count, verdicts hold together at less than 95 %."""
+    """Verdicts would be surer than they may be if only contradicted claims counted."""
     found = Evidence(0.02, 0.98, [])
     gap = Evidence(1.0, 1.0, [], "not measured")
     in_part = conjunction([Evidence(0.3, 0.7, []), gap])

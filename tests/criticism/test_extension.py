@@ -74,7 +74,7 @@ def moved(model):
     ],
 )
 def test_what_mujoco_works_out_as_it_compiles_is_worked_out_once(given, kind, place, values):
-    """Of the model as it is: its effects change no more than they say, in a written one as well."""
+    """An effect changes no more than it says, and the written model moves as the fitted one."""
     robot = TWO_LINKS.format(**{"compiler": "", "elbow": "", "belt": "0", "drive": "", **given})
     nominal = Nominal.of_model(robot, ParameterSpace(()))
     effects = [Effect(kind, place, values)]
