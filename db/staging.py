@@ -141,7 +141,7 @@ def _value(given: Any, column: Column[Any]) -> Any:
             if moment.tzinfo is not None:
                 return moment.astimezone(UTC)
         except (ValueError, OverflowError):
-            pass
+            pass  # refused below
     elif kind is float and isinstance(given, int | float) and abs(given) < _LARGEST_FLOAT:
         return float(given)
     elif isinstance(given, str) and kind is str:
