@@ -3,9 +3,9 @@
 import json
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import Field, FiniteFloat, Strict, TypeAdapter, ValidationError
+from pydantic import FiniteFloat, TypeAdapter, ValidationError
 from sqlalchemy import ColumnElement, Row, Select, delete, exists, func, select
 from sqlalchemy.orm import Session
 
@@ -40,7 +40,6 @@ _OF_EVENT = (EventRow.type == _FINISHED) & (
 )
 _PROVENANCE = TypeAdapter(dict[Line, Line])
 _NUMBERS = TypeAdapter(dict[str, bool | int | FiniteFloat | None])
-_CORES = TypeAdapter(Annotated[int, Strict(), Field(ge=1)])
 _UNMENTIONED = ~exists().where(_MENTIONED)
 _MEASURED = StageRow.timing.is_not(None)
 _LATEST = 4e9  # seconds since 1970: the year 2096
@@ -140,13 +139,13 @@ def is_readable(row: StageRow) -> bool:
     try:
         _PROVENANCE.validate_json(row.provenance)
         timing = None if row.timing is None else _NUMBERS.validate_json(row.timing)
-        if timing is None:
-            return True
-        if timing.get("cores") is not None:
-            _CORES.validate_python(timing["cores"])
     except ValidationError:
         return False
+    if timing is None:
+        return True
     if timing.keys() != set(_TIMING) or None in (timing[name] for name in _TIMING[:4]):
+        return False
+    if timing["cores"] is not None and not (type(timing["cores"]) is int and timing["cores"] >= 1):
         return False
     return all(0 <= number < _LATEST for number in timing.values() if number is not None)
 
