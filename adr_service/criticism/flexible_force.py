@@ -111,14 +111,8 @@ def _location(fit: Fit, best: _Regression) -> str:
 
 def _responses(fit: Fit) -> list[Matrix]:
     """(N, m) response to a unit of force on each degree of freedom; zero where it diverges."""
-    simulator = fit.simulator
     known = (fit.parameters, fit.effects, fit.states)
-    predicted = simulator.predict_quickly(*known)
-    sizes = 0.01 * simulator.base.dof_M0 / simulator.period
-    return [
-        np.nan_to_num(simulator.predict_pushed(*known, dof, size) - predicted) / size
-        for dof, size in enumerate(sizes.tolist())
-    ]
+    return [np.nan_to_num(response) for response in fit.simulator.responses_to_forces(*known)]
 
 
 @dataclass(frozen=True)

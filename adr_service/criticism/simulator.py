@@ -31,6 +31,7 @@ from adr_service.effects.signals import acts_on_commands, behind, obeyed, shown,
 
 _KEPT = 32  # compiled models
 _REMEMBERED = 32  # rows that an effect in a sensor may know of the past
+_MISSED = 0.1  # most of a force's response that coarser steps may miss
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
 
@@ -64,9 +65,8 @@ class Simulator:
         self._scratch = [mujoco.MjData(self.base) for _ in range(max(1, _threads(threads)))]
         self.simulated_steps = 0  # control steps, of all predictions
         self._past: dict[int, Matrix] = {}  # by position
-        self._rough = 1  # steps that `predict_quickly` takes for one of the model's
-        if finer > 1 and np.isnan(self.predict_quickly(nominal.start, (), self.measured)).any():
-            self._rough = finer  # the model's own step diverges
+        self._rough = finer  # steps that `predict_quickly` takes for one of the model's
+        self._take_own_step_if_enough()
 
     def __enter__(self) -> "Simulator":
         return self
@@ -115,7 +115,8 @@ class Simulator:
         with other predictions of this kind.
 
         Where steps are `finer`, or the model's own integrator is of fourth order, it takes a
-        fraction of the time. If the model's own step diverges, it takes the `finer` ones.
+        fraction of the time. If forces move joints otherwise in the model's own step, as where
+        contacts are stiff, it takes the `finer` ones.
         """
         return self._predict(effects, states, self._quick(values, effects))
 
@@ -147,6 +148,19 @@ class Simulator:
         """`predict_quickly` with a constant generalised force [N or N m] on a degree of freedom."""
         model = self._quick(values, effects)
         return self._predict(effects, states, model, _Added(dof=dof, force=force))
+
+    def responses_to_forces(
+        self, values: Vector, effects: Sequence[Effect], states: Matrix
+    ) -> list[Matrix]:
+        """For each degree of freedom, what a unit of force on it [1/N or 1/(N m)] changes of
+        `predict_quickly` (N, 2 nv); NaN where it diverges."""
+        known = (values, effects, states)
+        predicted = self.predict_quickly(*known)
+        sizes = 0.01 * self.base.dof_M0 / self.period
+        return [
+            (self.predict_pushed(*known, dof, size) - predicted) / size
+            for dof, size in enumerate(sizes.tolist())
+        ]
 
     def predict_unclamped(
         self, values: Vector, effects: Sequence[Effect], states: Matrix, actuator: int, more: float
@@ -225,6 +239,23 @@ class Simulator:
             model = nominal.completed(bare, values, effects)
         model.opt.timestep /= self.finer
         return model
+
+    def _take_own_step_if_enough(self) -> None:
+        """Predict quickly in the model's own step, if forces move their joints in it about as in
+        the finer ones."""
+        if self.finer == 1:
+            return
+        fine = self._own_velocities()
+        self._rough = 1
+        missed = np.linalg.norm(self._own_velocities() - fine, axis=0)
+        if not np.all(missed <= _MISSED * np.linalg.norm(fine, axis=0)):
+            self._rough = self.finer
+
+    def _own_velocities(self) -> Matrix:
+        """(N, nv) velocity that a unit of force gives each joint, predicted quickly."""
+        responses = self.responses_to_forces(self.nominal.start, (), self.measured)
+        own = (response[:, self.base.nq + dof] for dof, response in enumerate(responses))
+        return np.stack(list(own), axis=1)
 
     def _quick(self, values: Vector, effects: Sequence[Effect]) -> mujoco.MjModel:
         model = self._model(values, effects)

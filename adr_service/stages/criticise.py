@@ -51,8 +51,9 @@ class Criticise(Stage[Criticised]):
     # commands without those that nobody obeys, and unmeasured columns that hold a constant, 10: the
     # confidence of `unknown`, effects in positions that nobody measured, models that do not cut
     # commands or have an actuator without a gain, 11: bounds of drives' forces, least masses, and
-    # what MuJoCo works out as it compiles a model
-    version: ClassVar = 11
+    # what MuJoCo works out as it compiles a model, 12: quick predictions in finer steps where those
+    # matter, late commands simulated, and strengths of one effect that do not absorb each other
+    version: ClassVar = 12
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 

@@ -11,6 +11,7 @@ from adr_service.criticism import nominal as nominals
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import fit, refine, smoothed
 from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.effects import models
 from adr_service.effects.base import Effect
@@ -26,6 +27,18 @@ def test_a_body_without_mass_is_predicted_as_nan(good):
             Effect("body_inertia", "body:fore", (-1.0,)),
         ):
             assert np.isnan(simulator.predict(nominal.start, [gone], simulator.measured)).all()
+
+
+@pytest.mark.parametrize(("stiffness", "is_quick"), [(0, False), (1e5, True)])
+def test_quick_predictions_take_finer_steps_where_joints_are_stiff(swinging, stiffness, is_quick):
+    """Coarser ones would move the joint otherwise than what they are to explain."""
+    nominal, data = swinging
+    stiff = nominal.xml.replace("<joint ", f'<joint stiffness="{stiffness}" ')
+    with Simulator(Nominal.of_model(stiff, nominal.space), data, threads=1, finer=3) as simulator:
+        assert simulator.is_quick is is_quick
+        known = (nominal.start, [], simulator.measured)
+        one, other = simulator.predict_quickly(*known), simulator.predict(*known)
+    assert np.array_equal(one, other) is is_quick
 
 
 def test_predictions_share_compiled_models_and_change_none_of_them(good, monkeypatch):
