@@ -20,8 +20,8 @@ from adr_service.effects.signals import offset_of
 class Responses:
     """Changes of a fit's predictions by effect.
 
-    An effect in a sensor or on a command is a combination of what is known of states and commands
-    already; any other effect is simulated once for each strength.
+    An effect in a sensor, or on a command for a whole control step, is a combination of what is
+    known of states and commands already; any other effect is simulated once for each strength.
     """
 
     def __init__(self, fit: Fit):
@@ -40,7 +40,7 @@ class Responses:
             mechanism = get_mechanism(effect.kind)
             if mechanism.sensing is not None:
                 response = self._in_sensor(effect)
-            elif mechanism.command is not None:
+            elif mechanism.command is not None and not mechanism.is_late:
                 response = self._on_command(effect)
             else:
                 response = self._simulated(effect)

@@ -127,6 +127,7 @@ DELAY = Mechanism(
     (Strength("delay", "s", low=0.0),),
     typical=lambda model, actuator: (0.5 * model.opt.timestep,),
     command=_delay,
+    is_late=True,
 )
 
 
@@ -150,6 +151,7 @@ LAG = Mechanism(
     (Strength("time constant", "s", low=0.0),),
     typical=lambda model, actuator: (model.opt.timestep,),
     command=_lag,
+    is_late=True,
 )
 
 

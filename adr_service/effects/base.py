@@ -156,6 +156,7 @@ class Mechanism:
     change: Change | None = None  # of the compiled model
     prepare: Prepare | None = None  # adds the elements that `change` needs, at zero strength
     command: Command | None = None  # what the actuator obeys instead
+    is_late: bool = False  # True if a command that holds is obeyed differently at first
     sensing: Sensing | None = None
     applies: Applies = lambda model, element: True  # True if it makes sense at a place
     sizes: tuple[float, ...] = (1.0,)  # times typical, for effects that are not in proportion

@@ -28,6 +28,8 @@ def responses(baseline):
     [
         Effect("joint_spring", "joint:elbow", (0.01,)),
         Effect("actuator_deadband", "actuator:elbow", (0.01,)),
+        Effect("actuator_delay", "actuator:elbow", (1e-4,)),
+        Effect("actuator_lag", "actuator:shoulder", (1e-4,)),
         Effect("sensor_bias", "sensor:elbow.position", (1e-4,)),
         Effect("sensor_scale", "sensor:elbow.velocity", (1e-4,)),
         Effect("sensor_delay", "sensor:shoulder.position", (1e-5,)),
