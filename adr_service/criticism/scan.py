@@ -154,7 +154,7 @@ class Scan:
         sizes = np.concatenate([effect.values for effect in tried])
         normal = self.normal.only([*self.own, *new])
         change, covariance = normal.change()
-        seen, deviations = _identifiable(normal, covariance, sizes)
+        seen, deviations = _identifiable(normal, covariance, tried)
         if not seen.any():
             return None
         strengths = np.where(seen, change[-len(sizes) :] * sizes, 0.0)
@@ -187,14 +187,22 @@ def _beside(fit: Fit, responses: Sequence[np.ndarray], precision: Vector) -> Nor
     return Normal.joined(parts)
 
 
-def _identifiable(normal: Normal, covariance: Matrix, sizes: Vector) -> tuple[np.ndarray, Vector]:
+def _identifiable(
+    normal: Normal, covariance: Matrix, tried: Sequence[Effect]
+) -> tuple[np.ndarray, Vector]:
     """Mask (k,) of the last strengths that the data determine without their priors, and their
-    deviations by the data alone, inf elsewhere."""
+    deviations by the data alone, inf elsewhere.
+
+    Strengths of one effect do not absorb each other: two that do much the same are one question.
+    """
+    sizes = np.concatenate([effect.values for effect in tried])
     new = slice(len(covariance) - len(sizes), None)
-    alone = np.diagonal(normal.information[:, new, new].sum(axis=0))
+    which = np.repeat(np.arange(len(tried)), [len(effect.values) for effect in tried])
+    is_own = which[:, None] == which
+    alone = np.where(is_own, normal.information[:, new, new].sum(axis=0), 0.0)
     by_data = inverse(covariance[new, new]) - np.diag(normal.precision[new])
-    variance = np.diagonal(inverse(by_data))
-    seen = (variance > 0) & (variance * alone < _ABSORBED) & (variance < _UNSEEN)
+    least, variance = np.diagonal(inverse(alone)), np.diagonal(inverse(by_data))
+    seen = (variance > 0) & (variance < _ABSORBED * least) & (variance < _UNSEEN)
     return seen, np.where(seen, np.sqrt(np.abs(variance)) * np.abs(sizes), np.inf)
 
 

@@ -36,6 +36,21 @@ def test_one_effect_at_all_places_is_a_group():
     assert strengths == pytest.approx(expected, rel=0.3)  # to first order
 
 
+def test_two_strengths_of_one_effect_do_not_hide_each_other():
+    """This friction is gone at .7 rad/s, and nearly always the joint is faster."""
+    hidden = Effect("joint_stribeck_friction", "joint:shoulder", (0.7, 1.0))
+    (task, nominal), rng = arm(), np.random.default_rng(405)
+    fast = np.repeat(rng.choice([-1.0, 1.0], (30, 19, 2)), 4, axis=1)
+    data = hide(task, nominal, rng, [hidden], commands=fast)
+    sensor = data.sensor_variance()
+    with Simulator(nominal, data, threads=1, finer=3) as simulator:
+        baseline = smoothed(fit(simulator, sensor))
+        candidates = scan(baseline, Responses(baseline))
+    found = next(c for c in candidates if (c.kind, c.location) == (hidden.kind, hidden.location))
+    assert np.isfinite(found.deviations).all()
+    assert found.gain > max(c.gain for c in candidates if c.location != hidden.location)
+
+
 def test_a_group_is_named_after_the_kind_of_its_places():
     springs = [Effect("joint_spring", f"joint:{name}", (1.0,)) for name in ("shoulder", "elbow")]
     assert location_of(springs) == "joint:*"
