@@ -145,7 +145,8 @@ def rest_page(api: Json) -> str:
         "# REST",
         _GENERATED,
         "The service describes itself as OpenAPI at `/openapi.json`, and as a page at `/docs`. "
-        "Bodies are JSON but for uploads, which are bytes.",
+        "Bodies are JSON but for uploads, which are bytes. With `ADR_TOKEN` set, requests carry it "
+        "in the header `Authorization: Bearer TOKEN`.",
         "## Errors",
         "A refusal has the media type `application/problem+json` (RFC 9457): `type`, `title`, "
         "`status`, `detail`, and `errors` with `pointer`, `detail` and `given` for each invalid "

@@ -13,7 +13,7 @@ Where we differ, and why:
 
 Neither paper states these choices:
 - The budget is a setting. It decides how narrow the answer is. By default it grows with the number
-  of parameters, so that the search has converged (docs/recovery.md).
+  of parameters, so that the search has converged, if not always to the truth (docs/recovery.md).
 - Columns have no weights, and several trajectories are one long vector under the norm.
 - Simulations last for the whole recorded length even if the robot falls, so that an early end
   lowers no cost. A diverged simulation costs ten times as much as the worst finite one.
@@ -40,7 +40,7 @@ from adr_service.transitions import TransitionDataset
 if TYPE_CHECKING:  # pycma takes a third of a second to import
     import cma
 
-_PER_PARAMETER = 300  # replays until the search has converged on all four tasks
+_PER_PARAMETER = 300  # replays until the search has converged, on most seeds of all four tasks
 _DIVERGED = 10  # cost of a diverged replay, in worst finite costs; CMA-ES compares ranks only
 
 

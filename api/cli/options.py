@@ -13,7 +13,7 @@ Url = Annotated[
         help="Address of the service; without it, this machine's at ADR_PORT, or else 8000.",
     ),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the service's JSON.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
 def _check_id(given: str) -> str:
