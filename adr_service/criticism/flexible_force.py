@@ -183,7 +183,7 @@ class _Moment:
     wave: float  # angle of the slowest wave, by unit of position
     commands: Matrix  # (N, nu)
     before: Matrix  # (N, nu) commands of the step before; zero at first
-    own: Matrix  # (N, …) commands of its actuators, and of those that are on no single joint
+    own: Matrix  # (N, …) forces of its actuators, and commands of those on no single joint
     elapsed: Vector  # (N,) time in the episode, -1 to 1
     whole: Vector  # (N,) place in the whole recording, -1 to 1
 
@@ -205,11 +205,25 @@ class _Moment:
             direction=np.tanh(v / (0.1 * max(float(v.std()), 1e-6))),
             wave=1.0 if is_hinge else np.pi / max(float(np.ptp(q)), 1e-6),
             commands=commands,
-            before=np.where(first[:, None], 0.0, np.roll(commands, 1, axis=0)),
-            own=commands[:, acting[acting < commands.shape[1]]],
+            before=np.where(first[:, None], commands, np.roll(commands, 1, axis=0)),
+            own=_own_forces(model, acting[acting < commands.shape[1]], commands, q, v),
             elapsed=2 * steps / max(int(steps.max()), 1) - 1,
             whole=np.linspace(-1.0, 1.0, count),
         )
+
+
+def _own_forces(
+    model: mujoco.MjModel, acting: Indices, commands: Matrix, q: Vector, v: Vector
+) -> Matrix:
+    """(N, k) what a joint's drives do at its state (N,): a servo's force is not its command. Of an
+    actuator elsewhere, the command."""
+    own = commands[:, acting]
+    for column, number in enumerate(acting.tolist()):
+        if model.actuator_trntype[number] == mujoco.mjtTrn.mjTRN_JOINT:
+            bias, gear = model.actuator_biasprm[number], model.actuator_gear[number, 0]
+            own[:, column] *= model.actuator_gainprm[number, 0]
+            own[:, column] += bias[0] + gear * (bias[1] * q + bias[2] * v)
+    return own
 
 
 def _motion_terms(at: _Moment) -> Matrix:

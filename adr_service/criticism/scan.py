@@ -35,7 +35,8 @@ class Candidate:
     tried: tuple[Effect, ...]  # at the sizes whose responses were simulated
     effects: tuple[Effect, ...]
     gains: Vector  # (E,) nats by episode, each left out of the fit
-    deviations: Vector  # of the strengths, were the effect there alone; inf: not identifiable
+    # of each strength, were the effect there alone and its others known; inf: not identifiable
+    deviations: Vector
 
     @property
     def gain(self) -> float:
@@ -158,6 +159,8 @@ class Scan:
         if not seen.any():
             return None
         strengths = np.where(seen, change[-len(sizes) :] * sizes, 0.0)
+        if get_mechanism(tried[0].kind).needs_first and not seen[0]:
+            strengths[0] = sizes[0]  # any, for the others' sake
         gains = normal.left_out() - self._without
         split = np.split(strengths, len(tried))
         effects = tuple(
@@ -190,8 +193,8 @@ def _beside(fit: Fit, responses: Sequence[np.ndarray], precision: Vector) -> Nor
 def _identifiable(
     normal: Normal, covariance: Matrix, tried: Sequence[Effect]
 ) -> tuple[np.ndarray, Vector]:
-    """Mask (k,) of the last strengths that the data determine without their priors, and their
-    deviations by the data alone, inf elsewhere.
+    """Mask (k,) of the last strengths that the data determine without their priors, and the
+    deviation of each by the data alone, were the others of its effect known; inf elsewhere.
 
     Strengths of one effect do not absorb each other: two that do much the same are one question.
     """
@@ -203,7 +206,8 @@ def _identifiable(
     by_data = inverse(covariance[new, new]) - np.diag(normal.precision[new])
     least, variance = np.diagonal(inverse(alone)), np.diagonal(inverse(by_data))
     seen = (variance > 0) & (variance < _ABSORBED * least) & (variance < _UNSEEN)
-    return seen, np.where(seen, np.sqrt(np.abs(variance)) * np.abs(sizes), np.inf)
+    told = np.where(seen, np.diagonal(by_data), 1.0)
+    return seen, np.where(seen, np.abs(sizes) / np.sqrt(told), np.inf)
 
 
 def _makes_sense(estimated: Effect, tried: Effect) -> bool:

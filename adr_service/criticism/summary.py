@@ -92,13 +92,18 @@ def residual_of(
 
 
 def _detectable(final: Fit, first: Sequence[Candidate]) -> dict[str, tuple[float, str]]:
-    """Smallest first strength of each effect that would have been evidence, and its unit."""
+    """Smallest strength of each effect that would have been evidence, and its unit: its first, or
+    else the first that the data tell, under its name."""
     reach = np.sqrt(2 * THRESHOLD)  # standard deviations that gain as much
-    return {
-        f"{c.kind} {c.location}": (
-            float(reach * c.deviations[0]),
-            unit_of(final.simulator.base, c.location, get_mechanism(c.kind).strengths[0].unit),
+    limits: dict[str, tuple[float, str]] = {}
+    for candidate in first:
+        told = np.flatnonzero(np.isfinite(candidate.deviations))
+        if len(candidate.effects) > 1 or not told.size:
+            continue
+        strength = get_mechanism(candidate.kind).strengths[told[0]]
+        name = f"{candidate.kind} {candidate.location}"
+        limits[f"{name} {strength.name}" if told[0] else name] = (
+            float(reach * candidate.deviations[told[0]]),
+            unit_of(final.simulator.base, candidate.location, strength.unit),
         )
-        for c in first
-        if len(c.effects) == 1 and np.isfinite(c.deviations[0])
-    }
+    return limits

@@ -123,16 +123,18 @@ def _beside_persistence(weighed: list[Weighed], current: Fit) -> list[Weighed]:
 
 
 def _simplest_first(alike: Sequence[Weighed]) -> Alike:
-    """Indistinguishable candidates, one with the fewest strengths first, then the best; without
-    those that are the first with a strength more."""
+    """Indistinguishable candidates, one with the fewest strengths first, then the best; those that
+    are the first with a strength more add their confidence to it."""
     if not alike:
         return ()
     best = max(each.fair_gain for each in alike)
     near = [each for each in alike if best - each.fair_gain < max(TIE, ALIKE * best)]
     first = min(near, key=lambda each: (each.size, -each.fair_gain))
     known = parts(first.effects)
-    others = [each for each in alike if each is first or not known <= _included(each.effects)]
-    return (first, *(each for each in others if each is not first))
+    others = [each for each in alike if each is not first and not known <= _included(each.effects)]
+    rest = sum(each.confidence for each in others)
+    same = sum(each.confidence for each in alike) - rest
+    return (replace(first, confidence=same), *others)
 
 
 def _included(effects: Sequence[Effect]) -> set[tuple[str, str]]:

@@ -111,11 +111,14 @@ BIAS = Mechanism(
 )
 
 
+_LATE = (1.0, 6.0, 11.0)  # sizes: what is late by a control step or two is not in proportion
+
+
 def _delay(commands: Commands, values: Vector) -> Matrix:
-    """Late commands, averaged over each simulator step; zero before an episode."""
+    """Late commands, averaged over each simulator step; an episode's first held before it."""
     steps = values[0] / commands.timestep
     whole = int(steps)
-    part, before = steps - whole, np.zeros((len(commands.values), whole + 1))
+    part, before = steps - whole, np.repeat(commands.values[:, :1], whole + 1, axis=1)
     known = np.concatenate([before, commands.values], axis=1)
     count = commands.values.shape[1]
     return (1 - part) * known[:, 1 : count + 1] + part * known[:, :count]
@@ -128,17 +131,19 @@ DELAY = Mechanism(
     typical=lambda model, actuator: (0.5 * model.opt.timestep,),
     command=_delay,
     is_late=True,
+    sizes=_LATE,
 )
 
 
 def _lag(commands: Commands, values: Vector) -> Matrix:
-    """First order, exact for commands that hold during a simulator step; at rest at first."""
+    """First order, exact for commands that hold during a simulator step; it has settled at an
+    episode's first command."""
     if values[0] <= 0:
         return commands.values
     keep = np.exp(-commands.timestep / values[0])
     # the actuator's mean during a step, from its state at the step's start
     weight = values[0] / commands.timestep * (1 - keep)
-    output, state = np.empty_like(commands.values), np.zeros(len(commands.values))
+    output, state = np.empty_like(commands.values), commands.values[:, 0]
     for step, command in enumerate(commands.values.T):
         output[:, step] = command + (state - command) * weight
         state = command + (state - command) * keep
@@ -152,6 +157,7 @@ LAG = Mechanism(
     typical=lambda model, actuator: (model.opt.timestep,),
     command=_lag,
     is_late=True,
+    sizes=_LATE,
 )
 
 

@@ -163,6 +163,7 @@ class Mechanism:
     in_force: bool = False  # True if joint forces are in proportion to its strength
     plausible: float = 25.0  # times typical: deviation of what real robots have and models lack
     has_sides: bool = False  # True if more and less of it are effects of their own
+    needs_first: bool = False  # True if its other strengths do nothing while the first is zero
     includes: str = ""  # kind that it equals while its last strengths are zero
 
     def __post_init__(self) -> None:

@@ -152,6 +152,7 @@ LOAD = Mechanism(
     change=_load,
     prepare=_add_load,
     applies=has_mass,
+    needs_first=True,
     in_force=True,
 )
 

@@ -17,6 +17,8 @@ from adr_service.effects.bodies import weight
 
 BRAKE, RELEASE = f"{ADDED}brake_", f"{ADDED}release_"  # actuators, by joint
 _UNLIMITED = 1e10
+# sizes: what is sensible at one unit of speed or position is huge at a hundred, which wheels have
+_ANY_SPEED = (1.0, 1e-2, 1e-4)
 
 
 def _dof(model: mujoco.MjModel, joint: int) -> int:
@@ -84,6 +86,7 @@ QUADRATIC_FRICTION = Mechanism(
     (Strength("drag", "N m s²/rad²"),),
     typical=_one_torque,
     change=_quadratic,
+    sizes=_ANY_SPEED,
     in_force=True,
 )
 
@@ -163,6 +166,7 @@ STRIBECK_FRICTION = Mechanism(
     prepare=_add_release,
     applies=_is_free,
     includes="joint_coulomb_friction",
+    needs_first=True,
 )
 
 
@@ -190,6 +194,7 @@ CUBIC_SPRING = Mechanism(
     (Strength("hardening", "N m/rad³"),),
     typical=_one_torque,
     change=_cubic_spring,
+    sizes=_ANY_SPEED,
     in_force=True,
 )
 

@@ -52,7 +52,9 @@ class Criticise(Stage[Criticised]):
     # confidence of `unknown`, effects in positions that nobody measured, models that do not cut
     # commands or have an actuator without a gain, 11: bounds of drives' forces, least masses, and
     # what MuJoCo works out as it compiles a model, 12: quick predictions in finer steps where those
-    # matter, late commands simulated, and strengths of one effect that do not absorb each other
+    # matter, late commands simulated and held before an episode, effects tried at sizes that fit
+    # fast joints and long delays, strengths of one effect that do not absorb each other, detection
+    # limits with the others known, and forces of servos
     version: ClassVar = 12
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised

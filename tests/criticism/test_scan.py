@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -9,11 +10,14 @@ from adr_service.blind_test.planting import hide
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import fit, smoothed
 from adr_service.criticism.linear import Normal
+from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.noise import Whitener
+from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import location_of, places, scan
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
+from adr_service.parameters import ParameterSpace
 from tests.hidden import arm
 
 
@@ -49,6 +53,82 @@ def test_two_strengths_of_one_effect_do_not_hide_each_other():
     found = next(c for c in candidates if (c.kind, c.location) == (hidden.kind, hidden.location))
     assert np.isfinite(found.deviations).all()
     assert found.gain > max(c.gain for c in candidates if c.location != hidden.location)
+
+
+def test_a_detection_limit_takes_the_other_strengths_of_an_effect_for_known(baseline):
+    """What shows Coulomb friction shows Stribeck's, which includes it."""
+    candidates = scan(baseline, Responses(baseline))
+    one, other = (
+        next(c for c in candidates if (c.kind, c.location) == (kind, "joint:elbow"))
+        for kind in ("joint_coulomb_friction", "joint_stribeck_friction")
+    )
+    assert other.deviations[0] == pytest.approx(one.deviations[0], rel=1e-6)
+
+
+def test_a_load_whose_mass_nothing_shows_keeps_the_one_that_was_tried():
+    """The first link turns about its own origin. Without a mass there would be no moments."""
+    task, nominal = arm()
+    hidden = Effect("body_load", "body:upper", (0.1, 0.04, 0.0, -0.01))
+    data = hide(task, nominal, np.random.default_rng(406), [hidden]).episodes(range(12))
+    sensor = data.sensor_variance()
+    with Simulator(nominal, data, threads=1, finer=3) as simulator:
+        baseline = smoothed(fit(simulator, sensor))
+        candidates = scan(baseline, Responses(baseline))
+    load = next(c for c in candidates if (c.kind, c.location) == (hidden.kind, hidden.location))
+    assert np.isinf(load.deviations[0])
+    assert load.gain > THRESHOLD
+    assert load.effects[0].values[0] == load.tried[0].values[0]
+    assert load.effects[0].values[1] == pytest.approx(0.04, rel=0.3)
+
+
+def test_a_delay_of_several_control_steps_is_found_at_about_its_size():
+    task, nominal = arm()
+    hidden = Effect("actuator_delay", "actuator:elbow", (0.045,))  # of steps of 20 ms
+    data = hide(task, nominal, np.random.default_rng(407), [hidden]).episodes(range(12))
+    sensor = data.sensor_variance()
+    with Simulator(nominal, data, threads=1, finer=3) as simulator:
+        baseline = smoothed(fit(simulator, sensor))
+        best, *_ = scan(baseline, Responses(baseline))
+    assert (best.kind, best.location) == (hidden.kind, hidden.location)
+    assert best.effects[0].values == pytest.approx(hidden.values, rel=0.3)
+
+
+def test_the_drag_of_a_fast_wheel_is_found_at_about_its_size():
+    """At 700 rad/s a drag that is sensible at one is hundreds of times the motor's torque."""
+    xml = """<mujoco><option timestep="0.002"/><worldbody><body>
+      <joint name="wheel" axis="0 0 1" damping="1e-5"/>
+      <geom type="cylinder" size="0.05 0.01" mass="0.05"/></body></worldbody><actuator>
+      <motor name="motor" joint="wheel" gear="0.1" ctrllimited="true" ctrlrange="-1 1"/>
+      </actuator></mujoco>"""
+    nominal = Nominal.of_model(xml, ParameterSpace(()))
+    hidden, rng = (
+        Effect("joint_quadratic_friction", "joint:wheel", (1e-7,)),
+        np.random.default_rng(0),
+    )
+    with Simulator(nominal, turning(nominal, hidden, rng), threads=1) as simulator:
+        baseline = smoothed(fit(simulator, simulator.data.sensor_variance()))
+        candidates = scan(baseline, Responses(baseline))
+    found = next(c for c in candidates if c.kind == hidden.kind)
+    assert found.effects[0].values == pytest.approx(hidden.values, rel=0.2)
+
+
+def turning(nominal, effect, rng):
+    """A measurement of a wheel that turns at up to 700 rad/s."""
+    model = nominal.model(nominal.start, [effect])
+    data, rows = mujoco.MjData(model), []
+    for episode in range(12):
+        mujoco.mj_resetData(model, data)
+        data.qvel[0], command = rng.uniform(-300, 300), 0.0
+        for row in range(75):
+            command = np.clip(0.95 * command + 0.3 * rng.standard_normal(), -1, 1)
+            noisy = (1e-4, 5e-3) * rng.standard_normal(2) + (data.qpos[0], data.qvel[0])
+            rows.append((0.01 * row, *noisy, command, episode))
+            data.ctrl[0] = command
+            mujoco.mj_step(model, data, nstep=5)
+    time, position, velocity, commands, episodes = np.array(rows).T
+    return Measurement(
+        time, position[:, None], velocity[:, None], commands[:, None], episodes.astype(int)
+    )
 
 
 def test_a_group_is_named_after_the_kind_of_its_places():

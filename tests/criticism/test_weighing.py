@@ -63,6 +63,13 @@ def test_the_hidden_effect_is_weighed_above_another(baseline, friction):
     assert chance < 0.01
 
 
+def test_what_includes_the_best_takes_no_confidence_from_it(baseline, friction):
+    more = Effect("joint_stribeck_friction", "joint:elbow", (0.1, 0.001))
+    alike, _ = weigh(baseline, [(friction,), (more,)], np.random.default_rng(0), lambda: None)
+    assert [each.effects for each in alike] == [(friction,)]
+    assert alike[0].confidence > 0.99
+
+
 def test_the_best_is_refined_though_it_starts_far_beside_its_strength(baseline, friction):
     """At ten times its strength it explains less than nothing."""
     rng, far = np.random.default_rng(0), replace(friction, values=(10 * friction.values[0],))

@@ -16,17 +16,19 @@ def obeyed(kind, strength):
 
 
 def test_a_delay_of_whole_steps_shifts_commands_and_a_part_of_one_mixes_two():
-    np.testing.assert_allclose(obeyed("actuator_delay", 0.02), [[0.0, 0.0, 1.0, 1.0, -0.5, 0.2]])
+    """Before an episode its first command held: a servo stands where it was told to."""
+    np.testing.assert_allclose(obeyed("actuator_delay", 0.02), [[1.0, 1.0, 1.0, 1.0, -0.5, 0.2]])
     np.testing.assert_allclose(
-        obeyed("actuator_delay", 0.0025), [[0.75, 1.0, -0.125, 0.025, 0.05, 0.6]]
+        obeyed("actuator_delay", 0.0025), [[1.0, 1.0, -0.125, 0.025, 0.05, 0.6]]
     )
 
 
 def test_a_lag_is_the_mean_of_the_exact_first_order_response():
     seconds, constant = np.linspace(0, 0.01, 10_001), 0.03
-    exact = 1 - np.exp(-seconds / constant)  # of a step from rest
-    response = obeyed("actuator_lag", constant)
-    assert response[0, 0] == pytest.approx(np.trapezoid(exact, seconds) / 0.01, rel=1e-6)
+    left = np.trapezoid(np.exp(-seconds / constant), seconds) / 0.01  # of a step, on average
+    settled, _, stepped, *_ = obeyed("actuator_lag", constant)[0]
+    assert settled == 1.0
+    assert stepped == pytest.approx(-0.5 + 1.5 * left, rel=1e-6)
 
 
 def test_a_deadband_takes_its_width_from_every_command():

@@ -40,7 +40,7 @@ def test_effects_on_commands_act_in_their_order(cart):
     dead = Effect("actuator_deadband", "actuator:push", (0.5,))
     commands = np.array([1.0, 0.2, -1.0])[None, :, None]
     changed = obeyed(cart(), [late, dead], commands, 0.01)
-    np.testing.assert_allclose(changed[0, :, 0], [0.0, 0.5, 0.0])
+    np.testing.assert_allclose(changed[0, :, 0], [0.5, 0.5, 0.0])
 
 
 def test_records_pass_through_one_effect_after_the_other(cart):
