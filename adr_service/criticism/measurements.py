@@ -26,6 +26,8 @@ _SAME = 1e-6  # of the largest command: how near the mean of its parts a row's c
 _ALIKE, _OFF = 0.5, 1.5  # correlation of positions' changes and velocities; their ratio
 _STUCK = 0.2  # of all rows, with the very same extreme value
 _LATEST = 1e12  # seconds
+_MOST_EXACT = 2**53  # numbers of a CSV are floats, and those from here on are rounded
+_MOST_IDS = 2**63  # of episodes
 _LEAST_EPISODES, _LEAST_TRANSITIONS = 8, 200
 
 
@@ -75,6 +77,8 @@ class Measurement:
         for name, values in fields.items():
             if values.dtype.kind not in "iuf":
                 raise InvalidInput(f"{name} must hold numbers; given {values.dtype}")
+        if (most := fields["episode"].max(initial=0)) >= _MOST_IDS:
+            raise InvalidInput(f"episodes must be whole numbers below 2**63; given {most}")
         return cls(**fields)
 
     @classmethod
@@ -104,6 +108,10 @@ class Measurement:
         episode = table[:, header.index("episode")]
         if not np.all(np.isfinite(episode) & (episode == np.round(episode))):
             raise InvalidInput("the CSV's episodes must be whole numbers")
+        if (most := np.abs(episode).max(initial=0)) >= _MOST_EXACT:
+            raise InvalidInput(
+                f"the CSV's episodes must be whole numbers below 2**53; given up to {most:.16g}"
+            )
         time = table[:, header.index("time")]
         return cls(time=time, episode=episode.astype(np.int64), **fields)
 
@@ -120,14 +128,20 @@ class Measurement:
             _check_alike(first, other)
         if any(part.ctrl_within is not None for part in parts):
             parts = _with_as_many_parts(parts)
-        counts = np.cumsum([0, *(1 + part.episode[-1] - part.episode[0] for part in parts)])
+        reaches = [1 + int(part.episode[-1]) - int(part.episode[0]) for part in parts]
+        if (most := sum(reaches)) > _MOST_IDS:
+            raise InvalidInput(
+                f"the episode numbers of recordings that are judged together may span 2**63 in "
+                f"all; given are {most}: number each recording's episodes from 0 on"
+            )
+        counts = np.cumsum([0, *reaches[:-1]], dtype=np.int64)
         return cls(
             time=np.concatenate([part.time for part in parts]),
             qpos=np.concatenate([part.qpos for part in parts]),
             qvel=np.concatenate([part.qvel for part in parts]),
             ctrl=np.concatenate([part.ctrl for part in parts]),
             episode=np.concatenate(
-                [p.episode - p.episode[0] + n for p, n in zip(parts, counts, strict=False)]
+                [p.episode - p.episode[0] + n for p, n in zip(parts, counts, strict=True)]
             ),
             qpos_std=first.qpos_std,
             qvel_std=first.qvel_std,

@@ -10,7 +10,7 @@ from adr_service.errors import InvalidInput
 from adr_service.logs.base import Stream, check_size
 
 _SHOWN = 40  # characters of a text
-_NUMBER = r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*$"
+_NUMBER = r"^\s*[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?\s*$"
 
 
 def stream_of(source: str, table: Any) -> tuple[Stream, dict[str, str]]:
@@ -60,7 +60,10 @@ def _places(name: str, column: Any) -> dict[str, Vector] | str:
 
 
 def _what_it_holds(column: Any) -> str:
-    """Describe a column without numbers: the first odd cell among numbers, else its type."""
+    """Describe a column without numbers: the first odd cell of a text, else its type.
+
+    The odd cell is one without a number, or else any, such as one with another decimal mark.
+    """
     import pyarrow as pa
     from pyarrow import csv
 
@@ -70,13 +73,15 @@ def _what_it_holds(column: Any) -> str:
         return f"it holds {kind}"
     empty = pa.array([*csv.ConvertOptions().null_values, None])
     cells = column.filter(pc.invert(pc.is_in(column, empty)))
-    are_numbers = pc.match_substring_regex(cells, _NUMBER)
-    first = pc.index(are_numbers, False).as_py()
-    if first < 0 or 2 * pc.sum(are_numbers).as_py() <= len(cells):
+    if not len(cells):
         return f"it holds {kind}"
-    odd = cells[first]
+    are_numbers = pc.match_substring_regex(cells, _NUMBER)
+    odd = cells[max(pc.index(are_numbers, False).as_py(), 0)]
     row = pc.index(column, odd).as_py() + 1
-    return f"it holds the text {odd.as_py()[:_SHOWN]!r}, first in row {row} below the header"
+    return (
+        f"it holds the text {odd.as_py()[:_SHOWN]!r}, first in row {row} below the header; "
+        "accepted are numbers"
+    )
 
 
 def _is_fixed(kind: Any) -> bool:

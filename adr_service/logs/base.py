@@ -51,12 +51,18 @@ class Stream:
     columns: Mapping[str, Vector]  # (n,) by name; NaN where the log has no number
     stamps: Vector | None = None  # (n,) [s] times of the rows, where the format states them
     dated: frozenset[str] = frozenset()  # columns of dates, which are in seconds since 1970
+    before: int = 0  # rows of the log before these
 
     def of_rows(self, rows: slice) -> "Stream":
         """The stream of some of its rows."""
         columns = {name: values[rows] for name, values in self.columns.items()}
         stamps = None if self.stamps is None else self.stamps[rows]
-        return replace(self, columns=columns, stamps=stamps)
+        return replace(self, columns=columns, stamps=stamps, before=self.before + rows.start)
+
+    def place(self, row: int) -> str:
+        """The place of a row in the log, as its user counts: from 1."""
+        number = self.before + row + 1
+        return f"row {number} below the header" if self.stamps is None else f"message {number}"
 
 
 @dataclass(frozen=True)
@@ -78,10 +84,11 @@ class Log:
         return [name for stream in self.streams for name in stream.columns]
 
     def signal(self, column: str, clock: Clock) -> Signal:
-        """The readings of a column; rows in which it has none are left out.
+        """The readings of a column; rows in which it has none (NaN) are left out.
 
         Of those that come too soon after another the first is kept. Raises InvalidInput if there is
-        no such column, if its time runs backwards, and if fewer than two are left.
+        no such column, if a reading is infinite, if its time runs backwards, and if fewer than two
+        are left.
         """
         return self._kept(column, clock, _far_enough, _LEAST)
 
@@ -99,14 +106,15 @@ class Log:
         stream = self._stream_of(column)
         time = stream.stamps if stream.stamps is not None else self._times(stream, clock)
         value = stream.columns[column]
+        self._check_finite(stream, column)
         rows = np.flatnonzero(np.isfinite(value) & np.isfinite(time))
         time, value = time[rows], value[rows]
         if (back := np.flatnonzero(np.diff(time) < 0)).size:
             row = int(back[0])
             raise InvalidInput(
-                f"{self.source}: time goes back from {time[row]:.9g} to {time[row + 1]:.9g} s at "
-                f"row {rows[row + 1]}; give one file for each recording, or name a column under "
-                "rows.episode that changes where another recording begins"
+                f"{self.source}: the time of column {column!r} goes back by "
+                f"{time[row] - time[row + 1]:.6g} s at {stream.place(int(rows[row + 1]))}; "
+                f"{_one_each(stream)}"
             )
         kept = keep(time)
         if len(kept) < least:
@@ -129,10 +137,12 @@ class Log:
                 "Give one bag for each recording, and leave rows.episode out"
             )
         value = stream.columns[column]
-        if np.isnan(value).any():
-            row = int(np.flatnonzero(np.isnan(value))[0])
+        if not len(value):
+            raise InvalidInput(f"{self.source} has no rows; needed are readings below the header")
+        if (missing := np.flatnonzero(~np.isfinite(value))).size:
             raise InvalidInput(
-                f"{self.source}: {column!r} of rows.episode has no number at row {row}"
+                f"{self.source}: {column!r} of rows.episode has no finite number at "
+                f"{stream.place(int(missing[0]))}"
             )
         edges = [0, *(np.flatnonzero(np.diff(value) != 0) + 1).tolist(), len(value)]
         return [
@@ -155,13 +165,38 @@ class Log:
             return InvalidInput(
                 f"{self.source}: column {column!r} has no numbers to read: {self.unread[column]}"
             )
-        return UnknownName(f"column in {self.source}", column, names)
+        unknown = UnknownName(f"column in {self.source}", column, names)
+        if parents := [n for n in self.unread if column.startswith((f"{n}.", f"{n}_"))]:
+            parent = max(parents, key=len)
+            return InvalidInput(
+                f"{self.source}: {parent!r} cannot be read: {self.unread[parent]}; {unknown}"
+            )
+        return unknown
+
+    def _check_finite(self, stream: Stream, column: str) -> None:
+        if (rows := np.flatnonzero(np.isinf(stream.columns[column]))).size:
+            raise InvalidInput(
+                f"{self.source}: column {column!r} has {rows.size} infinite readings, the first at "
+                f"{stream.place(int(rows[0]))}; leave such cells empty, or give NaN, which is no "
+                "reading"
+            )
 
     def _times(self, stream: Stream, clock: Clock) -> Vector:
         if clock.column not in stream.columns:
             raise self._no_column(clock.column, list(stream.columns))
+        self._check_finite(stream, clock.column)
         size = 1.0 if clock.column in stream.dated else SECONDS[clock.unit]
         return stream.columns[clock.column] * size
+
+
+def _one_each(stream: Stream) -> str:
+    """Advice where another recording begins."""
+    if stream.stamps is not None:
+        return "give one bag for each recording"
+    return (
+        "give one file for each recording, or name a column under rows.episode that changes where "
+        "another recording begins"
+    )
 
 
 def _far_enough(time: Vector) -> Indices:

@@ -1,12 +1,13 @@
 """Formats of logs, by the ending of their names."""
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from adr_service.errors import InvalidInput
 from adr_service.logs.base import MOST_BYTES, Log
 from adr_service.logs.csv_files import read_csv
-from adr_service.logs.mcap_files import read_mcap
+from adr_service.logs.mcap_files import read_mcap, read_split_mcap
 from adr_service.logs.npz_files import read_npz
 from adr_service.logs.parquet_files import read_lerobot, read_parquet
 
@@ -21,22 +22,42 @@ FORMATS: dict[str, Callable[[str, bytes], Log]] = {
 
 
 def read_logs(path: Path) -> list[Log]:
-    """The logs of a file, or of a LeRobot folder. Raises InvalidInput for other formats, for what
-    cannot be read, and for what is too large."""
+    """The logs of a file, of a LeRobot folder, or of a folder of bags.
+
+    A ROS 2 bag, which is a folder with a `metadata.yaml` and its parts, is one log. Raises
+    InvalidInput for other formats, for what cannot be read, and for what is too large.
+    """
     if path.is_dir():
-        bags = sorted(path.glob("*.mcap"))  # a ROS 2 bag is a folder with its parts
-        if bags:
-            return [log for bag in bags for log in read_logs(bag)]
-        return read_lerobot(path)
+        bags = sorted(path.glob("*.mcap"), key=_natural)
+        if not bags:
+            return read_lerobot(path)
+        if len(bags) > 1 and (path / "metadata.yaml").is_file():
+            return [read_split_mcap(path.resolve().name, _contents(bags))]
+        return [log for bag in bags for log in read_logs(bag)]
     if path.suffix.lower() not in FORMATS:
         raise InvalidInput(
             f"{path} ends on {path.suffix or 'nothing'!r}; accepted are {', '.join(FORMATS)}, and "
             "the folders of a LeRobot data set or of a ROS 2 bag"
         )
+    return [FORMATS[path.suffix.lower()](path.name, _content(path))]
+
+
+def _natural(path: Path) -> list[str | int]:
+    """Sort key that puts bag_2 before bag_10: the texts and the numbers of a name, in turn."""
+    parts = re.split("([0-9]+)", path.name)
+    return [int(part) if i % 2 else part for i, part in enumerate(parts)]
+
+
+def _contents(files: Sequence[Path]) -> Iterator[tuple[str, bytes]]:
+    """Names and contents, read one at a time."""
+    for file in files:
+        yield file.name, _content(file)
+
+
+def _content(path: Path) -> bytes:
     try:
         if (size := path.stat().st_size) > MOST_BYTES:
             raise InvalidInput(f"{path} has {size:,} bytes; accepted are {MOST_BYTES:,}")
-        content = path.read_bytes()
+        return path.read_bytes()
     except OSError as error:
         raise InvalidInput(f"{path} cannot be read: {error}") from error
-    return [FORMATS[path.suffix.lower()](path.name, content)]

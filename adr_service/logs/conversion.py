@@ -41,12 +41,15 @@ from adr_service.logs.tracks import (
     check_moves,
     check_velocities,
     recording_of,
+    repeated,
 )
 from adr_service.logs.turns import (
     beside_their_joints,
     bridged,
     check_jumps,
     on_one_branch,
+    unknown_turns,
+    unnoticed_turns,
     unwrapped,
 )
 
@@ -146,6 +149,9 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
             for part in short
         ),
         *bridged(recordings, given),
+        *unknown_turns(recordings, given, model),
+        *unnoticed_turns(recordings, given, model),
+        *repeated(recordings),
         *_warnings(joined, period, recordings, given, model, compared),
         *(
             f"{name}'s commands are at the model's limit or beyond in {share:.0%} of all rows; is "

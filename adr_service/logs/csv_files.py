@@ -11,9 +11,10 @@ from adr_service.logs.base import Log
 
 _DELIMITERS = ("\t", ";", ",")
 _SHOWN = 60  # characters of a name
-_CELL = r"(?:^|[;\t\n]) *[+-]?\d*{}\d+(?:[eE][+-]?\d+)? *(?=[;\t\r\n]|$)"
+_CELL = r'(?:^|[;\t\n]) *"?[+-]?\d*{}\d+(?:[eE][+-]?\d+)?"? *(?=[;\t\r\n]|$)'
 _DECIMAL_COMMA = re.compile(_CELL.format(",").encode())
 _DECIMAL_POINT = re.compile(_CELL.format(r"\.").encode())
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # how such texts begin
 _COMMENT = b"#"  # before a header, as NumPy writes it
 
 
@@ -21,6 +22,8 @@ def read_csv(source: str, content: bytes) -> Log:
     """The log of a table with a header. Raises InvalidInput with the line that is wrong."""
     from pyarrow import ArrowException, csv  # takes a fifth of a second
 
+    if content.startswith(_UTF_16):
+        raise InvalidInput(f"{source} is in UTF-16; accepted is UTF-8, as which to save it again")
     head, rest = _header(content.removeprefix(b"\xef\xbb\xbf"))
     content = head + b"\n" + rest
     text = head.decode("utf-8", errors="replace")
@@ -47,15 +50,16 @@ def _has_decimal_commas(rows: bytes) -> bool:
 
 
 def _header(content: bytes) -> tuple[bytes, bytes]:
-    """The header's line and the rest, without the comments before it.
+    """The header's line and the rest, without comments and blank lines before it.
 
     The header is itself a comment where numbers follow, as NumPy and other programs write it. Then
     it is the last comment without a number, or else the last.
     """
     comments: list[bytes] = []
     head, _, rest = content.partition(b"\n")
-    while head.startswith(_COMMENT):
-        comments.append(head.removeprefix(_COMMENT).lstrip())
+    while head.startswith(_COMMENT) or (rest and not head.strip()):
+        if head.strip():
+            comments.append(head.removeprefix(_COMMENT).lstrip())
         head, _, rest = rest.partition(b"\n")
     if not comments or not _has_numbers(head):
         return head, rest
@@ -64,7 +68,8 @@ def _header(content: bytes) -> tuple[bytes, bytes]:
 
 
 def _has_numbers(line: bytes) -> bool:
-    return any(map(_is_number, re.split("[,;\t]", line.decode("utf-8", errors="replace"))))
+    cells = line.decode("utf-8", errors="replace").replace('"', "")
+    return any(map(_is_number, re.split("[,;\t]", cells)))
 
 
 def _check_header(source: str, names: list[str]) -> None:

@@ -5,12 +5,12 @@ numbers becomes one column for each place: `/command.data_0`, and so do the fiel
 messages: `/low_state.motor_state_0.q`. Where the message names the places, as
 `sensor_msgs/JointState` does, the column has that name: `/joint_states.position.shoulder`.
 Times are the messages' own stamps (`header.stamp`, where it is not zero), or else when the bag
-received them.
+received them. A bag that was split into several files is read as one.
 """
 
 import io
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -33,12 +33,21 @@ class _Topic:
 
     stamps: list[float] = field(default_factory=list[float])
     columns: dict[str, dict[int, float]] = field(default_factory=dict[str, dict[int, float]])
+    unread: dict[str, str] = field(default_factory=dict[str, str])  # why, by field
 
-    def add(self, stamp: float, values: Iterator[tuple[str, float]]) -> int:
+    @property
+    def width(self) -> int:
+        return len(self.columns) + len(self.unread)
+
+    def add(self, stamp: float, values: Iterator[tuple[str, float | str]]) -> int:
+        """Add a message of numbers, and of reasons why fields have none; return how many."""
         row, count = len(self.stamps), 0
         self.stamps.append(stamp)
         for name, value in values:
-            self.columns.setdefault(name, {})[row] = value
+            if isinstance(value, str):
+                self.unread[name] = value
+            else:
+                self.columns.setdefault(name, {})[row] = value
             count += 1
         return count
 
@@ -54,8 +63,63 @@ class _Topic:
         return Stream({name: values[order] for name, values in columns.items()}, stamps[order])
 
 
+@dataclass
+class _Bag:
+    """Messages of all topics, so far."""
+
+    source: str
+    topics: dict[str, _Topic] = field(default_factory=dict[str, _Topic])
+    unread: dict[str, str] = field(default_factory=dict[str, str])  # why, by topic
+    too_wide: set[str] = field(default_factory=set[str])  # topics
+    count: int = 0  # numbers
+
+    def add(self, topic: str, decoded: Any, arrived: float) -> None:
+        """Add a message. Raises InvalidInput for more than a criticism could use."""
+        stamp = _get(_get(decoded, "header"), "stamp")
+        if stamp is not None and (stamp := _seconds(stamp)) is None:
+            self.unread[topic] = "its header.stamp has no sec and nanosec"
+            return
+        messages = self.topics.setdefault(topic, _Topic())
+        # a stamp of zero was never set
+        self.count += messages.add(stamp or arrived, _flat(topic, decoded))
+        if messages.width > _WIDEST:
+            self.too_wide.add(topic)
+            self.unread[topic] = f"it has more than {_WIDEST:,} columns"
+            del self.topics[topic]
+        if self.count > MOST_NUMBERS:
+            check_size(self.source, 0, self.count)
+
+    def log(self) -> Log:
+        topics = self.topics.values()
+        check_size(self.source, sum(len(topic.columns) for topic in topics), self.count)
+        unread = dict(self.unread)
+        for topic in topics:
+            unread |= topic.unread
+        return Log(self.source, tuple(topic.stream() for topic in topics), unread)
+
+
 def read_mcap(source: str, content: bytes) -> Log:
     """The log of a bag. Raises InvalidInput for damaged ones, and if `mcap` is not installed."""
+    return read_split_mcap(source, [(source, content)])
+
+
+def read_split_mcap(source: str, parts: Iterable[tuple[str, bytes]]) -> Log:
+    """The log of a bag in several files, given as names and contents in order of time.
+
+    Raises InvalidInput as `read_mcap` does, with the name of the damaged part.
+    """
+    bag = _Bag(source)
+    for name, content in parts:
+        try:
+            _add_part(bag, name, content)
+        except AdrError:
+            raise
+        except Exception as error:  # parsers of damaged messages raise anything
+            raise InvalidInput(f"{name} is no bag that can be read: {error}") from error
+    return bag.log()
+
+
+def _add_part(bag: _Bag, name: str, content: bytes) -> None:
     try:
         from mcap.reader import SeekingReader
         from mcap_ros2.decoder import DecoderFactory
@@ -63,46 +127,20 @@ def read_mcap(source: str, content: bytes) -> Log:
         raise InvalidInput(
             f"bags need a package: pip install 'adr-service[mcap]' ({error})"
         ) from error
-    topics: dict[str, _Topic] = {}
-    unread: dict[str, str] = {}
-    too_wide: set[str] = set()  # topics
-    count = 0
     ros = DecoderFactory()
     decoders: dict[int, Callable[[bytes], Any] | None] = {}
-    try:
-        reader = SeekingReader(
-            io.BytesIO(content), validate_crcs=True, record_size_limit=MOST_BYTES
-        )
-        _check_unpacked(source, content)
-        for schema, channel, message in reader.iter_messages():
-            if channel.topic in too_wide:
-                continue
-            if channel.id not in decoders:
-                decoders[channel.id] = _decoder(ros, channel.message_encoding, schema)
-            decode = decoders[channel.id]
-            if decode is None:
-                unread[channel.topic] = f"its messages are in {channel.message_encoding!r}"
-                continue
-            decoded = decode(message.data)
-            stamp = _get(_get(decoded, "header"), "stamp")
-            if stamp is not None and (stamp := _seconds(stamp)) is None:
-                unread[channel.topic] = "its header.stamp has no sec and nanosec"
-                continue
-            topic = topics.setdefault(channel.topic, _Topic())
-            stamp = stamp or message.log_time * 1e-9  # a stamp of zero was never set
-            count += topic.add(stamp, _flat(channel.topic, decoded))
-            if len(topic.columns) > _WIDEST:
-                too_wide.add(channel.topic)
-                unread[channel.topic] = f"it has more than {_WIDEST:,} columns"
-                del topics[channel.topic]
-            if count > MOST_NUMBERS:
-                check_size(source, 0, count)
-    except AdrError:
-        raise
-    except Exception as error:  # parsers of damaged messages raise anything
-        raise InvalidInput(f"{source} is no bag that can be read: {error}") from error
-    check_size(source, sum(len(topic.columns) for topic in topics.values()), count)
-    return Log(source, tuple(topic.stream() for topic in topics.values()), unread)
+    reader = SeekingReader(io.BytesIO(content), validate_crcs=True, record_size_limit=MOST_BYTES)
+    _check_unpacked(name, content)
+    for schema, channel, message in reader.iter_messages():
+        if channel.topic in bag.too_wide:
+            continue
+        if channel.id not in decoders:
+            decoders[channel.id] = _decoder(ros, channel.message_encoding, schema)
+        decode = decoders[channel.id]
+        if decode is None:
+            bag.unread[channel.topic] = f"its messages are in {channel.message_encoding!r}"
+            continue
+        bag.add(channel.topic, decode(message.data), message.log_time * 1e-9)
 
 
 def _check_unpacked(source: str, content: bytes) -> None:
@@ -134,9 +172,13 @@ def _seconds(stamp: Any) -> float | None:
     return None
 
 
-def _flat(prefix: str, message: Any, depth: int = 0) -> Iterator[tuple[str, float]]:
-    """Names and values of all numbers in a message, but for its header."""
+def _flat(prefix: str, message: Any, depth: int = 0) -> Iterator[tuple[str, float | str]]:
+    """Names and values of all numbers in a message, but for its header.
+
+    Fields that are nested too deep or lists that are too long have the reason in place of values.
+    """
     if depth > _DEEPEST:
+        yield prefix, f"it is nested more than {_DEEPEST} fields deep"
         return
     named = next((names for n in _NAMES if (names := _get(message, n)) is not None), None)
     for name, value in _fields(message):
@@ -146,14 +188,20 @@ def _flat(prefix: str, message: Any, depth: int = 0) -> Iterator[tuple[str, floa
         if isinstance(value, bool | int | float):
             yield path, float(value)
         elif isinstance(value, list | tuple | np.ndarray):
-            yield from _places(path, list(cast(Any, value)), named, depth)
+            values = cast(Any, value)
+            if len(values) > _LONGEST:
+                yield path, f"it is a list of {len(values):,} places; accepted are {_LONGEST}"
+            else:
+                yield from _places(path, list(values), named, depth)
         elif not isinstance(value, str | bytes | None):
             yield from _flat(path, value, depth + 1)
 
 
-def _places(path: str, values: list[Any], names: Any, depth: int) -> Iterator[tuple[str, float]]:
+def _places(
+    path: str, values: list[Any], names: Any, depth: int
+) -> Iterator[tuple[str, float | str]]:
     is_named = isinstance(names, list | tuple) and len(cast(list[Any], names)) == len(values)
-    for i, value in enumerate(values[:_LONGEST]):
+    for i, value in enumerate(values):
         place = f"{path}.{names[i]}" if is_named else f"{path}_{i}"
         if isinstance(value, bool | int | float | np.integer | np.floating):
             yield place, float(value)

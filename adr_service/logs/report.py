@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from adr_service.arrays import Vector
+from adr_service.arrays import Indices, Vector
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.excitation import Excitation
 from adr_service.criticism.page import page, svg, table
@@ -70,13 +70,11 @@ def _summary(converted: Converted) -> str:
 def _motion(converted: Converted, model: mujoco.MjModel) -> str:
     """A table of the motion of each joint."""
     data = converted.measurement
-    inside = np.diff(data.episode) == 0
     slopes = {each.joint: f"{each.slope:.2f} ± {each.error:.2f}" for each in converted.agreements}
     rows: list[list[Any]] = []
     for number, name in enumerate(joints_of(model)):
         speed = data.qvel[:, number]
         unit = "m" if is_slide(model, name) else "rad"
-        turns = int(np.sum((np.diff(np.sign(speed)) != 0) & inside))
         fastest = float(np.abs(speed).max())
         at_rest = float(np.mean(np.abs(speed) <= _AT_REST * fastest))
         is_measured = data.qvel_std is None or not np.isinf(data.qvel_std[number])
@@ -85,7 +83,7 @@ def _motion(converted: Converted, model: mujoco.MjModel) -> str:
                 escape(name),
                 f"{np.ptp(data.qpos[:, number]):.3g} {unit}",
                 f"{np.sqrt(np.mean(speed**2)):.3g} {unit}/s",
-                turns,
+                _reversals(speed, data.episode),
                 f"{at_rest:.0%}",
                 "yes" if is_measured else "no",
                 slopes.get(name, "not compared"),
@@ -93,6 +91,13 @@ def _motion(converted: Converted, model: mujoco.MjModel) -> str:
         )
     heads = ["joint", "range", "speed, RMS", "reversals", "at rest", "velocity measured"]
     return "<h2>Motion</h2>" + table([*heads, "force, per drive's"], rows) + _FORCES
+
+
+def _reversals(speed: Vector, episode: Indices) -> int:
+    """Changes of a speed's sign within episodes, also across rows in which it is zero."""
+    moving = np.flatnonzero(speed)
+    turned = np.diff(np.sign(speed[moving])) != 0
+    return int(np.sum(turned & (np.diff(episode[moving]) == 0)))
 
 
 def _shown(shown: Sequence[Excitation]) -> str:

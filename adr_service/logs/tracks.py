@@ -1,6 +1,6 @@
 """Columns of a recording in the units and the order of a model, and checks of them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -21,6 +21,8 @@ DENSER = 0.7  # of a column's spacing: closer rows would count a reading more th
 TURN = 2 * np.pi
 MANY_TURNS = 3  # of a joint, from which on its unit looks wrong
 _SINCE_1970_S = 1e8  # stamps from which on they count from 1970
+_COARSE = 3.0  # smallest steps of a sensor: larger changes are no single steps of a coarse one
+_ROUNDED = 1e-9  # of a column's range: levels as near as that are the same
 _LONG_S = 1.0  # period from which on the time's unit looks wrong
 
 
@@ -170,6 +172,32 @@ def check_velocities(recordings: Sequence[Recording]) -> None:
                 f"column {known[0].column!r} is {values[0]:g} throughout, so it is no velocity; "
                 f"leave joints.{joint}.velocity out (not measured)"
             )
+
+
+def repeated(recordings: Sequence[Recording]) -> Iterator[str]:
+    """Warnings of columns in which rows repeat the readings of a slower sensor.
+
+    Most of their readings stay for two rows or more. A coarse encoder does that too, but its
+    changes are single steps. A joint that rests stays for long, but changes in every row later.
+    """
+    for tracks in zip(*(each.states for each in recordings), strict=True):
+        changes = [np.flatnonzero(np.diff(track.signal.value)) + 1 for track in tracks]
+        stays = np.concatenate([np.diff(rows) for rows in changes])
+        if not len(stays) or np.median(stays) < 2:
+            continue
+        both = list(zip(tracks, changes, strict=True))
+        jumps = [np.abs(t.signal.value[rows] - t.signal.value[rows - 1]) for t, rows in both]
+        levels = np.diff(np.unique(np.concatenate([track.signal.value for track in tracks])))
+        least = levels[levels > _ROUNDED * levels.sum()].min()
+        if np.median(np.concatenate(jumps)) <= _COARSE * least:
+            continue
+        spacing = np.median(np.concatenate([np.diff(t.signal.time[rows]) for t, rows in both]))
+        yield (
+            f"column {tracks[0].column!r} changes every {1000 * spacing:.3g} ms only, and rows "
+            f"repeat its readings every {1000 * tracks[0].spacing:.3g} ms; its sensor seems to be "
+            "slower than the log. A repeated reading counts as a new one: leave it out (an empty "
+            "cell is no reading)"
+        )
 
 
 def check_lengths(

@@ -2,7 +2,7 @@
 
 A reading tells a position up to whole turns. Within a stretch the next reading is the nearest.
 Across a gap the joint goes on at the speed that it has on both sides. Whole recordings are put on
-one branch, and set-points next to their joint.
+one branch, where that changes no pose, and set-points next to their joint.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,13 +11,16 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from adr_service.arrays import Vector
+from adr_service.arrays import Indices, Vector
 from adr_service.errors import InvalidInput
 from adr_service.logs.mapping import JointMap, LogMap, actuators_of, is_slide, joint_of, joints_of
 from adr_service.logs.tracks import GAP, MANY_TURNS, TURN, Recording, Track
 
 _NEARLY = 0.1  # a jump by a turn, to within a tenth
 _SPEED = 5  # readings beside a gap that tell the speed there
+_ROUNDED = 1e-3  # of a turn: how near a size such as 6.28 must be to whole turns of a hinge
+_TOOTH = 0.9  # of the range of all readings: a step back that is as good as all of it
+_BESIDE = 3  # changes before and after such a step, in the other direction
 
 
 def unwrapped(recording: Recording, given: LogMap, model: mujoco.MjModel) -> Recording:
@@ -43,14 +46,15 @@ def on_one_branch(
     """Unwrapped recordings in which the same pose has the same position.
 
     The median of the first recording is put next to the middle of the joint's range (zero for one
-    without limits), and the others' next to it.
+    without limits), and the others' next to it. Joints whose pose a turn of their readings changes
+    stay where their readings and their zero put them.
     """
     middles: dict[int, float] = {}  # of the first recording, by joint
     moved: list[Recording] = []
     for recording in recordings:
         positions = list(recording.positions)
         for number, turn in enumerate(_turns_of(given, model)):
-            if turn is None:
+            if turn is None or _changes_pose(turn, model, joints_of(model)[number]):
                 continue
             near = middles.get(number, _middle_of_range(model, joints_of(model)[number]))
             value = positions[number].signal.value
@@ -90,6 +94,68 @@ def bridged(recordings: Sequence[Recording], given: LogMap) -> Iterator[str]:
             )
 
 
+def unknown_turns(
+    recordings: Sequence[Recording], given: LogMap, model: mujoco.MjModel
+) -> Iterator[str]:
+    """Warnings of joints whose readings wrap in less or more than whole turns of the joint."""
+    for name, turn in zip(joints_of(model), _turns_of(given, model), strict=True):
+        if turn is None or not _changes_pose(turn, model, name):
+            continue
+        size = f"{turn:.3g} {'m' if is_slide(model, name) else 'rad, no whole turn of the joint'}"
+        others = "; if only some recordings did, convert these on their own"
+        yield (
+            f"{name}'s readings wrap every {size}, so nothing in the log says in which of these a "
+            "recording begins; each is taken to begin where its first reading says with "
+            f"joints.{name}.zero. If the robot stood elsewhere, shift zero by multiples of "
+            f"{given.joints[name].wrap:g}{others if len(recordings) > 1 else ''}"
+        )
+
+
+def unnoticed_turns(
+    recordings: Sequence[Recording], given: LogMap, model: mujoco.MjModel
+) -> Iterator[str]:
+    """Warnings of joints without a wrap whose readings fall back like the teeth of a saw."""
+    for number, name in enumerate(joints_of(model)):
+        joint, tracks = given.joints[name], [each.positions[number] for each in recordings]
+        reach = float(np.ptp(np.concatenate([track.signal.value for track in tracks])))
+        if joint.wrap is not None or reach == 0:
+            continue
+        teeth = [time for track in tracks for time in _teeth(track, _TOOTH * reach)]
+        if teeth:
+            own = reach / abs(joint.position_factor(is_slide(model, name)))
+            yield (
+                f"column {tracks[0].column!r} jumps over its whole range at {teeth[0]:.6g} s, and "
+                f"goes on as before ({len(teeth)} times in all); if its readings wrap around, give "
+                f"joints.{name}.wrap, the size of a turn in them (they range over {own:.6g})"
+            )
+
+
+def _changes_pose(turn: float, model: mujoco.MjModel, joint: str) -> bool:
+    """True unless a turn of the readings [rad or m] is one or more whole turns of a hinge."""
+    turns = turn / TURN
+    is_whole = round(turns) >= 1 and abs(turns / round(turns) - 1) < _ROUNDED
+    return is_slide(model, joint) or not is_whole
+
+
+def _teeth(track: Track, least: float) -> Iterator[float]:
+    """Times of steps of at least `least` against the changes before and after, without a gap."""
+    time, value = track.signal.time, track.signal.value
+    for stretch in np.split(np.arange(len(time)), _gaps(track)):
+        changes = stretch[np.diff(value[stretch], prepend=np.nan) != 0]
+        steps = np.diff(value[changes])
+        for step in np.flatnonzero(np.abs(steps) >= least).tolist():
+            before, after = steps[max(step - _BESIDE, 0) : step], steps[step + 1 :][:_BESIDE]
+            back = -np.sign(steps[step]) * np.concatenate([before, after])
+            # an outlier has a step as large beside it
+            if len(back) == 2 * _BESIDE and np.all((back > 0) & (back < least)):
+                yield float(time[changes[step + 1]])
+
+
+def _gaps(track: Track) -> Indices:
+    """Numbers of the readings before which others are missing."""
+    return np.flatnonzero(np.diff(track.signal.time) > GAP * track.spacing) + 1
+
+
 def _turns_of(given: LogMap, model: mujoco.MjModel) -> list[float | None]:
     """Sizes of the turns at which readings begin again, by joint, in the model's units."""
     maps = [(given.joints[name], is_slide(model, name)) for name in joints_of(model)]
@@ -102,8 +168,7 @@ def _turns_of(given: LogMap, model: mujoco.MjModel) -> list[float | None]:
 def _going_on(track: Track, turn: float) -> Vector:
     """Positions without the jumps by a turn, within stretches and across gaps."""
     time, value = track.signal.time, np.unwrap(track.signal.value, period=turn)
-    gaps = np.flatnonzero(np.diff(time) > GAP * track.spacing) + 1
-    edges = [0, *gaps.tolist(), len(time)]
+    edges = [0, *_gaps(track).tolist(), len(time)]
     for begin, gap, end in zip(edges, edges[1:], edges[2:], strict=False):
         before, after = slice(max(begin, gap - _SPEED), gap), slice(gap, min(end, gap + _SPEED))
         speeds = [

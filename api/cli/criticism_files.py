@@ -1,10 +1,12 @@
 """A criticism from files to files, without a service."""
 
+import filecmp
 import os
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from itertools import combinations
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -95,6 +97,7 @@ def criticise_files(
     nominal: Nominal, name: str, data: Sequence[Path], out: Path, seed: int, progress: Progress
 ) -> Criticism:
     """Write verdict.json, report.html and, if effects are named, the extended model."""
+    check_differ(data)
     whole = Measurement.joined([_measurement(path, nominal.task) for path in data])
     criticism = criticise(nominal, whole, np.random.default_rng(seed), progress)
     made = f"{datetime.now().astimezone():%Y-%m-%d}"
@@ -104,6 +107,22 @@ def criticise_files(
         files[EXTENDED] = portable(files[EXTENDED].decode(), out).encode()
     write(out, files)
     return criticism
+
+
+def check_differ(recordings: Sequence[Path]) -> None:
+    """Raise InvalidInput for a recording that is given twice, which would count twice."""
+    for one, other in combinations(recordings, 2):
+        if one.resolve() == other.resolve():
+            raise InvalidInput(f"{one} and {other} are the same; give each recording once")
+        if one.is_file() and other.is_file() and _is_copy(one, other):
+            raise InvalidInput(f"{one} and {other} have the same content; give each recording once")
+
+
+def _is_copy(one: Path, other: Path) -> bool:
+    try:
+        return one.stat().st_size == other.stat().st_size and filecmp.cmp(one, other, shallow=False)
+    except OSError:  # whoever reads it will say so
+        return False
 
 
 def portable(xml: str, folder: Path) -> str:

@@ -13,7 +13,7 @@ from adr_service.logs.conversion import Converted, convert
 from adr_service.logs.drafting import draft
 from adr_service.logs.mapping import LogMap
 from adr_service.logs.report import report_page
-from api.cli.criticism_files import nominal_of
+from api.cli.criticism_files import check_differ, nominal_of
 
 
 def draft_of(logs: Sequence[Path], task: str | None, model: Path | None) -> str:
@@ -37,6 +37,7 @@ def measure_files(
 
 
 def _read(logs: Sequence[Path]) -> list[Log]:
+    check_differ(logs)
     return [log for path in logs for log in read_logs(path)]
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.errors import InvalidInput
+from adr_service.npz import write_arrays
 
 
 @pytest.mark.parametrize(
@@ -172,6 +173,23 @@ def test_a_table_is_the_same_measurement_as_its_arrays(good):
         np.testing.assert_array_equal(getattr(measured, name), values)
 
 
+def test_episode_numbers_that_cannot_be_kept_are_refused(good):
+    late = good["episode"].astype(np.uint64) + np.uint64(2**63)
+    with pytest.raises(InvalidInput, match=r"below 2\*\*63; given 92233720368547758"):
+        Measurement.from_npz(write_arrays({**good, "episode": late}))
+
+
+def test_recordings_whose_episode_numbers_are_too_far_apart_together_are_refused(good):
+    first, last = good["episode"][[0, -1]]
+    far = np.where(good["episode"] == last, 2**63 - 1, good["episode"] - first)
+    whole = Measurement(**{**good, "episode": far})
+    np.testing.assert_array_equal(Measurement.joined([whole]).episode, far)
+    with pytest.raises(
+        InvalidInput, match=r"may span 2\*\*63 in all; given are 18446744073709551616"
+    ):
+        Measurement.joined([whole, whole])
+
+
 def as_csv(fields):
     wide = [(n, fields[n]) for n in ("qpos", "qvel", "ctrl")]
     header = ["time", "episode", *(f"{n}_{i}" for n, v in wide for i in range(v.shape[1]))]
@@ -188,6 +206,8 @@ def as_csv(fields):
         ("0.0,0.0,", "0.0,", "line 2 of the CSV has 7 values; the header has 8"),
         ("0.0,0.0,", "0.0,0.5,", "episodes must be whole numbers"),
         ("0.0,0.0,", "0.0,inf,", "episodes must be whole numbers"),
+        ("0.0,0.0,", "0.0,-1e300,", "whole numbers below 2..53; given up to 1e.300"),
+        ("0.0,0.0,", "0.0,9007199254740993,", "given up to 9007199254740992"),
         ("\n0.0,0.0,", "\n\n\n0.0,first,", "line 4 of the CSV has 'first'"),
     ],
 )

@@ -49,10 +49,37 @@ def test_a_clock_that_stands_still_is_refused():
 
 
 def test_time_that_runs_backwards_is_refused_with_its_row():
-    columns = {"time": np.array([0.0, 1, 0.5]), "q": np.arange(3.0)}
+    time = 1.7e9 + np.array([0.0, 1, np.nan, 0.5])
+    columns = {"time": time, "q": np.arange(4.0)}
     with pytest.raises(
-        InvalidInput, match=r"from 1 to 0.5 s at row 2.*one file for each recording"
+        InvalidInput, match=r"back by 0.5 s at row 4 below the header.*rows.episode"
     ):
+        log(columns).signal("q", SECONDS)
+
+
+def test_rows_of_a_part_are_counted_from_the_start_of_the_log():
+    columns = {"time": np.array([0.0, 1, 2, 0, 1, 0]), "trial": np.array([1.0, 1, 1, 2, 2, 2])}
+    part = log({**columns, "q": np.arange(6.0)}).parts("trial")[1]
+    with pytest.raises(InvalidInput, match="back by 1 s at row 6 below the header"):
+        part.signal("q", SECONDS)
+
+
+def test_stamps_that_run_backwards_lead_to_one_bag_for_each_recording():
+    bag = Log("a.mcap", (Stream({"q": np.arange(3.0)}, stamps=np.array([5.0, 6, 2])),))
+    with pytest.raises(
+        InvalidInput, match=r"'q' goes back by 4 s at message 3; give one bag for each recording$"
+    ):
+        bag.signal("q", SECONDS)
+
+
+def test_infinite_readings_and_times_are_refused_with_their_number_and_first_row():
+    columns = {"time": np.arange(4.0), "q": np.array([0, np.nan, np.inf, -np.inf])}
+    message = r"'q' has 2 infinite readings, the first at row 3 below the header; leave such cells"
+    for read in (log(columns).signal, log(columns).commands):
+        with pytest.raises(InvalidInput, match=message):
+            read("q", SECONDS)
+    columns = {"time": np.array([0, np.inf, 2, 3]), "q": np.arange(4.0)}
+    with pytest.raises(InvalidInput, match=r"'time' has 1 infinite readings, the first at row 2"):
         log(columns).signal("q", SECONDS)
 
 
@@ -74,6 +101,19 @@ def test_a_column_of_text_is_refused():
         stamps.signal("q", SECONDS)
 
 
+def test_the_reason_why_a_topic_or_a_list_has_no_column_is_given():
+    unread = {"/state": "its messages are in 'ros1'", "/state.q": "it is a list of 300 places"}
+    bag = Log("a.mcap", (Stream({"/command.u": np.zeros(3)}, stamps=np.arange(3.0)),), unread)
+    with pytest.raises(InvalidInput, match="'/state' cannot be read: its messages are in 'ros1'"):
+        bag.signal("/state.dq", SECONDS)
+    with pytest.raises(
+        InvalidInput, match=r"'/state\.q' cannot be read: it is a list of 300 places"
+    ):
+        bag.signal("/state.q_280", SECONDS)
+    with pytest.raises(UnknownName, match=r"there is no column in a\.mcap '/statement'"):
+        bag.signal("/statement", SECONDS)
+
+
 def test_a_log_parts_where_a_column_changes():
     columns = {**motion(np.arange(6.0)), "trial": np.array([1.0, 1, 1, 2, 2, 2])}
     first, second = log(columns).parts("trial")
@@ -91,8 +131,13 @@ def test_parts_of_a_bag_of_one_topic_keep_the_stamps_of_their_rows():
 
 def test_a_part_without_a_number_is_refused():
     columns = {**motion(np.arange(3.0)), "trial": np.array([1.0, np.nan, 2])}
-    with pytest.raises(InvalidInput, match=r"'trial' of rows.episode has no number at row 1"):
+    with pytest.raises(InvalidInput, match=r"'trial' of rows.episode has no .* at row 2 below"):
         log(columns).parts("trial")
+
+
+def test_a_log_without_rows_has_no_parts():
+    with pytest.raises(InvalidInput, match=r"log\.csv has no rows"):
+        log({"time": np.zeros(0), "trial": np.zeros(0)}).parts("trial")
 
 
 def test_a_bag_has_no_parts():

@@ -451,3 +451,24 @@ def test_a_missing_column_is_named_with_its_place_in_the_map(robot, even, given)
     del even["q2"]
     with pytest.raises(InvalidInput, match=r"^slider.position: there is no column in log.csv 'q2'"):
         convert([log(even)], given, robot)
+
+
+def repeats(warnings):
+    return [each for each in warnings if "repeat its readings" in each]
+
+
+@pytest.mark.parametrize("every", [2, 5])
+def test_rows_that_repeat_the_readings_of_a_slow_sensor_are_pointed_out(robot, even, given, every):
+    rows = np.arange(len(even["time"])) // every * every
+    (warning,) = repeats(convert([log({**even, "q1": even["q1"][rows]})], given, robot).warnings)
+    assert warning.startswith(f"column 'q1' changes every {4 * every} ms only")
+    assert "leave it out (an empty cell is no reading)" in warning
+
+
+def test_a_coarse_encoder_and_a_joint_that_rests_repeat_no_readings(robot, even):
+    given = changed(('velocity = "dq2"', ""))
+    step = 2 * np.pi / 256
+    coarse = {**even, "q1": step * np.round(even["q1"] / step)}
+    rests = np.where(even["time"] % 6 < 4, 0.02, even["q2"])
+    for columns in (coarse, {**even, "q2": rests}):
+        assert not repeats(convert([log(columns)], given, robot).warnings)

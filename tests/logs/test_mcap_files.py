@@ -151,7 +151,7 @@ def test_a_topic_with_stamps_that_cannot_be_read_is_listed():
 def test_a_bag_whose_stamps_begin_again_is_refused():
     """Sorting would mix the two passes."""
     log = read_mcap("run.mcap", bag(stamps=lambda i: 1_700_000_000 + 2 * (i < 125) + 0.002 * i))
-    with pytest.raises(InvalidInput, match="time goes back"):
+    with pytest.raises(InvalidInput, match="goes back by"):
         log.signal("/joint_states.position.shoulder", CLOCK)
 
 
@@ -174,7 +174,76 @@ def test_a_bag_with_a_wrong_checksum_is_refused():
         read_mcap("run.mcap", bytes(whole))
 
 
-def test_the_parts_of_a_bag_in_a_folder_are_recordings(tmp_path):
-    for number in range(2):
+def test_the_bags_in_a_folder_are_recordings_in_natural_order(tmp_path):
+    for number in (10, 2):
         (tmp_path / f"run_{number}.mcap").write_bytes(bag())
-    assert [log.source for log in read_logs(tmp_path)] == ["run_0.mcap", "run_1.mcap"]
+    assert [log.source for log in read_logs(tmp_path)] == ["run_2.mcap", "run_10.mcap"]
+
+
+def split_bag(folder, *parts):
+    """The folder of a ROS 2 bag whose parts hold messages (topic, second, value)."""
+    folder.mkdir()
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: {}")
+    for number, messages in enumerate(parts):
+        buffer = io.BytesIO()
+        writer = JsonWriter(buffer)
+        writer.start()
+        schema = writer.register_schema("Value", "jsonschema", b"{}")
+        channels = {}
+        for topic, second, value in messages:
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, "json", schema)
+            arrived, content = second * 10**9, json.dumps({"value": value}).encode()
+            writer.add_message(channels[topic], arrived, content, arrived)
+        writer.finish()
+        (folder / f"run_{number}.mcap").write_bytes(buffer.getvalue())
+    return folder
+
+
+def test_the_parts_of_a_split_bag_are_one_recording_in_natural_order(tmp_path):
+    """Channels have other numbers in the first part, which has the only command."""
+    first = [("/command", 1, 0.5), ("/state", 1, 0.0)]
+    later = [[("/state", second, float(second))] for second in range(2, 13)]
+    (log,) = read_logs(split_bag(tmp_path / "run", first, *later))
+    assert log.source == "run"
+    assert set(log.names) == {"/command.value", "/state.value"}
+    np.testing.assert_array_equal(log.commands("/command.value", CLOCK).time, [1])
+    signal = log.signal("/state.value", CLOCK)
+    np.testing.assert_array_equal(signal.time, np.arange(1, 13))
+    np.testing.assert_array_equal(signal.value, [0, *range(2, 13)])
+
+
+def test_the_damaged_part_of_a_split_bag_is_named(tmp_path):
+    folder = split_bag(tmp_path / "run", [("/state", 1, 0.0)], [("/state", 2, 0.0)])
+    (folder / "run_1.mcap").write_bytes(b"damaged")
+    with pytest.raises(InvalidInput, match=r"^run_1\.mcap is no bag that can be read"):
+        read_logs(folder)
+
+
+def test_lists_that_are_too_long_and_fields_that_are_too_deep_are_listed_and_others_read():
+    deep = {"q": 1.0}
+    for _ in range(mcap_files._DEEPEST + 1):
+        deep = {"a": deep}
+    message = {"scan": list(range(300)), "fits": list(range(256)), "deep": deep, "q": 2.0}
+    log = read_mcap("run.mcap", json_bag(message, message))
+    assert set(log.names) == {"/state.q", *(f"/state.fits_{i}" for i in range(256))}
+    assert log.unread == {
+        "/state.scan": "it is a list of 300 places; accepted are 256",
+        f"/state.deep{'.a' * 6}": "it is nested more than 6 fields deep",
+    }
+    with pytest.raises(
+        InvalidInput, match=r"'/state\.scan' cannot be read: it is a list of 300 places"
+    ):
+        log.signal("/state.scan_280", CLOCK)
+
+
+def test_an_image_is_listed_as_a_list_that_is_too_long():
+    buffer = io.BytesIO()
+    writer = Writer(buffer)
+    image = writer.register_msgdef("test/msg/Image", "float32[] data\nfloat32 exposure\n")
+    for i in range(2):
+        writer.write_message("/image", image, {"data": [0.0] * 10_000, "exposure": i}, i * 10**9)
+    writer.finish()
+    log = read_mcap("run.mcap", buffer.getvalue())
+    assert log.names == ["/image.exposure"]
+    assert log.unread == {"/image.data": "it is a list of 10,000 places; accepted are 256"}

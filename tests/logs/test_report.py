@@ -1,5 +1,8 @@
 """The page about a conversion."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 
 from adr_service.criticism.excitation import Excitation
@@ -40,6 +43,22 @@ def test_the_page_counts_commands_at_a_limit(robot, even, given):
     saturated = {**even, "u": np.clip(3 * even["u"], -1, 1)}
     assert "motor: " in page(robot, saturated, given)
     assert "of all rows are at the model's limit or beyond" in page(robot, saturated, given)
+
+
+def test_a_speed_that_touches_zero_is_no_reversal_and_one_that_crosses_it_is_one(
+    robot, even, given
+):
+    """The episodes are of 250 rows; the slider rests for two rows of each, and turns in one."""
+    row = np.arange(len(even["time"])) % 250
+    rests = (row == 50) | (row == 51) | (row == 100)
+    speed = np.where(rests, 0.0, np.where(row > 100, -0.01, 0.01))
+    converted = convert([log(even)], given, robot)
+    data = converted.measurement
+    qvel = np.column_stack([data.qvel[:, 0], speed[: len(data.time)]])
+    moved = replace(converted, measurement=replace(data, qvel=qvel))
+    text = report_page(moved, SHOWN, robot, "log.csv")
+    (cells,) = re.findall(r"<tr><td>slider</td>(.*?)</tr>", text)
+    assert re.findall(r"<td>(.*?)</td>", cells)[2] == "20"
 
 
 def test_the_same_conversion_gives_the_same_page(robot, even, given):

@@ -66,3 +66,78 @@ def test_a_lone_reading_beside_a_gap_tells_no_speed(robot):
     data = convert([log(logged)], LogMap.from_toml(WRAPS), robot).measurement
     away = data.qpos[:, 0] - 6 * data.time
     np.testing.assert_allclose(away, away[0], atol=1e-6)
+
+
+GEARED = WRAPS.replace('unit = "deg"', 'unit = "deg"\nscale = 0.1\nzero = 0.0').replace(
+    'velocity = "dq1"', 'velocity = "dq1"\nvelocity_scale = 1.0'
+)
+
+
+def warned(warnings, start):
+    return [each for each in warnings if each.startswith(start)]
+
+
+def test_a_geared_encoder_keeps_the_branch_of_its_readings_and_its_zero(robot, even):
+    """The encoder turns ten times as fast as the joint, which stands at 1.2 turns of it."""
+    stands = np.radians(36 * 1.2)
+    logged = {**even, "q1": in_degrees(10 * (even["q1"] + stands))}
+    for recordings in ([log(logged)], [log(logged), log(logged, "second.csv")]):
+        for zero, shift in (("0.0", 0.2 * 36), ("-360.0", 1.2 * 36)):
+            given = LogMap.from_toml(GEARED.replace("zero = 0.0", f"zero = {zero}"))
+            converted = convert(recordings, given, robot)
+            data = converted.measurement
+            for first, last in data.spans():
+                truth = motion(data.time[first:last])["q1"] + np.radians(shift)
+                np.testing.assert_allclose(data.qpos[first:last, 0], truth, atol=1e-9)
+            (warning,) = warned(converted.warnings, "shoulder's readings wrap every 0.628 rad")
+            assert "shift zero by multiples of 360" in warning
+            assert ("convert these on their own" in warning) == (len(recordings) > 1)
+
+
+def test_readings_that_wrap_at_a_slide_keep_their_branch(robot, even):
+    """A motor whose turn moves the slider by 10 mm, around .1 m."""
+    logged = {**even, "q2": ((even["q2"] + 0.1) * 1000) % 10}
+    given = MAP.replace('"q2"', '"q2"\nunit = "mm"\nwrap = 10.0\nvelocity_unit = "m/s"')
+    converted = convert([log(logged)], LogMap.from_toml(given), robot)
+    data = converted.measurement
+    away = data.qpos[:, 1] - motion(data.time)["q2"]
+    np.testing.assert_allclose(away, -0.1, atol=1e-9)  # the first reading is 0 of 10 mm
+    (warning,) = warned(converted.warnings, "slider's readings wrap every 0.01 m, so nothing")
+    assert "shift zero by multiples of 10" in warning
+
+
+@pytest.mark.parametrize("turns", [1, 3])
+def test_readings_that_wrap_after_whole_turns_of_a_hinge_are_put_next_to_its_middle(
+    robot, even, turns
+):
+    logged = {**even, "q1": in_degrees((even["q1"] - 0.5) / turns)}
+    given = LogMap.from_toml(GEARED.replace("scale = 0.1", f"scale = {turns}.0"))
+    converted = convert([log(logged)], given, robot)
+    data = converted.measurement
+    np.testing.assert_allclose(data.qpos[:, 0], motion(data.time)["q1"] - 0.5, atol=1e-9)
+    assert not warned(converted.warnings, "shoulder's readings wrap")
+
+
+@pytest.mark.parametrize("step", [0.0, 0.5])
+def test_readings_that_wrap_without_a_wrap_in_the_map_are_pointed_out(robot, even, step):
+    """Fine readings, and those of an encoder that repeats its steps [deg]."""
+    enough = MAP.replace('velocity = "dq1"', "").replace(
+        'position = "q1"', 'position = "q1"\nunit = "deg"\nscale = 0.1'
+    )
+    slow = np.arange(0, 60, 0.004)
+    columns = {**motion(slow), "q1": in_degrees(10 * np.sin(0.4 * slow))}
+    if step:
+        columns["q1"] = step * np.floor(columns["q1"] / step)
+    converted = convert([log(columns)], LogMap.from_toml(enough), robot)
+    (warning,) = warned(converted.warnings, "column 'q1' jumps over its whole range at ")
+    assert "give joints.shoulder.wrap" in warning
+    reach = float(warning.rsplit("range over ", 1)[1].rstrip(")"))
+    assert reach == pytest.approx(360, abs=1)
+    first = float(warning.split(" at ")[1].split(" s")[0])
+    turns = np.floor(np.degrees(10 * np.sin(0.4 * slow)) / 360)
+    assert first == pytest.approx(slow[np.flatnonzero(np.diff(turns))[0] + 1], abs=0.005)
+
+
+def test_a_single_outlier_is_no_turn(robot, even, given):
+    spiked = {**even, "q1": np.where(even["time"] == even["time"][2000], 30.0, even["q1"])}
+    assert not warned(convert([log(spiked)], given, robot).warnings, "column 'q1' jumps")

@@ -10,6 +10,7 @@ from adr_service.errors import InvalidInput
 from adr_service.progress import silent
 from adr_service.tasks.catalogue import get_task
 from api.cli.criticism_files import (
+    check_differ,
     criticise_files,
     limits_of,
     nominal_of,
@@ -157,3 +158,30 @@ def test_an_extended_model_finds_its_meshes_by_a_relative_path(tmp_path):
     tmp_path.rename(moved)
     assert mujoco.MjModel.from_xml_path(str(moved / "found" / "extended.xml")).nmesh == 1
     moved.rename(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ("sub/../run.npz", "run.npz and .*run.npz are the same; give each recording once"),
+        ("copy.npz", "run.npz and .*copy.npz have the same content; give each recording once"),
+    ],
+)
+def test_a_recording_that_is_given_twice_is_refused(tmp_path, other, message):
+    (tmp_path / "sub").mkdir()
+    for name in ("run.npz", "copy.npz"):
+        (tmp_path / name).write_bytes(b"twice")
+    (tmp_path / "first.npz").write_bytes(b"another length")
+    data = [tmp_path / name for name in ("first.npz", "run.npz", other)]
+    with pytest.raises(InvalidInput, match=message):
+        check_differ(data)
+    nominal, name = nominal_of("arm", None, None, [])
+    with pytest.raises(InvalidInput, match=message):
+        criticise_files(nominal, name, data, tmp_path / "out", 0, silent)
+
+
+def test_recordings_that_differ_and_files_that_are_not_there_are_not_called_the_same(tmp_path):
+    (tmp_path / "run.npz").write_bytes(b"first")
+    (tmp_path / "other.npz").write_bytes(b"other")
+    check_differ([tmp_path / name for name in ("run.npz", "other.npz", "a.npz", "b.npz")])
+    check_differ([tmp_path, tmp_path / "run.npz"])

@@ -54,3 +54,12 @@ def test_wrong_options_are_refused(adr_here, files, arguments, message):
 def test_a_model_or_a_task_is_needed(adr_here, files):
     status, _, errors = adr_here("measure", "log.npz")
     assert (status, "give either --task or --model" in errors) == (2, True)
+
+
+def test_a_log_that_is_given_twice_is_refused(adr_here, files):
+    (files / "copy.npz").write_bytes((files / "log.npz").read_bytes())
+    for twice in (["./log.npz"], ["copy.npz"]):
+        status, _, errors = adr_here("measure", "log.npz", *twice, "--model", "robot.xml")
+        assert status == 2
+        assert f"log.npz and {twice[0].removeprefix('./')}" in errors
+        assert "give each recording once" in errors
