@@ -11,8 +11,9 @@ docs/recovery.jsonl, so that a study that was stopped goes on where it was. Prin
 medians over seeds:
 
     distance      root mean square over parameters of the estimate's mean from the truth, in [0, 4]
-    log_score     log density of the truth under a Gaussian of the estimate's mean and deviations
-                  [nat], and under the prior; none for sysid, whose estimate is a point
+    log_score     log density of the truth under the estimate [nat], and under the prior; for DROPO
+                  under the Gaussian of its mean and deviations; none for a point, a box or samples
+                  (sysid, sysid_wide, npdr)
     loss          DROPO's negative log likelihood per transition, which is always simulated, and
                   what its model had predicted for it
     at_bound      number of parameters whose mean is at a bound of the search, and of those whose

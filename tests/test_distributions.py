@@ -205,6 +205,8 @@ def test_points_are_drawn_by_their_weights():
         (lambda: Empirical(SPACE, np.ones((2, 3)), [0.5, 0.5]), "points .n, 2."),
         (lambda: Empirical(SPACE, np.ones((2, 2)), [1.5, -0.5]), "of sum 1"),
         (lambda: Empirical(SPACE, [[1.0, np.nan]], [1.0]), "finite"),
+        (lambda: Empirical(SPACE, np.ones((2, 2)), [np.nan, 1.0]), "of sum 1; given .nan"),
+        (lambda: Mixture(SPACE, [np.nan], np.ones((1, 2)), [np.eye(2)]), "of sum 1; given .nan"),
         (lambda: Empirical(SPACE, [[1.0, 2.0], [1.0]], [0.5, 0.5]), "rows of one length"),
         (lambda: Empirical(SPACE, np.ones((3, 2)), [0.333333] * 3), "of sum 1"),
         (lambda: Mixture(SPACE, "half", np.ones((1, 2)), [np.eye(2)]), "weights must be numbers"),

@@ -30,7 +30,8 @@ class Empirical:
             )
         if not np.all(np.isfinite(self.points)):
             raise InvalidInput(f"points must be finite; given {self.points}")
-        if np.any(self.weights < 0) or abs(np.sum(self.weights) - 1) > WEIGHTS_TOLERANCE:
+        # NaN is not accepted, for it compares with nothing
+        if not (np.all(self.weights >= 0) and abs(np.sum(self.weights) - 1) <= WEIGHTS_TOLERANCE):
             raise InvalidInput(f"weights must be 0 or more, of sum 1; given {self.weights}")
         if np.any(self.points < self.space.feasible_low):
             raise InfeasibleDistribution(

@@ -35,7 +35,8 @@ class Mixture:
                 f"a mixture needs weights (k,), locations (k, {d}) and covariances (k, {d}, {d}); "
                 f"given {', '.join(map(str, shapes))}"
             )
-        if np.any(self.weights <= 0) or abs(np.sum(self.weights) - 1) > WEIGHTS_TOLERANCE:
+        # NaN is not accepted, for it compares with nothing
+        if not (np.all(self.weights > 0) and abs(np.sum(self.weights) - 1) <= WEIGHTS_TOLERANCE):
             raise InvalidInput(f"weights must be positive, of sum 1; given {self.weights}")
         pairs = zip(self.locations, self.covariances, strict=True)
         components = tuple(Gaussian(self.space, *pair) for pair in pairs)

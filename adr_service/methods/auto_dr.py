@@ -72,7 +72,9 @@ class AutoDr:
         d = len(self._space)
         centre = (self._space.low + self._space.high) / 2
         half = settings.step * (self._space.high - self._space.low) / 2
-        self._bounds = np.array([centre - half, centre + half])  # (2, d)
+        first = np.array([centre - half, centre + half])  # (2, d)
+        # rounding may lead beyond the search range
+        self._bounds = np.clip(first, self._space.low, self._space.high)
         self._buffers: list[list[list[float]]] = [[[] for _ in range(d)] for _ in range(2)]
         self._has_started = False
 

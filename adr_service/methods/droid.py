@@ -33,7 +33,7 @@ from adr_service.parameters import ParameterSpace
 from adr_service.progress import Progress
 from adr_service.search.cma_es import belief, strategy
 from adr_service.simulation.batch import Simulations
-from adr_service.simulation.replay import check_recorded
+from adr_service.simulation.replay import check_replayable
 from adr_service.tasks.base import State
 from adr_service.transitions import TransitionDataset
 
@@ -146,7 +146,7 @@ class _OpenLoop:
     """Replays of recorded episodes, and their distances from the recording."""
 
     def __init__(self, problem: Problem, data: TransitionDataset, n: int):
-        check_recorded(problem.task, data)
+        check_replayable(problem.task, data, None)
         self._task, self._space = problem.task, problem.source.space
         self._episodes = data.split()
         self._simulations = Simulations(problem.task, problem.source, n)

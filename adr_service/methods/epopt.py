@@ -71,7 +71,8 @@ class EpOpt:
         elif self._left == 1:
             self._left, self.distribution = 0, self._whole
         else:
-            count = int(np.ceil(self._settings.epsilon * len(returns)))
+            # without the rounding of floats: .28 * 50 is a bit above 14
+            count = int(np.ceil(np.round(self._settings.epsilon * len(returns), 9)))
             worst = np.argsort(returns, kind="stable")[:count]
             self._left = self._settings.focus
             self.distribution = Empirical.equal(self._space, dynamics[worst])

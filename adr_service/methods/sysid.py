@@ -14,9 +14,10 @@ Heteroskedasticity-Consistent Covariance Matrix Estimator", Econometrica 48, 198
 because they are honest only where the model is right.
 
 Two extensions are the ensembles that practitioners train on, and baselines for methods that infer a
-spread. `sysid_wide` is uniform within a share of the point. `sysid_laplace` is the Gaussian of
-Laplace's method: the width of the benchmark's prior, N(2, I) in [0, 4], with the information of the
-residuals at the point, as if they were independent and of one deviation in each column.
+spread. `sysid_wide` is uniform within a share of the point, which is next to no width for a
+parameter that is estimated near zero. `sysid_laplace` is the Gaussian of Laplace's method: the
+width of the benchmark's prior, N(2, I) in [0, 4], with the information of the residuals at the
+point, as if they were independent and of one deviation in each column.
 """
 
 from typing import ClassVar, Literal
@@ -39,6 +40,7 @@ _STEP = 1e-4  # of the finite differences, in [0, 4] coordinates
 _POINT_TOLERANCE = 1e-10  # a search ends at a smaller relative change of the point
 _COST_TOLERANCE = 1e-12  # or of the cost
 _GRADIENT_TOLERANCE = 1e-12  # or at a smaller scaled gradient
+_OUT_OF_EVALUATIONS = 0  # SciPy's status of a search that `iterations` ended
 # Least deviation of residuals, in standard deviations of their column: one-sided differences have
 # errors of their step times a curvature, which without noise would look like information
 _LEAST_NOISE = 1e-3
@@ -92,7 +94,13 @@ class SysidWideSettings(_Settings):
     """Our extension: a box around the point."""
 
     name: Literal["sysid_wide"] = "sysid_wide"
-    width: float = Field(0.1, gt=0, lt=1, description="half of the box, as a share of the point")
+    width: float = Field(
+        0.1,
+        gt=0,
+        lt=1,
+        description="half of the box, as a share of the point; next to none "
+        "for a parameter that is estimated near 0",
+    )
 
     label: ClassVar[str] = "sysid, box around it"
     colour: ClassVar[str] = "#8C8C8C"
@@ -143,6 +151,7 @@ class Sysid:
         residuals = _Residuals(replay, problem)
         ends = self._search(residuals, len(space), rng, progress)
         best = min(ends, key=lambda end: float(end.cost))
+        unconverged = sum(end.status == _OUT_OF_EVALUATIONS for end in ends)
         values = _values(space, best)
         ranges = (space.high - space.low) / space.WIDTH
         return Estimate(
@@ -155,6 +164,7 @@ class Sysid:
                 "replays": residuals.replayed,
                 # not where there are none, so that results keep their bytes
                 **({"diverged_replays": residuals.diverged} if residuals.diverged else {}),
+                **({"unconverged_searches": unconverged} if unconverged else {}),
             },
         )
 

@@ -9,6 +9,7 @@ points that were sampled from it (sequential estimation). Random numbers come fr
 PyTorch's global generator, seeded from our stream.
 """
 
+import logging
 import math
 import warnings
 from collections.abc import Generator
@@ -32,6 +33,7 @@ from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.search.seeding import seeded
 
 _HIDDEN = 50  # units of a hidden layer, sbi's and NPDR's
+_ATOMS = 10  # simulations that a loss of later rounds compares, sbi's and NPDR's
 _EDGE = 1e-7  # least distance of a sample from a bound
 _HALF = np.sqrt(3.0)  # half width of a uniform distribution whose deviation is 1
 
@@ -91,6 +93,7 @@ class FlowPosterior:
         with seeded(rng):
             self._trainer = NPE_C(prior, build, show_progress_bars=False, tracker=_Silent())
         self._posterior: Any = None
+        self._least_atoms = _ATOMS
 
     def learn(self, points: Matrix, features: Matrix, seen: Vector) -> None:
         """Learn from points of the uniform prior, at first, then of `sample`."""
@@ -98,14 +101,27 @@ class FlowPosterior:
         logits = _tensor(np.log(points) - np.log1p(-points))
         with seeded(self._rng), _warnings_of_ours():
             self._trainer.append_simulations(logits, _tensor(features), proposal=proposal)
-            is_later = proposal is not None
-            estimator = _trained(self._trainer, self._most, use_combined_loss=is_later)
+            if proposal is None:
+                estimator = _trained(self._trainer, self._most)
+            else:
+                estimator = _trained(
+                    self._trainer, self._most, num_atoms=_ATOMS, use_combined_loss=True
+                )
+                self._least_atoms = min(self._least_atoms, len(self._trainer.val_indices))
             self._posterior = self._trainer.build_posterior(estimator)
             self._posterior.set_default_x(_tensor(seen[None]))
 
     @property
     def epochs(self) -> list[int]:
         return _epochs(self._trainer)
+
+    @property
+    def validation_atoms(self) -> int | None:
+        """Atoms of the loss that ends a training, where too few simulations are held out for 10.
+
+        The fewest of all rounds. Training itself always has 10.
+        """
+        return self._least_atoms if self._least_atoms < _ATOMS else None
 
     def sample(self, n: int) -> Matrix:
         """Points (n, d), given what was seen."""
@@ -145,11 +161,24 @@ def _trained(trainer: NPE_C, epochs: int, **options: Any) -> Any:
 
 @contextmanager
 def _warnings_of_ours() -> Generator[None]:
-    """Features have long tails, on a scale of quartiles; `epochs` says where a training ended."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Data has extreme outliers")
-        warnings.filterwarnings("ignore", "Maximum number of epochs")
-        yield
+    """Silence what we expect or report.
+
+    Features have long tails, on a scale of quartiles. `epochs` says where a training ended, and
+    `validation_atoms` that sbi took fewer atoms than it was given.
+    """
+    root = logging.getLogger()
+    root.addFilter(_is_not_of_atoms)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Data has extreme outliers")
+            warnings.filterwarnings("ignore", "Maximum number of epochs")
+            yield
+    finally:
+        root.removeFilter(_is_not_of_atoms)
+
+
+def _is_not_of_atoms(record: logging.LogRecord) -> bool:
+    return not record.getMessage().startswith("num_atoms=")
 
 
 class _Silent:

@@ -2,20 +2,25 @@
 
 import numpy as np
 
-from adr_service.arrays import Array3, Matrix
+from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import Simulations, control_period, in_batches
 from adr_service.tasks.base import Source, State, Task
 from adr_service.transitions import TransitionDataset, unnamed
 
-_ROUNDED = 1e-6  # of an action's range, that one of 32 bits may lie beyond it
+_ROUNDED = 1e-6  # of an action's range or of a column, what 32 bits may differ by
+# Least gap between rows that do not follow one another, in changes of one step. Noise makes gaps of
+# one change at most, but for chance. Every third row of a recording makes gaps of two, and rows in
+# another order many more.
+_LEAST_GAP = 1.5
 
 
 class Replay:
     """Replays the windows of one dataset under any dynamics; built once per search.
 
     Windows have `length` control steps, do not overlap and never cross an episode. Raises
-    InvalidInput for data of another robot, or with shorter episodes.
+    InvalidInput for data of another robot, with shorter episodes, or whose rows do not follow one
+    another (`check_replayable`).
     """
 
     def __init__(
@@ -27,7 +32,7 @@ class Replay:
         length: int,
         threads: int = 1,
     ):
-        check_recorded(task, data)
+        check_replayable(task, data, length)
         self._task, self._length = task, length
         self._starts = data.windows(length)
         if not len(self._starts):
@@ -61,6 +66,46 @@ class Replay:
         """Mean over windows of the squared L2 error of the prediction, (n,)."""
         errors = self.predict(dynamics) - self.targets
         return np.mean(np.sum(errors**2, axis=2), axis=1)
+
+
+def check_replayable(task: Task, data: TransitionDataset, length: int | None) -> None:
+    """Raise InvalidInput if replays of `length` steps would not be replays of the recording.
+
+    The data must be of this task's robot. Where a replay is longer than one step (None: a whole
+    episode), the rows of an episode must follow one another: in no column may the next observations
+    differ from the observations of the row after by much more than a step changes them (root mean
+    squares over the recording). Noise on next observations alone, as DROPO's published recording
+    has, stays below that.
+    """
+    check_recorded(task, data)
+    if length != 1:
+        _check_order(data)
+
+
+def _check_order(data: TransitionDataset) -> None:
+    """Raise InvalidInput if the rows of an episode do not follow one another."""
+    rows = np.flatnonzero(data.episodes[1:] == data.episodes[:-1])  # with a row after
+    if not len(rows):
+        return
+    after = data.next_observations[rows]
+    gaps = _root_mean_square(after - data.observations[rows + 1])  # (s,)
+    changes = _root_mean_square(after - data.observations[rows])
+    rounding = _ROUNDED * np.max(np.abs(after), axis=0)
+    apart = np.flatnonzero(gaps > np.maximum(_LEAST_GAP * changes, rounding))
+    if len(apart):
+        column = int(apart[0])
+        raise InvalidInput(
+            "replays longer than one step need the rows of an episode to follow one another; in "
+            f"{data.columns[column]}, next observations differ from the observations of the row "
+            f"after by {gaps[column]:.3g}, where a step changes them by {changes[column]:.3g} "
+            "(root mean squares). Give each stretch of rows that follow one another an episode id "
+            "of its own, or replay single steps (`steps` of dropo and sysid, or `segment` of "
+            "bayes_sim and npdr: 1)"
+        )
+
+
+def _root_mean_square(values: Matrix) -> Vector:
+    return np.sqrt(np.mean(values**2, axis=0))
 
 
 def check_recorded(task: Task, data: TransitionDataset) -> None:

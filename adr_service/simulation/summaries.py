@@ -15,7 +15,7 @@ import numpy as np
 from adr_service.arrays import Array3, Mask, Matrix, Vector
 from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import Simulations, in_batches
-from adr_service.simulation.replay import check_recorded
+from adr_service.simulation.replay import check_replayable
 from adr_service.tasks.base import Source, State, Task
 from adr_service.transitions import TransitionDataset
 
@@ -31,7 +31,7 @@ class SummarisedReplays:
     def __init__(
         self, task: Task, source: Source, data: TransitionDataset, n: int, length: int | None
     ):
-        check_recorded(task, data)
+        check_replayable(task, data, length)
         self._task, self._simulations = task, Simulations(task, source, n)
         self._actions = data.actions
         self._observations = data.observations
@@ -93,7 +93,10 @@ def _starts(data: TransitionDataset, length: int | None) -> set[int]:
 
 @dataclass(frozen=True)
 class Scale:
-    """Median and spread of simulated statistics, without those that are constant.
+    """Median and spread of simulated statistics, without those whose quartiles agree.
+
+    Left out are constant statistics, and those that have one value in the whole middle half of the
+    replays, though others differ.
 
     Replays of a robot that falls have statistics with long tails, so both are of quartiles, and
     the scaled statistics are compressed by arsinh, which grows as a logarithm.
@@ -104,14 +107,27 @@ class Scale:
 
     @classmethod
     def of(cls, simulated: Matrix) -> "Scale":
-        """The scale of simulated statistics (n, k)."""
+        """The scale of simulated statistics (n, k). Raises InvalidInput if none varies."""
         low, median, high = np.quantile(simulated, [0.25, 0.5, 0.75], axis=0)
-        return cls(median, high - low)
+        scale = cls(median, high - low)
+        if not scale._varies.any():
+            n, k = simulated.shape
+            raise InvalidInput(
+                f"no statistic of the replays depends on the parameters: in {n} replays, the "
+                f"quartiles of each of {k} statistics agree; a recording is needed whose motion "
+                "the parameters change"
+            )
+        return scale
 
     def __call__(self, statistics: Matrix) -> Matrix:
         """Statistics (..., k) as features for a network."""
-        varies = self.spread > 1e-12 * np.maximum(1.0, np.abs(self.median))
+        varies = self._varies
         return np.arcsinh((statistics[..., varies] - self.median[varies]) / self.spread[varies])
+
+    @property
+    def _varies(self) -> Mask:
+        """Statistics (k,) whose quartiles differ by more than rounding."""
+        return self.spread > 1e-12 * np.maximum(1.0, np.abs(self.median))
 
 
 def outside(simulated: Matrix, recorded: Vector) -> int:

@@ -222,9 +222,14 @@ def test_an_update_costs_at_most_what_was_planned(name):
     assert steps <= planned
 
 
+# settings with which a curriculum moves within a few phases, where those of `smoke` do not
+EARLY = {"epopt": {"skip": 1, "focus": 1}}
+STILL = {"fixed_dr"}  # curricula whose distribution never moves
+
+
 def course_of(name, returns, rng):
     """The distributions of a curriculum, JSON, that is moved by returns (moves, n)."""
-    curriculum = settings_of(name).create(PROBLEM)
+    curriculum = settings_of(name).model_copy(update=EARLY.get(name, {})).create(PROBLEM)
     kept = [curriculum.distribution.to_json()]
     for earned in returns:
         dynamics = curriculum.sample(len(earned), rng).values
@@ -238,6 +243,7 @@ def course_of(name, returns, rng):
 def test_a_curriculum_stays_in_the_search_box_and_repeats_with_its_stream(name):
     returns = PROBLEM.task.reward_threshold * stream("returns").uniform(0, 2, (6, 64))
     kept = course_of(name, returns, stream("draws"))
+    assert any(distribution != kept[0] for distribution in kept) == (name not in STILL)
     assert kept == course_of(name, returns, stream("draws"))
     assert kept == json.loads(json.dumps(kept))
 

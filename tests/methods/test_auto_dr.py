@@ -113,6 +113,17 @@ def test_rounding_leads_no_bound_beyond_the_search_range():
     assert curriculum.distribution.low[0] == 0.2
 
 
+def test_rounding_leads_no_first_box_below_what_is_feasible():
+    """The centre less half of this range is a bit below its lower end."""
+    low, high = np.array([0.1, 0.2]), np.array([0.4, 0.5])
+    assert np.all((low + high) / 2 - (high - low) / 2 < low)
+    bounds_of = zip(SPACE.parameters, low, high, strict=False)
+    parameters = [replace(p, low=a, high=b, feasible_low=a) for p, a, b in bounds_of]
+    source = replace(PROBLEM.source, space=ParameterSpace(tuple(parameters)))
+    box = AutoDrSettings(step=1.0).create(Problem(PROBLEM.task, source)).distribution
+    assert (box.low.tolist(), box.high.tolist()) == (low.tolist(), high.tolist())
+
+
 def test_nothing_moves_until_the_first_box_is_solved():
     untrained = run(lambda share: np.full(len(share), 0.7), moves=20)
     assert bounds(untrained).tolist() == bounds(AutoDrSettings().create(PROBLEM)).tolist()

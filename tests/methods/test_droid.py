@@ -54,6 +54,14 @@ def test_episodes_are_replayed_from_their_own_initial_states():
     assert distance(estimate.distribution.mean) < 0.1
 
 
+def test_rows_that_do_not_follow_one_another_are_refused():
+    order = np.random.default_rng(0).permutation(len(DATA))
+    arrays = ("observations", "actions", "next_observations")
+    shuffled = replace(DATA, **{name: getattr(DATA, name)[order] for name in arrays})
+    with pytest.raises(InvalidInput, match="the rows of an episode to follow one another"):
+        fit(shuffled, budget=30)
+
+
 def test_a_search_whose_candidates_all_diverge_says_so():
     """Recorded velocities beyond any robot's make every simulation diverge."""
     absurd = DATA.observations.copy()

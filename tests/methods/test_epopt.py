@@ -30,6 +30,14 @@ def test_after_the_first_phases_most_draw_from_the_worst_dynamics_of_one():
     np.testing.assert_array_equal(np.unique(focused[:, 0]), worst)
 
 
+def test_a_share_of_episodes_that_is_a_whole_number_is_that_number():
+    """.28 * 50 is 14.000000000000002 in floats."""
+    curriculum = EpOptSettings(skip=0, epsilon=0.28).create(PROBLEM)
+    dynamics = curriculum.sample(50, stream("epopt")).values
+    curriculum.move(dynamics, -dynamics[:, 0])
+    assert len(curriculum.distribution.points) == 14
+
+
 def test_the_worst_are_measured_anew_in_each_turn():
     curriculum = EpOptSettings(skip=0, focus=1).create(PROBLEM)
     one, _, other = (draws for _, draws in kinds_of(curriculum, 4, lambda d: d[:, 1])[1:])

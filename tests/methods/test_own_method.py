@@ -57,6 +57,22 @@ assert training.inputs["curriculum_package"] == "adr-random-search 0.1.0", train
 assert whole["kind"] == "uniform"
 print(round(whole["high"][0] - whole["low"][0], 3))
 """
+# its last box, in a search range whose centre less half of its width is a bit below its lower end
+LAST_RAMP = """
+from dataclasses import replace
+
+from adr_service.methods.base import Problem
+from adr_service.parameters import ParameterSpace
+from adr_service.tasks.catalogue import get_task, source_of
+from ramp import RampSettings
+
+source = source_of("arm", "vanilla")
+parameter = replace(source.space.parameters[0], low=0.1, high=0.4, feasible_low=0.1)
+source = replace(source, space=ParameterSpace((parameter,)))
+ramp = RampSettings(phases=1).create(Problem(get_task("arm"), source))
+ramp.move(None, None)
+print(ramp.distribution.low, ramp.distribution.high)
+"""
 # the file beside ours, in a folder that the package is extended by
 ADD_FILE = """
 import adr_service.methods
@@ -96,6 +112,12 @@ def test_an_installed_curriculum_is_planned_and_trained_on(installed):
     assert done.returncode == 0, done.stderr
     space = source_of("arm", "vanilla").space
     assert float(done.stdout) == pytest.approx(space.high[0] - space.low[0], abs=1e-3)
+
+
+def test_rounding_leads_the_installed_curriculum_no_further_than_the_search_range(installed):
+    done = python(LAST_RAMP, installed)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[0.1] [0.4]"
 
 
 def test_one_file_in_the_package_is_planned_run_and_reported(tmp_path):

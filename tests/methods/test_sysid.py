@@ -140,6 +140,13 @@ def test_steps_are_those_of_all_replays():
     assert estimate.simulated_steps == estimate.diagnostics["replays"] * windows * 3
 
 
+def test_searches_that_the_iterations_ended_are_counted():
+    data = recorded(waving_policy(), steps=20)
+    cut, whole = fit(data, starts=2, iterations=2), fit(data, starts=2)
+    assert cut.diagnostics["unconverged_searches"] == 2
+    assert "unconverged_searches" not in whole.diagnostics
+
+
 def test_the_plan_is_at_least_the_cost():
     data = recorded(waving_policy(), steps=20)
     settings = SysidSettings(starts=2, iterations=4)

@@ -67,5 +67,16 @@ def test_a_few_simulations_give_feasible_answers_that_repeat(tmp_path, monkeypat
         torch.rand(1)
     for part, again in zip(*mixtures, strict=True):
         np.testing.assert_array_equal(part, again)
-    assert capsys.readouterr().out == ""
+    assert capsys.readouterr() == ("", "")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_validation_with_fewer_than_ten_simulations_is_told_and_not_logged(caplog):
+    """A tenth of 80 simulations is held out in the second round, of 120 in the third."""
+    posterior = learnt("flow", 3, n=40, epochs=2)
+    assert posterior.validation_atoms == 8
+    assert caplog.records == []
+    assert learnt("flow", 2, n=50, epochs=2).validation_atoms is None
+    assert learnt("flow", 1, n=40, epochs=2).validation_atoms is None, (
+        "the first round has no atoms"
+    )

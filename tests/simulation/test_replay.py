@@ -7,11 +7,12 @@ import pytest
 
 from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import Simulations
-from adr_service.simulation.replay import Replay, check_recorded
+from adr_service.simulation.replay import Replay, check_recorded, check_replayable
 from adr_service.simulation.rollout import run_episodes
 from adr_service.tasks.catalogue import get_task, hidden_of, source_of
 from adr_service.transitions import TransitionDataset
 from tests import recordings
+from tests.planted import ARM, SOURCE, recorded, waving_policy
 from tests.recordings import HOPPER_MASSES_KG
 
 
@@ -48,6 +49,57 @@ class TestRefusedRecordings:
         check_recorded(get_task("arm"), dataclasses.replace(self.data, columns=unnamed))
 
 
+def taken(data, rows):
+    """These rows of the data, as one episode."""
+    arrays = (data.observations[rows], data.actions[rows], data.next_observations[rows])
+    return TransitionDataset(*arrays, np.zeros(len(arrays[0])), data.dt, data.columns, "test")
+
+
+class TestOrder:
+    """Rows of an episode must follow one another where a replay is longer than one step."""
+
+    data = recorded(waving_policy(), steps=200)
+    shuffled = taken(data, np.random.default_rng(0).permutation(200))
+
+    def test_shuffled_rows_are_refused_with_the_gap_and_the_change_of_a_step(self):
+        message = (
+            r"in shoulder_angle \[rad\], next observations differ .* by 0\.\d+, where a step "
+            r"changes them by 0\.0\d+ .* an episode id of its own, or replay single steps"
+        )
+        with pytest.raises(InvalidInput, match=message):
+            Replay(ARM, SOURCE, self.shuffled, 1, 5)
+
+    @pytest.mark.parametrize("length", [2, None])
+    def test_rows_with_others_left_out_between_them_are_refused(self, length):
+        with pytest.raises(InvalidInput, match="follow one another"):
+            check_replayable(ARM, taken(self.data, slice(None, None, 3)), length)
+
+    def test_single_steps_need_no_order(self):
+        replay = Replay(ARM, SOURCE, self.shuffled, 1, 1)
+        assert len(replay.targets) == 200
+
+    def test_stretches_with_ids_of_their_own_are_accepted(self):
+        stretches = [taken(self.data, slice(first, first + 20)) for first in (140, 0, 80)]
+        check_replayable(ARM, TransitionDataset.concatenate(stretches), None)
+
+    def test_noise_on_next_observations_alone_is_accepted_where_nothing_moves(self):
+        """Gaps and changes are the same noise, at a robot at rest."""
+        rng, rest = np.random.default_rng(0), np.zeros((30, 4))
+        noisy = dataclasses.replace(
+            taken(self.data, slice(30)),
+            observations=rest,
+            next_observations=rng.normal(size=(30, 4)),
+        )
+        check_replayable(ARM, noisy, None)
+
+    def test_rounding_to_32_bits_is_accepted_in_a_column_that_stands_still(self):
+        drift = np.repeat(1 + 1e-7 * np.arange(30)[:, None], 4, axis=1)
+        still = dataclasses.replace(
+            taken(self.data, slice(30)), observations=drift, next_observations=drift
+        )
+        check_replayable(ARM, still, None)
+
+
 class TestPublishedData:
     """DROPO's Hopper recordings, made with MuJoCo 2.1.0, replayed with the present one."""
 
@@ -76,6 +128,11 @@ class TestPublishedData:
         first = hopper_clean.split()[0]
         replay = Replay(self.task, self.source, first, 1, 500)
         assert replay.mean_squared_error(self.truth[None])[0] < 1e-15
+
+    def test_noisy_data_can_be_replayed_for_whole_episodes(self, hopper_noisy):
+        """Their noise is on next observations alone."""
+        for episode in hopper_noisy.split():
+            check_replayable(self.task, episode, None)
 
     def test_another_control_period_is_refused(self, hopper_clean):
         slow = dataclasses.replace(hopper_clean, dt=0.02)

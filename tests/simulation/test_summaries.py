@@ -70,6 +70,17 @@ def test_features_keep_their_order_without_long_tails_and_constant_ones_are_drop
     assert scale(simulated[0]).shape == (2,)
 
 
+def test_statistics_with_one_value_in_the_middle_half_are_dropped_though_others_differ():
+    simulated = np.stack([np.arange(100.0), np.zeros(100)], axis=1)
+    simulated[:20, 1] = 1.0
+    assert Scale.of(simulated)(simulated).shape == (100, 1)
+
+
+def test_replays_that_depend_on_no_parameter_are_refused():
+    with pytest.raises(InvalidInput, match=r"no statistic of the replays depends .* in 40 replays"):
+        Scale.of(np.tile(np.arange(12.0), (40, 1)))
+
+
 def test_statistics_beyond_all_simulations_are_counted():
     simulated = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
     assert outside(simulated, np.array([0.5, 1.5, -0.1])) == 2
