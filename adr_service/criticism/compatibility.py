@@ -40,7 +40,7 @@ def check_size(model: mujoco.MjModel, data: Measurement, kept: int) -> None:
 def _tried_strengths(model: mujoco.MjModel) -> int:
     """Number of strengths whose responses a scan keeps: of all effects, at all places and sizes."""
     return sum(
-        len(mechanism.locations(model)) * len(mechanism.sizes) * len(mechanism.strengths)
+        len(mechanism.locations(model)) * mechanism.tries * len(mechanism.strengths)
         for mechanism in MECHANISMS.values()
         if not mechanism.only_spreads
     )

@@ -22,7 +22,7 @@ from adr_service.criticism.evidence import Fit, gained
 from adr_service.criticism.linear import Linear, Normal, estimate
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.verdict import Dependence, Rest
-from adr_service.effects.actuators import drives
+from adr_service.effects.actuators import drives, is_affine, obeys_limits
 
 _PADDED = 4  # times as many frequencies as the recording resolves
 _SLOWEST = 3  # swings in a recording; less is a drift
@@ -182,7 +182,7 @@ class _Moment:
     direction: Vector  # (N,) of motion, smooth about standstill
     wave: float  # angle of the slowest wave, by unit of position
     commands: Matrix  # (N, nu)
-    before: Matrix  # (N, nu) commands of the step before; zero at first
+    before: Matrix  # (N, nu) commands of the step before; an episode's first at first
     own: Matrix  # (N, …) forces of its actuators, and commands of those on no single joint
     elapsed: Vector  # (N,) time in the episode, -1 to 1
     whole: Vector  # (N,) place in the whole recording, -1 to 1
@@ -215,14 +215,28 @@ class _Moment:
 def _own_forces(
     model: mujoco.MjModel, acting: Indices, commands: Matrix, q: Vector, v: Vector
 ) -> Matrix:
-    """(N, k) what a joint's drives do at its state (N,): a servo's force is not its command. Of an
-    actuator elsewhere, the command."""
-    own = commands[:, acting]
+    """(N, k) forces of a joint's drives at its states (N,), before their gears.
+
+    A servo's is not its command. Of an actuator elsewhere, or of another kind, it is the command.
+    """
+    own, fixed = commands[:, acting], mujoco.mjtGain.mjGAIN_FIXED
+    limits = model.actuator_ctrlrange
     for column, number in enumerate(acting.tolist()):
-        if model.actuator_trntype[number] == mujoco.mjtTrn.mjTRN_JOINT:
+        is_fixed = model.actuator_gaintype[number] == fixed and is_affine(model, number)
+        if not is_fixed or model.actuator_trntype[number] != mujoco.mjtTrn.mjTRN_JOINT:
+            continue
+        given = (
+            np.clip(own[:, column], *limits[number])
+            if obeys_limits(model)[number]
+            else own[:, column]
+        )
+        force = model.actuator_gainprm[number, 0] * given
+        if model.actuator_biastype[number] == mujoco.mjtBias.mjBIAS_AFFINE:
             bias, gear = model.actuator_biasprm[number], model.actuator_gear[number, 0]
-            own[:, column] *= model.actuator_gainprm[number, 0]
-            own[:, column] += bias[0] + gear * (bias[1] * q + bias[2] * v)
+            force = force + bias[0] + gear * (bias[1] * q + bias[2] * v)
+        if model.actuator_forcelimited[number]:
+            force = np.clip(force, *model.actuator_forcerange[number])
+        own[:, column] = force
     return own
 
 

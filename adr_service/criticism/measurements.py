@@ -77,8 +77,6 @@ class Measurement:
         for name, values in fields.items():
             if values.dtype.kind not in "iuf":
                 raise InvalidInput(f"{name} must hold numbers; given {values.dtype}")
-        if (most := fields["episode"].max(initial=0)) >= _MOST_IDS:
-            raise InvalidInput(f"episodes must be whole numbers below 2**63; given {most}")
         return cls(**fields)
 
     @classmethod
@@ -359,6 +357,8 @@ def _check_episodes(episode: Indices, time: Vector) -> None:
             f"episode has shape {episode.shape} and type {episode.dtype}; expected are {rows} "
             "whole numbers"
         )
+    if (most := episode.max(initial=0)) >= _MOST_IDS:
+        raise InvalidInput(f"episodes must be whole numbers below 2**63; given {most}")
     if (back := np.flatnonzero(episode[1:] < episode[:-1])).size:  # unsigned differences wrap
         raise InvalidInput(f"episode numbers must not decrease; they do at row {back[0] + 1}")
     if not rows:

@@ -10,7 +10,6 @@ evidence. A group is one mechanism at all its places at once, each with a streng
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
@@ -19,13 +18,13 @@ from adr_service.criticism.linear import Linear, Normal, inverse
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.simulator import Simulator
-from adr_service.effects.base import Effect
+from adr_service.effects.base import LATE, Effect
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
 from adr_service.effects.models import element_of, prior_precision, typical_of
 
 _ABSORBED = 1e2  # most that fitted parameters may divide the information on a strength by
 _AT_ONCE = 2e7  # numbers of responses that are whitened at a time
-_UNSEEN = 1e8  # variance of a strength, in typical ones, that no sensible robot has
+_UNSEEN = 1e8  # variance of a strength, in the size that was tried, that no sensible robot has
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Candidate:
     tried: tuple[Effect, ...]  # at the sizes whose responses were simulated
     effects: tuple[Effect, ...]
     gains: Vector  # (E,) nats by episode, each left out of the fit
-    # of each strength, were the effect there alone and its others known; inf: not identifiable
+    # of each strength, were all others that were tried known; inf: not identifiable
     deviations: Vector
 
     @property
@@ -53,9 +52,11 @@ class Candidate:
 
 def scan(fit: Fit, responses: Responses) -> list[Candidate]:
     """A candidate for every kind at every location, and for every group; the best first."""
-    known, base = {(effect.kind, effect.location) for effect in fit.effects}, fit.simulator.base
+    known = {(effect.kind, effect.location) for effect in fit.effects}
     asked = [place for place in places(fit.simulator) if place not in known]
-    look = Scan(fit, responses, [effect for at in asked for effect in _tried_at(base, *at)])
+    look = Scan(
+        fit, responses, [effect for at in asked for effect in _tried_at(fit.simulator, *at)]
+    )
     candidates = [look.alone(*place) for place in asked]
     groups: dict[str, list[Candidate]] = {}
     for candidate in candidates:
@@ -65,11 +66,13 @@ def scan(fit: Fit, responses: Responses) -> list[Candidate]:
     return sorted(candidates, key=lambda candidate: -candidate.gain)
 
 
-def _tried_at(model: mujoco.MjModel, kind: str, location: str) -> list[Effect]:
+def _tried_at(simulator: Simulator, kind: str, location: str) -> list[Effect]:
     """An effect at a place, in all sizes where its response may differ."""
-    typical = typical_of(model, kind, location)
-    sizes = get_mechanism(kind).sizes
-    return [Effect(kind, location, tuple((size * typical).tolist())) for size in sizes]
+    typical, mechanism = typical_of(simulator.base, kind, location), get_mechanism(kind)
+    sizes = [size * typical for size in mechanism.sizes]
+    if mechanism.is_late:
+        sizes += [np.array([steps * simulator.period]) for steps in LATE]
+    return [Effect(kind, location, tuple(values.tolist())) for values in sizes]
 
 
 def location_of(effects: Sequence[Effect]) -> str:
@@ -101,7 +104,7 @@ class Scan:
 
     def __init__(self, fit: Fit, responses: Responses, tried: Sequence[Effect]):
         """`tried`: all effects, at all sizes where their responses may differ."""
-        self._base, self._without = fit.simulator.base, fit.held_out
+        self._simulator, self._without = fit.simulator, fit.held_out
         self.own = list(range(fit.linear.columns.shape[3]))
         mask, known = fit.linear.chain.mask, {effect: responses.of(effect) for effect in tried}
         finite = {effect: each for effect, each in known.items() if np.isfinite(each[mask]).all()}
@@ -110,12 +113,12 @@ class Scan:
             effect: list(range(end - len(effect.values), end))
             for effect, end in zip(finite, ends.tolist(), strict=True)
         }
-        precision = prior_precision(self._base, list(finite))
+        precision = prior_precision(fit.simulator.base, list(finite))
         self.normal = _beside(fit, list(finite.values()), precision)
 
     def alone(self, kind: str, location: str) -> Candidate:
         """The candidate at the best of the sizes where its response may differ."""
-        first, *_ = sizes = _tried_at(self._base, kind, location)
+        first, *_ = sizes = _tried_at(self._simulator, kind, location)
         best = self._nothing([first])
         for effect in sizes:
             candidate = self._at([effect])
@@ -194,7 +197,7 @@ def _identifiable(
     normal: Normal, covariance: Matrix, tried: Sequence[Effect]
 ) -> tuple[np.ndarray, Vector]:
     """Mask (k,) of the last strengths that the data determine without their priors, and the
-    deviation of each by the data alone, were the others of its effect known; inf elsewhere.
+    deviation of each by the data alone, were the others that are tried known; inf elsewhere.
 
     Strengths of one effect do not absorb each other: two that do much the same are one question.
     """
@@ -206,8 +209,8 @@ def _identifiable(
     by_data = inverse(covariance[new, new]) - np.diag(normal.precision[new])
     least, variance = np.diagonal(inverse(alone)), np.diagonal(inverse(by_data))
     seen = (variance > 0) & (variance < _ABSORBED * least) & (variance < _UNSEEN)
-    told = np.where(seen, np.diagonal(by_data), 1.0)
-    return seen, np.where(seen, np.abs(sizes) / np.sqrt(told), np.inf)
+    certain = np.where(seen, np.diagonal(by_data), 1.0)
+    return seen, np.where(seen, np.abs(sizes) / np.sqrt(certain), np.inf)
 
 
 def _makes_sense(estimated: Effect, tried: Effect) -> bool:

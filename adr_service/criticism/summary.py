@@ -93,17 +93,17 @@ def residual_of(
 
 def _detectable(final: Fit, first: Sequence[Candidate]) -> dict[str, tuple[float, str]]:
     """Smallest strength of each effect that would have been evidence, and its unit: its first, or
-    else the first that the data tell, under its name."""
+    else the first that is identifiable, under its name."""
     reach = np.sqrt(2 * THRESHOLD)  # standard deviations that gain as much
     limits: dict[str, tuple[float, str]] = {}
     for candidate in first:
-        told = np.flatnonzero(np.isfinite(candidate.deviations))
-        if len(candidate.effects) > 1 or not told.size:
+        seen = np.flatnonzero(np.isfinite(candidate.deviations))
+        if len(candidate.effects) > 1 or not seen.size:
             continue
-        strength = get_mechanism(candidate.kind).strengths[told[0]]
+        strength = get_mechanism(candidate.kind).strengths[seen[0]]
         name = f"{candidate.kind} {candidate.location}"
-        limits[f"{name} {strength.name}" if told[0] else name] = (
-            float(reach * candidate.deviations[told[0]]),
+        limits[f"{name} {strength.name}" if seen[0] else name] = (
+            float(reach * candidate.deviations[seen[0]]),
             unit_of(final.simulator.base, candidate.location, strength.unit),
         )
     return limits

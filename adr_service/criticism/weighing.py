@@ -131,10 +131,10 @@ def _simplest_first(alike: Sequence[Weighed]) -> Alike:
     near = [each for each in alike if best - each.fair_gain < max(TIE, ALIKE * best)]
     first = min(near, key=lambda each: (each.size, -each.fair_gain))
     known = parts(first.effects)
-    others = [each for each in alike if each is not first and not known <= _included(each.effects)]
-    rest = sum(each.confidence for each in others)
-    same = sum(each.confidence for each in alike) - rest
-    return (replace(first, confidence=same), *others)
+    is_same = [each is first or known <= _included(each.effects) for each in alike]
+    both = list(zip(alike, is_same, strict=True))
+    confidence = sum(each.confidence for each, same in both if same)
+    return (replace(first, confidence=confidence), *(each for each, same in both if not same))
 
 
 def _included(effects: Sequence[Effect]) -> set[tuple[str, str]]:

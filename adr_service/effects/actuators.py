@@ -57,7 +57,7 @@ def add_passive(
     return actuator
 
 
-def _is_affine(model: mujoco.MjModel, actuator: int) -> bool:
+def is_affine(model: mujoco.MjModel, actuator: int) -> bool:
     """True if its force is a gain times the command and a bias, at most linear in the state."""
     gain, bias = model.actuator_gaintype[actuator], model.actuator_biastype[actuator]
     is_fixed, is_none = gain == mujoco.mjtGain.mjGAIN_FIXED, bias == mujoco.mjtBias.mjBIAS_NONE
@@ -78,7 +78,7 @@ GAIN = Mechanism(
     (Strength("relative change", "1", low=-1.0),),
     typical=lambda model, actuator: (0.02,),
     change=_gain,
-    applies=_is_affine,
+    applies=is_affine,
 )
 
 
@@ -96,7 +96,7 @@ def _bias(model: mujoco.MjModel, actuator: int, values: Vector) -> None:
 def _turns_a_joint(model: mujoco.MjModel, actuator: int) -> bool:
     on_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
     turns = bool(on_joint and model.actuator_gear[actuator, 0] != 0)
-    return turns and _is_affine(model, actuator)
+    return turns and is_affine(model, actuator)
 
 
 BIAS = Mechanism(
@@ -109,9 +109,6 @@ BIAS = Mechanism(
     applies=_turns_a_joint,
     in_force=True,
 )
-
-
-_LATE = (1.0, 6.0, 11.0)  # sizes: what is late by a control step or two is not in proportion
 
 
 def _delay(commands: Commands, values: Vector) -> Matrix:
@@ -131,7 +128,6 @@ DELAY = Mechanism(
     typical=lambda model, actuator: (0.5 * model.opt.timestep,),
     command=_delay,
     is_late=True,
-    sizes=_LATE,
 )
 
 
@@ -157,7 +153,6 @@ LAG = Mechanism(
     typical=lambda model, actuator: (model.opt.timestep,),
     command=_lag,
     is_late=True,
-    sizes=_LATE,
 )
 
 

@@ -28,6 +28,9 @@ if TYPE_CHECKING:  # MuJoCo takes a while to import, and nothing here runs it
 
 ADDED = "adr_"  # opens the name of every element that a mechanism adds to a model
 SENSOR_SIZE = 0.005  # [rad, m, rad/s or m/s] typical size of a sensor's error
+# control steps by which late commands are tried as well: their effect is in proportion between one
+# whole step and the next
+LATE = (1.5, 2.75)
 _SEPARATOR = "@"
 _Text = Annotated[str, Strict(), Field(max_length=1000)]
 _Number = Annotated[float, Strict(), AllowInfNan(False)]
@@ -173,6 +176,11 @@ class Mechanism:
                 f"mechanism {self.kind} has {' and '.join(ways) or 'nothing'}; give it exactly "
                 "one of change, command and sensing"
             )
+
+    @property
+    def tries(self) -> int:
+        """Number of sizes at which it is tried."""
+        return len(self.sizes) + (len(LATE) if self.is_late else 0)
 
     @property
     def only_spreads(self) -> bool:

@@ -72,7 +72,7 @@ class EpOpt:
             self._left, self.distribution = 0, self._whole
         else:
             # without the rounding of floats: .28 * 50 is a bit above 14
-            count = int(np.ceil(np.round(self._settings.epsilon * len(returns), 9)))
+            count = max(int(np.ceil(np.round(self._settings.epsilon * len(returns), 9))), 1)
             worst = np.argsort(returns, kind="stable")[:count]
             self._left = self._settings.focus
             self.distribution = Empirical.equal(self._space, dynamics[worst])

@@ -8,7 +8,7 @@ from adr_service.blind_test.outside import Force
 from adr_service.blind_test.planting import draw_case, hide
 from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import fit, refine, smoothed
-from adr_service.criticism.flexible_force import unexplained
+from adr_service.criticism.flexible_force import _own_forces, unexplained
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import split
@@ -145,3 +145,27 @@ def test_every_episode_has_its_own_gain(baseline):
     gained = unexplained(baseline).gains
     assert gained.shape == (12,)
     assert np.all(np.isfinite(gained))
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        '<motor name="drive" joint="j" gear="3" ctrllimited="true" ctrlrange="-1 1"/>',
+        '<position name="drive" joint="j" gear="2" kp="40" kv="1.5"/>',
+        '<position name="drive" joint="j" kp="100" forcerange="-1 1"/>',
+        '<general name="drive" joint="j" gainprm="2" biasprm="0 -10 0"/>',
+    ],
+)
+def test_a_drive_is_asked_by_its_force(drive):
+    """A servo's set-point says nothing of friction that grows with load."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="j" axis="0 1 0"/><geom size="0.1" mass="1"/></body>'
+        f"</worldbody><actuator>{drive}</actuator></mujoco>"
+    )
+    q, v, command = np.array([0.3, -0.2]), np.array([1.0, -2.0]), np.array([[0.4], [-3.0]])
+    expected, data = [], mujoco.MjData(model)
+    for row in range(2):
+        data.qpos[0], data.qvel[0], data.ctrl[0] = q[row], v[row], command[row, 0]
+        mujoco.mj_forward(model, data)
+        expected.append(data.actuator_force[0])
+    np.testing.assert_allclose(_own_forces(model, np.array([0]), command, q, v)[:, 0], expected)

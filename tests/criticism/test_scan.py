@@ -81,12 +81,16 @@ def test_a_load_whose_mass_nothing_shows_keeps_the_one_that_was_tried():
     assert load.effects[0].values[1] == pytest.approx(0.04, rel=0.3)
 
 
-def test_a_delay_of_several_control_steps_is_found_at_about_its_size():
+@pytest.mark.parametrize("timestep", [0.01, 0.002])
+def test_a_delay_of_several_control_steps_is_found_at_about_its_size(timestep):
+    """However fine the model's own steps are."""
     task, nominal = arm()
+    xml = nominal.xml.replace('timestep="0.01"', f'timestep="{timestep}"')
     hidden = Effect("actuator_delay", "actuator:elbow", (0.045,))  # of steps of 20 ms
     data = hide(task, nominal, np.random.default_rng(407), [hidden]).episodes(range(12))
     sensor = data.sensor_variance()
-    with Simulator(nominal, data, threads=1, finer=3) as simulator:
+    with Simulator(replace(nominal, xml=xml), data, threads=1) as simulator:
+        assert simulator.base.opt.timestep == timestep
         baseline = smoothed(fit(simulator, sensor))
         best, *_ = scan(baseline, Responses(baseline))
     assert (best.kind, best.location) == (hidden.kind, hidden.location)

@@ -113,6 +113,15 @@ def test_detection_limits_are_strengths_that_would_reach_the_threshold(baseline,
     assert 0.5 * (size / 0.002) ** 2 == pytest.approx(THRESHOLD)
 
 
+def test_a_detection_limit_is_that_of_the_first_strength_that_is_identifiable(baseline):
+    tilt = Effect("gravity_tilt", "global", (0.1, 0.1))
+    rolls = Candidate((tilt,), (tilt,), np.zeros(12), np.array([np.inf, 0.002]))
+    limits = residual_of(baseline, baseline, [rolls], (), left(0.0)).detectable
+    ((name, (size, _)),) = limits.items()
+    assert name == "gravity_tilt global roll"
+    assert 0.5 * (size / 0.002) ** 2 == pytest.approx(THRESHOLD)
+
+
 @pytest.mark.parametrize(("nats", "rest"), [(0.0, "none"), (1.0, "none"), (10.0, "unknown")])
 def test_the_rest_is_unknown_where_a_flexible_force_has_evidence(baseline, nats, rest):
     residual = residual_of(baseline, baseline, [], (), left(nats))

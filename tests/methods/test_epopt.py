@@ -1,6 +1,7 @@
 """EPOpt: which dynamics its phases draw."""
 
 import numpy as np
+import pytest
 
 from adr_service.methods.epopt import EpOptSettings
 from adr_service.randomness import stream
@@ -30,12 +31,13 @@ def test_after_the_first_phases_most_draw_from_the_worst_dynamics_of_one():
     np.testing.assert_array_equal(np.unique(focused[:, 0]), worst)
 
 
-def test_a_share_of_episodes_that_is_a_whole_number_is_that_number():
-    """.28 * 50 is 14.000000000000002 in floats."""
-    curriculum = EpOptSettings(skip=0, epsilon=0.28).create(PROBLEM)
+@pytest.mark.parametrize(("epsilon", "count"), [(0.28, 14), (1e-12, 1)])
+def test_a_share_of_episodes_that_is_a_whole_number_is_that_number(epsilon, count):
+    """.28 * 50 is 14.000000000000002 in floats; of no share one episode is left."""
+    curriculum = EpOptSettings(skip=0, epsilon=epsilon).create(PROBLEM)
     dynamics = curriculum.sample(50, stream("epopt")).values
     curriculum.move(dynamics, -dynamics[:, 0])
-    assert len(curriculum.distribution.points) == 14
+    assert len(curriculum.distribution.points) == count
 
 
 def test_the_worst_are_measured_anew_in_each_turn():
