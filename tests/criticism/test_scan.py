@@ -56,7 +56,7 @@ def test_two_strengths_of_one_effect_do_not_hide_each_other():
 
 
 def test_a_detection_limit_takes_the_other_strengths_of_an_effect_for_known(baseline):
-    """What shows Coulomb friction shows Stribeck's, which includes it."""
+    """A recording that shows Coulomb friction shows Stribeck's too, which includes it."""
     candidates = scan(baseline, Responses(baseline))
     one, other = (
         next(c for c in candidates if (c.kind, c.location) == (kind, "joint:elbow"))

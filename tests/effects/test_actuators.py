@@ -16,7 +16,7 @@ def obeyed(kind, strength):
 
 
 def test_a_delay_of_whole_steps_shifts_commands_and_a_part_of_one_mixes_two():
-    """Before an episode its first command held: a servo stands where it was told to."""
+    """The first command is taken to have held before: a servo stands where it was told to."""
     np.testing.assert_allclose(obeyed("actuator_delay", 0.02), [[1.0, 1.0, 1.0, 1.0, -0.5, 0.2]])
     np.testing.assert_allclose(
         obeyed("actuator_delay", 0.0025), [[1.0, 1.0, -0.125, 0.025, 0.05, 0.6]]
