@@ -30,6 +30,7 @@ from adr_service.criticism.pipeline import Criticism, criticise, split
 from adr_service.criticism.verdict import Gain
 from adr_service.errors import AdrError
 from adr_service.json_values import sha256
+from adr_service.whole_files import written_whole
 
 FOLDER = Path("build/bench")
 METHOD = ("criticism", "effects", "simulation", "blind_test")  # packages
@@ -110,9 +111,8 @@ def main(
     with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         for case in pool.map(one, jobs):
             ended.append(case)
-            whole = path.with_suffix(".part")
-            whole.write_text(json.dumps({**origin, "cases": ended}, indent=1))
-            whole.replace(path)
+            with written_whole(path) as part:
+                part.write_text(json.dumps({**origin, "cases": ended}, indent=1))
             print(_line(case), flush=True)
     print(table(ended))
     print(f"failed: {sum('failed' in case for case in ended)} of {len(ended)}")

@@ -9,7 +9,7 @@ restore(path, copy)             # with the database's lock held
 import os
 import sqlite3
 from collections.abc import Generator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from sqlalchemy import StaticPool, create_engine
 
 from adr_service.errors import InvalidInput
 from adr_service.json_values import sha256
+from adr_service.whole_files import written_whole
 from db.schema import differences, head
 
 
@@ -77,18 +78,18 @@ def backup(path: Path, copy: Path) -> None:
     """
     if copy.exists():
         raise InvalidInput(f"{copy} is there already; a backup overwrites nothing")
-    part = copy.with_name(f"{copy.name}.part")
-    part.unlink(missing_ok=True)
-    with _reader(path) as connection:
-        try:
-            part.touch(mode=0o600)  # it has robots' leases
-            with closing(sqlite3.connect(part)) as target:
-                connection.backup(target)
-                target.execute("pragma journal_mode = delete")  # so that it can be read anywhere
-            part.replace(copy)
-        except (sqlite3.Error, OSError) as error:
-            part.unlink(missing_ok=True)
-            raise InvalidInput(f"{path} could not be copied to {copy}: {error}") from error
+    try:
+        with written_whole(copy, mode=0o600) as part:  # it has robots' leases
+            _copy(path, part)
+    except (sqlite3.Error, OSError) as error:
+        raise InvalidInput(f"{path} could not be copied to {copy}: {error}") from error
+
+
+def _copy(path: Path, copy: Path) -> None:
+    """Copy a database with what its log holds into an empty file."""
+    with _reader(path) as connection, closing(sqlite3.connect(copy)) as target:
+        connection.backup(target)
+        target.execute("pragma journal_mode = delete")  # so that it can be read anywhere
 
 
 def restore(path: Path, copy: Path) -> Path | None:
@@ -100,23 +101,27 @@ def restore(path: Path, copy: Path) -> Path | None:
     if wrong := check(copy):
         raise InvalidInput("\n".join([f"{copy} is damaged itself, and was not restored", *wrong]))
     aside = path.with_name(f"{path.name}.{datetime.now(UTC):%Y%m%dT%H%M%S%f}.replaced")
-    part = path.with_name(f"{path.name}.part")
-    part.unlink(missing_ok=True)
     try:
-        backup(copy, part)  # with what its log holds
-        with part.open("rb") as written:
-            os.fsync(written.fileno())
-        if path.exists() and path.stat().st_size:
-            aside.hardlink_to(path)  # so that at no moment there is no database
-        for suffix in ("-wal", "-shm"):
-            file = path.with_name(path.name + suffix)
-            if file.exists():
-                file.replace(aside.with_name(aside.name + suffix))
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
+        with written_whole(path, mode=0o600) as part:
+            _copy(copy, part)
+            with part.open("rb") as written:
+                os.fsync(written.fileno())
+            _empty_log(path)
+            if path.exists() and path.stat().st_size:
+                aside.hardlink_to(path)  # so that at no moment there is no database
+            for suffix in ("-wal", "-shm"):
+                file = path.with_name(path.name + suffix)
+                if file.exists():
+                    file.replace(aside.with_name(aside.name + suffix))
+    except (sqlite3.Error, OSError) as error:
         raise InvalidInput(f"{copy} could not be copied to {path}: {error}") from error
     return aside if aside.exists() else None
+
+
+def _empty_log(path: Path) -> None:
+    """Write what the log of a sound database holds into it, so that it is whole without its log."""
+    with suppress(sqlite3.Error), closing(sqlite3.connect(path)) as connection:
+        connection.execute("pragma wal_checkpoint(truncate)")
 
 
 @contextmanager

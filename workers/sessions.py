@@ -21,6 +21,7 @@ import psutil
 import ray
 
 from adr_service.errors import AdrError
+from adr_service.whole_files import written_whole
 
 log = logging.getLogger(__name__)
 _LONGEST_SOCKET = 107  # bytes of a socket's path, which Linux allows
@@ -112,11 +113,8 @@ def _remove_short_path(short: Path) -> None:
 def _token(path: Path) -> Path:
     """The secret of our own Ray cluster, readable by nobody else (Ray's own is, by all)."""
     if not path.exists():
-        part = path.with_suffix(".part")
-        part.unlink(missing_ok=True)
-        part.touch(mode=0o600)
-        part.write_text(secrets.token_hex(32))
-        part.replace(path)  # whole, or not at all: Ray does not start with an empty one
+        with written_whole(path, mode=0o600) as part:  # Ray does not start with an empty one
+            part.write_text(secrets.token_hex(32))
     return path
 
 

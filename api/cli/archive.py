@@ -12,6 +12,7 @@ import typer
 
 from adr_service.client import Json, Refused, check_benchmark, connect
 from adr_service.errors import AdrError, InvalidInput
+from adr_service.whole_files import written_whole
 from api.cli.files import check_new
 from api.cli.options import AsJson, Url, members
 from api.cli.single_options import SingleOptionApp
@@ -56,14 +57,9 @@ def export_(
     """
     check_benchmark(benchmark, "an archive is")
     check_new(file)
-    unfinished = file.with_name(f"{file.name}.part")
     part = members(seed=seed, method=method, variant=variant, task=task, collector=collector)
-    try:
-        with connect(url) as client, unfinished.open("wb") as written:
-            client.export_archive(benchmark, written, part)
-        unfinished.rename(file)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with connect(url) as client, written_whole(file) as unfinished, unfinished.open("wb") as out:
+        client.export_archive(benchmark, out, part)
     console.print(f"{file}: {file.stat().st_size / 1e6:.2f} MB")
 
 

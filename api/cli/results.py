@@ -79,8 +79,9 @@ def _write_figures(client: AdrClient, id: str, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{name}{kind}" for name in client.figures(id) for kind in _KINDS]
     check_absent(*files)
-    for file in files:
-        _write(file, client.figure(id, file.name))
+    drawn = {file: client.figure(id, file.name) for file in files}  # all, or nothing is written
+    for file, content in drawn.items():
+        _write(file, content)
 
 
 def _write(file: Path, content: bytes) -> None:

@@ -12,6 +12,7 @@ import typer
 
 from adr_service.client import connect
 from adr_service.errors import InvalidInput
+from adr_service.whole_files import written_whole
 from api.cli.files import check_absent
 from api.cli.options import Url
 from api.cli.single_options import SingleOptionApp
@@ -92,12 +93,12 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
     with closing(load_environment(env)) as robot:
         check_environment(robot, about(known), limits)
         out.parent.mkdir(parents=True, exist_ok=True)
-        part = out.with_name(f"{out.name}.part")
-        part.touch()  # it can be written, before anything moves
+        out.touch()  # it can be written, before anything moves
+        out.unlink()
 
         def keep(played: "Playback") -> None:
-            part.write_bytes(played.measurement.to_npz())
-            part.replace(out)
+            with written_whole(out) as part:
+                part.write_bytes(played.measurement.to_npz())
 
         player = Player(robot, known, limits, keep)
 
@@ -115,7 +116,6 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
         try:
             player.play(commands, give_up, start)
         finally:  # whatever ended it
-            part.unlink(missing_ok=True)
             tell()
 
 

@@ -96,6 +96,29 @@ def test_what_a_restore_replaced_can_be_restored_with_its_log(database, tmp_path
         assert runs.get_run(restored, run.id) == run
 
 
+def test_a_restore_that_dies_at_its_end_loses_nothing_of_the_old_database(
+    database, tmp_path, monkeypatch
+):
+    path, killed, copy = (tmp_path / name for name in ("adr.sqlite", "killed.sqlite", "copy"))
+    maintenance.backup(path, copy)
+    run = runs.create_run(database, SPEC)
+    for suffix in ("", "-wal"):
+        shutil.copyfile(f"{path}{suffix}", f"{killed}{suffix}")
+    replace = Path.replace
+
+    def die(self, target):
+        if Path(target) == killed:
+            raise KeyboardInterrupt
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", die)
+    with pytest.raises(KeyboardInterrupt):
+        maintenance.restore(killed, copy)
+    monkeypatch.undo()
+    with closing(open_database(f"sqlite:///{killed}")) as old:
+        assert runs.get_run(old, run.id) == run
+
+
 def test_a_file_that_is_no_database_is_refused(tmp_path):
     with pytest.raises(InvalidInput, match="there is no database"):
         maintenance.check(tmp_path / "adr.sqlite")

@@ -5,9 +5,10 @@ client, the next one that starts in the same folder sends it.
 """
 
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+
+from adr_service.whole_files import written_whole
 
 _SHOWN = 8  # letters of a lease
 
@@ -30,9 +31,6 @@ class UnsentEpisode:
             _write(file, content)
             _write(_lease_file(file), lease.encode())
         except OSError:
-            for path in (file, _lease_file(file)):
-                with suppress(OSError):
-                    _part(path).unlink()
             return cls(task_id, lease, content, file if file.exists() else None)
         return cls(task_id, lease, content, file)
 
@@ -69,12 +67,6 @@ def _lease_file(file: Path) -> Path:
     return file.with_suffix(".lease")
 
 
-def _part(path: Path) -> Path:
-    return path.with_name(f"{path.name}.part")
-
-
 def _write(path: Path, content: bytes) -> None:
-    part = _part(path)
-    part.touch(mode=0o600)  # a lease is a secret
-    part.write_bytes(content)
-    part.replace(path)
+    with written_whole(path, mode=0o600) as part:  # a lease is a secret
+        part.write_bytes(content)

@@ -1,0 +1,36 @@
+"""Files that are written as a whole or not at all."""
+
+import stat
+
+import pytest
+
+from adr_service.whole_files import written_whole
+
+
+def test_a_file_is_there_once_all_of_it_is_written(tmp_path):
+    path = tmp_path / "a.json"
+    with written_whole(path, mode=0o600) as part:
+        part.write_text("new")
+        assert not path.exists()
+    assert path.read_text() == "new"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_was_there_stays_if_writing_fails(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text("old")
+    with pytest.raises(KeyboardInterrupt), written_whole(path) as part:
+        part.write_text("ne")
+        raise KeyboardInterrupt
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_a_killed_process_left_is_written_anew(tmp_path):
+    path = tmp_path / "a.json"
+    (tmp_path / "a.json.part").write_text("half of much more")
+    with written_whole(path) as part:
+        assert part.read_text() == ""
+        part.write_text("new")
+    assert path.read_text() == "new"
