@@ -1,6 +1,6 @@
 """Events of runs, each written once; a run's state is the fold of its events.
 
-append_event(database, run_id, RunStarted(submission=1))     # False: it was written before
+append_event(database, run_id, RunStarted(submission=1))     # False: it was not new
 events_of(database, run_id, after=3)
 """
 
@@ -19,6 +19,7 @@ from adr_service.events import (
     RunEvent,
     RunFailed,
     RunState,
+    RunStopped,
     event_from_json,
     next_state,
 )
@@ -41,9 +42,10 @@ class EventRecord(Wire):
 
 
 def append_event(database: Database, run_id: str, event: RunEvent) -> bool:
-    """Write an event and the state it leads to; False if its key was written before.
+    """Write an event and the state it leads to.
 
-    Raises NotFound if there is no such run.
+    False if its key was written before, or if it ends an earlier submission, whose thread was slow
+    to see that the run had ended and was submitted again. Raises NotFound if there is no such run.
     """
     with database.write(event.type) as session:
         return append(session, run_id, event)
@@ -136,7 +138,9 @@ def _append_new(session: Session, row: RunRow, events: Sequence[RunEvent]) -> in
     for event in events:
         if isinstance(event, IterationFinished) and event.key in known:
             _check_again(session, row.id, event)
-    new = {event.key: event for event in events if event.key not in known}
+    new = {
+        event.key: event for event in events if event.key not in known and not _is_late(row, event)
+    }
     if new:
         numbers = select(func.max(EventRow.seq)).where(EventRow.run_id == row.id)
         last, now = session.scalar(numbers) or 0, datetime.now(UTC)
@@ -145,6 +149,10 @@ def _append_new(session: Session, row: RunRow, events: Sequence[RunEvent]) -> in
             session.add(EventRow(run_id=row.id, seq=seq, key=key, created_at=now, **body))
             _advance(session, row, event)
     return len(new)
+
+
+def _is_late(row: RunRow, event: RunEvent) -> bool:
+    return isinstance(event, RunFailed | RunStopped) and event.submission < row.submission
 
 
 def _check_again(session: Session, run_id: str, event: IterationFinished) -> None:

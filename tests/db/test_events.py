@@ -39,6 +39,17 @@ def test_the_state_is_the_fold_of_the_events(database):
         assert runs.get_run(database, run.id).state == state_after(written)
 
 
+def test_an_earlier_submission_does_not_end_a_run_that_was_submitted_again(database):
+    """A robot's refusal ends a run before its thread sees that a user has asked it to stop."""
+    run = runs.create_run(database, SPEC)
+    failed = RunFailed(submission=1, code="worker_lost", message="gone")
+    events.append_event(database, run.id, failed)
+    again = runs.resubmit(database, run.id)
+    assert not events.append_event(database, run.id, RunStopped(submission=1))
+    assert runs.get_run(database, run.id) == again
+    assert events.append_event(database, run.id, RunStopped(submission=2))
+
+
 def test_a_batch_skips_runs_that_were_deleted_meanwhile(database):
     run = runs.create_run(database, SPEC)
     started = RunStarted(submission=1)
