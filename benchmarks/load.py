@@ -17,16 +17,13 @@ import asyncio
 import json
 import os
 import shutil
-import signal
-import socket
 import sqlite3
 import statistics
-import subprocess
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Sequence
+from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -34,7 +31,7 @@ from typing import Any
 import httpx2
 import numpy as np
 
-from adr_service.client import AdrClient, Unreachable
+from adr_service.client import AdrClient
 from adr_service.distributions import Gaussian, Uniform
 from adr_service.events import (
     IterationFinished,
@@ -49,6 +46,7 @@ from adr_service.json_values import sha256
 from adr_service.programs.references import truth_of
 from adr_service.specs import BenchmarkSpec, RunSpec
 from adr_service.tasks.catalogue import source_of
+from api.cli.own_service import free_port, own_service
 from db.session import open_database
 
 FOLDER = Path("build/bench")
@@ -85,18 +83,18 @@ def main() -> None:
     print(
         f"{runs} runs, {runs * EVENTS} events, {size:.0f} MB, in {time.monotonic() - started:.0f} s"
     )
-    with service(data) as url:
-        first = compute_results(url, benchmarks)
+    os.environ |= {"ADR_CPUS": "2", "ADR_DASHBOARD": "false", "OMP_NUM_THREADS": "1"}
+    with own_service(data, free_port()) as client:
+        first = compute_results(client.url, benchmarks)
         print(f"results of a benchmark of 96 runs, when they are asked for first: {first:.1f} s")
-        quiet = full(url, ids, benchmarks)
+        quiet = full(client.url, ids, benchmarks)
         show("a full database", quiet)
-        with AdrClient(url) as client:
-            training = client.submit_benchmark(TRAINING)["id"]
-            wait_for_training(client, training)
-            loaded, accepted = asyncio.run(load(url, seconds, ids, benchmarks))
-            show(f"{READERS} readers and {WRITERS} writers while two cores train", loaded)
-            submitted = client.list_all("runs", method="dropo", task="arm")
-            lost = accepted - {run["id"] for run in submitted}
+        training = client.submit_benchmark(TRAINING)["id"]
+        wait_for_training(client, training)
+        loaded, accepted = asyncio.run(load(client.url, seconds, ids, benchmarks))
+        show(f"{READERS} readers and {WRITERS} writers while two cores train", loaded)
+        submitted = client.list_all("runs", method="dropo", task="arm")
+        lost = accepted - {run["id"] for run in submitted}
     print(f"accepted {len(accepted)} runs, lost {len(lost)}")
     (FOLDER / "api.json").write_text(json.dumps(loaded, indent=1))
     (FOLDER / "api-full.json").write_text(json.dumps(quiet, indent=1))
@@ -144,7 +142,7 @@ def story(spec: RunSpec) -> list[tuple[str, str, str]]:
     """(key, type, body) of the events of a finished run."""
     rng = np.random.default_rng(spec.seed)
     policies = getattr(spec.method, "policies", 1)
-    iterations = 1 if spec.method.is_level else spec.iterations + 1
+    iterations = 1 if spec.method.learns_from == "nothing" else spec.iterations + 1
     events: list[RunEvent] = [RunQueued(submission=1), RunStarted(submission=1)]
     space = source_of(spec.task, spec.variant).space
     belief = Gaussian.prior(space).to_json()
@@ -177,31 +175,6 @@ def story(spec: RunSpec) -> list[tuple[str, str, str]]:
         events.append(TrainingEvaluated(digest=digest, **point))
     events.append(RunSucceeded())
     return [(event.key, event.type, event.model_dump_json()) for event in events]
-
-
-@contextmanager
-def service(data: Path) -> Iterator[str]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    command = [sys.executable, "-m", "api", "serve", "--port", str(port), "--cpus", "2"]
-    command += ["--data-dir", str(data), "--no-dashboard"]
-    with (data / "log").open("wb") as log:
-        environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-        process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
-    url = f"http://127.0.0.1:{port}"
-    try:
-        with AdrClient(url) as client:
-            for _ in range(600):
-                try:
-                    client.ready()
-                    break
-                except Unreachable:
-                    time.sleep(0.1)
-        yield url
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.wait(60)
 
 
 def wait_for_training(client: AdrClient, benchmark: str) -> None:

@@ -22,10 +22,10 @@ from adr_service.benchmark.archive import ArchiveWriter, Manifest
 from adr_service.errors import InvalidInput
 from adr_service.events import RunState, RunStopped
 from adr_service.json_values import Wire
-from adr_service.specs import BenchmarkPart, BenchmarkSpec, CriticismSpec, RunSpec
+from adr_service.specs import BenchmarkPart, BenchmarkSpec, CriticismSpec
 from db.archive_checks import replays
 from db.benchmarks import (
-    benchmark_row,
+    Cell,
     cell_of,
     get_benchmark,
     grid_of,
@@ -35,7 +35,7 @@ from db.benchmarks import (
     stored,
 )
 from db.errors import NotPossible
-from db.events import append, run_row
+from db.events import append
 from db.models import (
     NUMBER,
     ArtifactRow,
@@ -46,6 +46,8 @@ from db.models import (
     StageArtifactRow,
     StageRow,
     copy_of,
+    find_row,
+    get_row,
 )
 from db.runs import RunRecord, record_of, unfinished_runs
 from db.session import Database
@@ -146,7 +148,7 @@ def _chosen(
     session: Session, benchmark_id: str, part: BenchmarkPart
 ) -> tuple[dict[str, Any], ColumnElement[bool]]:
     """The row of a benchmark or of its part, and the condition of its runs."""
-    row = benchmark_row(session, benchmark_id)
+    row = get_row(session, BenchmarkRow, benchmark_id)
     columns = BenchmarkRow.__table__.columns
     written = _as_json({column.name: getattr(row, column.name) for column in columns})
     if part.is_whole:
@@ -219,8 +221,8 @@ def _stop_unfinished(source: Database) -> None:
 
 def _check_compatible(session: Session, there: Session, id: str, record: RunRecord) -> None:
     """Raise NotPossible if a run, its place or a stage of it is another one here."""
-    here = _run(session, record.id)
-    if here is not None and (here.benchmark_id, here.spec) != (id, run_row(there, record.id).spec):
+    here, theirs = find_row(session, RunRow, record.id), get_row(there, RunRow, record.id)
+    if here is not None and (here.benchmark_id, here.spec) != (id, theirs.spec):
         raise NotPossible(f"{record.id} is another run here than in the archive")
     mine = (RunRow.benchmark_id == id, RunRow.seed == record.spec.seed, RunRow.id != record.id)
     for other in session.scalars(select(RunRow).where(*mine, RunRow.task == record.spec.task)):
@@ -239,7 +241,7 @@ def _add_benchmark(database: Database, source: Database, id: str) -> None:
     """Add a benchmark, or the members by which it was extended."""
     archived = get_benchmark(source, id)
     with database.write("import_benchmark") as session, source.read() as there:
-        row = session.scalar(select(BenchmarkRow).where(BenchmarkRow.id == id))
+        row = find_row(session, BenchmarkRow, id)
         theirs = there.scalars(select(BenchmarkRow)).one()
         if row is None:
             session.add(copy_of(theirs))
@@ -272,17 +274,17 @@ def _add_run(
     """Add what a run here lacks of the archived one; return the number of new stages too."""
     id = record.id
     with database.write("import_run") as session, source.read() as there:
-        if session.scalar(select(BenchmarkRow).where(BenchmarkRow.id == benchmark_id)) is None:
+        if find_row(session, BenchmarkRow, benchmark_id) is None:
             raise NotPossible(f"{benchmark_id} was deleted while it was imported")
         _check_compatible(session, there, benchmark_id, record)
-        here, archived = _run(session, id), run_row(there, id)
+        here, archived = find_row(session, RunRow, id), get_row(there, RunRow, id)
         known, events = _events(session, id), _events(there, id)
         if here is not None and _begins(known, events):
             return "unchanged", 0
         if here is None:
             session.add(copy_of(archived))
             session.flush()
-            run_row(session, id).updated_at = datetime.now(UTC)  # from when on it is kept
+            get_row(session, RunRow, id).updated_at = datetime.now(UTC)  # from when on it is kept
         elif _begins(events, known) and RunState(here.state).is_finished:
             _bring_up(here, archived)
         else:
@@ -320,12 +322,5 @@ def _events(session: Session, run_id: str) -> Sequence[EventRow]:
     return session.scalars(mine.order_by(EventRow.seq)).all()
 
 
-def _run(session: Session, id: str) -> RunRow | None:
-    return session.scalar(select(RunRow).where(RunRow.id == id))
-
-
-def _place(record: RunRecord) -> tuple[str, str, str, int] | None:
-    spec = record.spec
-    if isinstance(spec, CriticismSpec):
-        return None
-    return cell_of(spec) if isinstance(spec, RunSpec) else (*spec.place, spec.seed)
+def _place(record: RunRecord) -> Cell | None:
+    return None if isinstance(record.spec, CriticismSpec) else cell_of(record.spec)

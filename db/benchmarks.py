@@ -25,9 +25,8 @@ from adr_service.specs import (
     RunSpec,
 )
 from adr_service.specs.lost import Lost
-from db.errors import DatabaseDamaged, NotFound, NotPossible
-from db.events import run_row
-from db.models import BenchmarkRow, RunRow
+from db.errors import DatabaseDamaged, NotPossible
+from db.models import BenchmarkRow, RunRow, get_row
 from db.references import delete_unreferenced
 from db.requests import RequestKey, once
 from db.results import delete_results
@@ -81,7 +80,7 @@ def create_benchmark(
 def get_benchmark(database: Database, benchmark_id: str) -> BenchmarkRecord:
     """The benchmark with this id. Raises NotFound."""
     with database.read() as session:
-        return _record(benchmark_row(session, benchmark_id))
+        return _record(get_row(session, BenchmarkRow, benchmark_id))
 
 
 def list_benchmarks(
@@ -148,7 +147,7 @@ def extend_benchmark(
     specs = _missing(now, spec, runs_of(database, benchmark_id))
     new = [new_run(run, benchmark_id) for run in specs]  # before the lock
     with database.write("extend_benchmark") as session:
-        row = benchmark_row(session, benchmark_id)
+        row = get_row(session, BenchmarkRow, benchmark_id)
         if _spec(row.spec) != now.spec:
             raise NotPossible(f"{benchmark_id} was extended by another request just now; try again")
         row.spec = stored(spec)
@@ -185,7 +184,7 @@ def resubmit_all(
     stopped = [run.id for run in runs_of(database, benchmark_id) if run.state.is_resumable]
     for batch in batches(stopped):
         with database.write("resubmit_all") as session:
-            rows = [run_row(session, run_id) for run_id in batch]
+            rows = [get_row(session, RunRow, run_id) for run_id in batch]
             # another request may have been faster
             mine = [row for row in rows if RunState(row.state).is_resumable]
             for row in mine:
@@ -201,7 +200,7 @@ def delete_benchmark(database: Database, benchmark_id: str, since: datetime | No
     Raises NotFound, and NotPossible if a run of it is not finished, or has changed after `since`.
     """
     with database.write("delete_benchmark") as session:
-        row = benchmark_row(session, benchmark_id)
+        row = get_row(session, BenchmarkRow, benchmark_id)
         mine = RunRow.benchmark_id == benchmark_id
         if session.scalar(select(RunRow.id).where(mine, RunRow.state.not_in(FINISHED)).limit(1)):
             raise NotPossible(f"benchmark {benchmark_id} is not finished; cancel it first")
@@ -279,7 +278,7 @@ def part_of(
     Raises NotFound, Lost if the benchmark has runs that cannot be read, and InvalidInput for
     members that it does not have, or that would not be the same ones without the others.
     """
-    whole = readable(_record(benchmark_row(session, benchmark_id)))
+    whole = readable(_record(get_row(session, BenchmarkRow, benchmark_id)))
     spec = whole.part(part)
     grid, cells = grid_of(whole), grid_of(spec)
     if changed := [cell for cell, run in cells.items() if grid[cell] != run]:
@@ -303,17 +302,9 @@ def grid_of(spec: BenchmarkSpec) -> dict[Cell, RunSpec]:
     return {cell_of(run): run for run in spec.runs()}
 
 
-def cell_of(spec: RunSpec) -> Cell:
+def cell_of(spec: RunSpec | LostRun) -> Cell:
     """The place of a run in its benchmark's grid."""
     return (spec.task, spec.variant, spec.column, spec.seed)
-
-
-def benchmark_row(session: Session, benchmark_id: str) -> BenchmarkRow:
-    """The row of a benchmark, inside a transaction. Raises NotFound."""
-    row = session.scalar(select(BenchmarkRow).where(BenchmarkRow.id == benchmark_id))
-    if row is None:
-        raise NotFound("benchmark", benchmark_id)
-    return row
 
 
 def _record(row: BenchmarkRow) -> BenchmarkRecord:

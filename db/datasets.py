@@ -7,13 +7,12 @@ from typing import Any
 
 from pydantic import Field
 from sqlalchemy import select
-from sqlalchemy.orm import Session
 
 from adr_service.criticism.measurements import Measurement
 from adr_service.json_values import Wire
 from adr_service.transitions import UNKNOWN_ORIGIN, TransitionDataset, dataset_id
-from db.errors import NotFound, NotPossible
-from db.models import ArtifactRow, DatasetRow, RunRow
+from db.errors import NotPossible
+from db.models import ArtifactRow, DatasetRow, RunRow, find_row, get_row
 from db.references import delete_unreferenced
 from db.session import Database
 from db.stages import add_artifact
@@ -50,7 +49,7 @@ def store_dataset(
     if name and described["origin"] in (UNKNOWN_ORIGIN, _MEASUREMENT):
         described["origin"] = name
     with database.write("store_dataset") as session:
-        known = session.scalar(select(DatasetRow).where(DatasetRow.id == id))
+        known = find_row(session, DatasetRow, id)
         if known is not None:
             return _record(known), False
         row = DatasetRow(
@@ -94,13 +93,13 @@ def _of_measurement(data: Measurement) -> dict[str, Any]:
 def describe_dataset(database: Database, id: str) -> DatasetRecord:
     """A dataset without its bytes. Raises NotFound."""
     with database.read() as session:
-        return _record(dataset_row(session, id))
+        return _record(get_row(session, DatasetRow, id))
 
 
 def load_dataset(database: Database, id: str) -> tuple[DatasetRecord, bytes]:
     """A dataset and its `.npz`. Raises NotFound."""
     with database.read() as session:
-        row = dataset_row(session, id)
+        row = get_row(session, DatasetRow, id)
         artifact = session.get_one(ArtifactRow, row.sha256)
         return _record(row), artifact.content
 
@@ -126,21 +125,13 @@ def origins_of(database: Database, ids: Iterable[str]) -> dict[str, str]:
 def delete_dataset(database: Database, id: str) -> None:
     """Delete a dataset. Raises NotFound, and NotPossible if a run learns from it."""
     with database.write("delete_dataset") as session:
-        row = dataset_row(session, id)
+        row = get_row(session, DatasetRow, id)
         run = session.scalar(select(RunRow.id).where(RunRow.dataset_id == id).limit(1))
         if run is not None:
             raise NotPossible(f"run {run} learns from {id}; delete the run first")
         session.delete(row)
         session.flush()
         delete_unreferenced(session)
-
-
-def dataset_row(session: Session, id: str) -> DatasetRow:
-    """A dataset's row, inside a transaction. Raises NotFound."""
-    row = session.scalar(select(DatasetRow).where(DatasetRow.id == id))
-    if row is None:
-        raise NotFound("dataset", id)
-    return row
 
 
 def _record(row: DatasetRow) -> DatasetRecord:

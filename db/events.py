@@ -4,7 +4,7 @@ append_event(database, run_id, RunStarted(submission=1))     # False: it was not
 events_of(database, run_id, after=3)
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import TypeVar
 
@@ -25,9 +25,8 @@ from adr_service.events import (
 )
 from adr_service.json_values import Wire
 from db import visits
-from db.errors import NotFound
-from db.models import EventRow, RunRow
-from db.session import CHUNK, Database
+from db.models import EventRow, RunRow, find_row, get_row
+from db.session import CHUNK, Database, parts
 
 E = TypeVar("E", IterationFinished, CriticismFinished)
 _ITERATION = EventRow.type == "iteration_finished"
@@ -62,13 +61,13 @@ def append_events(database: Database, events: Sequence[tuple[str, RunEvent]]) ->
 
 def append(session: Session, run_id: str, event: RunEvent) -> bool:
     """`append_event` inside a transaction."""
-    return _append_new(session, run_row(session, run_id), [event]) > 0
+    return _append_new(session, get_row(session, RunRow, run_id), [event]) > 0
 
 
 def append_to_all(session: Session, run_ids: Sequence[str], events: Sequence[RunEvent]) -> None:
     """Write events to several runs, inside a transaction; runs that were deleted are skipped."""
     for run_id in run_ids:
-        row = session.scalar(select(RunRow).where(RunRow.id == run_id))
+        row = find_row(session, RunRow, run_id)
         if row is not None:
             _append_new(session, row, events)
 
@@ -79,7 +78,7 @@ def end(session: Session, run_id: str, event: Callable[[int], RunEvent]) -> None
     A run that was deleted, has ended, or was asked to stop is left as it is.
     """
     if visits.is_wanted(session, run_id):
-        row = run_row(session, run_id)
+        row = get_row(session, RunRow, run_id)
         _append_new(session, row, [event(row.submission)])
 
 
@@ -89,7 +88,7 @@ def events_of(
     """Events of a run with `seq` above `after`, in order. Raises NotFound without the run."""
     query = select(EventRow).where(EventRow.run_id == run_id, EventRow.seq > after)
     with database.read() as session:
-        run_row(session, run_id)
+        get_row(session, RunRow, run_id)
         rows = session.scalars(query.order_by(EventRow.seq).limit(limit))
         return [
             EventRecord(seq=r.seq, created_at=r.created_at, event=event_from_json(r.body))
@@ -102,7 +101,7 @@ def count_iterations(database: Database, run_ids: Sequence[str]) -> list[tuple[s
     counts = dict.fromkeys(run_ids, 0)
     query = select(EventRow.run_id, func.count()).where(_ITERATION).group_by(EventRow.run_id)
     with database.read() as session:
-        for chunk in _chunks(run_ids):
+        for chunk in parts(run_ids, CHUNK):
             rows = session.execute(query.where(EventRow.run_id.in_(chunk)))
             counts |= dict(rows.all())
     return list(counts.items())
@@ -114,18 +113,10 @@ def all_of(database: Database, run_ids: Sequence[str], kind: type[E]) -> list[tu
     mine = EventRow.type == kind.model_fields["type"].default
     query = select(EventRow.run_id, EventRow.body).where(mine).order_by(EventRow.seq)
     with database.read() as session:
-        for chunk in _chunks(run_ids):
+        for chunk in parts(run_ids, CHUNK):
             for run_id, body in session.execute(query.where(EventRow.run_id.in_(chunk))):
                 events[run_id].append(kind.model_validate_json(body))
     return [(run_id, event) for run_id, own in events.items() for event in own]
-
-
-def run_row(session: Session, run_id: str) -> RunRow:
-    """The row of a run, inside a transaction. Raises NotFound."""
-    row = session.scalar(select(RunRow).where(RunRow.id == run_id))
-    if row is None:
-        raise NotFound("run", run_id)
-    return row
 
 
 def _append_new(session: Session, row: RunRow, events: Sequence[RunEvent]) -> int:
@@ -186,10 +177,6 @@ def _exists(session: Session, run_id: str) -> bool:
 def _known_keys(session: Session, run_id: str, keys: Sequence[str]) -> set[str]:
     """Those of `keys` that the run has an event with."""
     mine, known = select(EventRow.key).where(EventRow.run_id == run_id), set[str]()
-    for chunk in _chunks(keys):
+    for chunk in parts(keys, CHUNK):
         known |= set(session.scalars(mine.where(EventRow.key.in_(chunk))))
     return known
-
-
-def _chunks(items: Sequence[str]) -> Iterator[Sequence[str]]:
-    return (items[first : first + CHUNK] for first in range(0, len(items), CHUNK))

@@ -1,6 +1,6 @@
 """The tables. Constraints forbid rows that could not have happened."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from enum import StrEnum
 from typing import TypeVar
@@ -15,12 +15,14 @@ from sqlalchemy import (
     String,
     Text,
     UniqueConstraint,
+    select,
 )
 from sqlalchemy.engine import Dialect
-from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 from sqlalchemy.types import TypeDecorator
 
 from adr_service.events import RunState
+from db.errors import NotFound
 
 R = TypeVar("R", bound="Base")
 
@@ -268,6 +270,13 @@ class StageArtifactRow(Base):
     sha256: Mapped[str] = mapped_column(ForeignKey("artifacts.sha256"), index=True)
 
 
+N = TypeVar("N", BenchmarkRow, DatasetRow, RunRow, TargetTaskRow)  # with an id for users
+_KINDS: Mapping[type[Base], str] = {
+    BenchmarkRow: "benchmark",
+    DatasetRow: "dataset",
+    RunRow: "run",
+    TargetTaskRow: "target task",
+}
 NUMBER = "number"  # the column that each database counts for itself
 
 
@@ -275,3 +284,16 @@ def copy_of(row: R) -> R:
     """A new row with the content of another, for another database."""
     columns = [column.name for column in row.__table__.columns if column.name != NUMBER]
     return type(row)(**{name: getattr(row, name) for name in columns})
+
+
+def find_row(session: Session, table: type[N], id: str) -> N | None:
+    """The row with this id, inside a transaction."""
+    return session.scalar(select(table).where(table.id == id))
+
+
+def get_row(session: Session, table: type[N], id: str) -> N:
+    """The row with this id, inside a transaction. Raises NotFound."""
+    row = find_row(session, table, id)
+    if row is None:
+        raise NotFound(_KINDS[table], id)
+    return row

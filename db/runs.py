@@ -20,14 +20,13 @@ from sqlalchemy.orm import Session
 from adr_service.events import FINISHED, RunQueued, RunStarted, RunState
 from adr_service.specs import MAX_RUNS, AnyRun, LostRun
 from adr_service.specs.lost import reason_of
-from db.datasets import dataset_row
 from db.errors import DatabaseDamaged, NotPossible
-from db.events import append, run_row
-from db.models import EventRow, RunRow
+from db.events import append
+from db.models import DatasetRow, EventRow, RunRow, get_row
 from db.references import delete_unreferenced
 from db.requests import RequestKey, once
 from db.results import delete_results
-from db.session import Database
+from db.session import Database, parts
 
 T = TypeVar("T")
 _LONG = 100_000  # characters of a spec that is read again each time
@@ -73,13 +72,13 @@ def create_run(
         (id,) = insert_runs(session, [new_run(spec, None)])
         once(session, key, id)
         check_live(session, accept)
-        return record_of(run_row(session, id))
+        return record_of(get_row(session, RunRow, id))
 
 
 def get_run(database: Database, run_id: str) -> RunRecord:
     """The run with this id. Raises NotFound."""
     with database.read() as session:
-        return record_of(run_row(session, run_id))
+        return record_of(get_row(session, RunRow, run_id))
 
 
 def list_runs(
@@ -118,7 +117,7 @@ def begin(database: Database, record: RunRecord) -> RunRecord | None:
     """
     started = RunStarted(submission=record.submission)
     with database.write(started.type) as session:
-        row = run_row(session, record.id)
+        row = get_row(session, RunRow, record.id)
         if RunState(row.state).is_finished or row.submission != record.submission:
             return None
         append(session, record.id, started)
@@ -131,7 +130,7 @@ def request_cancel(database: Database, run_id: str) -> RunRecord:
     Raises NotFound, and NotPossible if the run succeeded or failed.
     """
     with database.write("request_cancel") as session:
-        row = run_row(session, run_id)
+        row = get_row(session, RunRow, run_id)
         if row.state in {RunState.SUCCEEDED, RunState.FAILED}:
             raise NotPossible(f"run {run_id} has {row.state}; only a live run can be cancelled")
         row.cancel_requested = True
@@ -144,7 +143,7 @@ def resubmit(database: Database, run_id: str, accept: Accept | None = None) -> R
     Raises NotFound, NotPossible for a run in another state, and what `accept` raises.
     """
     with database.write("resubmit") as session:
-        row = run_row(session, run_id)
+        row = get_row(session, RunRow, run_id)
         if not RunState(row.state).is_resumable:
             raise NotPossible(
                 f"run {run_id} is {row.state}; only a failed or cancelled run can be resumed"
@@ -161,7 +160,7 @@ def delete_run(database: Database, run_id: str, since: datetime | None = None) -
     after `since`.
     """
     with database.write("delete_run") as session:
-        row = run_row(session, run_id)
+        row = get_row(session, RunRow, run_id)
         if not RunState(row.state).is_finished:
             raise NotPossible(f"run {run_id} is {row.state}; cancel it before deleting it")
         if row.benchmark_id is not None:
@@ -178,7 +177,7 @@ def delete_run(database: Database, run_id: str, since: datetime | None = None) -
 
 def batches(items: Sequence[T]) -> Iterator[Sequence[T]]:
     """Parts of a sequence so short that others can write between their transactions."""
-    return (items[first : first + _AT_ONCE] for first in range(0, len(items), _AT_ONCE))
+    return parts(items, _AT_ONCE)
 
 
 def new_run(spec: AnyRun, benchmark_id: str | None) -> dict[str, Any]:
@@ -207,7 +206,7 @@ def insert_runs(session: Session, rows: Sequence[dict[str, Any]]) -> list[str]:
     Raises NotFound if one names a dataset that is not there.
     """
     for dataset in {row["dataset_id"] for row in rows} - {None}:
-        dataset_row(session, dataset)
+        get_row(session, DatasetRow, dataset)
     queued, now = RunQueued(submission=1), datetime.now(UTC)
     event = {"seq": 1, "key": queued.key, "type": queued.type, "body": queued.model_dump_json()}
     ids = [str(row["id"]) for row in rows]

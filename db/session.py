@@ -6,10 +6,10 @@ with database.read() as session: …
 """
 
 import logging
-from collections.abc import Generator
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from threading import RLock
-from typing import Any
+from typing import Any, TypeVar
 
 from alembic import command
 from alembic.config import Config
@@ -25,6 +25,7 @@ from db.postgresql import Postgresql
 from db.schema import MIGRATING, alembic_config, head, revisions
 from db.sqlite import Sqlite, check_log
 
+T = TypeVar("T")
 log = logging.getLogger(__name__)
 RETRY_S = 1.0  # after which a request that met DatabaseUnavailable is worth another try
 CHUNK = 10_000  # variables of one query; SQLite allows 32,766
@@ -164,3 +165,8 @@ def backend_of(url: str) -> Backend:
     if parse_url(url).drivername == "postgresql+psycopg":
         return Postgresql(url)
     return Sqlite(url)
+
+
+def parts(items: Sequence[T], length: int) -> Iterator[Sequence[T]]:
+    """A sequence in parts of at most this length, in order."""
+    return (items[first : first + length] for first in range(0, len(items), length))

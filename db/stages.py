@@ -23,7 +23,7 @@ from db.models import (
     TargetTaskRow,
     copy_of,
 )
-from db.session import CHUNK, Database
+from db.session import CHUNK, Database, parts
 
 _OWNERS = (
     *(StageArtifactRow.sha256, DatasetRow.sha256, CheckpointRow.sha256),
@@ -63,13 +63,14 @@ def find_result(session: Session, digest: str) -> StageResult | None:
 
 def add_result(
     session: Session, digest: str, document: str, result: StageResult, execution: Execution
-) -> None:
-    """Store a stage's result and its artifacts, once; inside a transaction.
+) -> StageResult:
+    """Store a stage's result and its artifacts, once; the stored result. Inside a transaction.
 
-    `document` is the canonical JSON that `digest` is of. A result that is there already stays;
-    results of a digest are equal by construction.
+    `document` is the canonical JSON that `digest` is of. A result that is there already stays: an
+    archive may have brought it meanwhile, computed by another type of CPU.
     """
-    if session.get(StageRow, digest) is None:
+    stored = find_result(session, digest)
+    if stored is None:
         session.add(_row(digest, document, result, execution))
         session.flush()
         for name, content in result.blobs.items():
@@ -77,6 +78,7 @@ def add_result(
             session.add(StageArtifactRow(digest=digest, name=name, sha256=key))
         session.flush()
     _drop_checkpoint(session, digest)
+    return result if stored is None else stored
 
 
 def note_checkpoint(session: Session, digest: str, steps: int, policy: bytes) -> None:
@@ -111,9 +113,8 @@ def executions_of(database: Database, run_ids: Sequence[str]) -> list[tuple[str,
     query = _executions().join(EventRow, _OF_EVENT)
     executions: dict[str, tuple[str, Execution]] = {}
     with database.read() as session:
-        for first in range(0, len(run_ids), CHUNK):
-            mine = EventRow.run_id.in_(run_ids[first : first + CHUNK])
-            rows = session.execute(query.where(mine))
+        for some in parts(run_ids, CHUNK):
+            rows = session.execute(query.where(EventRow.run_id.in_(some)))
             executions |= {row.digest: (row.kind, _execution(row)) for row in rows}
     return sorted(executions.values(), key=lambda item: item[1].began)
 
@@ -122,11 +123,21 @@ def seconds_of(database: Database, digests: Sequence[str]) -> dict[str, float]:
     """The time that stages took to compute, by digest, of those that have a result."""
     seconds: dict[str, float] = {}
     with database.read() as session:
-        for first in range(0, len(digests), CHUNK):
-            chunk = StageRow.digest.in_(digests[first : first + CHUNK])
-            rows = session.execute(select(StageRow.digest, StageRow.seconds).where(chunk))
+        for some in parts(digests, CHUNK):
+            mine = StageRow.digest.in_(some)
+            rows = session.execute(select(StageRow.digest, StageRow.seconds).where(mine))
             seconds |= {row.digest: row.seconds for row in rows}
     return seconds
+
+
+def values_of(database: Database, digests: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Stored results without their binary parts, by digest."""
+    query, values = select(StageRow.digest, StageRow.result), dict[str, dict[str, Any]]()
+    with database.read() as session:
+        for part in parts(digests, CHUNK):
+            rows = session.execute(query.where(StageRow.digest.in_(part)))
+            values |= {row.digest: json.loads(row.result) for row in rows}
+    return values
 
 
 def provenance_of(session: Session, digest: str) -> dict[str, Any]:

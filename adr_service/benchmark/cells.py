@@ -61,4 +61,5 @@ class Measured:
         if cell.iteration is not None:
             return cell.iteration
         specs = [o.spec for found in self._cells.get(cell.key, {}).values() for o in found.values()]
-        return specs[0].iterations if specs and not methods()[cell.method].is_level else 0
+        iterates = methods()[cell.method].learns_from != "nothing"
+        return specs[0].iterations if specs and iterates else 0

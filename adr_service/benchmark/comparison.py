@@ -205,7 +205,7 @@ def _shared(columns: Mapping[str, Sequence[Outcome]]) -> dict[str, int]:
         for name, found in columns.items()
     }
     specs = {name: found[0].spec for name, found in columns.items()}
-    level = {name for name, spec in specs.items() if spec.method.is_level}
+    level = {name for name, spec in specs.items() if spec.method.learns_from == "nothing"}
     return last_shared(seeds, level, max(spec.iterations for spec in specs.values()))
 
 

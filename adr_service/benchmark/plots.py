@@ -131,7 +131,7 @@ def plot_cost(rows: Sequence[InferenceCost]) -> Figure:
 def _returns_panel(axis: Axes, rows: Sequence[Row]) -> None:
     last = max(row.iteration for row in rows)
     groups = {name: [row for row in rows if row.method == name] for name in _names(rows)}
-    levels = [name for name in groups if methods()[name].is_level]
+    levels = [name for name in groups if methods()[name].learns_from == "nothing"]
     for method in levels:
         _band(axis, [0.0, max(last, 1)], groups[method][0], _colour(method), _label(method))
     moving = {name: chosen for name, chosen in groups.items() if name not in levels}

@@ -1,7 +1,7 @@
 """Effects outside the catalogue, which a criticism should call unknown."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import mujoco
 import numpy as np
@@ -9,13 +9,7 @@ import numpy as np
 Outside = Literal[
     "torque_ripple", "cross_coupling", "position_dependent_friction", "gain_drift", "disturbance"
 ]
-OUTSIDE: tuple[Outside, ...] = (
-    "torque_ripple",
-    "cross_coupling",
-    "position_dependent_friction",
-    "gain_drift",
-    "disturbance",
-)
+OUTSIDE: tuple[Outside, ...] = get_args(Outside)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ import os
 import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
-from types import TracebackType
 from typing import IO, Any, Self
 
 import httpx2
@@ -39,12 +38,7 @@ class AdrClient:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._http.close()
 
     def submit_run(self, spec: Json, *, dry_run: bool = False) -> Json:

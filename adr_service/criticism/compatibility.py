@@ -67,6 +67,11 @@ def check_state(model: mujoco.MjModel) -> None:
         )
 
 
+def joints_of(model: mujoco.MjModel) -> list[str]:
+    """Names of the joints, in the model's order."""
+    return [model.joint(i).name for i in range(model.njnt)]
+
+
 def commanded_actuators(model: mujoco.MjModel) -> list[str]:
     """Names of the actuators whose commands a measurement has. Those that a mechanism added come
     last in the model, and are left out."""

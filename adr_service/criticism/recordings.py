@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector
-from adr_service.criticism.compatibility import check_columns, check_state
+from adr_service.criticism.compatibility import check_columns, check_state, joints_of
 from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.errors import InvalidInput
 from adr_service.parameters import ParameterSpace
@@ -139,8 +139,7 @@ def observed(task: Task, source: Source, states: Matrix) -> Matrix:
 
 def _named(model: mujoco.MjModel, chosen: Mask) -> str:
     """The chosen ones (nq + nv,) of a model's positions and velocities, by their joints."""
-    names = [model.joint(number).name for number in range(model.njnt)]
-    kinds = [f"the {kind} of {name}" for kind in ("position", "velocity") for name in names]
+    kinds = [f"the {k} of {name}" for k in ("position", "velocity") for name in joints_of(model)]
     return ", ".join(kinds[number] for number in np.flatnonzero(chosen))
 
 

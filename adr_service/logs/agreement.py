@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
+from adr_service.criticism.compatibility import commanded_actuators
 from adr_service.criticism.measurements import Measurement
-from adr_service.logs.mapping import actuators_of
 
 _MOST = 3000  # rows
 _SURE = 3.0  # standard errors
@@ -73,7 +73,7 @@ def _drives(model: mujoco.MjModel) -> list[int]:
     """Actuators that somebody commands and that move one joint."""
     return [
         number
-        for number in range(len(actuators_of(model)))
+        for number in range(len(commanded_actuators(model)))
         if model.actuator_trntype[number] == mujoco.mjtTrn.mjTRN_JOINT
     ]
 

@@ -19,12 +19,12 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
-from adr_service.criticism.compatibility import check_state
+from adr_service.criticism.compatibility import check_state, commanded_actuators, joints_of
 from adr_service.criticism.measurements import Measurement
 from adr_service.errors import InvalidInput
 from adr_service.logs.agreement import Agreement, agreements
 from adr_service.logs.base import Log
-from adr_service.logs.mapping import LogMap, actuators_of, is_slide, joints_of
+from adr_service.logs.mapping import LogMap, is_slide
 from adr_service.logs.resampling import edges, held, interpolated, sampled, scatter
 from adr_service.logs.tracks import (
     DENSER,
@@ -212,7 +212,7 @@ def _warnings(
             f"rows are {1000 * period:g} ms apart and readings {1000 * spacing:.3g} ms, because "
             f"rows are whole steps of the model, of {1000 * model.opt.timestep:g} ms"
         )
-    for name in actuators_of(model):
+    for name in commanded_actuators(model):
         actuator = model.actuator(name)
         if not actuator.ctrllimited[0]:
             yield (
@@ -265,7 +265,7 @@ def _episode(
         velocities.append(slope if velocity is None else sampled(velocity, time, period)[0])
     steps = round(period / model.opt.timestep)
     commands = np.empty((len(time), steps, len(recording.commands)))
-    for number, name in enumerate(actuators_of(model)):
+    for number, name in enumerate(commanded_actuators(model)):
         command = recording.commands[number]
         if command is None:
             commands[..., number] = given.actuators[name].constant
@@ -361,7 +361,7 @@ def _varies(within: Array3) -> bool:
 def _at_limit(model: mujoco.MjModel, within: Array3) -> dict[str, float]:
     """Share of rows with a command at a limit or beyond, from (N, steps, nu)."""
     shares: dict[str, float] = {}
-    for number, name in enumerate(actuators_of(model)):
+    for number, name in enumerate(commanded_actuators(model)):
         actuator = model.actuator(name)
         if actuator.ctrllimited[0]:
             low, high = actuator.ctrlrange

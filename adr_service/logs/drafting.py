@@ -6,8 +6,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from adr_service.criticism.compatibility import commanded_actuators, joints_of
 from adr_service.logs.base import SECONDS, Log
-from adr_service.logs.mapping import ANGLES, LENGTHS, actuators_of, is_slide, joints_of
+from adr_service.logs.mapping import ANGLES, LENGTHS, is_slide
 
 _TIMES = ("time", "timestamp", "stamp", "t")
 _POSITIONS = ("position", "pos", "qpos", "q", "angle", "state")
@@ -35,7 +36,7 @@ def draft(logs: Sequence[Log], model: mujoco.MjModel) -> str:
         lines += ["", "[time]", f"column = {_text(time)}", _time_unit(logs[0], time)]
     lines += ["", "[rows]", "seconds = 1.0  # length of an episode"]
     lines.append("# period = 0.01  # seconds between rows; about the readings' own, if left out")
-    joints, drives = joints_of(model), actuators_of(model)
+    joints, drives = joints_of(model), commanded_actuators(model)
     positions = _matched(names, joints, _POSITIONS)
     velocities = _matched(names, joints, _VELOCITIES)
     for joint in joints:

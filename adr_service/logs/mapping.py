@@ -38,7 +38,7 @@ import mujoco
 import numpy as np
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from adr_service.effects.base import is_added
+from adr_service.criticism.compatibility import commanded_actuators, joints_of
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.json_values import Wire
 from adr_service.logs.base import Clock, TimeUnit
@@ -173,7 +173,7 @@ class LogMap(Wire):
     def check(self, model: mujoco.MjModel) -> None:
         """Raises InvalidInput unless the map has all joints and actuators of a model, no more."""
         _check_names("joint", self.joints, joints_of(model))
-        _check_names("actuator", self.actuators, actuators_of(model))
+        _check_names("actuator", self.actuators, commanded_actuators(model))
         for name, joint in self.joints.items():
             joint.check(name, is_slide(model, name))
         for name, drive in self.actuators.items():
@@ -208,16 +208,6 @@ def _check_set_point(name: str, drive: ActuatorMap, model: mujoco.MjModel) -> No
             "in the actuator's own unit, to which `scale` brings it"
         )
     _check_unit(f"actuators.{name}", drive.unit, is_slide(model, joint))
-
-
-def joints_of(model: mujoco.MjModel) -> list[str]:
-    return [model.joint(i).name for i in range(model.njnt)]
-
-
-def actuators_of(model: mujoco.MjModel) -> list[str]:
-    """Actuators that somebody commands, in the model's order."""
-    names = [model.actuator(i).name for i in range(model.nu)]
-    return [name for name in names if not is_added(name)]
 
 
 def joint_of(model: mujoco.MjModel, actuator: str) -> str | None:

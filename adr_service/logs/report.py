@@ -10,11 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from adr_service.arrays import Indices, Vector
+from adr_service.criticism.compatibility import commanded_actuators, joints_of
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.excitation import Excitation
 from adr_service.criticism.page import page, svg, table
 from adr_service.logs.conversion import Column, Converted, Record
-from adr_service.logs.mapping import actuators_of, is_slide, joints_of
+from adr_service.logs.mapping import is_slide
 
 _AT_REST = 0.02  # of a joint's largest speed
 _MOST_GAPS, _MOST_POINTS = 10, 4000  # listed; drawn in a panel
@@ -188,7 +189,7 @@ def _row(column: Column) -> list[Any]:
 
 def _traces(converted: Converted, model: mujoco.MjModel) -> Figure:
     """All rows of all episodes, one after the other."""
-    data, joints, drives = converted.measurement, joints_of(model), actuators_of(model)
+    data, joints, drives = converted.measurement, joints_of(model), commanded_actuators(model)
     panels: list[tuple[str, Vector, str]] = []
     for number, name in enumerate(joints):
         unit = "m" if is_slide(model, name) else "rad"

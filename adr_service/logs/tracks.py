@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from adr_service.criticism.compatibility import commanded_actuators, joints_of
 from adr_service.criticism.measurements import why_stuck
 from adr_service.errors import InvalidInput
 from adr_service.logs.base import Clock, Log, Signal
-from adr_service.logs.mapping import LogMap, actuators_of, is_slide, joints_of
+from adr_service.logs.mapping import LogMap, is_slide
 
 LEAST_READINGS = 4  # in a window, for a parabola with an error of its own
 PREFERRED = 8  # if the log's spacing decides the period, and a velocity is to be derived
@@ -104,7 +105,7 @@ def recording_of(log: Log, given: LogMap, model: mujoco.MjModel) -> Recording:
             velocity = scaled(velocity, joint.velocity_factor(slide))
         velocities.append(velocity)
     commands: list[Track | None] = []
-    for name in actuators_of(model):
+    for name in commanded_actuators(model):
         drive, command = given.actuators[name], None
         if drive.command is not None:
             read = log.commands if drive.between == "hold" else log.signal

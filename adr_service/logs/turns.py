@@ -12,8 +12,9 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Indices, Vector
+from adr_service.criticism.compatibility import commanded_actuators, joints_of
 from adr_service.errors import InvalidInput
-from adr_service.logs.mapping import JointMap, LogMap, actuators_of, is_slide, joint_of, joints_of
+from adr_service.logs.mapping import JointMap, LogMap, is_slide, joint_of
 from adr_service.logs.tracks import GAP, MANY_TURNS, TURN, Recording, Track
 
 _NEARLY = 0.1  # a jump by a turn, to within a tenth
@@ -68,7 +69,7 @@ def on_one_branch(
 def beside_their_joints(recording: Recording, given: LogMap, model: mujoco.MjModel) -> Recording:
     """A recording with set-points that wrap on the branch of the joint that they move."""
     commands = list(recording.commands)
-    for number, name in enumerate(actuators_of(model)):
+    for number, name in enumerate(commanded_actuators(model)):
         drive, track, joint = given.actuators[name], commands[number], joint_of(model, name)
         if drive.wrap is None or track is None or joint is None:
             continue

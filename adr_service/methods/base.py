@@ -143,12 +143,12 @@ class MethodSettings(Wire):
     name: Any  # of the method: a `Literal` in each class, which could not narrow a `str`
 
     program: ClassVar[str]  # module with the function `run` for runs of the method
-    learns_from: ClassVar[Data]  # returns, visits by its own policies, or recordings of others
+    # returns, visits by its own policies, or recordings of others; or nothing: without iterations
+    learns_from: ClassVar[Data]
     grid: ClassVar["Grid | None"] = None  # setting that is tried with several values
     believes: ClassVar[bool] = False  # each answer is one distribution, an estimate
     needs_truth: ClassVar[bool] = False  # trains on the hidden truth, in the target's own space
     is_reference: ClassVar[bool] = False  # part of every benchmark, to compare with
-    is_level: ClassVar[bool] = False  # evaluated once, without iterations
     # states in the data from which replays start: as they were recorded, as in the papers of all
     # offline methods, or without their sensors' noise (criticism.smoothing)
     replay_from: ClassVar[ReplayFrom] = "recorded"
@@ -270,7 +270,6 @@ class CurriculumSettings(MethodSettings):
 
     program: ClassVar[str] = "adr_service.programs.curriculum"
     learns_from: ClassVar[Data] = "nothing"
-    is_level: ClassVar[bool] = True
 
     @abstractmethod
     def create(self, problem: Problem) -> Curriculum:

@@ -18,7 +18,6 @@ class PriorSettings(MethodSettings):
     learns_from: ClassVar[Data] = "nothing"
     believes: ClassVar[bool] = True
     is_reference: ClassVar[bool] = True
-    is_level: ClassVar[bool] = True
     colour: ClassVar[str] = "#666666"
 
 
@@ -31,5 +30,4 @@ class OracleSettings(MethodSettings):
     learns_from: ClassVar[Data] = "nothing"
     needs_truth: ClassVar[bool] = True
     is_reference: ClassVar[bool] = True
-    is_level: ClassVar[bool] = True
     colour: ClassVar[str] = "#009E73"

@@ -37,7 +37,6 @@ class UdrSettings(MethodSettings):
 
     program: ClassVar[str] = "adr_service.programs.udr"
     learns_from: ClassVar[Data] = "nothing"
-    is_level: ClassVar[bool] = True
     label: ClassVar[str] = "UDR"
     colour: ClassVar[str] = "#E69F00"
     papers: ClassVar[tuple[Paper, ...]] = (PAPER,)

@@ -36,11 +36,6 @@ class LostRun(Wire):
         """The method."""
         return self.method
 
-    @property
-    def place(self) -> tuple[str, str, str]:
-        """Task, variant and method."""
-        return self.task, self.variant, self.method
-
 
 class LostBenchmark(Wire):
     """A stored benchmark whose spec cannot be read any more."""

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Vector
-from adr_service.criticism.compatibility import commanded_actuators
+from adr_service.criticism.compatibility import commanded_actuators, joints_of
 from adr_service.criticism.extension import written_out
 from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.criticism.next_recording import (
@@ -33,7 +33,7 @@ from adr_service.progress import Progress
 from adr_service.simulation.model import not_a_model, unit_at
 from adr_service.tasks.base import Task
 from adr_service.tasks.catalogue import get_task, variant_of
-from api.cli.files import check_absent, naming, read
+from api.cli.files import check_absent, naming, read, read_text
 
 T = TypeVar("T")
 Bounds = Mapping[int, tuple[float, float]]  # by number of an actuator or a joint
@@ -157,7 +157,7 @@ def plan_file(
             if shown
             else "  nothing is tied, and it could show nothing that the recording cannot"
         )
-    joints = [simulator.base.joint(i).name for i in range(simulator.base.njnt)]
+    joints = joints_of(simulator.base)
     lines.append(f"  each episode starts {_beginning(plan, joints)}")
     for name, now, before in zip(joints, plan.reach, plan.recorded, strict=True):
         lines.append(f"  {name}: {_range(now)} in simulation, {_range(before)} as recorded")
@@ -201,15 +201,14 @@ def limits_of(texts: Sequence[str], nominal: Nominal) -> Bounds:
 
 def reach_of(texts: Sequence[str], nominal: Nominal) -> Bounds:
     """Allowed positions of texts NAME=LOW:HIGH, by the joint's number."""
-    model = nominal.model(nominal.start)
-    names = [model.joint(i).name for i in range(model.njnt)]
+    names = joints_of(nominal.model(nominal.start))
     return _once("reach", [_bounds("reach", "joint", text, names) for text in texts], names)
 
 
 def start_of(texts: Sequence[str], nominal: Nominal) -> Pose:
     """Positions of texts NAME=VALUE, by the joint's number."""
     model = nominal.model(nominal.start)
-    names = [model.joint(i).name for i in range(model.njnt)]
+    names = joints_of(model)
     pose: list[tuple[int, float]] = []
     for text in texts:
         name, _, value = text.partition("=")
@@ -271,10 +270,10 @@ def write(out: Path, files: Mapping[str, bytes]) -> None:
 
 def _measurement(path: Path, task: Task | None) -> Measurement:
     """The measurement in a file, or a task's recording as one."""
-    content = read(path)
+    content = read_text(path) if path.suffix == ".csv" else read(path)
     with naming(path):
-        if path.suffix == ".csv":
-            return Measurement.from_csv(_text(content))
+        if isinstance(content, str):
+            return Measurement.from_csv(content)
         if task is not None:
             return read_measurement(task, content)
         if is_measurement(content):
@@ -283,10 +282,3 @@ def _measurement(path: Path, task: Task | None) -> Measurement:
             "it is no measurement of states and commands, which a --model needs "
             "(docs/criticism.md); recordings of transitions go with a --task"
         )
-
-
-def _text(content: bytes) -> str:
-    try:
-        return content.decode()
-    except UnicodeDecodeError as error:
-        raise InvalidInput(f"it is no text in UTF-8: {error}") from error

@@ -8,6 +8,7 @@ from rich.table import Table
 
 from adr_service.client import Json, connect
 from adr_service.errors import InvalidInput
+from api.cli.files import read
 from api.cli.options import AsJson, Url
 from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console
@@ -74,10 +75,7 @@ def read_recording(file: Path, task_name: str) -> bytes:
         return _combined(file, task_name)
     if file.suffix != ".npz":
         raise InvalidInput(f"a recording is an .npz, or a prefix of .npy files; given {file}")
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise InvalidInput(f"{file} cannot be read: {error.strerror}") from error
+    return read(file)
 
 
 def _combined(prefix: Path, task_name: str) -> bytes:

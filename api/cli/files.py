@@ -15,6 +15,14 @@ def read(file: Path) -> bytes:
         raise InvalidInput(f"{file} cannot be read: {error.strerror}") from error
 
 
+def read_text(file: Path) -> str:
+    """The text of a file; raises InvalidInput if it cannot be read, or is no UTF-8."""
+    try:
+        return read(file).decode()
+    except UnicodeDecodeError as error:
+        raise InvalidInput(f"{file}: it is no text in UTF-8: {error}") from error
+
+
 @contextmanager
 def naming(file: Path) -> Generator[None]:
     """Let a refusal of a file's content begin with the file's name."""

@@ -6,7 +6,6 @@ from pathlib import Path
 from adr_service.criticism.excitation import excitation
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator
-from adr_service.errors import InvalidInput
 from adr_service.logs.base import Log
 from adr_service.logs.catalogue import read_logs
 from adr_service.logs.conversion import Converted, convert
@@ -14,6 +13,7 @@ from adr_service.logs.drafting import draft
 from adr_service.logs.mapping import LogMap
 from adr_service.logs.report import report_page
 from api.cli.criticism_files import check_differ, nominal_of
+from api.cli.files import read_text
 
 
 def draft_of(logs: Sequence[Path], task: str | None, model: Path | None) -> str:
@@ -28,7 +28,7 @@ def measure_files(
     """Write the measurement, and a page about it beside it."""
     nominal, name = nominal_of(task, None, model, ())
     robot = nominal.model(nominal.start)
-    converted = convert(_read(logs), _map_of(map), robot)
+    converted = convert(_read(logs), LogMap.from_toml(read_text(map)), robot)
     page = _page(converted, nominal, ", ".join(log.name for log in logs), name)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_bytes(converted.measurement.to_npz())
@@ -39,13 +39,6 @@ def measure_files(
 def _read(logs: Sequence[Path]) -> list[Log]:
     check_differ(logs)
     return [log for path in logs for log in read_logs(path)]
-
-
-def _map_of(path: Path) -> LogMap:
-    try:
-        return LogMap.from_toml(path.read_text())
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"{path} cannot be read: {error}") from error
 
 
 def _page(converted: Converted, nominal: Nominal, logs: str, name: str) -> str:

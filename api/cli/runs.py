@@ -65,12 +65,7 @@ def submit(
         spec["extension"] = read_effects(extension)
     assign(spec, setting)
     with connect(url) as client:
-        answer = _send(client, spec, dry_run)
-        is_followed = watch and not dry_run
-        if not (as_json and is_followed):
-            _print_answer(answer, dry_run, as_json)
-        if is_followed:
-            follow(client, answer["id"], as_json)
+        _show(client, _send(client, spec, dry_run), "", dry_run, watch, as_json)
 
 
 def _recorded(dataset: str | None) -> Json | None:
@@ -93,13 +88,19 @@ def _send(client: AdrClient, spec: Json, dry_run: bool) -> Json:
     return send(spec, dry_run=dry_run)
 
 
-def _print_answer(answer: Json, dry_run: bool, as_json: bool) -> None:
-    if as_json:
+def _show(
+    client: AdrClient, answer: Json, remark: str, dry_run: bool, watch: bool, as_json: bool
+) -> None:
+    """Print the answer to a request, with a remark, and follow what it started."""
+    is_followed = watch and not dry_run
+    if as_json and not is_followed:
         console.print_json(data=answer)
     elif dry_run:
         console.print(plan_table(answer["plan"]))
-    else:
-        console.print(answer["id"])
+    elif not as_json:
+        console.print(f"{answer['id']}{remark}")
+    if is_followed:
+        follow(client, answer["id"], as_json)
 
 
 @app.command()
@@ -121,15 +122,7 @@ def extend(
     extension = members(seed=seed, method=method, variant=variant, task=task, collector=collector)
     with connect(url) as client:
         answer = client.extend_benchmark(id, extension, dry_run=dry_run)
-        is_followed = watch and not dry_run
-        if as_json and not is_followed:
-            console.print_json(data=answer)
-        elif dry_run:
-            console.print(plan_table(answer["plan"]))
-        elif not as_json:
-            console.print(f"{id} goes on")
-        if is_followed:
-            follow(client, id, as_json)
+        _show(client, answer, " goes on", dry_run, watch, as_json)
 
 
 @app.command("list")

@@ -6,9 +6,9 @@ from fastapi import APIRouter, Response
 from pydantic import TypeAdapter
 
 import adr_service
+from adr_service.client.robot.playback import about
 from adr_service.methods.catalogue import AnyMethod
 from adr_service.presets import PRESETS
-from adr_service.simulation.batch import control_period
 from adr_service.tasks.catalogue import catalogue
 from api.metrics import CONTENT_TYPE, exposition
 from api.routes.downloads import artifact_response
@@ -24,13 +24,7 @@ def tasks() -> list[dict[str, Any]]:
     """Tasks, their variants, and the parameters that methods may infer."""
     return [
         {
-            "name": name,
-            "observation_columns": entry.task.columns,
-            "measured_columns": entry.task.measured,
-            "actions": len(entry.task.action_low),
-            "action_low": entry.task.action_low.tolist(),
-            "action_high": entry.task.action_high.tolist(),
-            "control_period_s": control_period(entry.task),
+            **about(entry.task),
             "horizon": entry.task.horizon,
             "reward_threshold": entry.task.reward_threshold,
             "variants": {
@@ -41,7 +35,7 @@ def tasks() -> list[dict[str, Any]]:
                 for variant_name, variant in entry.variants.items()
             },
         }
-        for name, entry in catalogue().items()
+        for entry in catalogue().values()
     ]
 
 

@@ -104,19 +104,13 @@ def figure(run_id: str, name: str, file_format: Format, service: ServiceDependen
 @router.get("/{run_id}/distribution")
 def distribution(run_id: str, service: ServiceDependency) -> DistributionView:
     """Training distribution of the latest policy: the method's estimate of each parameter."""
-    outcomes = _outcomes(service, run_id)
-    if not outcomes:
-        raise NotFound("finished iteration of run", run_id)
-    return distribution_view(outcomes[-1])
+    return distribution_view(_latest(service, run_id, "finished iteration"))
 
 
 @router.get("/{run_id}/policy", response_class=Response)
 def policy(run_id: str, service: ServiceDependency) -> Response:
     """The latest evaluated policy, as safetensors; the first if there are several."""
-    outcomes = _outcomes(service, run_id)
-    if not outcomes:
-        raise NotFound("evaluated policy of run", run_id)
-    digest = outcomes[-1].iteration.policies[0]
+    digest = _latest(service, run_id, "evaluated policy").iteration.policies[0]
     return artifact_response(service, digest, f"{run_id}.safetensors")
 
 
@@ -126,16 +120,21 @@ def film(run_id: str, service: ServiceDependency) -> Response:
 
     Beside it is one on the target, where that is simulated. It takes seconds to a minute.
     """
-    outcomes = _outcomes(service, run_id)
-    if not outcomes:
-        raise NotFound("evaluated policy of run", run_id)
-    latest = outcomes[-1]
+    latest = _latest(service, run_id, "evaluated policy")
     digest = latest.iteration.policies[0]
     policy = stage_store.artifact(service.database, digest)
     if policy is None:
         raise NotFound("artifact", digest)
     about = distribution_view(latest).model_dump()
     return Response(service.films.of(latest.spec, policy, about), media_type="video/mp4")
+
+
+def _latest(service: Service, run_id: str, kind: str) -> Outcome:
+    """The outcome of a run's last iteration. Raises NotFound for a lack of this kind of thing."""
+    outcomes = _outcomes(service, run_id)
+    if not outcomes:
+        raise NotFound(f"{kind} of run", run_id)
+    return outcomes[-1]
 
 
 def _outcomes(service: Service, run_id: str) -> list[Outcome]:

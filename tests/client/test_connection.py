@@ -10,6 +10,7 @@ import pytest
 from adr_service.client import connection
 from adr_service.client.connection import AdrClient, Refused, Unreachable, check_benchmark
 from adr_service.errors import InvalidInput
+from adr_service.presets import PRESETS
 from tests.api.smoke import SMOKE
 
 
@@ -135,6 +136,12 @@ def test_a_refusal_and_an_absent_service_are_explained(service):
         pytest.raises(Unreachable, match="adr serve"),
     ):
         nobody.ready()
+
+
+@pytest.mark.ray
+def test_methods_and_presets_are_those_of_the_service(service):
+    assert "DropoSettings" in service.client.methods()["$defs"]
+    assert list(service.client.presets()) == list(PRESETS)
 
 
 def test_what_is_of_a_benchmark_refuses_the_id_of_a_run():

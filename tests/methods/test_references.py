@@ -15,10 +15,9 @@ def test_the_references_are_the_prior_and_the_oracle():
 
 
 @pytest.mark.parametrize("settings", REFERENCES)
-def test_a_reference_learns_from_nothing_and_is_evaluated_once(settings):
+def test_a_reference_learns_from_nothing(settings):
     nothing: Data = "nothing"
     assert settings.learns_from == nothing
-    assert settings.is_level
     assert not settings().infers
 
 

@@ -41,6 +41,7 @@ def test_with_a_map_a_measurement_and_a_page_are_written(adr_here, files):
         (["--map", "map.toml"], "give --map and --out, or neither"),
         (["--map", "map.toml", "--out", "measured.csv"], "--out is a file that ends on .npz"),
         (["--map", "none.toml", "--out", "a.npz"], "none.toml cannot be read"),
+        (["--map", "log.npz", "--out", "a.npz"], "log.npz: it is no text in UTF-8"),
         (["--map", "robot.xml", "--out", "a.npz"], "the map is no TOML"),
     ],
 )
