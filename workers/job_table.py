@@ -192,10 +192,10 @@ class JobTable:
             case Refused():  # because of one of them
                 for job in jobs:
                     self._deliver([job])
-            case None:
-                for job, outcome in zip(jobs, outcomes, strict=True):
+            case stored:
+                for job, result in zip(jobs, stored, strict=True):
                     log.info("stage finished", extra=job.ids)
-                    self._hand_over(job, outcome.result)
+                    self._hand_over(job, result)
 
     def _hand_over(self, job: Job, result: StageResult) -> None:
         del self._jobs[job.stage.digest]

@@ -67,10 +67,11 @@ class Results(Protocol):
         """Forget the lease of a stage, if it needed one, that led to no result."""
         ...
 
-    def commit(self, outcomes: Sequence[Outcome]) -> None:
+    def commit(self, outcomes: Sequence[Outcome]) -> list[StageResult]:
         """Store results, and write their events to the runs that waited; all of them or none.
 
-        Raises LeaseLost if one of the stages was begun under another lease since.
+        Return what is stored of each: a result that was there already stays. Raises LeaseLost if
+        one of the stages was begun under another lease since.
         """
         ...
 
@@ -110,15 +111,19 @@ class DatabaseResults:
         if stage.role == "target":
             visit_store.drop_simulated(self._database, stage.digest)
 
-    def commit(self, outcomes: Sequence[Outcome]) -> None:
+    def commit(self, outcomes: Sequence[Outcome]) -> list[StageResult]:
+        stored = list[StageResult]()
         with self._database.write("commit_result") as session:
             for outcome in outcomes:
-                stage, result = outcome.stage, outcome.result
-                document = canonical_json(stage.document)
-                stage_store.add_result(session, stage.digest, document, result, outcome.execution)
+                stage, document = outcome.stage, canonical_json(outcome.stage.document)
+                result = stage_store.add_result(
+                    session, stage.digest, document, outcome.result, outcome.execution
+                )
                 append_to_all(session, outcome.run_ids, events_of(stage, stage.read(result)))
                 if outcome.lease is not None:
                     visit_store.finish(session, stage.digest, outcome.lease)
+                stored.append(result)
+        return stored
 
     def note(self, stage: AnyStage, checkpoint: Checkpoint, run_ids: Sequence[str]) -> None:
         with self._database.write("note_checkpoint") as session:

@@ -36,6 +36,7 @@ class Store:
             self.results[digest], self.executions[digest] = outcome.result, execution
             attempt, started_by = execution.attempt, execution.started_by
             self.commits.append((digest, attempt, started_by, sorted(outcome.run_ids)))
+        return [outcome.result for outcome in outcomes]
 
     def refuse(self):
         if self.refusals > 0:

@@ -1,5 +1,7 @@
 """Results in the database, and trouble with it as a value."""
 
+from concurrent.futures import Future
+
 import pytest
 
 from adr_service.events import TrainingEvaluated
@@ -8,9 +10,11 @@ from adr_service.stages.base import StageResult
 from db import events, runs, stages, visits
 from db.errors import DatabaseUnavailable
 from db.visits import LeaseLost
-from tests.db.rows import EXECUTION, SPEC
+from tests.db.rows import EXECUTION, SPEC, commit
 from tests.stages.examples import episode, rollout, training
 from workers import results
+from workers.actors import Finished
+from workers.job_table import JobTable
 from workers.results import (
     Beginning,
     DatabaseResults,
@@ -48,6 +52,19 @@ def test_a_result_is_written_to_the_runs_that_waited_and_to_those_that_find_it(d
     for run_id in (waited, later):
         (event,) = events_of(database, run_id, "stage_finished")
         assert event.event.digest == STAGE.digest
+
+
+def test_a_result_that_was_imported_meanwhile_is_the_one_that_runs_get(database):
+    """The same training on another type of CPU has another policy."""
+    imported = StageResult(RESULT.values, {**RESULT.blobs, "policy": b"of another CPU"})
+    store, run_id = DatabaseResults(database), runs.create_run(database, SPEC).id
+    table, future = JobTable(store), Future()
+    table.accept(STAGE, run_id, future)
+    (job,) = table.ready()
+    table.begin([job], ["actor"])
+    commit(database, STAGE, imported)
+    table.end([(job, Finished(RESULT, EXECUTION))])
+    assert future.result(timeout=0) == store.find(STAGE, run_id) == imported
 
 
 def test_a_simulated_visit_is_completed_under_its_last_lease_alone(database):

@@ -135,7 +135,7 @@ class MemoryLedger:
         if visit is not None and not visit.is_external and visit.state == "claimed":
             del self._visits[stage.digest]
 
-    def commit(self, outcomes: Sequence[Outcome]) -> None:
+    def commit(self, outcomes: Sequence[Outcome]) -> list[StageResult]:
         for outcome in outcomes:
             digest = outcome.stage.digest
             if outcome.lease is not None:
@@ -144,6 +144,7 @@ class MemoryLedger:
             self._executions.setdefault(digest, outcome.execution)
             for run_id in outcome.run_ids:
                 self._events[run_id][digest] = None
+        return [self._results[outcome.stage.digest] for outcome in outcomes]
 
     def note(self, stage: AnyStage, checkpoint: Checkpoint, run_ids: Sequence[str]) -> None:
         """Checkpoints are for people; no result needs them."""

@@ -46,7 +46,7 @@ class Witness:
     def note(self, stage: AnyStage, checkpoint: Checkpoint, run_ids: Sequence[str]) -> None:
         self._transaction(lambda: self._ledger.note(stage, checkpoint, run_ids))
 
-    def commit(self, outcomes: Sequence[Outcome]) -> None:
+    def commit(self, outcomes: Sequence[Outcome]) -> list[StageResult]:
         origins = {o.stage.digest: (o.execution.attempt, o.execution.began) for o in outcomes}
         for outcome in outcomes:
             self._check(outcome, origins[outcome.stage.digest])
@@ -56,13 +56,14 @@ class Witness:
         if not self._unstorable.isdisjoint(origins.values()):
             raise OSError("as the schedule has it")
 
-        def store() -> None:
-            self._ledger.commit(outcomes)
+        def store() -> list[StageResult]:
+            stored = self._ledger.commit(outcomes)
             self.commits += len(origins.keys() - self.stored.keys())
             self.batches += len(outcomes) > 1
             self.stored |= origins
+            return stored
 
-        self._transaction(store)
+        return self._transaction(store)
 
     def _check(self, outcome: Outcome, origin: tuple[int, float]) -> None:
         stage = outcome.stage
