@@ -105,7 +105,12 @@ def _replay(session: Session, run_id: str, spec: RunSpec, benchmark_id: str) -> 
         raise InvalidInput(
             f"event {wrong[0]} of {run_id} in the archive does not follow from the stored results"
         )
-    is_whole = replay.is_complete or row.state != RunState.SUCCEEDED
+    has_succeeded = row.state == RunState.SUCCEEDED
+    if lacking := replay.lacking(science, has_succeeded):
+        raise InvalidInput(
+            f"the archive has no event {lacking[0]} of {run_id}, though its results lead to it"
+        )
+    is_whole = replay.is_complete or not has_succeeded
     return CheckedRun(run_id, replay, is_whole and not replay.is_behind(science))
 
 

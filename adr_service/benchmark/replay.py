@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from adr_service.errors import InvalidInput
-from adr_service.events import RunEvent, TrainingEvaluated
+from adr_service.events import IterationFinished, RunEvent, TrainingEvaluated
 from adr_service.programs import run
 from adr_service.specs import RunSpec
 from adr_service.stages.base import AnyStage, StageResult
@@ -36,6 +36,17 @@ class Replay:
             if key in self.events and not agree(event.model_dump(), self.events[key].model_dump())
         ]
         return differ + (self._beyond(stored) if self.is_complete else [])
+
+    def lacking(self, stored: Mapping[str, RunEvent], has_succeeded: bool) -> list[str]:
+        """Keys of iterations that the results lead to, but that are not stored.
+
+        A run that was stopped may lack its last ones. No service leaves a gap, or ends a run well
+        without all of them.
+        """
+        mine = [key for key, e in self.events.items() if isinstance(e, IterationFinished)]
+        written = [number for number, key in enumerate(mine, 1) if key in stored]
+        last = len(mine) if has_succeeded else max(written, default=0)
+        return [key for key in mine[:last] if key not in stored]
 
     def is_behind(self, stored: Mapping[str, RunEvent]) -> bool:
         """True if the results end before the stored events do, so that some cannot be checked.

@@ -412,6 +412,18 @@ def _invented(rows):
     return [*rows, extra]
 
 
+def _without(key):
+    """The first run that has this event comes without it."""
+
+    def change(rows):
+        left_out = next(row for row in rows if row["key"] == key)
+        mine = [row for row in rows if row["run_id"] == left_out["run_id"] and row != left_out]
+        others = [row for row in rows if row["run_id"] != left_out["run_id"]]
+        return [*({**row, "seq": seq} for seq, row in enumerate(mine, 1)), *others]
+
+    return change
+
+
 def _moved(rows):
     """A document under a digest that is not its own."""
     changed = {**json.loads(rows[0]["document"]), "version": 99}
@@ -487,6 +499,8 @@ HOSTILE = {
     "another event's key": ("events", _first(key="run_started:1"), "contradicts itself|columns"),
     "returns that no evaluation has": ("events", _other_return, "does not follow"),
     "an iteration that never was": ("events", _invented, "does not follow"),
+    "no first iteration": ("events", _without("iteration_finished:0"), "has no event"),
+    "no last iteration": ("events", _without("iteration_finished:1"), "has no event"),
     "another stage's document": ("stages", _moved, "document of another"),
     "a result of another form": ("stages", _first(result='{"evil":1}'), "cannot use its stored"),
     "a result that is a list": ("stages", _first(result="[1]"), "no JSON object"),
