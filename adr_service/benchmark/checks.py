@@ -46,6 +46,7 @@ class Evidence:
     is_tested: bool = True  # False: it must hold for every seed, and has no error of a test
     needed: Callable[[float], float] = lambda level: float("inf")  # seeds for a two-sided level
     in_part: bool = False  # at least one of several checks was measured
+    leans: bool | None = None  # of several checks, whose p-values are corrected: as all of them do
 
     @property
     def is_measured(self) -> bool:
@@ -55,7 +56,7 @@ class Evidence:
     @property
     def leans_to_support(self) -> bool:
         """True if the measured values speak for the statement rather than against it."""
-        return self.supports <= self.contradicts
+        return self.supports <= self.contradicts if self.leans is None else self.leans
 
 
 Check = Callable[[Measured], Evidence]
@@ -257,7 +258,8 @@ def _for_every(holds: Sequence[bool], line: str) -> Evidence:
 
 
 def _negation(answer: Evidence) -> Evidence:
-    return replace(answer, supports=answer.contradicts, contradicts=answer.supports)
+    leans = None if answer.leans is None else not answer.leans
+    return replace(answer, supports=answer.contradicts, contradicts=answer.supports, leans=leans)
 
 
 def conjunction(answers: Sequence[Evidence]) -> Evidence:
@@ -288,6 +290,7 @@ def conjunction(answers: Sequence[Evidence]) -> Evidence:
         any(answer.is_tested for answer in judged or answers),
         needed,
         bool(judged),
+        not against,
     )
 
 

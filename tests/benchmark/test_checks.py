@@ -83,6 +83,22 @@ def test_the_seeds_needed_are_those_at_which_the_test_settles_it():
         assert (2 * above(values_then, 0.9, "").supports < 0.05) == settles
 
 
+def test_an_equality_that_fails_by_little_is_what_more_seeds_would_settle():
+    """The correction for its two sides hides from p-values alone on which side of .5 it is."""
+
+    def equal(mean, count):
+        spread = np.linspace(-1, 1, count)
+        values = mean + 0.05 * spread / spread.std(ddof=1)
+        return conjunction([above(values, -0.1, ""), above(-values, -0.1, "")])
+
+    def both(count):
+        return conjunction([equal(0.0, count), equal(0.11, count)])
+
+    needed = int(both(3).needed(0.05))
+    assert 2 * both(needed).contradicts < 0.05
+    assert 2 * both(needed - 10).contradicts > 0.05
+
+
 def test_one_seed_settles_nothing_and_leans_to_its_side():
     up, down = above(np.array([2.0]), 0.0, ""), above(np.array([-2.0]), 0.0, "")
     assert min(up.supports, up.contradicts, down.supports, down.contradicts) == 0.5
