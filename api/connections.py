@@ -19,11 +19,15 @@ from typing import Any, cast
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from api.errors import problem
+from api.guard import protect
+
 log = logging.getLogger(__name__)
 _KEPT = 512  # descriptors for Ray, the database, logs and files
 _MOST = 1_000  # connections, however many descriptors there are
 _RAISED_TO = 65_536  # descriptors, where the system lets us have as many
-_SECONDS = {"head": 20.0, "body": 600.0}  # for the headers of a request, and for all of its body
+_SECONDS = {"head": 20.0, "body": 600.0}  # for the headers of a request, and for its body
+_LEAST = 60_000_000  # bytes of a body that earn it as much time again
 _STALLED_S = 60.0  # in which a client must read some of its answer
 _REFUSAL = (
     b"HTTP/1.1 %s\r\nContent-Length: 0\r\nRetry-After: 5\r\nConnection: close\r\n\r\n"  # no app yet
@@ -67,6 +71,7 @@ class _Bounded(H11Protocol):
         self._most, self._turns = most, turns
         self._turn = next(turns)  # when it became idle, among all
         self._owed = ""
+        self._came = 0  # bytes since the clock began
         self._clock: asyncio.TimerHandle | None = None
         self._reading: asyncio.TimerHandle | None = None
         self._reads = 0  # times that the client has read something
@@ -92,6 +97,7 @@ class _Bounded(H11Protocol):
     def data_received(self, data: bytes) -> None:
         super().data_received(data)
         self._watch()
+        self._came += len(data)  # after a clock that this begins
 
     def on_response_complete(self) -> None:
         super().on_response_complete()
@@ -152,10 +158,34 @@ class _Bounded(H11Protocol):
         self._owed = owed
         if self._clock is not None:
             self._clock.cancel()
+        self._start_clock()
+
+    def _start_clock(self) -> None:
+        owed, self._came = self._owed, 0
         self._clock = self.loop.call_later(_SECONDS[owed], self._late) if owed else None
 
     def _late(self) -> None:
         if self._owed == "head":
             self.refuse(b"408 Request Timeout")
-        else:
+        elif self.cycle.response_started:  # so that nobody waits for the rest of the body
             self.transport.abort()
+        elif self._came >= _LEAST:
+            self._start_clock()
+        else:
+            self._refuse_body()
+
+    def _refuse_body(self) -> None:
+        """Answer 408 with the reason in the place of the application, and close the connection."""
+        detail = (
+            f"the body came too slowly: a body has {_SECONDS['body']:.0f} s, and as long again for "
+            f"each {_LEAST / 1e6:.0f} MB that come in that time"
+        )
+        answer = problem(408, "request_timeout", detail)
+        protect(answer.headers)
+        headers = [*answer.raw_headers, (b"connection", b"close")]
+        start = h11.Response(status_code=408, headers=headers, reason=b"Request Timeout")
+        for event in (start, h11.Data(data=bytes(answer.body)), h11.EndOfMessage()):
+            self.transport.write(self.conn.send(event) or b"")
+        self.cycle.disconnected = True  # so that the application stops, and answers nothing more
+        self.cycle.message_event.set()
+        self.close()

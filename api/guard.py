@@ -9,7 +9,7 @@ import math
 import re
 import time
 
-from limits import parse
+from limits import parse_many
 from limits.storage import MemoryStorage
 from limits.strategies import FixedWindowRateLimiter
 from python_multipart.multipart import parse_options_header
@@ -51,7 +51,7 @@ class Guard:
         self._robot = settings.robot_token.get_secret_value()
         self._cookie = cookie_of(self._user)
         self._hosts = _hosts(settings)
-        self._rate = parse(settings.rate)
+        self._rates = parse_many(settings.rate)
         self._limiter = FixedWindowRateLimiter(MemoryStorage())
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -86,13 +86,14 @@ class Guard:
     def _too_many(self, client: str) -> Response | None:
         # the library's windows follow the wall clock, which may be set back by hours: so each
         # window of a steady clock is a key of its own there
-        window = self._rate.get_expiry()
-        number, passed = divmod(time.monotonic(), window)
-        if self._limiter.hit(self._rate, client, f"{number:.0f}"):
-            return None
-        refusal = problem(429, "too_many_requests", f"an address may send {self._rate}")
-        refusal.headers["Retry-After"] = str(max(1, math.ceil(window - passed)))
-        return refusal
+        for rate in self._rates:
+            window = rate.get_expiry()
+            number, passed = divmod(time.monotonic(), window)
+            if not self._limiter.hit(rate, client, f"{number:.0f}"):
+                refusal = problem(429, "too_many_requests", f"an address may send {rate}")
+                refusal.headers["Retry-After"] = str(max(1, math.ceil(window - passed)))
+                return refusal
+        return None
 
     def _not_allowed(self, headers: Headers, method: str, path: str) -> Response | None:
         if not self._user or _OPEN_PATHS.fullmatch(path):
@@ -125,7 +126,7 @@ class _Answer:
             return
         if message["type"] == "http.response.start":
             headers = MutableHeaders(raw=message["headers"])
-            if message["status"] == 413 and "problem" not in headers.get("content-type", ""):
+            if message["status"] == 413:
                 self._replaced = True
                 most = self._scope.get(MAX_BODY_SIZE_SCOPE_KEY, _LARGEST_BODY)
                 detail = f"the body may have {most} bytes here"

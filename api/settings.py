@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 from typing import Any, Self
 
-from limits import parse
+from limits import parse_many
 from pydantic import (
     AliasChoices,
     Field,
@@ -38,7 +38,9 @@ class Settings(BaseSettings):
     )
     robot_token: SecretStr = Field(SecretStr(""), description="of robots' clients, if not users'")
     allowed_hosts: str = Field("", description="names of the service, with commas between")
-    rate: str = Field("500/second", description="of requests from one address")
+    rate: str = Field(
+        "500/second", description="of requests from one address, or several with ; between"
+    )
     disk_floor_mb: int = Field(500, ge=0, description="free space below which work is refused")
     retention_days: float | None = Field(
         None,
@@ -126,11 +128,13 @@ class Settings(BaseSettings):
     @classmethod
     def _is_a_rate(cls, given: str) -> str:
         try:
-            amount = parse(given).amount
+            least = min(rate.amount for rate in parse_many(given))
         except ValueError:
-            amount = 0
-        if amount < 1:
-            raise ValueError(f"{given!r} is no rate; as 500/second or 1000/minute")
+            least = 0
+        if least < 1:
+            raise ValueError(
+                f"{given!r} is no rate; as 500/second or 1000/minute, or several with ; between"
+            )
         return given
 
     @field_validator("allowed_hosts")
@@ -145,10 +149,11 @@ class Settings(BaseSettings):
 
     @property
     def database(self) -> str:
-        return (
-            self.database_url.get_secret_value()
-            or f"sqlite:///{self.data_dir.absolute() / 'adr.sqlite'}"
-        )
+        if given := self.database_url.get_secret_value():
+            return given
+        from db.backends import url_of  # imports SQLAlchemy
+
+        return url_of(self.data_dir.absolute() / "adr.sqlite")
 
 
 def read_settings(**given: Any) -> Settings:

@@ -7,9 +7,9 @@ An upload is parsed once. The parsed data and the bytes go along together from t
 """
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
-from fastapi import Header, HTTPException, status
+from fastapi import Depends, Header, HTTPException, Request, status
 from pydantic import Field
 
 from adr_service.criticism.compatibility import check_columns, check_measurement
@@ -67,3 +67,17 @@ def octets(content_type: Annotated[str, Header(include_in_schema=False)] = "") -
     if content_type.partition(";")[0].strip().lower() != OCTETS:
         detail = f"the body must be {OCTETS}; given {content_type or 'no type'!r}"
         raise HTTPException(status.HTTP_415_UNSUPPORTED_MEDIA_TYPE, detail)
+
+
+async def _content(request: Request, _: Annotated[None, Depends(octets)]) -> bytes:
+    return await request.body()
+
+
+# a body of FastAPI's would be read as JSON, where it is labelled so, before `octets` refuses it
+Content = Annotated[bytes, Depends(_content)]
+
+
+def content_described(**more: str) -> dict[str, Any]:
+    """Return what a route that takes `Content` adds to its description."""
+    schema = {"type": "string", "contentMediaType": OCTETS, "title": "Content", **more}
+    return {"requestBody": {"required": True, "content": {OCTETS: {"schema": schema}}}}

@@ -72,6 +72,11 @@ def file_of(url: str) -> Path:
     return Path(str(parsed.database))
 
 
+def url_of(file: Path) -> str:
+    """The URL of an SQLite file, whatever characters its path has."""
+    return URL.create("sqlite", database=str(file)).render_as_string()
+
+
 def parse_url(url: str) -> URL:
     """Parse a database's URL. Raises InvalidInput without repeating its password."""
     try:

@@ -21,6 +21,7 @@ from sqlalchemy.exc import IntegrityError
 
 from adr_service.benchmark.archive import ArchiveReader, Manifest
 from adr_service.errors import InvalidInput
+from db.backends import url_of
 from db.errors import DiskFull
 from db.models import NUMBER, BenchmarkRow, EventRow, RunRow, StageArtifactRow, StageRow
 from db.schema import revisions
@@ -63,7 +64,7 @@ def staged(file: IO[bytes], folder: Path, floor: float = 0) -> Generator[Staged]
     with ArchiveReader(file) as archive, TemporaryDirectory(prefix=PREFIX, dir=folder) as place:
         _check_tables(archive)
         _check_disk(archive, folder, floor)
-        with closing(Database(f"sqlite:///{Path(place) / 'archive.sqlite'}")) as database:
+        with closing(Database(url_of(Path(place) / "archive.sqlite"))) as database:
             database.upgrade(archive.manifest.revision)
             try:
                 with database.write("fill_archive") as session:

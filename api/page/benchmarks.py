@@ -22,7 +22,7 @@ from api.page.names import numbers_in, titles
 from api.page.rendering import SEE_OTHER, show
 from api.results import outcomes_of, results_json
 from api.routes import benchmarks as routes
-from api.routes.submissions import plan_here
+from api.routes.submissions import price
 from api.service import Service, ServiceDependency
 from api.views import BenchmarkView, benchmark_view
 from db import benchmarks as benchmark_store
@@ -30,6 +30,7 @@ from db import runs as run_store
 from db.runs import RunRecord
 
 router = APIRouter(include_in_schema=False)
+_MOST_COMPARED = 50
 Json = dict[str, Any]
 
 
@@ -113,7 +114,7 @@ def left(benchmark_id: str, service: ServiceDependency) -> Response:
     """A sentence on the work that is left; its price takes seconds for a large benchmark."""
     records = benchmark_store.runs_of(service.database, benchmark_id)
     live = [r.spec for r in records if not r.is_finished and isinstance(r.spec, RunSpec)]
-    plan = plan_here(service, live)
+    plan = price(service, live)  # also of methods that are installed elsewhere
     if not live or plan.hours is None:
         return HTMLResponse("")
     return HTMLResponse(
@@ -150,10 +151,12 @@ def extend(
 def compare(
     request: Request,
     service: ServiceDependency,
-    id: Annotated[list[str] | None, Query(max_length=50)] = None,
+    id: Annotated[list[str] | None, Query()] = None,
 ) -> Response:
     """Benchmarks and runs side by side; an address may have several ids in one parameter."""
     ids = list(dict.fromkeys(name for given in id or [] for name in given.split()))
+    if len(ids) > _MOST_COMPARED:
+        raise InvalidInput(f"{len(ids)} ids are too many to compare; accepted are {_MOST_COMPARED}")
     rows: list[tuple[str, str, Json]] = []
     for each in ids:
         records = _runs_of(service, each)

@@ -1,7 +1,6 @@
 """The pages of robots, datasets, criticisms, claims, and the API's reference."""
 
 from dataclasses import asdict
-from datetime import UTC, datetime
 from typing import Annotated
 
 from fastapi import APIRouter, File, Form, Request, Response, UploadFile
@@ -29,6 +28,7 @@ from db import visits as visit_store
 router = APIRouter(include_in_schema=False)
 _SHOWN = 200
 _MOST_CRITICISMS = 50  # each with its verdict
+_LONGEST = 80  # characters of a file's name that a refusal repeats
 
 
 @router.get("/robots")
@@ -45,7 +45,7 @@ def robots(request: Request, service: ServiceDependency) -> Response:
         "claims one, acts, and uploads what it measured.",
         items=[task_view(visit) for visit in visits],
         more=len(visits) == _SHOWN,
-        now=datetime.now(UTC),
+        now=service.orchestrator.clock.now(),
     )
 
 
@@ -80,6 +80,14 @@ def submit_criticism(
     content = measurement.file.read()
     try:
         name = TypeAdapter(FileName | None).validate_python(measurement.filename)
+    except ValidationError:
+        given = f"{measurement.filename or '':.{_LONGEST}}"
+        wrong = (
+            "the file’s name must be one line of 255 characters at most, without control "
+            f"characters; given {given!r}"
+        )
+        return _criticisms(request, service, task, variant, [wrong])
+    try:
         spec = CriticismSpec.model_validate(
             {"task": task, "variant": variant, "dataset": dataset_id(content)}
         )

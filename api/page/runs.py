@@ -83,7 +83,7 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
     shown, outcomes = run_view(service, record), outcomes_of(service, [record])
     events = event_store.events_of(service.database, run_id)
     visits = visit_store.list_visits(service.database, run_id=run_id, external=True, limit=1000)
-    trainings = training_views(run_id, events)
+    trainings = training_views(service.database, run_id, events)
     finished = [e.event for e in events if isinstance(e.event, CriticismFinished)]
     criticism = criticism_view(shown, finished[-1]) if finished else None
     return show(
@@ -93,6 +93,7 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
         title=title_of(record.spec),
         run=shown,
         remedy=None if record.error_code is None else remedy_of(record.error_code),
+        now=service.orchestrator.clock.now(),
         waiting=[task_view(visit) for visit in visits if visit.state in OPEN_VISIT],
         verdict=criticism.verdict if criticism else None,
         told=told(criticism.verdict) if criticism and criticism.verdict else [],

@@ -16,6 +16,7 @@ from api.page.rendering import SEE_OTHER
 from api.service import ServiceDependency
 
 router = APIRouter(include_in_schema=False)
+_LONGEST_ADDRESS = 16_384  # bytes that a request may have in all its headers
 
 
 @router.post("/login")
@@ -23,7 +24,7 @@ def login(
     request: Request,
     service: ServiceDependency,
     token: Annotated[str, Form(max_length=1000)],
-    next: Annotated[str, Form(max_length=1000)] = "/",
+    next: Annotated[str, Form(max_length=_LONGEST_ADDRESS)] = "/",
 ) -> Response:
     """Keep the token for this browser session, and go on to the page that asked for it."""
     known = service.settings.token.get_secret_value()

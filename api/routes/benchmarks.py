@@ -9,7 +9,7 @@ from adr_service.benchmark.plan import Plan
 from adr_service.specs import BenchmarkSpec, RunSpec
 from api.bodies import BenchmarkBody, ExtensionBody
 from api.routes.paging import Page, PageSize, PageToken, page_of
-from api.routes.submissions import IdempotencyKey, plan_here, start_benchmark
+from api.routes.submissions import IdempotencyKey, check_methods, plan_here, start_benchmark
 from api.service import ServiceDependency
 from api.views import BenchmarkSummary, BenchmarkView, benchmark_summaries, benchmark_view
 from db import benchmarks as benchmark_store
@@ -94,10 +94,11 @@ def extend(
 
     With `validate_only`, return the new runs and their expected cost.
     """
+    spec, runs = benchmark_store.planned_extension(service.database, benchmark_id, extension)
     if validate_only:
         response.status_code = status.HTTP_200_OK
-        spec, runs = benchmark_store.planned_extension(service.database, benchmark_id, extension)
-        return PlannedBenchmark(spec=spec, runs=runs, plan=plan_here(service, list(runs)))
+        return PlannedBenchmark(spec=spec, runs=runs, plan=plan_here(service, runs))
+    check_methods(runs)
     added = benchmark_store.extend_benchmark(
         service.database, benchmark_id, extension, service.check_queue
     )

@@ -2,12 +2,12 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Depends, Query, Response, status
+from fastapi import APIRouter, Query, Response, status
 
 from api.routes.downloads import bytes_response
 from api.routes.paging import Page, PageSize, PageToken, page_of
 from api.service import ServiceDependency
-from api.uploads import LARGEST, OCTETS, FileName, Upload, octets
+from api.uploads import LARGEST, Content, FileName, Upload, content_described
 from db import datasets as store
 from db.datasets import DatasetRecord
 
@@ -29,12 +29,10 @@ def dataset_view(record: DatasetRecord) -> DatasetView:
     "",
     status_code=status.HTTP_201_CREATED,
     max_body_size=LARGEST,
-    dependencies=[Depends(octets)],
+    openapi_extra=content_described(description="an .npz of transitions, or a measurement"),
 )
 def upload(
-    content: Annotated[
-        bytes, Body(media_type=OCTETS, description="an .npz of transitions, or a measurement")
-    ],
+    content: Content,
     service: ServiceDependency,
     response: Response,
     task: Annotated[str | None, Query(description="also check that it is of this task")] = None,

@@ -1,7 +1,6 @@
 """/v1/runs/{id}/events: the events of a run, page by page or as they happen."""
 
 from collections.abc import AsyncIterable
-from functools import partial
 from typing import Annotated
 
 import anyio
@@ -13,7 +12,10 @@ from api.routes.polling import EVERY_S
 from api.service import ServiceDependency
 from db import events as event_store
 from db import runs as run_store
+from db.errors import DatabaseUnavailable, NotFound
 from db.events import EventRecord
+from db.runs import RunRecord
+from db.session import Database
 
 router = APIRouter(prefix="/v1/runs", tags=["runs"])
 _STREAMED = 500  # events at once
@@ -52,10 +54,14 @@ async def stream(
 ) -> AsyncIterable[ServerSentEvent]:
     """Events as they happen, until the run has ended; `id` is the sequence number."""
     while True:
-        # its state is read first: the event that ended it is among the records then
-        run = await anyio.to_thread.run_sync(run_store.get_run, service.database, run_id)
-        page = partial(event_store.events_of, service.database, run_id, after=seen, limit=_STREAMED)
-        records = await anyio.to_thread.run_sync(page)
+        try:
+            run, records = await anyio.to_thread.run_sync(_look, service.database, run_id, seen)
+        except NotFound:
+            yield ServerSentEvent(event="end", data={"state": "deleted"})
+            return
+        except DatabaseUnavailable:  # the answer has begun, so no 503 can say it
+            await anyio.sleep(EVERY_S)
+            continue
         for record in records:
             seen = record.seq
             yield ServerSentEvent(id=str(seen), event=record.event.type, data=record)
@@ -64,3 +70,10 @@ async def stream(
             return
         if not records:
             await anyio.sleep(EVERY_S)
+
+
+def _look(database: Database, run_id: str, seen: int) -> tuple[RunRecord, list[EventRecord]]:
+    """A run, and the first of its events above `seen`. Raises NotFound."""
+    # its state is read first: the event that ended it is among the records then
+    run = run_store.get_run(database, run_id)
+    return run, event_store.events_of(database, run_id, after=seen, limit=_STREAMED)

@@ -1,5 +1,7 @@
 """Submissions: a spec is stored once for each Idempotency-Key, and its runs are started."""
 
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import contextmanager
 from typing import Annotated
 
 from fastapi import Header
@@ -16,6 +18,7 @@ from db import datasets as dataset_store
 from db import runs as run_store
 from db import stages as stage_store
 from db.benchmarks import BenchmarkRecord
+from db.errors import NotFound, NotPossible
 from db.requests import Replayed, RequestKey
 from db.runs import RunRecord
 
@@ -38,7 +41,8 @@ def start_run(service: Service, spec: AnyRun, key: str | None) -> RunRecord:
             service.database, spec, _request_key(key, spec), service.check_queue
         )
     except Replayed as before:
-        record = run_store.get_run(service.database, before.id)
+        with _unless_deleted(before.id):
+            record = run_store.get_run(service.database, before.id)
     if not record.is_finished:
         service.orchestrator.submit(record)
     return record
@@ -53,17 +57,40 @@ def start_benchmark(service: Service, spec: BenchmarkSpec, key: str | None) -> B
             service.database, spec, _request_key(key, spec), service.check_queue
         )
     except Replayed as before:
-        record = benchmark_store.get_benchmark(service.database, before.id)
+        with _unless_deleted(before.id):
+            record = benchmark_store.get_benchmark(service.database, before.id)
     for run in benchmark_store.runs_of(service.database, record.id):
         if not run.is_finished:
             service.orchestrator.submit(run)
     return record
 
 
-def plan_here(service: Service, specs: list[RunSpec]) -> Plan:
-    """Return the expected cost of what runs would compute on this cluster."""
-    for name in {spec.method.name for spec in specs}:
+@contextmanager
+def _unless_deleted(id: str) -> Generator[None]:
+    """Raise NotPossible if what an earlier request created is not there any more."""
+    try:
+        yield
+    except NotFound as error:
+        raise NotPossible(
+            f"the request with this Idempotency-Key created {id}, which was deleted; use a new "
+            "key for a new request"
+        ) from error
+
+
+def check_methods(specs: Iterable[RunSpec]) -> None:
+    """Raise InvalidInput for a method whose extra is not installed here."""
+    for name in dict.fromkeys(spec.method.name for spec in specs):
         check_installed(name)
+
+
+def plan_here(service: Service, specs: Sequence[RunSpec]) -> Plan:
+    """Return the expected cost of runs on this cluster, if their methods are installed."""
+    check_methods(specs)
+    return price(service, specs)
+
+
+def price(service: Service, specs: Sequence[RunSpec]) -> Plan:
+    """Return the expected cost of runs on this cluster, also of methods without their extra."""
 
     def recording(spec: AnyRun) -> bytes | None:
         id = spec.dataset

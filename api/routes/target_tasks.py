@@ -9,7 +9,7 @@ from functools import partial
 from typing import Annotated
 
 import anyio
-from fastapi import APIRouter, Body, Depends, Header, Query, Request, Response, status
+from fastapi import APIRouter, Body, Header, Query, Request, Response, status
 from pydantic import BaseModel, Field
 
 from adr_service.errors import UnknownName
@@ -19,7 +19,7 @@ from api.routes.downloads import bytes_response
 from api.routes.paging import Page, PageSize, PageToken, page_of
 from api.routes.polling import looks
 from api.service import ServiceDependency
-from api.uploads import LARGEST, OCTETS, octets
+from api.uploads import LARGEST, Content, content_described
 from db import visits as visit_store
 from db.models import VisitState
 from db.visits import Visit
@@ -204,10 +204,10 @@ def heartbeat(
     return HeartbeatView(lease_expires_at=task.expires_at, cancel_requested=task.is_unwanted)
 
 
-@router.put("/{task_id}/trajectory", max_body_size=LARGEST, dependencies=[Depends(octets)])
+@router.put("/{task_id}/trajectory", max_body_size=LARGEST, openapi_extra=content_described())
 def upload(
     task_id: str,
-    content: Annotated[bytes, Body(media_type=OCTETS)],
+    content: Content,
     lease: Annotated[_Lease, Header()],
     service: ServiceDependency,
 ) -> TaskView:

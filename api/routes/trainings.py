@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from datetime import datetime
 
 from fastapi import APIRouter, Response
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from adr_service.events import StageFinished, TrainingEvaluated
 from adr_service.training.curve import Evaluation
@@ -14,6 +14,7 @@ from db import events as event_store
 from db import stages as stage_store
 from db.errors import NotFound
 from db.events import EventRecord
+from db.session import Database
 
 router = APIRouter(prefix="/v1/runs", tags=["runs"])
 
@@ -29,11 +30,19 @@ class TrainingView(BaseModel):
 
     digest: str
     is_finished: bool
+    adjusted_draws: int | None = Field(
+        description="dynamics moved onto a bound of what can be simulated; null until it ends"
+    )
+    diverged_episodes: int | None = Field(
+        description="ended because the simulation was not finite any more; null until it ends"
+    )
     curve: list[CurvePoint]
     links: dict[str, str]
 
 
-def training_views(run_id: str, records: Sequence[EventRecord]) -> list[TrainingView]:
+def training_views(
+    database: Database, run_id: str, records: Sequence[EventRecord]
+) -> list[TrainingView]:
     """Return the trainings of a run, in the order of their first evaluation."""
     curves: dict[str, list[CurvePoint]] = {}
     finished: set[str] = set()
@@ -45,10 +54,13 @@ def training_views(run_id: str, records: Sequence[EventRecord]) -> list[Training
             curves.setdefault(event.digest, []).append(stored)
         elif isinstance(event, StageFinished):
             finished.add(event.digest)
+    results = stage_store.values_of(database, [digest for digest in curves if digest in finished])
     return [
         TrainingView(
             digest=digest,
             is_finished=digest in finished,
+            adjusted_draws=results.get(digest, {}).get("adjusted_draws"),
+            diverged_episodes=results.get(digest, {}).get("diverged_episodes"),
             curve=sorted(curve, key=lambda point: point.steps),
             links={"policy": f"/v1/runs/{run_id}/trainings/{digest}/policy"},
         )
@@ -59,14 +71,16 @@ def training_views(run_id: str, records: Sequence[EventRecord]) -> list[Training
 @router.get("/{run_id}/trainings")
 def trainings(run_id: str, service: ServiceDependency) -> list[TrainingView]:
     """Learning curves of the policies, also of those in training."""
-    return training_views(run_id, event_store.events_of(service.database, run_id))
+    records = event_store.events_of(service.database, run_id)
+    return training_views(service.database, run_id, records)
 
 
 @router.get("/{run_id}/trainings/{digest}/policy", response_class=Response)
 def policy_of_training(run_id: str, digest: str, service: ServiceDependency) -> Response:
     """Policy of a training; while it goes on, the best so far."""
-    known = training_views(run_id, event_store.events_of(service.database, run_id))
     content = stage_store.policy_of_training(service.database, digest)
-    if content is None or digest not in {training.digest for training in known}:
+    if content is None or digest not in {
+        training.digest for training in trainings(run_id, service)
+    }:
         raise NotFound("policy of training", digest)
     return bytes_response(content, f"{digest[:12]}.safetensors")

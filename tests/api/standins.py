@@ -1,5 +1,11 @@
 """A service in this process, on a database and without Ray."""
 
+from fastapi import FastAPI
+from fastapi.testclient import TestClient
+
+from api import errors
+from db.clock import SteadyClock
+
 
 class Orchestrator:
     """Lists the runs that it was asked to start, and computes nothing."""
@@ -8,6 +14,7 @@ class Orchestrator:
 
     def __init__(self):
         self.started, self.activity = [], []
+        self.clock = SteadyClock()
 
     def submit(self, record):
         self.started.append(record.id)
@@ -19,6 +26,8 @@ class Orchestrator:
 class Service:
     """What routes call: a database, an orchestrator, and a queue that a test may fill."""
 
+    dashboard_url = None
+
     def __init__(self, database):
         self.database, self.orchestrator = database, Orchestrator()
         self.refusal = None
@@ -26,3 +35,12 @@ class Service:
     def check_queue(self, live):
         if self.refusal is not None:
             raise self.refusal
+
+    def client(self, *routers):
+        """A client of an application that has these routes alone."""
+        app = FastAPI()
+        errors.install(app)
+        app.state.service, app.state.routers = self, routers
+        for router in routers:
+            app.include_router(router)
+        return TestClient(app, follow_redirects=False)

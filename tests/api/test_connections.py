@@ -1,6 +1,8 @@
 """Connections are bounded, and a client that says nothing does not keep one for ever."""
 
 import asyncio
+import io
+import json
 import resource
 import socket
 import threading
@@ -12,7 +14,8 @@ import pytest
 import uvicorn
 from fastapi import FastAPI, Request, Response
 
-from api import connections
+from adr_service.client import AdrClient, Refused
+from api import connections, errors
 from api.connections import bounded, connections_allowed
 from tests.service import free_port, start_service, until, wait_until_finished
 
@@ -24,6 +27,8 @@ RUN = {"task": "arm", "method": "prior", "preset": "smoke"}
 def served(most):
     """The port of a small application behind our connections."""
     app, port = FastAPI(), free_port()
+    errors.install(app)
+    app.state.routers = [app.router]
 
     @app.get("/quick")
     async def quick():
@@ -39,6 +44,7 @@ def served(most):
         return Response(bytes(LARGE))
 
     @app.post("/body")
+    @app.post("/v1/archives")
     async def body(request: Request):
         return len(await request.body())
 
@@ -96,13 +102,81 @@ def test_headers_that_do_not_come_are_not_waited_for(monkeypatch, sent):
         assert answered.count(b"HTTP/1.1 200") == sent.count(b"\r\n\r\n")
 
 
-def test_a_body_that_does_not_come_is_not_waited_for(monkeypatch):
+HEAD = b"POST %s HTTP/1.1\r\nHost: x\r\nContent-Length: 1000000\r\n\r\n"
+
+
+def test_a_body_that_does_not_come_is_refused_and_not_waited_for(monkeypatch, caplog):
     monkeypatch.setitem(connections._SECONDS, "body", 0.5)
-    head = b"POST /body HTTP/1.1\r\nHost: x\r\nContent-Length: 100\r\n\r\n"
-    with served(5) as port, connected(port, head + b"some") as late:
-        assert not late.recv(1000)
-        with connected(port, head + b"x" * 100) as client:
-            assert b"100" in client.recv(1000)
+    with served(5) as port, connected(port, HEAD % b"/body" + b"some") as late:
+        head, _, body = received(late).partition(b"\r\n\r\n")
+        assert head.startswith(b"HTTP/1.1 408 ")
+        assert b"application/problem+json" in head
+        assert "60 MB" in json.loads(body)["detail"]
+        with connected(port, HEAD % b"/body" + b"x" * 1_000_000) as client:
+            assert b"1000000" in client.recv(1000)
+    assert "Traceback" not in caplog.text
+
+
+def test_a_client_that_goes_away_is_no_defect_of_the_service(caplog):
+    with served(5) as port, connected(port, HEAD % b"/body" + b"some"):
+        pass
+    assert "Traceback" not in caplog.text
+
+
+def test_a_client_whose_body_comes_too_slowly_learns_the_reason(monkeypatch):
+    monkeypatch.setitem(connections._SECONDS, "body", 0.5)
+
+    class Slow(io.BytesIO):
+        def read(self, size=-1):
+            time.sleep(0.05)  # a minute in all, if nobody refuses it
+            return super().read(1)
+
+    with served(5) as port, AdrClient(f"http://127.0.0.1:{port}") as client:
+        with pytest.raises(Refused, match="the body came too slowly") as refused:
+            client.import_archive(Slow(bytes(1200)))
+        assert refused.value.status == 408
+
+
+@pytest.fixture
+def clocks(monkeypatch):
+    """The clocks of connections that have ended so far."""
+    ended, late = [], connections._Bounded._late
+
+    def _late(self):
+        ended.append(self)
+        late(self)
+
+    monkeypatch.setattr(connections._Bounded, "_late", _late)
+    return ended
+
+
+def test_a_large_body_has_more_time_while_enough_of_it_comes(monkeypatch, clocks):
+    monkeypatch.setitem(connections._SECONDS, "body", 1.0)
+    monkeypatch.setattr(connections, "_LEAST", 200_000)
+    with served(5) as port, connected(port, HEAD % b"/body") as client:
+        for part in range(4):
+            client.sendall(b"x" * 250_000)
+            if part < 3:
+                until(lambda ended=part + 1: len(clocks) == ended)
+        assert b"1000000" in client.recv(1000)
+
+
+def test_a_body_that_goes_on_after_its_answer_has_no_more_time(monkeypatch, clocks):
+    monkeypatch.setitem(connections._SECONDS, "body", 0.5)
+    monkeypatch.setattr(connections, "_LEAST", 1)
+    with served(5) as port, connected(port, HEAD % b"/quick") as client:
+        client.sendall(b"x" * 1000)
+        assert received(client).startswith(b"HTTP/1.1 405 ")
+        assert len(clocks) == 1
+
+
+def received(client):
+    """What comes before the connection ends, in whatever way."""
+    got = b""
+    with suppress(ConnectionResetError):
+        while part := client.recv(100_000):
+            got += part
+    return got
 
 
 def test_who_reads_an_answer_slowly_gets_it_all_and_who_does_not_read_is_cut(monkeypatch):

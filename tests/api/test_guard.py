@@ -6,6 +6,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
+from api import errors
 from api.guard import Guard
 from api.settings import Settings
 from tests.service import until
@@ -16,9 +17,13 @@ TOKEN, ROBOT = "u" * 32, "r" * 32
 def guarded(**settings):
     """A client of an application behind the guard, as its own host."""
     app = FastAPI()
+    errors.install(app)
 
     @app.post("/v1/runs")
     def submit(body: dict) -> None: ...
+
+    @app.post("/v1/files", max_body_size=2_000_000)
+    def upload(body: dict) -> None: ...
 
     @app.get("/v1/tasks")
     def tasks() -> None: ...
@@ -66,6 +71,18 @@ def test_a_large_body_is_refused_with_the_limit(size, status):
     assert ("the body may have 1000000 bytes here" in answer.text) == (status == 413)
 
 
+def test_a_large_body_of_unknown_length_is_refused_alike():
+    for path, most in (("/v1/runs", 1_000_000), ("/v1/files", 2_000_000)):
+        size = most + 100_000
+        known, unknown = (
+            guarded().post(path, content=content, headers={"Content-Type": "application/json"})
+            for content in (b"x" * size, (b"x" * 100_000 for _ in range(size // 100_000)))
+        )
+        assert "Content-Length" not in unknown.request.headers
+        assert (unknown.status_code, unknown.json()) == (413, known.json())
+        assert known.json()["detail"] == f"the body may have {most} bytes here"
+
+
 @pytest.mark.parametrize(
     ("charset", "status"),
     [("", 422), ("; charset=UTF-8", 422), ("; charset=punycode", 415), ("; charset=utf-7", 415)],
@@ -83,6 +100,14 @@ def test_every_answer_protects_browsers():
     for answer in (client.get("/v1/tasks"), client.get("/nowhere"), client.get("/healthz")):
         assert answer.headers["X-Content-Type-Options"] == "nosniff"
         assert answer.headers["Content-Security-Policy"].startswith("default-src 'none'")
+
+
+def test_every_one_of_several_rates_is_kept():
+    client = guarded(rate="100/second; 3/hour")
+    answers = [client.get("/v1/tasks") for _ in range(7)]  # the hour may end once
+    refused = [answer for answer in answers if answer.status_code == 429]
+    assert refused
+    assert all(answer.json()["detail"].endswith("3 per 1 hour") for answer in refused)
 
 
 def test_a_wall_clock_that_is_set_back_keeps_nobody_out(monkeypatch):

@@ -1,9 +1,14 @@
 """The service's settings."""
 
+from contextlib import closing
+
 import pytest
 
 from adr_service.errors import InvalidInput
 from api.settings import read_settings
+from db import runs
+from db.session import open_database
+from tests.db.rows import SPEC
 
 SECRET = "s" * 16
 
@@ -32,6 +37,7 @@ def test_rays_own_variable_names_the_cluster_unless_ours_does(monkeypatch):
         ({"token": SECRET + "\n"}, "ADR_TOKEN has characters that no token has"),
         ({"rate": "many"}, "'many' is no rate; as 500/second"),
         ({"rate": "0/second"}, "'0/second' is no rate"),
+        ({"rate": "5/second;0/hour"}, "'5/second;0/hour' is no rate"),
         ({"allowed_hosts": "adr, adr.org:80"}, "'adr.org:80' is no name; give it without a port"),
         ({"allowed_hosts": "https://adr.org"}, "'https://adr.org' is no name"),
         ({"allowed_hosts": "[2001:db8::1]"}, r"'\[2001:db8::1\]' is no name"),
@@ -74,3 +80,12 @@ def test_the_database_is_a_file_in_the_data_folder_unless_it_is_named(tmp_path):
     assert read_settings(data_dir=tmp_path).database == f"sqlite:///{tmp_path}/adr.sqlite"
     named = "postgresql+psycopg://adr@db.example.org/adr"
     assert read_settings(data_dir=tmp_path, database_url=named).database == named
+
+
+@pytest.mark.parametrize("name", ["exp?1", "100%", "run%41", "a b", "ξ"])
+def test_the_database_is_in_the_data_folder_whatever_its_name(name, tmp_path):
+    folder = tmp_path / name
+    folder.mkdir()
+    with closing(open_database(read_settings(data_dir=folder).database)) as database:
+        runs.create_run(database, SPEC)
+    assert [path.parent for path in tmp_path.rglob("adr.sqlite")] == [folder]

@@ -18,7 +18,9 @@ from adr_service.errors import InvalidInput, UnknownName
 from adr_service.npz import write_arrays
 from adr_service.specs import CriticismSpec, RunSpec
 from adr_service.transitions import TransitionDataset, dataset_id
+from api.routes import datasets, target_tasks
 from api.uploads import Upload, check_dataset
+from tests.api.standins import Service
 from tests.hidden import arm, recorded
 from tests.recordings import recording
 
@@ -223,6 +225,19 @@ def test_a_form_and_other_types_are_refused(http):
     for given in ("multipart/form-data; boundary=x", "application/json", "text/xml"):
         response = http.post("/v1/datasets", content=GOOD_NPZ, headers={"Content-Type": given})
         assert response.status_code in (400, 415), given
+
+
+@pytest.mark.parametrize("content", [GOOD_NPZ, b"", b"{}"], ids=["npz", "nothing", "json"])
+def test_json_is_refused_by_its_type_whatever_is_in_it(content):
+    client = Service(None).client(datasets.router, target_tasks.router)
+    headers = {"Content-Type": "application/json", "Lease": "x"}
+    for answer in (
+        client.post("/v1/datasets", content=content, headers=headers),
+        client.put("/v1/target_tasks/task_0/trajectory", content=content, headers=headers),
+    ):
+        assert answer.status_code == 415
+        expected = "the body must be application/octet-stream; given 'application/json'"
+        assert answer.json()["detail"] == expected
 
 
 @pytest.fixture

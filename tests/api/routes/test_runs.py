@@ -1,19 +1,29 @@
 """Single runs over HTTP."""
 
+import asyncio
+
 import pytest
 
+from adr_service.specs import RunSpec
+from api.routes.runs import get_run
+from db import runs
 from tests.api.smoke import SMOKE
+from tests.api.standins import Service
+from tests.db.finished import proceed
+from tests.db.rows import statements
 from tests.service import wait_until_finished
 
-pytestmark = pytest.mark.ray
+ray = pytest.mark.ray
 
 
+@ray
 def test_a_submission_is_accepted_with_the_location_of_the_run(http):
     response = http.post("/v1/runs", json={**SMOKE, "method": "prior"})
     assert response.status_code == 202
     assert http.get(response.headers["Location"]).json()["id"] == response.json()["id"]
 
 
+@ray
 def test_runs_are_listed_by_filter_and_page(service, http, finished):
     every = service.client.list_all("runs", page_size="1")
     assert finished in {run["id"] for run in every}
@@ -21,6 +31,7 @@ def test_runs_are_listed_by_filter_and_page(service, http, finished):
     assert {run["spec"]["method"]["name"] for run in found["items"]} == {"simopt"}
 
 
+@ray
 def test_a_dry_run_returns_the_cost_and_starts_nothing(service, http):
     before = len(service.client.list_all("runs"))
     answer = http.post("/v1/runs?validate_only=true", json={**SMOKE, "seed": 904})
@@ -32,6 +43,7 @@ def test_a_dry_run_returns_the_cost_and_starts_nothing(service, http):
     assert len(service.client.list_all("runs")) == before
 
 
+@ray
 def test_the_same_key_makes_one_run(http):
     key, body = {"Idempotency-Key": "once"}, {**SMOKE, "method": "prior", "seed": 77}
     first, again = (http.post("/v1/runs", json=body, headers=key) for _ in range(2))
@@ -42,6 +54,7 @@ def test_the_same_key_makes_one_run(http):
     assert "came with another request before" in other.json()["detail"]
 
 
+@ray
 def test_a_run_is_cancelled_resumed_and_deleted(service, http):
     long = {**SMOKE, "seed": 77, "training": {"max_steps": 20_000, "evaluate_every": 20_000}}
     id = service.client.submit_run(long)["id"]
@@ -55,3 +68,45 @@ def test_a_run_is_cancelled_resumed_and_deleted(service, http):
     wait_until_finished(service.client, id, 60)
     assert http.delete(f"/v1/runs/{id}").status_code == 204
     assert http.get(f"/v1/runs/{id}").status_code == 404
+
+
+def looks_at_runs(sent):
+    """The number of times that a run was read."""
+    return sum(statement.startswith("SELECT runs.") for statement in sent)
+
+
+@pytest.mark.parametrize(("most", "state"), [(None, "running"), (0, "cancelled")])
+def test_a_request_that_waits_is_answered_once_the_state_changes(file_database, most, state):
+    run = runs.create_run(file_database, RunSpec.model_validate(SMOKE))
+
+    async def waited(sent):
+        request = asyncio.create_task(get_run(run.id, Service(file_database), wait=20.0))
+        while looks_at_runs(sent) < 3:
+            assert not request.done()
+            await asyncio.sleep(0)
+        if most is None:
+            runs.begin(file_database, run)
+        else:
+            proceed(file_database, run, most)
+        sent.clear()
+        return await request
+
+    with statements() as sent:
+        assert asyncio.run(waited(sent)).state == state
+    assert looks_at_runs(sent) <= 2  # one of them may have begun before the change
+
+
+def test_a_request_that_waits_for_no_change_is_answered_with_the_same_state(file_database):
+    run = runs.create_run(file_database, RunSpec.model_validate(SMOKE))
+    with statements() as sent:
+        view = asyncio.run(get_run(run.id, Service(file_database), wait=0.3))
+    assert view.state == "queued"
+    assert looks_at_runs(sent) == 3  # at once, after 0.25 s, and when the time was over
+
+
+def test_nobody_waits_for_a_run_that_has_ended(file_database):
+    run = runs.create_run(file_database, RunSpec.model_validate(SMOKE))
+    proceed(file_database, run, most=0)
+    with statements() as sent:
+        assert asyncio.run(get_run(run.id, Service(file_database), wait=20.0)).state == "cancelled"
+    assert looks_at_runs(sent) == 1

@@ -1,15 +1,19 @@
 """Submissions: one for each Idempotency-Key, stored before it starts."""
 
 import pytest
+from fastapi import Response
 
 from adr_service.errors import InvalidInput
-from adr_service.specs import BenchmarkSpec, RunSpec
+from adr_service.specs import BenchmarkExtension, BenchmarkSpec, RunSpec
+from api.routes.benchmarks import extend
 from api.routes.submissions import plan_here, start_benchmark, start_run
 from api.service import QueueFull
-from db import runs
+from db import benchmarks, runs
+from db.errors import NotPossible
 from db.requests import KeyReused
 from tests.api.smoke import SMOKE
 from tests.api.standins import Service
+from tests.db.finished import proceed
 
 SPEC = RunSpec.model_validate(SMOKE)
 BENCHMARK = BenchmarkSpec.model_validate(
@@ -42,6 +46,29 @@ def test_a_method_without_its_extra_is_refused_before_anything_is_stored(service
     assert list(runs.list_runs(service.database)) == []
 
 
+@pytest.mark.parametrize("added", [{"methods": ["npdr"]}, {"seeds": [2]}], ids=str)
+def test_an_extension_that_runs_a_method_without_its_extra_is_refused(service, monkeypatch, added):
+    methods = ["simopt"] if "methods" in added else ["npdr"]
+    spec = BenchmarkSpec.model_validate({**BENCHMARK.model_dump(), "methods": methods})
+    id = start_benchmark(service, spec, None).id
+    before = runs.list_runs(service.database)
+    monkeypatch.setattr("adr_service.methods.catalogue.find_spec", lambda name: None)
+    with pytest.raises(InvalidInput, match="npdr needs sbi"):
+        extend(id, BenchmarkExtension.model_validate(added), service, Response())
+    assert runs.list_runs(service.database) == before
+
+
+def test_an_extension_by_a_method_that_needs_no_extra_starts_its_runs(service, monkeypatch):
+    """Of a benchmark from elsewhere, where more is installed."""
+    spec = BenchmarkSpec.model_validate({**BENCHMARK.model_dump(), "methods": ["npdr"]})
+    id = start_benchmark(service, spec, None).id
+    service.orchestrator.started.clear()
+    monkeypatch.setattr("adr_service.methods.catalogue.find_spec", lambda name: None)
+    extend(id, BenchmarkExtension(methods=["udr"]), service, Response())
+    started = [runs.get_run(service.database, id).spec for id in service.orchestrator.started]
+    assert [(spec.method.name, spec.seed) for spec in started] == [("udr", 0), ("udr", 1)]
+
+
 def test_without_a_key_every_request_is_another_run(service):
     first, second = (start_run(service, SPEC, None) for _ in range(2))
     assert first.id != second.id
@@ -57,6 +84,21 @@ def test_a_key_belongs_to_one_request(service):
     start_run(service, SPEC, "key")
     with pytest.raises(KeyReused):
         start_run(service, SPEC.model_copy(update={"seed": 1}), "key")
+
+
+def test_a_key_whose_run_or_benchmark_was_deleted_is_refused_and_makes_nothing(service):
+    run = start_run(service, SPEC, "run's")
+    proceed(service.database, run, most=0)
+    runs.delete_run(service.database, run.id)
+    with pytest.raises(NotPossible, match=f"created {run.id}, which was deleted; use a new key"):
+        start_run(service, SPEC, "run's")
+    benchmark = start_benchmark(service, BENCHMARK, "benchmark's")
+    for each in benchmarks.runs_of(service.database, benchmark.id):
+        proceed(service.database, each, most=0)
+    benchmarks.delete_benchmark(service.database, benchmark.id)
+    with pytest.raises(NotPossible, match=f"created {benchmark.id}, which was deleted"):
+        start_benchmark(service, BENCHMARK, "benchmark's")
+    assert runs.list_runs(service.database) == []
 
 
 def test_a_refused_run_is_neither_stored_nor_started(service):

@@ -5,12 +5,28 @@ import time
 import pytest
 
 from adr_service.training.policy import Policy
+from api.routes.trainings import training_views
+from db import benchmarks, events
 from tests.api.smoke import SMOKE
+from tests.db.finished import finished_benchmark
 from tests.service import wait_until_finished
 
-pytestmark = pytest.mark.ray
+
+def test_a_finished_training_says_what_was_moved_and_what_diverged(file_database):
+    id = finished_benchmark(file_database, methods=["udr"])
+    run = benchmarks.runs_of(file_database, id)[0].id
+    records = events.events_of(file_database, run)
+    (digest, *_) = [e.event.digest for e in records if e.event.type == "training_evaluated"]
+    before = [e for e in records if e.event.key != f"stage_finished:{digest}"]
+    moved = [
+        (view.digest == digest, view.adjusted_draws, view.diverged_episodes)
+        for part in (before, records)
+        for view in training_views(file_database, run, part)[:1]
+    ]
+    assert moved == [(True, None, None), (True, 3, 1)]
 
 
+@pytest.mark.ray
 def test_each_policy_has_a_learning_curve(http, finished):
     trainings = http.get(f"/v1/runs/{finished}/trainings").json()
     assert [[point["steps"] for point in t["curve"]] for t in trainings] == [[300, 600]] * 2
@@ -19,6 +35,7 @@ def test_each_policy_has_a_learning_curve(http, finished):
     assert Policy.from_bytes(content).action_low.tolist() == [-1, -1]
 
 
+@pytest.mark.ray
 def test_a_cancelled_training_keeps_its_curve_and_its_best_policy(service, http):
     long = {**SMOKE, "method": "prior", "seed": 78}
     long["training"] = {"max_steps": 1_000_000, "evaluate_every": 600}

@@ -1,0 +1,28 @@
+"""Logging in by a browser."""
+
+from types import SimpleNamespace
+
+import pytest
+from fastapi import FastAPI
+from fastapi.testclient import TestClient
+
+from api.page import session
+from api.settings import Settings
+
+TOKEN = "u" * 32
+
+
+@pytest.fixture
+def client():
+    app = FastAPI()
+    app.include_router(session.router)
+    app.state.service = SimpleNamespace(settings=Settings(token=TOKEN))
+    return TestClient(app, follow_redirects=False)
+
+
+@pytest.mark.parametrize("ids", [45, 600])
+def test_a_login_leads_to_an_address_as_long_as_one_may_be(client, ids):
+    address = "/compare?" + "&".join(f"id=run_{i:016x}" for i in range(ids))
+    assert 1000 < len(address) < 16_384  # bytes of all headers
+    entered = client.post("/login", data={"token": TOKEN, "next": address})
+    assert (entered.status_code, entered.headers["Location"]) == (303, address)
