@@ -6,19 +6,26 @@ backup(path, copy)
 restore(path, copy)             # with the database's lock held
 """
 
+import json
 import os
 import sqlite3
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from sqlalchemy import StaticPool, create_engine
+from sqlalchemy import StaticPool, String, create_engine
 
 from adr_service.errors import InvalidInput
 from adr_service.json_values import sha256
 from adr_service.whole_files import written_whole
+from db.models import Base
 from db.schema import differences, head
+
+_DOCUMENTS = {
+    *("benchmarks.spec", "runs.spec", "events.body", "target_tasks.document"),
+    *("stages.document", "stages.result", "stages.timing", "stages.provenance"),
+}
 
 
 def revision_of(path: Path) -> str | None:
@@ -33,7 +40,7 @@ def revision_of(path: Path) -> str | None:
 
 
 def check(path: Path) -> list[str]:
-    """List the damage to the file, its references, artifacts and tables, a line each."""
+    """List the damage to the file, its references, artifacts, texts and tables, a line each."""
     damage: list[str] = []
     with _reader(path) as connection:
         connection.text_factory = lambda text: text.decode(errors="replace")
@@ -45,10 +52,34 @@ def check(path: Path) -> list[str]:
             for key, content in connection.execute("select sha256, content from artifacts"):
                 if sha256(content) != key:
                     damage.append(f"artifact {key} has other bytes than its name says")
+            damage += _unreadable(connection)
         except sqlite3.DatabaseError as error:
             damage.append(f"it cannot be read to its end: {error}")
             return damage
     return damage or (unfinished(path) if revision_of(path) == head() else [])
+
+
+def _unreadable(connection: sqlite3.Connection) -> Iterator[str]:
+    """Lines for texts that cannot be decoded, and documents that are no JSON objects."""
+    connection.text_factory = bytes
+    for table in Base.metadata.sorted_tables:
+        present = {name for _, name, *_ in connection.execute(f"pragma table_info({table.name})")}
+        for column in table.columns:
+            if not isinstance(column.type, String) or column.name.encode() not in present:
+                continue  # older databases lack some
+            kind = "JSON object" if f"{table.name}.{column.name}" in _DOCUMENTS else "text"
+            cells = connection.execute(f'select rowid, "{column.name}" from {table.name}')  # noqa: S608 - our own names
+            for row, content in cells:
+                if content is not None and not _is_readable(content, kind):
+                    yield f"row {row} of {table.name} has a {column.name} that is no {kind}"
+
+
+def _is_readable(content: bytes, kind: str) -> bool:
+    try:
+        text = content.decode()
+        return kind == "text" or isinstance(json.loads(text), dict)
+    except (ValueError, RecursionError):
+        return False
 
 
 def unfinished(path: Path) -> list[str]:

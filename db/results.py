@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from sqlalchemy import Select, delete
 from sqlalchemy.orm import Session
 
-from db.models import ResultsRow
+from db.models import BenchmarkRow, ResultsRow, RunRow, find_row
 from db.session import Database
 
 
@@ -17,9 +17,10 @@ def kept_results(database: Database, id: str, version: str) -> str | None:
 
 
 def keep_results(database: Database, id: str, version: str, body: str) -> None:
-    """Store a result table in place of the one before."""
+    """Store a result table in place of the one before, unless what it is of was deleted since."""
     with database.write("keep_results") as session:
-        session.merge(ResultsRow(id=id, version=version, body=body))
+        if find_row(session, RunRow, id) or find_row(session, BenchmarkRow, id):
+            session.merge(ResultsRow(id=id, version=version, body=body))
 
 
 def delete_results(session: Session, ids: Sequence[str] | Select[str]) -> None:

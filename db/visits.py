@@ -31,7 +31,15 @@ from adr_service.events import FINISHED
 from adr_service.json_values import canonical_json
 from adr_service.stages.base import AnyStage, StageResult
 from db.errors import NotFound
-from db.models import OPEN_VISIT, ArtifactRow, RunRow, StageRow, TargetTaskRow, VisitState
+from db.models import (
+    OPEN_VISIT,
+    ArtifactRow,
+    RunRow,
+    StageRow,
+    TargetTaskRow,
+    VisitState,
+    get_row,
+)
 from db.session import Database
 from db.stages import add_artifact, add_result, find_result
 
@@ -153,7 +161,7 @@ def complete(
     The same again changes nothing. Raises NotFound and LeaseLost.
     """
     with database.write("complete_task") as session:
-        row = _row(session, id)
+        row = get_row(session, TargetTaskRow, id)
         is_known = row.state == VisitState.DONE and row.lease == lease
         if is_known and find_result(session, row.digest) == result:
             return _visit(session, row)
@@ -201,7 +209,7 @@ def fail(
     Raises NotFound and LeaseLost.
     """
     with database.write("fail_task") as session:
-        row = _row(session, id)
+        row = get_row(session, TargetTaskRow, id)
         if row.state == VisitState.FAILED and row.lease == lease:
             return _visit(session, row)
         row = _held(session, id, lease)
@@ -227,16 +235,20 @@ def withdraw(session: Session, run_id: str) -> None:
 
 
 def delete_abandoned(session: Session) -> None:
-    """Delete closed visits whose stage has no result; inside a transaction."""
+    """Delete closed visits whose stage has no result; inside a transaction.
+
+    A robot's stay as long as their run, which may be resumed, and say why they failed.
+    """
     has_result = exists().where(StageRow.digest == TargetTaskRow.digest)
     is_open = TargetTaskRow.state.in_(OPEN_VISIT)
-    session.execute(delete(TargetTaskRow).where(~has_result, ~is_open))
+    is_theirs = TargetTaskRow.external & exists().where(RunRow.id == TargetTaskRow.run_id)
+    session.execute(delete(TargetTaskRow).where(~has_result, ~is_open, ~is_theirs))
 
 
 def claimed_by(database: Database, id: str, lease: str) -> Visit:
     """The visit of a lease that is good, or that has completed it; LeaseLost for any other."""
     with database.read() as session:
-        row = _row(session, id)
+        row = get_row(session, TargetTaskRow, id)
         if row.state != VisitState.DONE or row.lease != lease:
             _check_lease(row, lease)
         return _visit(session, row)
@@ -256,7 +268,7 @@ def renew_leases(database: Database, now: datetime, lease_s: float) -> None:
 def get_visit(database: Database, id: str) -> Visit:
     """The visit with this id. Raises NotFound."""
     with database.read() as session:
-        return _visit(session, _row(session, id))
+        return _visit(session, get_row(session, TargetTaskRow, id))
 
 
 def list_visits(
@@ -286,7 +298,7 @@ def list_visits(
 def policy_of(database: Database, id: str) -> bytes:
     """The policy that acts in an episode. Raises NotFound if there is none."""
     with database.read() as session:
-        row = _row(session, id)
+        row = get_row(session, TargetTaskRow, id)
         if row.policy_sha256 is None:
             raise NotFound("policy of target task", id)
         return session.get_one(ArtifactRow, row.policy_sha256).content
@@ -344,15 +356,8 @@ def _episode(row: TargetTaskRow, now: datetime) -> Execution:
     )
 
 
-def _row(session: Session, id: str) -> TargetTaskRow:
-    row = session.scalar(select(TargetTaskRow).where(TargetTaskRow.id == id))
-    if row is None:
-        raise NotFound("target task", id)
-    return row
-
-
 def _held(session: Session, id: str, lease: str) -> TargetTaskRow:
-    row = _row(session, id)
+    row = get_row(session, TargetTaskRow, id)
     _check_lease(row, lease)
     return row
 

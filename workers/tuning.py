@@ -106,7 +106,7 @@ def tune(
     `given` is a run's spec, of method `oracle` or `prior`. As many trials run at once as there are
     cores, none for longer than `cpu_seconds`.
     """
-    trainings = [_spec(given, changes, seeds[0]) for changes in _combinations(grid)]
+    trainings = [_spec(given, changes, seed) for changes in _combinations(grid) for seed in seeds]
     cluster = Cluster(options)
     cluster.start()
     try:
@@ -117,7 +117,7 @@ def tune(
             found = [_trial(result) for result in results]
     finally:
         cluster.close()
-    assert len(found) == len(trainings) * len(seeds)
+    assert len(found) == len(trainings)
     return found
 
 
@@ -127,9 +127,12 @@ def _combinations(grid: Mapping[str, Sequence[Any]]) -> list[Changes]:
 
 def _spec(given: Mapping[str, Any], changes: Changes, seed: int) -> RunSpec:
     """The run that a trial trains a policy of. Raises InvalidInput."""
-    training = {**given.get("training", {}), **changes}
     try:
-        return RunSpec.model_validate({**given, "training": training, "seed": seed})
+        RunSpec.model_validate({**given, "seed": seed})  # so that its training is an object
+        own = given.get("training", {})
+        if twice := sorted(own.keys() & changes.keys()):
+            raise InvalidInput(f"training.{twice[0]} is given, and searched as well; choose one")
+        return RunSpec.model_validate({**given, "training": {**own, **changes}, "seed": seed})
     except ValidationError as error:
         raise InvalidInput(f"{changes}: {explain(error, 'spec')}") from error
 

@@ -33,7 +33,9 @@ def tune(
         list[str] | None, typer.Option("--set", help="A field, training.max_steps=1000.")
     ] = None,
     seconds: Annotated[float, typer.Option(help="CPU seconds of a training.", min=10)] = 600,
-    cpus: Annotated[int | None, typer.Option(help="Trainings at once; default: all cores.")] = None,
+    cpus: Annotated[
+        int | None, typer.Option(help="Trainings at once; default: all cores.", min=1)
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Search the settings that train to the threshold soonest; needs no service."""

@@ -79,8 +79,9 @@ def test_bytes_and_text_come_back_exactly(database):
     with database.write("test") as session:
         key = stages.add_artifact(session, content)
     assert stages.artifact(database, key) == content
-    results.keep_results(database, "run_a", "1", "ξ̄ “Ω” \U0001f916")
-    assert results.kept_results(database, "run_a", "1") == "ξ̄ “Ω” \U0001f916"
+    run = runs.create_run(database, SPEC)
+    results.keep_results(database, run.id, "1", "ξ̄ “Ω” \U0001f916")
+    assert results.kept_results(database, run.id, "1") == "ξ̄ “Ω” \U0001f916"
 
 
 def test_times_come_back_in_utc(database):

@@ -34,6 +34,19 @@ def test_check_lists_each_damage(database, tmp_path):
     ]
 
 
+def test_check_names_the_rows_that_cannot_be_read(database, tmp_path):
+    one, other = (runs.create_run(database, SPEC).number for _ in range(2))
+    with closing(sqlite3.connect(tmp_path / "adr.sqlite")) as hand, hand:
+        hand.execute("update runs set spec = '[1]' where number = ?", [one])
+        hand.execute("update runs set task = cast(x'61ff' as text) where number = ?", [other])
+        hand.execute("update events set body = '{' where rowid = 1")
+    assert maintenance.check(tmp_path / "adr.sqlite") == [
+        f"row {other} of runs has a task that is no text",
+        f"row {one} of runs has a spec that is no JSON object",
+        "row 1 of events has a body that is no JSON object",
+    ]
+
+
 def test_a_backup_has_everything_and_overwrites_nothing(database, tmp_path):
     run = runs.create_run(database, SPEC)
     copy = tmp_path / "copy.sqlite"

@@ -285,7 +285,7 @@ def test_databases_of_earlier_forms_of_0004_are_made_whole(tmp_path, lacking):
     refused = CliRunner().invoke(app, ["db", "check", "--data-dir", str(tmp_path)])
     assert "the table results is missing" in str(refused.exception)
     with closing(open_database(url)) as opened:
-        results.keep_results(opened, "run_a", "1", "{}")
+        results.keep_results(opened, runs.create_run(opened, SPEC).id, "1", "{}")
     command.check(alembic_config(url))
     assert maintenance.check(path) == maintenance.unfinished(path) == []
 

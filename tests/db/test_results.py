@@ -14,6 +14,7 @@ def test_a_table_is_kept_for_its_version_until_the_run_goes(database):
     assert results.kept_results(database, run.id, "one") is None
     events.append_event(database, run.id, RunSucceeded())
     runs.delete_run(database, run.id)
+    results.keep_results(database, run.id, "three", "computed while the run was deleted")
     assert count(database, "results") == 0
 
 

@@ -60,6 +60,21 @@ class TestLeases:
         assert stored(database, first.digest) is None
         assert complete(database, second).state == "done"
 
+    def test_a_failed_task_stays_while_its_run_does(self, database, run_id):
+        """A deletion of another run forgets nothing of this one, which may be resumed."""
+        publish(database, run_id)
+        task = claim(database)
+        visits.fail(database, task.id, task.lease, "gripper broken")
+        other = runs.create_run(database, SPEC).id
+        events.append_event(database, other, RunSucceeded())
+        runs.delete_run(database, other)
+        assert (
+            visits.fail(database, task.id, task.lease, "gripper broken").error == "gripper broken"
+        )
+        events.append_event(database, run_id, RunSucceeded())
+        runs.delete_run(database, run_id)
+        assert visits.list_visits(database) == []
+
     def test_a_heartbeat_makes_the_lease_longer(self, database, run_id):
         publish(database, run_id)
         task = claim(database)

@@ -12,6 +12,10 @@ import pytest
         (("arm", "--over", "epoch=[1]"), "did you mean 'epochs'"),
         (("arm", "--over", "epochs=[1]", "--over", "epochs=[2]"), "--over has one setting twice"),
         (("arm", "--over", "epochs=[1]", "--set", "seed=5"), "takes --first-seed, not --set seed"),
+        (("arm", "--over", "epochs=[1]", "--set", "training=null"), "training: give training"),
+        (("arm", "--over", "epochs=[1]", "--set", "training.epochs=5"), "given, and searched"),
+        (("arm", "--over", "epochs=[1]", "--first-seed", str(2**31 - 1)), "seed: Input should be"),
+        (("arm", "--over", "epochs=[1]", "--cpus", "0"), "Invalid value for '--cpus'"),
         (("amr", "--over", "epochs=[1]"), "task: there is no task 'amr'"),
     ],
 )
