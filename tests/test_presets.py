@@ -55,6 +55,8 @@ def test_another_algorithm_has_the_presets_budget_and_its_own_hyperparameters(pr
     ).training
     assert other.algorithm == algorithm
     assert (other.max_steps, other.backend) == (usual.max_steps, usual.backend)
+    if algorithm != "ppo":
+        assert other.learning_starts < other.max_steps
     if usual.algorithm == algorithm == "crossq":
         assert other == usual
 

@@ -10,16 +10,18 @@ environment draws new dynamics at every reset. Training uses `vec_env`, which is
 environment made by hand, `RandomizedEnv("hopper")`, has no time limit; those made by id have one.
 """
 
+import math
 from collections.abc import Mapping
 from numbers import Real
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
 
 from adr_service.arrays import Vector
-from adr_service.distributions import distribution_from_json
+from adr_service.distributions import Distribution, distribution_from_json
 from adr_service.errors import InvalidInput
+from adr_service.parameters import ParameterSpace
 from adr_service.simulation.batch import Simulations, control_period
 from adr_service.simulation.rendering import Camera
 from adr_service.tasks.base import State
@@ -49,9 +51,7 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.space, self._truth = pair.source.space, pair.truth
         self._noise = np.sqrt(pair.hidden.noise_variance)
         self._frozen = set(pair.hidden.source.space.names) - set(self.space.names)
-        self._distribution = (
-            None if distribution is None else distribution_from_json(self.space, dict(distribution))
-        )
+        self._distribution = _distribution_of(self.space, distribution)
         self._simulations = Simulations(self._task, pair.source, 1)
         self._simulations.set_dynamics(self._truth[None])
         self._camera: Camera | None = None
@@ -77,15 +77,16 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode; `options["dynamics"]` sets some or all parameters by name."""
+        given = self._given(options)
         super().reset(seed=seed)
         self._drop_camera()  # it draws one episode's model
-        self._simulations.set_dynamics(self._drawn(options or {})[None])
+        self._simulations.set_dynamics(self._drawn(given)[None])
         self._simulations.set_state(self._task.initial(1, self.np_random))
         return self._observe(self._simulations.state), {"dynamics": self.dynamics}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         task, simulations = self._task, self._simulations
-        before, action = simulations.state, np.asarray(action, dtype=np.float64)
+        before, action = simulations.state, self._checked(action)
         simulations.step(action)
         after = simulations.state
         if simulations.diverged[0]:
@@ -118,23 +119,62 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             observation[:measured] += self._noise * self.np_random.standard_normal(measured)
         return observation
 
-    def _drawn(self, options: dict[str, Any]) -> Vector:
-        unknown = set(options) - {"dynamics"}
+    def _checked(self, action: Any) -> Vector:
+        """The action as finite numbers (a,); raises InvalidInput for anything else."""
+        shape = self.action_space.shape
+        try:
+            numbers = np.asarray(action, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            numbers = None
+        if numbers is None or numbers.shape != shape or not np.isfinite(numbers).all():
+            raise InvalidInput(f"an action must be finite, of shape {shape}; given {action!r}")
+        return numbers
+
+    def _given(self, options: Any) -> dict[str, float]:
+        """The parameters that reset options set, by name."""
+        if not (options is None or isinstance(options, Mapping)):
+            raise InvalidInput(f"reset options must be values by name; given {options!r}")
+        options = cast(Mapping[Any, Any], options or {})
+        unknown = [name for name in options if name != "dynamics"]
         if unknown:
-            raise InvalidInput(f"reset options {sorted(unknown)} are not known; known: dynamics")
-        values = self._truth
-        if self._distribution is not None:
-            values = self._distribution.sample(1, self.np_random).values[0]
+            raise InvalidInput(f"reset options {unknown} are not known; known: dynamics")
         given = options.get("dynamics", {})
         if not isinstance(given, Mapping):
             raise InvalidInput(f"dynamics must be values by name; given {given!r}")
+        return {name: self._value(name, value) for name, value in given.items()}
+
+    def _value(self, name: Any, value: Any) -> float:
+        """The value of a parameter; raises InvalidInput where the parameter cannot have it."""
+        if not isinstance(name, str):
+            raise InvalidInput(f"dynamics must be values by name; given the name {name!r}")
+        if name in self._frozen:
+            raise InvalidInput(f"{name} is frozen in this variant")
+        least = self.space.feasible_low[self.space.index(name)]
+        try:
+            number = float(value) if isinstance(value, Real) else math.nan
+        except OverflowError:
+            number = math.inf
+        if not least <= number < math.inf:
+            raise InvalidInput(f"{name} must be a finite float from {least:g} up; given {value!r}")
+        return number
+
+    def _drawn(self, given: Mapping[str, float]) -> Vector:
+        """The parameters of an episode, of which some are given, (d,)."""
+        values = self._truth
+        if self._distribution is not None:
+            values = self._distribution.sample(1, self.np_random).values[0]
         values = values.copy()
         for name, value in given.items():
-            if name in self._frozen:
-                raise InvalidInput(f"{name} is frozen in this variant")
-            index = self.space.index(name)
-            least = self.space.feasible_low[index]
-            if not (isinstance(value, Real) and least <= value < np.inf):
-                raise InvalidInput(f"{name} must be a number from {least:g} up; given {value!r}")
-            values[index] = value
+            values[self.space.index(name)] = value
         return values
+
+
+def _distribution_of(space: ParameterSpace, document: Any) -> Distribution | None:
+    """The distribution of a JSON document; None without one."""
+    if document is None:
+        return None
+    if not isinstance(document, Mapping):
+        raise InvalidInput(
+            f"distribution must be the JSON document of one, or None; given {document!r}"
+        )
+    return distribution_from_json(space, dict(cast(Mapping[str, Any], document)))

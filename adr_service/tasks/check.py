@@ -5,12 +5,13 @@
 `adr doctor` checks all installed tasks.
 """
 
+import mujoco
 import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import Simulations
-from adr_service.tasks.base import Entry, Source, State, Task
+from adr_service.tasks.base import Entry, Source, State, Task, Variant
 
 _N, _STEPS = 3, 5
 
@@ -31,7 +32,8 @@ def check_task(entry: Entry) -> None:
             )
         _check_numbers(task)
         _check_vanilla(entry)
-        for variant in entry.variants.values():
+        for name, variant in entry.variants.items():
+            _check_hidden(name, variant)
             _check_source(task, variant.source, variant.truth)
             _check_source(task, variant.hidden.source, variant.hidden.values)
     except InvalidInput as error:
@@ -50,6 +52,10 @@ def _check_numbers(task: Task) -> None:
         number = getattr(task, name)
         if not (isinstance(number, int | np.integer) and number >= 1):
             raise InvalidInput(f"{name} must be a whole number of 1 or more; given {number!r}")
+    if not 0 < task.learning_rate < np.inf:
+        raise InvalidInput(
+            f"learning_rate must be positive and finite; given {task.learning_rate!r}"
+        )
 
 
 def _check_vanilla(entry: Entry) -> None:
@@ -76,11 +82,29 @@ def _check_vanilla(entry: Entry) -> None:
             )
 
 
+def _check_hidden(name: str, variant: Variant) -> None:
+    """Raise InvalidInput if the noise or the truth of a variant cannot be simulated."""
+    hidden = variant.hidden
+    if not 0 <= hidden.noise_variance < np.inf:
+        raise InvalidInput(
+            f"noise_variance of the variant {name!r} must be 0 or more, and finite; given "
+            f"{hidden.noise_variance!r}"
+        )
+    # simulations refuse another number of values
+    for parameter, value in zip(hidden.source.space.parameters, hidden.values, strict=False):
+        if value < parameter.feasible_low:
+            raise InvalidInput(
+                f"the truth of {parameter.name} in the variant {name!r} is {value:g}, below its "
+                f"feasible_low of {parameter.feasible_low:g}"
+            )
+
+
 def _check_source(task: Task, source: Source, values: Vector) -> None:
     """Take a few steps under `values` and check every function of the task on the way."""
     simulations = Simulations(task, source, _N)
     simulations.set_dynamics(np.tile(values, (_N, 1)))
     initial, model = task.initial(_N, np.random.default_rng(0)), simulations.model(0)
+    _check_bounds(task, model)
     _check_shape("initial's qpos", initial.qpos, (_N, model.nq))
     _check_shape("initial's qvel", initial.qvel, (_N, model.nv))
     simulations.set_state(initial)
@@ -100,6 +124,21 @@ def _check_source(task: Task, source: Source, values: Vector) -> None:
             raise InvalidInput(f"terminated must give booleans; it gave {ended.dtype}")
         before = after
     _check_round_trip(task, simulations)
+
+
+def _check_bounds(task: Task, model: mujoco.MjModel) -> None:
+    """Raise InvalidInput if the model would clip actions within their bounds."""
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL:
+        return
+    for i, (low, high) in enumerate(zip(task.action_low, task.action_high, strict=True)):
+        least, most = model.actuator_ctrlrange[i]
+        rounding = 1e-6 * (most - least)  # of bounds in float32
+        is_within = least - rounding <= low and high <= most + rounding
+        if model.actuator_ctrllimited[i] and not is_within:
+            raise InvalidInput(
+                f"action {i} has the bounds {low:g} to {high:g}, beyond the ctrlrange of its "
+                f"actuator, {least:g} to {most:g}, to which the model clips it"
+            )
 
 
 def _check_round_trip(task: Task, simulations: Simulations) -> None:

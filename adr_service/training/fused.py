@@ -21,6 +21,9 @@ from sbx.common.off_policy_algorithm import OffPolicyAlgorithmJax
 from sbx.common.type_aliases import ReplayBufferSamplesNp
 
 Arrays = list[jax.Array]
+# CrossQ compiles up to so many updates one after another, as stored results were computed: a loop
+# rounds differently
+_UNROLLED = 12
 
 
 class _Fused(OffPolicyAlgorithmJax):
@@ -134,11 +137,26 @@ class FusedCrossQ(_Fused, sbx.CrossQ):
     def _updated(
         self, learned: tuple[Any, ...], batch: ReplayBufferSamplesNp, steps: int, done: jax.Array
     ) -> tuple[Any, ...]:
+        if steps > _UNROLLED:
+            return self._scanned(learned, batch, steps, done)
         for i in range(steps):
             rows = slice(i * self.batch_size, (i + 1) * self.batch_size)
             part = jax.tree.map(operator.itemgetter(rows), batch)
             learned = self._updated_once(learned, part, done + i + 1)
         return learned
+
+    def _scanned(
+        self, learned: tuple[Any, ...], batch: Any, steps: int, done: jax.Array
+    ) -> tuple[Any, ...]:
+        """The updates as a loop of the compiled program, which is as large for any number."""
+
+        def update(learned: Any, given: tuple[Any, jax.Array]) -> tuple[Any, None]:
+            part, count = given
+            return self._updated_once(learned, part, count), None
+
+        parts = jax.tree.map(lambda x: x.reshape(steps, self.batch_size, *x.shape[1:]), batch)
+        counts = done + 1 + jax.numpy.arange(steps)
+        return jax.lax.scan(update, learned, (parts, counts))[0]
 
     def _updated_once(
         self, learned: tuple[Any, ...], batch: Any, count: jax.Array

@@ -4,7 +4,6 @@ import importlib.util
 from abc import abstractmethod
 from collections.abc import Mapping
 from itertools import pairwise
-from math import prod
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias, cast
 
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -27,6 +26,11 @@ _AT_FIRST = (
     ("learning_rate_schedule", "constant"),
 )
 _STEP_S = 0.0007  # acting and storing, per step of all environments
+_LEARNING_STARTS = (
+    "steps of uniformly random actions, fewer than max_steps; where the default is not, half of "
+    "max_steps"
+)
+_LARGEST_RATE = 1000  # far above any that learns, and a number in float32
 
 
 class _Settings(Wire):
@@ -142,13 +146,28 @@ class _OffPolicy(_Settings):
     buffer_size: int = Field(
         1_000_000, ge=1000, le=10**8, description="transitions that the replay buffer holds"
     )
-    learning_starts: int = Field(
-        100, ge=0, le=10**9, description="steps of uniformly random actions"
-    )
+    learning_starts: int = Field(100, ge=0, le=10**9, description=_LEARNING_STARTS)
 
     @property
     def steps(self) -> int:
         return self.max_steps
+
+    @model_validator(mode="after")
+    def _leave_steps_to_learn_from(self) -> Self:
+        """Refuse random steps until the end; a default that would be so many is made shorter."""
+        if self.max_steps < self.environments:
+            raise ValueError(
+                f"max_steps: {self.max_steps} given, fewer than the {self.environments} "
+                "environments, which are stepped together"
+            )
+        if self.learning_starts >= self.max_steps:
+            if "learning_starts" in self.model_fields_set:
+                raise ValueError(
+                    f"learning_starts: {self.learning_starts} given, not fewer than the "
+                    f"{self.max_steps} of max_steps: no step would be left to learn from"
+                )
+            object.__setattr__(self, "learning_starts", self.max_steps // 2)
+        return self
 
     @property
     def capacity(self) -> int:
@@ -157,7 +176,7 @@ class _OffPolicy(_Settings):
 
     @abstractmethod
     def critic_weights(self, inputs: int) -> int:
-        """The number of a critic's weights that determine how long an update takes."""
+        """The number of a critic's weights."""
         ...
 
     def learning_seconds(self, inputs: int) -> float:
@@ -185,10 +204,12 @@ class SacSettings(_OffPolicy):
         2018,
         arxiv="1812.05905",
     )
-    update_seconds: ClassVar = {"sbx": (0.00005, 0.0030), "sb3": (0.0025, 0.0125)}
+    update_seconds: ClassVar = {"sbx": (0.00005, 0.0027), "sb3": (0.0025, 0.0112)}
 
     algorithm: Literal["sac"] = DEFAULT_ALGORITHM
-    learning_rate: float | None = Field(None, gt=0, description="null: the task's own")
+    learning_rate: float | None = Field(
+        None, gt=0, le=_LARGEST_RATE, description="null: the task's own"
+    )
     tau: float = Field(
         0.005, gt=0, le=1, description="share of the target networks that an update replaces"
     )
@@ -198,7 +219,7 @@ class SacSettings(_OffPolicy):
         return None
 
     def critic_weights(self, inputs: int) -> int:
-        return _between(self.hidden)
+        return _weights(inputs, self.hidden)
 
 
 class CrossQSettings(_Confirmed, _OffPolicy):
@@ -218,10 +239,10 @@ class CrossQSettings(_Confirmed, _OffPolicy):
     update_seconds: ClassVar = {"sbx": (0.0012, 0.0015), "sb3": (0.0110, 0.0008)}
 
     algorithm: Literal["crossq"]
-    learning_rate: float = Field(0.001, gt=0, description="learning rate of Adam")
-    learning_starts: int = Field(
-        1000, ge=0, le=10**9, description="steps of uniformly random actions"
-    )
+    learning_rate: float = Field(0.001, gt=0, le=_LARGEST_RATE, description="learning rate of Adam")
+    # one transition has no variance to normalise by
+    batch_size: int = Field(256, ge=2, le=65_536, description="transitions per update")
+    learning_starts: int = Field(1000, ge=0, le=10**9, description=_LEARNING_STARTS)
     critic_hidden: Widths = Field([128, 128], description="units per hidden layer of the critics")
     policy_delay: int = Field(3, ge=1, le=100, description="critic updates per actor update")
     activation: Literal["relu", "tanh"] = Field(
@@ -229,7 +250,7 @@ class CrossQSettings(_Confirmed, _OffPolicy):
     )
 
     def critic_weights(self, inputs: int) -> int:
-        return inputs * self.critic_hidden[0] + _between(self.critic_hidden)
+        return _weights(inputs, self.critic_hidden)
 
 
 class PpoSettings(_Confirmed):
@@ -244,8 +265,8 @@ class PpoSettings(_Confirmed):
         2017,
         arxiv="1707.06347",
     )
-    # of an update on one server core, per transition and epoch, for layers of 64 units
-    sample_seconds: ClassVar[Mapping[str, float]] = {"sbx": 0.0000005, "sb3": 0.0000025}
+    # of an update on one server core, per transition and epoch, for 64**2 weights
+    sample_seconds: ClassVar[Mapping[str, float]] = {"sbx": 0.00000045, "sb3": 0.00000225}
 
     algorithm: Literal["ppo"]
     environments: int = Field(
@@ -253,7 +274,9 @@ class PpoSettings(_Confirmed):
     )
     hidden: Widths = Field([128, 128], description="units per hidden layer of the actor and critic")
     batch_size: int = Field(512, ge=2, le=65_536, description="transitions per update")
-    learning_rate: float = Field(0.0005, gt=0, description="learning rate of Adam")
+    learning_rate: float = Field(
+        0.0005, gt=0, le=_LARGEST_RATE, description="learning rate of Adam"
+    )
     learning_rate_schedule: Literal["constant", "linear"] = Field(
         "constant", description="linear: the rate falls to 0, which it reaches at max_steps"
     )
@@ -295,13 +318,17 @@ class PpoSettings(_Confirmed):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        rollout = f"{self.transitions} transitions of a rollout (rollout_steps x environments)"
         if self.transitions % self.batch_size:
             raise ValueError(
-                f"batch_size: {self.batch_size} given, which does not divide the {rollout}"
+                f"batch_size: {self.batch_size} given, which does not divide the "
+                f"{self.transitions} transitions of a rollout (rollout_steps x environments)"
             )
-        if self.max_steps < self.transitions:
-            raise ValueError(f"max_steps: {self.max_steps} given, fewer than the {rollout}")
+        if self.max_steps < 2 * self.transitions:
+            raise ValueError(
+                f"max_steps: {self.max_steps} given, fewer than the {2 * self.transitions} "
+                "transitions of two rollouts (rollout_steps x environments each); a policy is "
+                "evaluated before the update that its rollout leads to"
+            )
         if self.action_bins is not None and self.log_deviation != 0:
             raise ValueError(
                 f"log_deviation: {self.log_deviation} and action_bins: {self.action_bins} given, "
@@ -315,13 +342,13 @@ class PpoSettings(_Confirmed):
 
     def learning_seconds(self, inputs: int) -> float:
         assert self.backend is not None, "validation has chosen one"
-        updating = self.epochs * self.sample_seconds[self.backend] * _between(self.hidden) / 64**2
-        return self.steps * (_STEP_S / self.environments + updating)
+        sample = self.sample_seconds[self.backend] * _weights(inputs, self.hidden) / 64**2
+        return self.steps * (_STEP_S / self.environments + self.epochs * sample)
 
 
-def _between(widths: list[int]) -> int:
-    """Weights between the first two hidden layers."""
-    return prod(widths[:2])
+def _weights(inputs: int, hidden: list[int]) -> int:
+    """The number of weights of a critic with these hidden layers."""
+    return sum(a * b for a, b in pairwise([inputs, *hidden, 1]))
 
 
 def _algorithm(given: Any) -> Any:

@@ -19,7 +19,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from adr_service.distributions import Distribution
-from adr_service.progress import Checkpoint, Progress, silent
+from adr_service.progress import Checkpoint, Progress, StageCancelled, silent
 from adr_service.randomness import integer_seed
 from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.tasks.base import Source, Task
@@ -87,7 +87,13 @@ def train(
     judge = Judge(task, source, distribution, settings, evaluation_rng)
     monitor = _Monitor(library, judge, settings, progress, keep)
     model.set_logger(Logger(None, []))  # SB3's own makes a folder per training
-    model.learn(settings.steps, callback=monitor, log_interval=None)
+    try:
+        model.learn(settings.steps, callback=monitor, log_interval=None)
+    except StageCancelled:
+        raise
+    except Exception:
+        library.policy(model, task, settings)  # raises its own error where weights are not finite
+        raise
     if not judge.curve or judge.curve[-1].steps < model.num_timesteps:
         monitor.evaluate()
     return Training(
@@ -149,5 +155,5 @@ class _Monitor(BaseCallback):
     def _report(self, checkpoint: Checkpoint | None) -> None:
         done, curve = self.num_timesteps, self._judge.curve
         latest = curve[-1].mean_return if curve else None
-        fraction = done / self._settings.steps
+        fraction = min(done / self._settings.steps, 1.0)  # all environments take the last step
         self._progress(fraction, checkpoint=checkpoint, steps=done, source_return=latest)

@@ -101,6 +101,10 @@ def test_a_diverged_simulation_ends_its_episode_with_a_flag_in_info():
         ({"dynamics": {"torso_mass": "heavy"}}, "from 0.1 up; given 'heavy'"),
         ({"masses": {}}, "known: dynamics"),
         ({"dynamics": [3.0]}, "values by name"),
+        ({"dynamics": {1: 3.0}}, "values by name; given the name 1"),
+        ({"dynamics": {"torso_mass": 10**400}}, "a finite float from 0.1 up; given 1000"),
+        ({1: 2, "masses": {}}, r"\[1, 'masses'\] are not known; known: dynamics"),
+        ([3.0], r"options must be values by name; given \[3.0\]"),
     ],
 )
 def test_impossible_dynamics_are_refused_with_the_accepted_values(options, message):
@@ -109,12 +113,47 @@ def test_impossible_dynamics_are_refused_with_the_accepted_values(options, messa
         env.reset(options=options)
 
 
-def test_actions_that_are_not_finite_are_refused():
-    """MuJoCo takes them for zero and writes a warning to a log file alone."""
+def test_refused_dynamics_leave_the_episode_and_the_random_numbers_as_they_were():
+    space = source_of("hopper", "vanilla").space
+    belief = Uniform(space, space.low, space.high).to_json()
+    env, other = (
+        gymnasium.make("adr/RandomHopper-v0", distribution=belief).unwrapped for _ in range(2)
+    )
+    for each in (env, other):
+        each.reset(seed=0)
+    with pytest.raises(InvalidInput):
+        env.reset(seed=1, options={"dynamics": {"torso_mass": 0.0}})
+    np.testing.assert_array_equal(env.step(np.ones(3))[0], other.step(np.ones(3))[0])
+    np.testing.assert_array_equal(env.reset()[0], other.reset()[0])
+    assert env.dynamics == other.dynamics
+
+
+@pytest.mark.parametrize("document", ["uniform", 3, ["uniform"]])
+def test_a_distribution_that_is_no_document_is_refused(document):
+    with pytest.raises(InvalidInput, match="must be the JSON document of one, or None; given"):
+        gymnasium.make("adr/RandomHopper-v0", distribution=document)
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        np.array([0.0, np.nan, 0.0]),  # MuJoCo would take it for zero
+        np.zeros((1, 3)),
+        np.zeros(2),
+        None,
+        "left",
+        [0.0, [1.0], 0.0],
+        [10**400, 0, 0],
+    ],
+    ids=str,
+)
+def test_an_action_that_is_not_finite_or_of_another_shape_is_refused_before_it_moves(action):
     env = gymnasium.make("adr/RandomHopper-v0").unwrapped
     env.reset(seed=0)
-    with pytest.raises(InvalidInput, match="finite"):
-        env.step(np.array([0.0, np.nan, 0.0]))
+    before = env._simulations.state
+    with pytest.raises(InvalidInput, match=r"must be finite, of shape \(3,\); given"):
+        env.step(action)
+    np.testing.assert_array_equal(env._simulations.state.qpos, before.qpos)
 
 
 def test_a_frozen_parameter_cannot_be_set():

@@ -50,8 +50,15 @@ def test_a_threshold_by_which_returns_cannot_be_divided_is_refused(threshold):
     [
         ({"horizon": 0}, "horizon must be a whole number of 1 or more; given 0"),
         ({"horizon": 1.5}, "horizon must be a whole number of 1 or more; given 1.5"),
+        ({"learning_rate": 0.0}, "learning_rate must be positive and finite; given 0.0"),
+        ({"learning_rate": np.nan}, "learning_rate must be positive and finite; given nan"),
+        ({"learning_rate": np.inf}, "learning_rate must be positive and finite; given inf"),
         ({"frame_skip": 0}, "frame_skip must be a whole number of 1 or more; given 0"),
         ({"action_high": np.array([1.0, -1.0])}, "action_low must be below action_high"),
+        (
+            {"action_high": np.array([1.0, 2.0])},
+            "action 1 has the bounds -1 to 2, beyond the ctrlrange of its actuator, -1 to 1",
+        ),
     ],
 )
 def test_numbers_that_no_task_has_are_refused(changed, message):
@@ -76,3 +83,41 @@ def test_a_target_that_is_not_the_oracles_simulator_is_refused():
 def test_a_task_without_variants_is_refused():
     with pytest.raises(InvalidInput, match="task 'arm': it has no variant"):
         check_task(Entry(BUILT_IN["arm"].task, {}))
+
+
+def test_bounds_of_actions_may_be_rounded_to_float32():
+    arm = BUILT_IN["arm"]
+    task = copy(arm.task)
+    object.__setattr__(task, "action_high", np.array([1.0, 1 + 1e-7]))
+    check_task(Entry(task, arm.variants))
+
+
+def test_bounds_of_actions_are_free_where_the_model_limits_no_control():
+    arm = BUILT_IN["arm"]
+    task = copy(arm.task)
+    assert 'warmstart="disable"' in task.xml
+    free = task.xml.replace('warmstart="disable"', 'warmstart="disable" clampctrl="disable"')
+    unclamped = type("Unclamped", (type(task),), {"xml": free})()
+    object.__setattr__(unclamped, "action_high", np.array([1.0, 2.0]))
+    check_task(Entry(unclamped, arm.variants))
+
+
+@pytest.mark.parametrize("variance", [-1e-4, float("nan"), float("inf")])
+def test_a_noise_variance_that_no_noise_has_is_refused(variance):
+    arm = BUILT_IN["arm"]
+    noisy = arm.variants["noisy"]
+    wrong = replace(noisy, hidden=replace(noisy.hidden, noise_variance=variance))
+    with pytest.raises(InvalidInput, match=f"'noisy' must be 0 or more, and finite; .* {variance}"):
+        check_task(Entry(arm.task, {**arm.variants, "noisy": wrong}))
+
+
+def test_a_truth_below_the_feasible_minimum_is_refused():
+    arm = BUILT_IN["arm"]
+    vanilla = arm.variants["vanilla"]
+    parameter = vanilla.hidden.source.space.parameters[0]
+    values = vanilla.hidden.values.copy()
+    values[0] = parameter.feasible_low / 2
+    light = replace(vanilla, hidden=replace(vanilla.hidden, values=values))
+    message = f"truth of {parameter.name} in the variant 'light' is {values[0]:g}, below its"
+    with pytest.raises(InvalidInput, match=message):
+        check_task(Entry(arm.task, {**arm.variants, "light": light}))

@@ -161,8 +161,11 @@ def test_one_update_is_the_same_in_both_backends(no_noise, algorithm, weights, a
     assert temperature != 1.0
 
 
-@pytest.mark.parametrize(("algorithm", "stock"), [("sac", "SAC"), ("crossq", "CrossQ")])
-def test_four_updates_are_those_of_the_stock_library(algorithm, stock):
+@pytest.mark.parametrize(
+    ("algorithm", "stock", "updates"),
+    [("sac", "SAC", 4), ("crossq", "CrossQ", 4), ("crossq", "CrossQ", 13)],
+)
+def test_several_updates_are_those_of_the_stock_library(algorithm, stock, updates):
     """Both draw the same random numbers, so that only rounding differs."""
     import jax
     import sbx
@@ -174,14 +177,26 @@ def test_four_updates_are_those_of_the_stock_library(algorithm, stock):
     plain = build(algorithm, "sbx")
     plain._n_updates = 1
     np.random.seed(5)  # noqa: NPY002
-    own.train(plain, gradient_steps=4, batch_size=BATCH)
+    own.train(plain, gradient_steps=updates, batch_size=BATCH)
     np.random.seed(5)  # noqa: NPY002
-    fused.train(gradient_steps=4, batch_size=BATCH)
+    fused.train(gradient_steps=updates, batch_size=BATCH)
     fused.publish()
     for state in ("qf_state", "actor_state"):
         expected, found = (jax.tree.leaves(getattr(m.policy, state)) for m in (plain, fused))
         for each, other in zip(found, expected, strict=True):
             np.testing.assert_allclose(each, other, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "crossq"])
+def test_the_compiled_program_of_many_updates_is_no_larger_than_that_of_some(algorithm):
+    """It would take hours to compile."""
+    model = build(algorithm, "sbx")
+
+    def lines(updates):
+        given = model._arrays, model._sample(updates * BATCH), model._last_obs, 0
+        return model._compile(updates).lower(*given).as_text().count("\n")
+
+    assert lines(1000) == pytest.approx(lines(20), rel=0.05)
 
 
 @pytest.mark.parametrize("algorithm", ["sac", "crossq"])

@@ -46,7 +46,17 @@ def test_json_gives_the_same_settings_back(algorithm, kind):
             {"algorithm": "ppo", "action_bins": 5, "log_deviation": -1},
             "action_bins: 5 given",
         ),
-        ({"algorithm": "ppo", "max_steps": 4000}, "4000 given, fewer than the 4096 transitions"),
+        # one rollout, whose update no evaluation would see
+        (
+            {"algorithm": "ppo", "max_steps": 8191},
+            "8191 given, fewer than the 8192 .* two rollouts",
+        ),
+        ({"max_steps": 100, "environments": 101}, "100 given, fewer than the 101 environments"),
+        ({"max_steps": 600, "learning_starts": 600}, "600 given, not fewer than the 600 of max_st"),
+        ({"algorithm": "crossq", "batch_size": 1}, "greater than or equal to 2"),
+        ({"learning_rate": 1e300}, "less than or equal to 1000"),
+        ({"algorithm": "crossq", "learning_rate": 1e300}, "less than or equal to 1000"),
+        ({"algorithm": "ppo", "learning_rate": 1e300}, "less than or equal to 1000"),
     ],
 )
 def test_a_value_out_of_bounds_is_refused_with_the_bound(given, message):
@@ -57,6 +67,19 @@ def test_a_value_out_of_bounds_is_refused_with_the_bound(given, message):
 def test_only_sac_reports_its_best_evaluation_as_it_is():
     assert settings("sac").confirmation is None
     assert {settings(name).confirmation for name in ("crossq", "ppo")} == {6}
+
+
+@pytest.mark.parametrize(
+    ("max_steps", "expected"), [(600, 300), (1000, 500), (1001, 1000), (5_000_000, 1000)]
+)
+def test_random_actions_are_by_default_half_of_a_short_training_at_most(max_steps, expected):
+    given = ANY.validate_python({"algorithm": "crossq", "max_steps": max_steps})
+    assert given.learning_starts == expected
+    assert ANY.validate_json(ANY.dump_json(given)) == given
+
+
+def test_two_rollouts_of_ppo_are_enough():
+    assert ANY.validate_python({"algorithm": "ppo", "max_steps": 8192}).steps == 8192
 
 
 def test_ppo_uses_whole_rollouts():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from adr_service.distributions import Gaussian, Uniform
+from adr_service.errors import InvalidInput
 from adr_service.progress import StageCancelled
 from adr_service.randomness import stream
 from adr_service.simulation.vec_env import RandomizedVecEnv
@@ -49,6 +50,14 @@ def test_ppos_first_mean_actions_are_near_zero_with_orthogonal_layers(backend):
         policy = library.policy(library.build(env, ARM, given, seed=1), ARM, given)
         sizes.append(np.abs(policy.act(seen)).max())
     assert sizes[0] < 0.1 < sizes[1]
+
+
+def test_an_error_of_a_training_that_has_not_diverged_stays_what_it_is():
+    def fail(fraction, **facts):
+        raise OSError("no space left")
+
+    with pytest.raises(OSError, match="no space left"):
+        trained("sac", "sb3", progress=fail)
 
 
 def test_the_reported_policy_is_the_averaged_one_where_that_is_asked_for():
@@ -98,6 +107,24 @@ class TestTrain:
         policy = library.policy(model, ARM, given)
         expected = model.predict(seen_by(model, seen), deterministic=True)[0]
         np.testing.assert_allclose(policy.act(seen), np.clip(expected, -1, 1), atol=1e-5)
+
+    def test_a_training_that_diverges_says_so(self, algorithm, backend):
+        """The library fails at the next action, of which its message speaks."""
+        with pytest.raises(InvalidInput, match="training diverged: the actor"):
+            trained(algorithm, backend, learning_rate=1e3, stop_at_threshold=False)
+
+    def test_progress_ends_at_the_whole(self, algorithm, backend):
+        """All environments take the last step, also where fewer would do."""
+        fractions = []
+        trained(
+            algorithm,
+            backend,
+            progress=lambda fraction, **facts: fractions.append(fraction),
+            max_steps=485,
+            evaluate_every=485,
+        )
+        assert fractions == sorted(fractions)
+        assert fractions[-1] == 1
 
     def test_a_model_that_is_started_from_networks_is_where_they_were(self, algorithm, backend):
         """Its policy and all that it learns from, but its optimiser, are those that were left."""
