@@ -4,6 +4,7 @@ import mujoco
 
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.plausibility import check_rates, check_usable
 from adr_service.effects.base import is_added
 from adr_service.effects.catalogue import MECHANISMS
 from adr_service.errors import InvalidInput
@@ -16,8 +17,8 @@ def check_measurement(nominal: Nominal, data: Measurement) -> None:
     """Raises InvalidInput if the data are too few, or do not belong to the simulator."""
     model = nominal.model(nominal.start)
     check_columns(model, data)
-    data.check_usable()
-    data.check_velocities()
+    check_usable(data)
+    check_rates(data)
     check_size(model, data, 2 * model.nv * _tried_strengths(model))
 
 

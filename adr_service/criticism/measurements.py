@@ -7,11 +7,8 @@ and a command that nobody executes. Positions and velocities are in the order of
 degrees of freedom, in SI units.
 """
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -23,12 +20,8 @@ from adr_service.transitions import MOST_COLUMNS, MOST_EPISODES
 _NEEDED = ("time", "qpos", "qvel", "ctrl", "episode")
 _OPTIONAL = ("qpos_std", "qvel_std", "ctrl_within")
 _SAME = 1e-6  # of the largest command: how near the mean of its parts a row's command must be
-_ALIKE, _OFF = 0.5, 1.5  # correlation of positions' changes and velocities; their ratio
-_STUCK = 0.2  # of all rows, with the very same extreme value
 _LATEST = 1e12  # seconds
-_MOST_EXACT = 2**53  # numbers of a CSV are floats, and those from here on are rounded
 _MOST_IDS = 2**63  # of episodes
-_LEAST_EPISODES, _LEAST_TRANSITIONS = 8, 200
 
 
 @dataclass(frozen=True)
@@ -78,40 +71,6 @@ class Measurement:
             if values.dtype.kind not in "iuf":
                 raise InvalidInput(f"{name} must hold numbers; given {values.dtype}")
         return cls(**fields)
-
-    @classmethod
-    def from_csv(cls, text: str) -> "Measurement":
-        """A table with a header: `time`, `episode`, `qpos_0` …, `qvel_0` …, `ctrl_0` ….
-
-        Raises InvalidInput with the line and column of what is wrong.
-        """
-        reader = csv.reader(io.StringIO(text.removeprefix("\ufeff")))
-        try:
-            lines = [(reader.line_num, line) for line in reader if line]
-        except csv.Error as error:
-            raise InvalidInput(f"line {reader.line_num} of the CSV: {error}") from error
-        header = [name.strip() for name in lines[0][1]] if lines else []
-        columns = {name: _numbered(header, name) for name in ("qpos", "qvel", "ctrl")}
-        known = ["time", "episode", *(c for group in columns.values() for c in group)]
-        if sorted(known) != sorted(header):
-            raise InvalidInput(
-                f"the CSV's header is {', '.join(header)}; expected are time, episode, and from 0 "
-                "on qpos_0 …, qvel_0 …, ctrl_0 …, each once"
-            )
-        rows = [_numbers(number, line, header) for number, line in lines[1:]]
-        table = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
-        fields: dict[str, Any] = {
-            n: table[:, [header.index(c) for c in group]] for n, group in columns.items()
-        }
-        episode = table[:, header.index("episode")]
-        if not np.all(np.isfinite(episode) & (episode == np.round(episode))):
-            raise InvalidInput("the CSV's episodes must be whole numbers")
-        if (most := np.abs(episode).max(initial=0)) >= _MOST_EXACT:
-            raise InvalidInput(
-                f"the CSV's episodes must be whole numbers below 2**53; given up to {most:.16g}"
-            )
-        time = table[:, header.index("time")]
-        return cls(time=time, episode=episode.astype(np.int64), **fields)
 
     def to_npz(self) -> bytes:
         """The bytes that `from_npz` reads."""
@@ -214,59 +173,6 @@ class Measurement:
                 moved[:, positions], axis=0
             )
         return replace(self, qpos=qpos, qvel=qvel)
-
-    def check_usable(self) -> None:
-        """Raises InvalidInput for too few data to separate effects from noise, and for a stuck
-        sensor."""
-        steps = int(np.sum(np.diff(self.episode) == 0))
-        if steps < _LEAST_TRANSITIONS or len(self.spans()) < _LEAST_EPISODES:
-            raise InvalidInput(
-                f"{steps} transitions in {len(self.spans())} episodes are too few to tell effects "
-                f"from noise; at least {_LEAST_TRANSITIONS} in {_LEAST_EPISODES} are needed "
-                "(cut a long recording into episodes of about a second)"
-            )
-
-        both = (("qpos", self.qpos), ("qvel", self.qvel))
-        shown = [(f"{name}, column {i},", v) for name, each in both for i, v in enumerate(each.T)]
-        for (name, values), is_measured in zip(shown, self.is_measured(), strict=True):
-            if is_measured and (why := why_stuck(values)) is not None:
-                raise InvalidInput(
-                    f"{name} {why}; needed are readings that follow the robot, or an infinite "
-                    "standard deviation (in an .npz) for what is not read"
-                )
-
-    def check_velocities(self) -> None:
-        """Raises InvalidInput unless velocities are the rates of the positions, by joint, and one
-        of the two is measured."""
-        inside = np.flatnonzero(np.diff(self.episode) == 0)
-        measured, nv = self.is_measured(), self.qvel.shape[1]
-        for column in range(nv):
-            if not (measured[column] or measured[nv + column]):
-                raise InvalidInput(
-                    f"column {column} is measured neither in qpos nor in qvel: both have an "
-                    "infinite standard deviation; needed is one of the two for each joint"
-                )
-            if not (measured[column] and measured[nv + column]):
-                continue
-            moved = self.qpos[inside + 1, column] - self.qpos[inside, column]
-            mean = (self.qvel[inside + 1, column] + self.qvel[inside, column]) / 2
-            expected = self.period() * mean
-            alike = np.corrcoef(moved, expected)[0, 1] if np.any(expected) else 0.0
-            if alike < -_ALIKE:
-                raise InvalidInput(
-                    f"column {column} of qpos moves against the same column of qvel (their "
-                    f"correlation is {alike:.2f}): the sign of one of them is wrong, or the "
-                    "columns are not in the model's order"
-                )
-            if not alike >= _ALIKE:
-                continue  # too little motion to judge by
-            ratio = float(moved @ expected / (expected @ expected))
-            if not 1 / _OFF < ratio < _OFF:
-                raise InvalidInput(
-                    f"column {column} of qpos moves {ratio:.3g} times as far as the same column of "
-                    "qvel says; expected is about 1: `time` in seconds, positions and velocities "
-                    "both in rad or both in m, and columns in the model's order"
-                )
 
     def period(self) -> float:
         """Seconds between rows; raises InvalidInput where it is not the same throughout."""
@@ -386,42 +292,6 @@ def _deviations(name: str, given: Vector, width: int) -> Vector:
             f"estimated; given {given.tolist()}"
         )
     return frozen(np.broadcast_to(given, (width,)))
-
-
-def _numbers(number: int, line: Sequence[str], header: Sequence[str]) -> list[float]:
-    if len(line) != len(header):
-        raise InvalidInput(
-            f"line {number} of the CSV has {len(line)} values; the header has {len(header)}"
-        )
-    values: list[float] = []
-    for name, value in zip(header, line, strict=True):
-        try:
-            values.append(float(value))
-        except ValueError as error:
-            raise InvalidInput(
-                f"line {number} of the CSV has {value!r} for {name}; expected is a number"
-            ) from error
-    return values
-
-
-def _numbered(header: Sequence[str], name: str) -> list[str]:
-    count = sum(each.startswith(f"{name}_") for each in header)
-    return [f"{name}_{i}" for i in range(count)]
-
-
-def why_stuck(values: Vector) -> str | None:
-    """The reason why a sensor's readings (n,) cannot be used; None if they can.
-
-    Either they never change, or they saturate.
-    """
-    if np.ptp(values) == 0:
-        return f"is {values[0]:g} in all rows"
-    for most in (values.min(), values.max()):
-        stuck = np.flatnonzero(values == most)
-        if len(stuck) > _STUCK * len(values):
-            share = f"{len(stuck)} of {len(values)} rows"
-            return f"is saturated: {share} show {most:g}, and none goes beyond"
-    return None
 
 
 def is_measurement(content: bytes) -> bool:

@@ -21,6 +21,7 @@ import numpy as np
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.criticism.compatibility import check_state, commanded_actuators, joints_of
 from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.plausibility import check_rates, check_usable
 from adr_service.errors import InvalidInput
 from adr_service.logs.agreement import Agreement, agreements
 from adr_service.logs.base import Log
@@ -342,9 +343,9 @@ def _joined(episodes: Sequence[_Episode], given: LogMap, model: mujoco.MjModel) 
             f"the recordings have {seconds:.3g} s in all, and ten or more are needed; is time.unit "
             "right?"
         )
-    measurement.check_usable()
+    check_usable(measurement)
     try:
-        measurement.check_velocities()
+        check_rates(measurement)
     except InvalidInput as error:
         raise InvalidInput(
             f"{error}. Columns are joints in the model's order ({', '.join(joints_of(model))}); "

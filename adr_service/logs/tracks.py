@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from adr_service.criticism.compatibility import commanded_actuators, joints_of
-from adr_service.criticism.measurements import why_stuck
+from adr_service.criticism.plausibility import why_stuck
 from adr_service.errors import InvalidInput
 from adr_service.logs.base import Clock, Log, Signal
 from adr_service.logs.mapping import LogMap, is_slide

@@ -15,6 +15,7 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.compatibility import commanded_actuators, joints_of
+from adr_service.criticism.csv_tables import measurement_from_csv
 from adr_service.criticism.extension import written_out
 from adr_service.criticism.measurements import Measurement, is_measurement
 from adr_service.criticism.next_recording import (
@@ -273,7 +274,7 @@ def _measurement(path: Path, task: Task | None) -> Measurement:
     content = read_text(path) if path.suffix == ".csv" else read(path)
     with naming(path):
         if isinstance(content, str):
-            return Measurement.from_csv(content)
+            return measurement_from_csv(content)
         if task is not None:
             return read_measurement(task, content)
         if is_measurement(content):

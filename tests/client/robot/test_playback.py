@@ -12,6 +12,7 @@ from adr_service.client.robot.playback import Player, check_commands
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.plans import read_plan
+from adr_service.criticism.plausibility import check_usable
 from adr_service.criticism.simulator import Simulator
 from adr_service.errors import InvalidInput
 from adr_service.npz import read_arrays, write_arrays
@@ -57,8 +58,7 @@ def test_commands_become_a_measurement_with_a_row_for_each(robot):
     assert [last - first for first, last in data.spans()] == [30] * 10
     np.testing.assert_array_equal(data.ctrl[:29], commands[0][:29])
     assert (played.limited, played.shortened) == (0, ())
-    again = Measurement.from_npz(data.to_npz())
-    again.check_usable()
+    check_usable(Measurement.from_npz(data.to_npz()))
 
 
 def test_the_owners_limit_holds_and_is_counted(robot):

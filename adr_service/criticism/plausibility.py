@@ -1,0 +1,81 @@
+"""Checks of a measurement by itself: rows enough, sensors that move, velocities that are rates."""
+
+import numpy as np
+
+from adr_service.arrays import Vector
+from adr_service.criticism.measurements import Measurement
+from adr_service.errors import InvalidInput
+
+_LEAST_EPISODES, _LEAST_TRANSITIONS = 8, 200
+_STUCK = 0.2  # of all rows, with the very same extreme value
+_ALIKE, _OFF = 0.5, 1.5  # correlation of positions' changes and velocities; their ratio
+
+
+def check_usable(data: Measurement) -> None:
+    """Raises InvalidInput for too few data to separate effects from noise, and for a stuck
+    sensor."""
+    steps = int(np.sum(np.diff(data.episode) == 0))
+    if steps < _LEAST_TRANSITIONS or len(data.spans()) < _LEAST_EPISODES:
+        raise InvalidInput(
+            f"{steps} transitions in {len(data.spans())} episodes are too few to tell effects "
+            f"from noise; at least {_LEAST_TRANSITIONS} in {_LEAST_EPISODES} are needed "
+            "(cut a long recording into episodes of about a second)"
+        )
+
+    both = (("qpos", data.qpos), ("qvel", data.qvel))
+    shown = [(f"{name}, column {i},", v) for name, each in both for i, v in enumerate(each.T)]
+    for (name, values), is_measured in zip(shown, data.is_measured(), strict=True):
+        if is_measured and (why := why_stuck(values)) is not None:
+            raise InvalidInput(
+                f"{name} {why}; needed are readings that follow the robot, or an infinite "
+                "standard deviation (in an .npz) for what is not read"
+            )
+
+
+def check_rates(data: Measurement) -> None:
+    """Raises InvalidInput unless velocities are the rates of the positions, by joint, and one
+    of the two is measured."""
+    inside = np.flatnonzero(np.diff(data.episode) == 0)
+    measured, nv = data.is_measured(), data.qvel.shape[1]
+    for column in range(nv):
+        if not (measured[column] or measured[nv + column]):
+            raise InvalidInput(
+                f"column {column} is measured neither in qpos nor in qvel: both have an "
+                "infinite standard deviation; needed is one of the two for each joint"
+            )
+        if not (measured[column] and measured[nv + column]):
+            continue
+        moved = data.qpos[inside + 1, column] - data.qpos[inside, column]
+        mean = (data.qvel[inside + 1, column] + data.qvel[inside, column]) / 2
+        expected = data.period() * mean
+        alike = np.corrcoef(moved, expected)[0, 1] if np.any(expected) else 0.0
+        if alike < -_ALIKE:
+            raise InvalidInput(
+                f"column {column} of qpos moves against the same column of qvel (their "
+                f"correlation is {alike:.2f}): the sign of one of them is wrong, or the "
+                "columns are not in the model's order"
+            )
+        if not alike >= _ALIKE:
+            continue  # too little motion to judge by
+        ratio = float(moved @ expected / (expected @ expected))
+        if not 1 / _OFF < ratio < _OFF:
+            raise InvalidInput(
+                f"column {column} of qpos moves {ratio:.3g} times as far as the same column of "
+                "qvel says; expected is about 1: `time` in seconds, positions and velocities "
+                "both in rad or both in m, and columns in the model's order"
+            )
+
+
+def why_stuck(values: Vector) -> str | None:
+    """The reason why a sensor's readings (n,) cannot be used; None if they can.
+
+    Either they never change, or they saturate.
+    """
+    if np.ptp(values) == 0:
+        return f"is {values[0]:g} in all rows"
+    for most in (values.min(), values.max()):
+        stuck = np.flatnonzero(values == most)
+        if len(stuck) > _STUCK * len(values):
+            share = f"{len(stuck)} of {len(values)} rows"
+            return f"is saturated: {share} show {most:g}, and none goes beyond"
+    return None
