@@ -16,13 +16,12 @@ undecided claim tells how many seeds would settle it, if their means and spread 
 Claims on widths and costs (U5, C1) must hold for every seed, and are not part of that.
 """
 
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from itertools import combinations
 from typing import Literal
 
+from adr_service.benchmark.budgets import by_budget, changes
 from adr_service.benchmark.cells import Cell, Measured
 from adr_service.benchmark.checks import (
     Check,
@@ -43,14 +42,12 @@ from adr_service.benchmark.checks import (
     solves,
 )
 from adr_service.benchmark.comparison import Outcome
-from adr_service.json_values import canonical_json
-from adr_service.specs import RunSpec, SimulatedTarget
+from adr_service.specs import SimulatedTarget
 
 _METHODS = ("udr", "bayrn", "simopt", "simopt_1", "droid", "dropo")
 _HARD = ("half_cheetah", "walker2d", "humanoid")
 _TASKS = ("hopper", *_HARD)
 _VARIANTS = ("vanilla", "noisy", "unmodeled")
-_UNCHANGED = "{}"  # no change from the preset
 _LEVEL = 0.05  # at which all verdicts hold together
 ClaimVerdict = Literal["supported", "contradicted", "undecided"] | Gap
 
@@ -82,104 +79,24 @@ def reports(outcomes: Iterable[Outcome]) -> list[Report]:
     Left out are smoke runs, which mean nothing, and runs that the paper does not have: with effects
     beyond its tasks, or with a target that is not simulated.
     """
-    budgets: dict[tuple[str, str], list[Outcome]] = {}
-    for outcome in outcomes:
-        spec = outcome.spec
-        is_simulated = isinstance(spec.target, SimulatedTarget)
-        is_plain = is_simulated and not spec.extension and not spec.hidden_effects
-        if is_plain and spec.preset != "smoke" and outcome.iteration.returns:
-            budgets.setdefault((spec.preset, _changed(spec, _budget)), []).append(outcome)
-    return [
-        _report(part)
-        for _, group in sorted(budgets.items())
-        for collected in _by_collection(group)
-        for part in _by_settings(collected)
-    ]
+    return [_report(part) for part in by_budget(filter(_is_the_papers, outcomes))]
 
 
-_Facts = Callable[[RunSpec], dict[str, object]]
-
-
-def _budget(spec: RunSpec) -> dict[str, object]:
-    names = ("iterations", "transitions", "evaluation_episodes", "resolution")
-    training = {f"training.{k}": v for k, v in spec.training.model_dump().items()}
-    return {name: getattr(spec, name) for name in names} | training
-
-
-def _settings(spec: RunSpec) -> dict[str, object]:
-    """The settings of a run's method."""
-    return {f"{spec.method.name}.{k}": v for k, v in spec.method.model_dump(mode="json").items()}
-
-
-def _collection(spec: RunSpec) -> dict[str, object]:
-    """The settings of the SimOpt that collects for a run, or that the run is."""
-    simopt = spec.method if spec.method.name == "simopt" else spec.simopt
-    if simopt is None:
-        return {}
-    return {f"simopt.{k}": v for k, v in simopt.model_dump(mode="json").items()}
-
-
-def _changes(spec: RunSpec, facts: _Facts) -> dict[str, object]:
-    """The facts of a run that are not the preset's: these differ between tasks."""
-    usual = facts(_usual(spec.task, spec.preset, spec.method.name, spec.collector))
-    return {name: value for name, value in facts(spec).items() if usual.get(name) != value}
-
-
-def _changed(spec: RunSpec, facts: _Facts) -> str:
-    return canonical_json(_changes(spec, facts))
-
-
-@cache
-def _usual(task: str, preset: str, method: str, collector: str) -> RunSpec:
-    """A run of the method with the preset's own budget and settings."""
-    given = {"task": task, "preset": preset, "method": method, "collector": collector}
-    return RunSpec.model_validate(given)
-
-
-def _by_collection(outcomes: Sequence[Outcome]) -> list[list[Outcome]]:
-    """Outcomes of one budget for each setting of the SimOpt that collects, with the methods that
-    need no other's data; the preset's own first."""
-
-    def collected(spec: RunSpec) -> str | None:
-        return _changed(spec, _collection) if _collection(spec) else None
-
-    known = {collected(outcome.spec) for outcome in outcomes} - {None}
-    parts = sorted(known, key=lambda name: (name != _UNCHANGED, name)) or [None]
-    return [[o for o in outcomes if collected(o.spec) in (None, part)] for part in parts]
-
-
-def _by_settings(outcomes: Sequence[Outcome]) -> list[list[Outcome]]:
-    """Outcomes of one budget with one setting of every method each.
-
-    The first has the preset's own settings, or those of the first run of a method that never had
-    them; every other setting has a part of its own, with the other methods as in the first.
-    """
-    groups: dict[str, dict[str, list[Outcome]]] = defaultdict(dict)
-    for outcome in outcomes:
-        settings = _changed(outcome.spec, _settings)
-        groups[outcome.spec.column].setdefault(settings, []).append(outcome)
-    chosen = {
-        column: _UNCHANGED if _UNCHANGED in settings else next(iter(settings))
-        for column, settings in groups.items()
-    }
-    first = [outcome for column, name in chosen.items() for outcome in groups[column][name]]
-    others = [
-        [*(o for o in first if o.spec.column != column), *group]
-        for column, settings in groups.items()
-        for name, group in settings.items()
-        if name != chosen[column]
-    ]
-    return [first, *others]
+def _is_the_papers(outcome: Outcome) -> bool:
+    spec = outcome.spec
+    is_plain = isinstance(spec.target, SimulatedTarget) and not spec.extension
+    return (
+        is_plain
+        and not spec.hidden_effects
+        and spec.preset != "smoke"
+        and bool(outcome.iteration.returns)
+    )
 
 
 def _report(outcomes: Sequence[Outcome]) -> Report:
-    changed: dict[str, object] = {}
-    for spec in (outcome.spec for outcome in outcomes):
-        for facts in (_budget, _settings, _collection):
-            changed |= _changes(spec, facts)
     measured = Measured(outcomes)
     evidence = [conjunction([check(measured) for check in claim.checks]) for claim in CLAIMS]
-    return Report(outcomes[0].spec.preset, changed, _judged(evidence, CLAIMS))
+    return Report(outcomes[0].spec.preset, changes(outcomes), _judged(evidence, CLAIMS))
 
 
 def _judged(evidence: Sequence[Evidence], claims: Sequence["Claim"]) -> list[ClaimReport]:
