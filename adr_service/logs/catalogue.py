@@ -9,7 +9,7 @@ from adr_service.logs.base import MOST_BYTES, Log
 from adr_service.logs.csv_files import read_csv
 from adr_service.logs.mcap_files import read_mcap, read_split_mcap
 from adr_service.logs.npz_files import read_npz
-from adr_service.logs.parquet_files import read_lerobot, read_parquet
+from adr_service.logs.parquet_files import ROWS, read_lerobot, read_parquet
 
 FORMATS: dict[str, Callable[[str, bytes], Log]] = {
     ".csv": read_csv,
@@ -19,6 +19,8 @@ FORMATS: dict[str, Callable[[str, bytes], Log]] = {
     ".parquet": read_parquet,
     ".mcap": read_mcap,
 }
+_BAGS = "*.mcap"
+ROWS_IN_FOLDERS = (_BAGS, ROWS)  # patterns of the files that hold rows
 
 
 def read_logs(path: Path) -> list[Log]:
@@ -28,7 +30,7 @@ def read_logs(path: Path) -> list[Log]:
     InvalidInput for other formats, for what cannot be read, and for what is too large.
     """
     if path.is_dir():
-        bags = sorted(path.glob("*.mcap"), key=_natural)
+        bags = sorted(path.glob(_BAGS), key=_natural)
         if not bags:
             return read_lerobot(path)
         if len(bags) > 1 and (path / "metadata.yaml").is_file():

@@ -17,6 +17,8 @@ from adr_service.errors import InvalidInput
 from adr_service.logs.arrow_tables import stream_of
 from adr_service.logs.base import MOST_BYTES, MOST_COLUMNS, Log, Stream, check_size
 
+ROWS = "data/**/*.parquet"  # of a LeRobot data set, in its folder
+
 
 def read_parquet(source: str, content: bytes) -> Log:
     """The log of a Parquet table. Raises InvalidInput for damaged and for too large ones."""
@@ -26,7 +28,7 @@ def read_parquet(source: str, content: bytes) -> Log:
 
 def read_lerobot(folder: Path) -> list[Log]:
     """The logs of a LeRobot data set, one for each file of rows, in order."""
-    files = sorted(folder.glob("data/**/*.parquet"))
+    files = sorted(folder.glob(ROWS))
     if (size := sum(file.stat().st_size for file in files)) > MOST_BYTES:
         raise InvalidInput(f"{folder} has {size:,} bytes; accepted are {MOST_BYTES:,}")
     if not files:

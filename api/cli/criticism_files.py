@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -29,6 +29,7 @@ from adr_service.criticism.plans import Plan, Separation
 from adr_service.criticism.recordings import read_measurement
 from adr_service.criticism.report import EXTENDED, FILES, files_of
 from adr_service.errors import InvalidInput, UnknownName
+from adr_service.logs.catalogue import ROWS_IN_FOLDERS
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.progress import Progress
 from adr_service.simulation.model import not_a_model, unit_at
@@ -111,12 +112,24 @@ def criticise_files(
 
 
 def check_differ(recordings: Sequence[Path]) -> None:
-    """Raise InvalidInput for a recording that is given twice, which would count twice."""
-    for one, other in combinations(recordings, 2):
-        if one.resolve() == other.resolve():
-            raise InvalidInput(f"{one} and {other} are the same; give each recording once")
-        if one.is_file() and other.is_file() and _is_copy(one, other):
-            raise InvalidInput(f"{one} and {other} have the same content; give each recording once")
+    """Raise InvalidInput for a recording that is given twice, which would count twice.
+
+    Of folders, the files are compared that hold rows.
+    """
+    for ones, others in combinations(map(_files_of, recordings), 2):
+        for one, other in product(ones, others):
+            if one.resolve() == other.resolve():
+                raise InvalidInput(f"{one} and {other} are the same; give each recording once")
+            if _is_copy(one, other):
+                raise InvalidInput(
+                    f"{one} and {other} have the same content; give each recording once"
+                )
+
+
+def _files_of(recording: Path) -> list[Path]:
+    if not recording.is_dir():
+        return [recording]
+    return [file for pattern in ROWS_IN_FOLDERS for file in sorted(recording.glob(pattern))]
 
 
 def _is_copy(one: Path, other: Path) -> bool:

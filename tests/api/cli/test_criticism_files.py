@@ -180,6 +180,17 @@ def test_a_recording_that_is_given_twice_is_refused(tmp_path, other, message):
         criticise_files(nominal, name, data, tmp_path / "out", 0, silent)
 
 
+@pytest.mark.parametrize("file", ["bag_0.mcap", "data/chunk-000/episode_000000.parquet"])
+def test_a_copied_folder_or_a_file_beside_its_folder_counts_once(tmp_path, file):
+    for folder in ("first", "copy"):
+        (tmp_path / folder / file).parent.mkdir(parents=True)
+        (tmp_path / folder / file).write_bytes(b"rows")
+    with pytest.raises(InvalidInput, match=r"first.* and .*copy.* have the same content"):
+        check_differ([tmp_path / "first", tmp_path / "copy"])
+    with pytest.raises(InvalidInput, match="are the same; give each recording once"):
+        check_differ([tmp_path / "first", tmp_path / "first" / file])
+
+
 def test_recordings_that_differ_and_files_that_are_not_there_are_not_called_the_same(tmp_path):
     (tmp_path / "run.npz").write_bytes(b"first")
     (tmp_path / "other.npz").write_bytes(b"other")
