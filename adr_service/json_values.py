@@ -16,9 +16,14 @@ _UNKNOWN_FIELD = "unknown_field"  # type of an error
 _CONTROL = r"\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069"
 _NOT_IN_A_LINE = re.compile(rf"[{_CONTROL}\t\n]")
 _NOT_IN_TEXT = re.compile(rf"[{_CONTROL}]")
+_LINE, _PARAGRAPHS = rf"^[^{_CONTROL}\t\n]*$", rf"^[^{_CONTROL}]*$"
+_OF_PATTERNS = {  # what they ask for
+    _LINE: "expected is one line of text without control characters",
+    _PARAGRAPHS: "expected is text without control characters",
+}
 # texts of users, which appear in logs and on terminals
-Line = Annotated[str, Field(pattern=rf"^[^{_CONTROL}\t\n]*$")]
-Paragraphs = Annotated[str, Field(pattern=rf"^[^{_CONTROL}]*$")]
+Line = Annotated[str, Field(pattern=_LINE)]
+Paragraphs = Annotated[str, Field(pattern=_PARAGRAPHS)]
 
 
 def is_a_line(text: str) -> bool:
@@ -71,8 +76,13 @@ def explain(error: ValidationError, whole: str) -> str:
 
     `whole` names the place of an error that concerns no single field.
     """
-    errors = [f"{_place(e) or whole}: {e['msg']}" for e in error.errors()]
-    return "; ".join(errors).replace("Value error, ", "")
+    return "; ".join(f"{_place(e) or whole}: {in_words(e)}" for e in error.errors())
+
+
+def in_words(error: ErrorDetails) -> str:
+    """The reason of an error; Pydantic shows patterns as they are."""
+    pattern = error.get("ctx", {}).get("pattern", "")
+    return _OF_PATTERNS.get(pattern, error["msg"].removeprefix("Value error, "))
 
 
 def _place(error: ErrorDetails) -> str:

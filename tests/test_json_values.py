@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from adr_service.json_values import (
+    Line,
+    Paragraphs,
     Wire,
     canonical_json,
     explain,
@@ -30,6 +32,11 @@ json_values = st.recursive(
 class Box(Wire):
     width: float = 1.0
     name: str = ""
+
+
+class Label(Wire):
+    title: Line
+    text: Paragraphs
 
 
 @given(json_values)
@@ -77,6 +84,15 @@ def test_an_error_is_explained_in_one_line_with_the_place():
     with pytest.raises(ValidationError) as raised:
         Box.model_validate({"depth": 1})
     assert explain(raised.value, "the box").startswith("the box: there is no field 'depth'")
+
+
+def test_a_text_with_control_characters_is_refused_in_words():
+    with pytest.raises(ValidationError) as raised:
+        Label(title="two\nlines", text="a\x1b[2J")
+    assert explain(raised.value, "the label") == (
+        "title: expected is one line of text without control characters; "
+        "text: expected is text without control characters"
+    )
 
 
 @pytest.mark.parametrize("text", ["a\nb", "\x1b[2J", "a\tb", "\u202e", "\x7f"])
