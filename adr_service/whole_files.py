@@ -1,5 +1,6 @@
 """Files that are written as a whole or not at all."""
 
+import os
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,15 +10,26 @@ from pathlib import Path
 def written_whole(path: Path, mode: int = 0o666) -> Generator[Path]:
     """A new, empty file beside `path` to write to, which takes its place at the end.
 
-    If anything fails, or the process dies, what was at `path` stays. `mode` has the file's
-    permissions, of which the process's umask takes some. Raises OSError where nothing can be
-    written.
+    If anything fails, the process dies, or the power does, what was at `path` stays; after the
+    block, what is there now does. `mode` has the file's permissions, of which the process's umask
+    takes some. Raises OSError where nothing can be written.
     """
     part = path.with_name(f"{path.name}.part")
     part.unlink(missing_ok=True)
     try:
         part.touch(mode)
         yield part
+        _sync(part)
         part.replace(path)
+        _sync(path.parent)
     finally:
         part.unlink(missing_ok=True)
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    opened = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(opened)
+    finally:
+        os.close(opened)

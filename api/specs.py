@@ -1,7 +1,7 @@
 """Specs from files, and from settings as text."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -36,12 +36,21 @@ def effects_of(content: dict[str, Any], name: str) -> list[dict[str, Any]]:
     return [{k: v for k, v in effect.items() if k != "in_mjcf"} for effect in effects]
 
 
-def assign(spec: dict[str, Any], assignments: Iterable[str] | None) -> None:
-    """Set fields of a spec from texts `a.b=value`; a value is JSON, or else text."""
+def assign(
+    spec: dict[str, Any], assignments: Iterable[str] | None, fixed: Collection[str] = ()
+) -> None:
+    """Set fields of a spec from texts `a.b=value`; a value is JSON, or else text.
+
+    Raises InvalidInput for one that is set twice, or is `fixed`.
+    """
+    assigned = set(fixed)
     for assignment in assignments or ():
         path, equals, text = assignment.partition("=")
         if not equals:
             raise InvalidInput(f"a setting is name=value, as iterations=2; given {assignment!r}")
+        if path in assigned:
+            raise InvalidInput(f"{path} is given already, and {assignment!r} beside it; give one")
+        assigned.add(path)
         _set(spec, path.split("."), read_value(text))
 
 

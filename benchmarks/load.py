@@ -46,7 +46,8 @@ from adr_service.json_values import sha256
 from adr_service.programs.references import truth_of
 from adr_service.specs import BenchmarkSpec, RunSpec
 from adr_service.tasks.catalogue import source_of
-from api.cli.own_service import free_port, own_service
+from api.cli.own_service import own_service
+from api.cli.ports import free_port
 from db.session import open_database
 
 FOLDER = Path("build/bench")

@@ -24,7 +24,8 @@ from typing import Any
 
 from adr_service.client import AdrClient, Json, is_finished
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec, members_of
-from api.cli.own_service import free_port, own_service
+from api.cli.own_service import own_service
+from api.cli.ports import free_port
 from api.report import write_report
 
 _EXPORT_S, _LOOK_S = 1800.0, 5.0

@@ -7,7 +7,6 @@ restore(path, copy)             # with the database's lock held
 """
 
 import json
-import os
 import sqlite3
 from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager, suppress
@@ -135,8 +134,6 @@ def restore(path: Path, copy: Path) -> Path | None:
     try:
         with written_whole(path, mode=0o600) as part:
             _copy(copy, part)
-            with part.open("rb") as written:
-                os.fsync(written.fileno())
             _empty_log(path)
             if path.exists() and path.stat().st_size:
                 aside.hardlink_to(path)  # so that at no moment there is no database

@@ -1,5 +1,6 @@
 """A line on the progress of a run or a benchmark."""
 
+from collections import Counter
 from collections.abc import Iterable
 
 from adr_service.client.tables import Json
@@ -8,10 +9,10 @@ from adr_service.client.tables import Json
 def headline(seen: Json) -> str:
     """One line on the runs that are done, the stages in work, and those that wait."""
     runs = runs_of(seen)
-    broken = sorted({run["state"] for run in runs} & {"failed", "cancelled"})
-    others = [f", others {' and '.join(broken)}"] if broken else []
+    counts = Counter(run["state"] for run in runs)
+    broken = [f", {counts[state]} {state}" for state in ("cancelled", "failed") if counts[state]]
     done = f"{succeeded(runs)}/{len(runs)} runs done"
-    return "".join([done, *others, *_in_work(stages_of(runs))])
+    return "".join([done, *broken, *_in_work(stages_of(runs))])
 
 
 def label(spec: Json) -> str:

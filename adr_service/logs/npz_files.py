@@ -14,7 +14,10 @@ def read_npz(source: str, content: bytes) -> Log:
     The longest arrays have the log's rows; others, such as constants, are listed as unread. Raises
     InvalidInput unless it is an `.npz` of plain arrays.
     """
-    arrays = read_arrays(content, names_in(content))
+    try:
+        arrays = read_arrays(content, names_in(content))
+    except InvalidInput as error:
+        raise InvalidInput(f"{source}: {error}") from error
     rows = max((len(each) for each in arrays.values() if _is_table(each)), default=0)
     if not rows:
         raise InvalidInput(f"{source} has no array with rows; it has {', '.join(arrays) or 'none'}")

@@ -12,6 +12,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import imageio
@@ -148,7 +149,18 @@ def stride_of(path: Path, period_s: float, most_fps: float | None = None) -> int
 
 
 def save(pictures: Iterable[Picture], path: Path, period_s: float) -> int:
-    """Write a film with `period_s` between pictures; returns the number of pictures."""
+    """Write a film with `period_s` between pictures; returns the number of pictures.
+
+    If it is interrupted, there is no file.
+    """
+    # beside it, under the same name, whose ending says the format
+    with TemporaryDirectory(dir=path.parent, ignore_cleanup_errors=True) as folder:
+        count = _save(pictures, Path(folder) / path.name, period_s)
+        (Path(folder) / path.name).replace(path)
+    return count
+
+
+def _save(pictures: Iterable[Picture], path: Path, period_s: float) -> int:
     if path.suffix == ".gif":
         shown = list(pictures)
         imageio.v3.imwrite(path, shown, duration=1000 * period_s, loop=0)

@@ -8,7 +8,7 @@ import typer
 
 from adr_service.client import Json, connect
 from adr_service.errors import InvalidInput
-from api.cli.files import check_absent
+from api.cli.files import check_writable
 from api.cli.follow import follow
 from api.cli.options import AsJson, Url
 from api.cli.single_options import SingleOptionApp
@@ -116,7 +116,7 @@ def _criticise_here(
     nominal, name = criticism_files.nominal_of(*given)
     limits, allowed, start = {}, {}, {}
     if planned is not None:  # wrong ones are refused before the work
-        check_absent(planned.file)
+        check_writable(planned.file)
         limits = criticism_files.limits_of(planned.limit, nominal)
         allowed = criticism_files.reach_of(planned.reach, nominal)
         start = criticism_files.start_of(planned.start, nominal)

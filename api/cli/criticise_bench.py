@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from adr_service.errors import AdrError, InvalidInput
-from api.cli.files import check_absent
+from api.cli.files import check_absent, check_writable
 from api.cli.options import AsJson
 from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console, errors
@@ -34,9 +34,10 @@ def make(out: Folder, key: MadeKey, seed: Seed, cases: Cases = 80, tasks: Tasks 
     from adr_service.blind_test.files import make_cases  # imports the simulator
 
     robots = [name.strip() for name in tasks.split(",")]
-    check_absent(out, key)
+    check_absent(out)
     if key.absolute().is_relative_to(out.absolute()):
         raise InvalidInput(f"{key} would lie among the cases; keep the key elsewhere")
+    check_writable(key)
     with console.status("simulating"):
         make_cases(out, key, robots, cases, seed)
     console.print(f"{out}: {cases} cases; {key}: what they hide", highlight=False)

@@ -35,7 +35,7 @@ from adr_service.progress import Progress
 from adr_service.simulation.model import not_a_model, unit_at
 from adr_service.tasks.base import Task
 from adr_service.tasks.catalogue import get_task, variant_of
-from api.cli.files import check_absent, naming, read, read_text
+from api.cli.files import check_writable, naming, read, read_text
 
 T = TypeVar("T")
 Bounds = Mapping[int, tuple[float, float]]  # by number of an actuator or a joint
@@ -257,7 +257,7 @@ def _bounds(
 ) -> tuple[int, tuple[float, float]]:
     name, _, bounds = text.rpartition("=")
     low, _, high = bounds.partition(":")
-    if name not in names:
+    if name and name not in names:
         raise UnknownName(kind, name, names)
     try:
         given = float(low), float(high)
@@ -271,8 +271,8 @@ def _bounds(
 
 
 def check_out(folder: Path) -> None:
-    """Raise InvalidInput if a file of another criticism is in the folder."""
-    check_absent(*(folder / name for name in FILES))
+    """Raise InvalidInput unless all files of a criticism can be written into the folder."""
+    check_writable(*(folder / name for name in FILES))
 
 
 def write(out: Path, files: Mapping[str, bytes]) -> None:

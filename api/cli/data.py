@@ -48,7 +48,11 @@ def datasets(url: Url = None, as_json: AsJson = False) -> None:
 
 
 def _datasets_table(stored: list[Json]) -> Table:
-    table = Table("id", "transitions", "episodes", "period", "origin", box=None)
+    table = Table(box=None)
+    table.add_column("id", no_wrap=True)
+    for heading in ("transitions", "episodes", "period"):
+        table.add_column(heading)
+    table.add_column("origin", overflow="fold")
     for data in stored:
         counts = (str(data["transitions"]), str(data["episodes"]), f"{data['dt']:g} s")
         table.add_row(data["id"], *counts, data["origin"])

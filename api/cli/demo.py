@@ -8,7 +8,8 @@ from rich.console import Console
 
 from adr_service.client import AdrClient, Json
 from api.cli.options import AsJson
-from api.cli.own_service import free_port, own_service
+from api.cli.own_service import own_service
+from api.cli.ports import free_port
 from api.cli.progress import live
 from api.cli.single_options import SingleOptionApp
 from api.cli.tables import results_table

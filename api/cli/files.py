@@ -39,6 +39,18 @@ def check_absent(*paths: Path) -> None:
             raise InvalidInput(f"{path} is there already; give another name, or delete it first")
 
 
+def check_writable(*files: Path) -> None:
+    """Raise InvalidInput unless these files can be written, and none is there. Makes folders."""
+    check_absent(*files)
+    for file in files:
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.touch()
+            file.unlink()
+        except OSError as error:
+            raise InvalidInput(f"{file} cannot be written: {error.strerror}") from error
+
+
 def check_new(file: Path) -> None:
     """Raise InvalidInput for a file that is there already, or whose folder is not."""
     check_absent(file)

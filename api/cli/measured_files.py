@@ -13,7 +13,7 @@ from adr_service.logs.drafting import draft
 from adr_service.logs.mapping import LogMap
 from adr_service.logs.report import report_page
 from api.cli.criticism_files import check_differ, nominal_of
-from api.cli.files import read_text
+from api.cli.files import naming, read_text
 
 
 def draft_of(logs: Sequence[Path], task: str | None, model: Path | None) -> str:
@@ -28,7 +28,9 @@ def measure_files(
     """Write the measurement, and a page about it beside it."""
     nominal, name = nominal_of(task, None, model, ())
     robot = nominal.model(nominal.start)
-    converted = convert(_read(logs), LogMap.from_toml(read_text(map)), robot)
+    with naming(map):
+        columns = LogMap.from_toml(read_text(map))
+    converted = convert(_read(logs), columns, robot)
     page = _page(converted, nominal, ", ".join(log.name for log in logs), name)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_bytes(converted.measurement.to_npz())

@@ -1,7 +1,6 @@
 """A service of one's own in another process, for as long as a block."""
 
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -11,6 +10,7 @@ from pathlib import Path
 
 from adr_service.client import AdrClient, Unreachable, connect
 from adr_service.errors import AdrError
+from api.cli.ports import check_port
 
 _START_TIMEOUT_S = 120.0
 _SHARED = ("DATABASE_URL", "RAY_ADDRESS", "MAX_CORES", "RESOURCE", "HOST")  # of ADR_…
@@ -25,6 +25,7 @@ class ServiceDidNotStart(AdrError):
 @contextmanager
 def own_service(data_dir: Path, port: int) -> Generator[AdrClient]:
     """A client of a service that runs in another process until the block ends."""
+    check_port("127.0.0.1", port)
     for folder in (*reversed(data_dir.parents), data_dir):  # each for nobody else to read
         folder.mkdir(exist_ok=True, mode=0o700)
     log_path = data_dir / "service.log"
@@ -48,13 +49,6 @@ def _own() -> dict[str, str]:
     """The environment without what names another database, cluster or address."""
     shared = {f"ADR_{name}" for name in _SHARED} | {"RAY_ADDRESS"}
     return {name: value for name, value in os.environ.items() if name.upper() not in shared}
-
-
-def free_port() -> int:
-    """A port of this machine that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def _wait_until_ready(client: AdrClient, process: subprocess.Popen[bytes], log_path: Path) -> None:

@@ -13,7 +13,7 @@ import typer
 from adr_service.client import connect
 from adr_service.errors import InvalidInput
 from adr_service.whole_files import written_whole
-from api.cli.files import check_absent
+from api.cli.files import check_writable, naming, read
 from api.cli.options import Url
 from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console
@@ -87,14 +87,12 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
     from adr_service.tasks.catalogue import get_task
 
     known = get_task(task)
-    commands, start = read_plan(plan.read_bytes(), len(known.action_low), control_period(known))
+    with naming(plan):
+        commands, start = read_plan(read(plan), len(known.action_low), control_period(known))
     check_commands(known, commands)
-    check_absent(out)
+    check_writable(out)  # before anything moves
     with closing(load_environment(env)) as robot:
         check_environment(robot, about(known), limits)
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.touch()  # it can be written, before anything moves
-        out.unlink()
 
         def keep(played: "Playback") -> None:
             with written_whole(out) as part:

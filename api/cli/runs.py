@@ -60,10 +60,11 @@ def submit(
     """Submit a run (by options), or a run or benchmark (by file)."""
     by_options: dict[str, Any] = {"task": task, "method": method, "variant": variant}
     by_options |= {"seed": seed, "preset": preset, "target": _recorded(dataset)}
-    spec = _spec(file, {name: v for name, v in by_options.items() if v is not None})
+    given = {name: value for name, value in by_options.items() if value is not None}
+    spec = _spec(file, given)
     if extension is not None:
-        spec["extension"] = read_effects(extension)
-    assign(spec, setting)
+        spec["extension"] = given["extension"] = read_effects(extension)
+    assign(spec, setting, fixed=given)
     with connect(url) as client:
         _show(client, _send(client, spec, dry_run), "", dry_run, watch, as_json)
 
@@ -169,7 +170,7 @@ def runs_table(runs: list[Json]) -> Table:
     """A row for each run, which fits into 80 columns."""
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
     for heading in ("id", "task, variant", "method", "seed", "state", "submitted"):
-        table.add_column(heading, no_wrap=heading != "task, variant")
+        table.add_column(heading, no_wrap=heading == "id", overflow="fold")
     for run in runs:
         spec = run["spec"]
         cells = (f"{spec['task']}, {spec['variant']}", label(spec), str(spec["seed"]))

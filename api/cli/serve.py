@@ -1,7 +1,6 @@
 """`adr serve`: the service itself."""
 
 import os
-import socket
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from adr_service.errors import InvalidInput
+from api.cli.ports import check_port
 from api.cli.single_options import SingleOptionApp
 from api.settings import Settings, read_settings
 
@@ -19,32 +18,17 @@ app = SingleOptionApp()
 @app.command()
 def serve(
     host: Annotated[str | None, typer.Option(help="Address to listen on.")] = None,
-    port: Annotated[int | None, typer.Option(help="Port to listen on.")] = None,
+    port: Annotated[int | None, typer.Option(help="Port to listen on.", min=0, max=65535)] = None,
     data_dir: Annotated[Path | None, typer.Option(help="Folder for results.")] = None,
-    cpus: Annotated[int | None, typer.Option(help="Cores of a local cluster.")] = None,
+    cpus: Annotated[int | None, typer.Option(help="Cores of a local cluster.", min=1)] = None,
     dashboard: Annotated[bool | None, typer.Option(help="Start the Ray dashboard.")] = None,
 ) -> None:
     """Start the service and continue unfinished runs."""
     given = {"host": host, "port": port, "data_dir": data_dir, "cpus": cpus, "dashboard": dashboard}
     settings = read_settings(**{name: v for name, v in given.items() if v is not None})
-    _refuse_a_busy_port(settings)
+    check_port(settings.host, settings.port)  # before Ray starts, which takes seconds
     _prepare_process(settings)
     _listen(settings)
-
-
-def _refuse_a_busy_port(settings: Settings) -> None:
-    """Refuse a busy port before Ray starts, which takes seconds."""
-    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-    with socket.socket(family) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((settings.host, settings.port))
-        except OSError as error:
-            raise InvalidInput(
-                f"cannot listen on {settings.host} port {settings.port} ({error.strerror}); "
-                "choose another with --port, and name it to the other commands with ADR_URL, or "
-                "name it to all with ADR_PORT"
-            ) from error
 
 
 def _prepare_process(settings: Settings) -> None:

@@ -71,7 +71,7 @@ def _cells(row: Json) -> list[str]:
 def _interval(row: Json, of: str = "") -> str:
     """The interval of a row; fewer than three seeds have none."""
     low, high = row[f"{of}low"], row[f"{of}high"]
-    return "–" if low is None else rf"\[{low:.2f}, {high:.2f}]"
+    return "–" if low is None else f"[{low:.2f}, {high:.2f}]"
 
 
 def estimates_table(results: Json) -> RenderableType:

@@ -41,7 +41,7 @@ def tune(
     """Search the settings that train to the threshold soonest; needs no service."""
     spec: dict[str, Any] = {"task": task, "method": "prior" if on_prior else "oracle"}
     spec["preset"] = preset
-    assign(spec, setting)
+    assign(spec, setting, fixed=spec.keys())
     grid = dict(_values(text) for text in over)
     if len(grid) < len(over):
         raise InvalidInput(f"--over has one setting twice: {' '.join(over)}")

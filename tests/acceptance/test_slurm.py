@@ -25,7 +25,7 @@ def test_a_job_that_was_stopped_goes_on_and_leaves_an_archive(tmp_path, secret):
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     with start_head(secret, cores=1) as head:
         settings = {"ADR_RAY_ADDRESS": head.address, "ADR_PORT": str(free_port()), "PATH": path}
-        environment = {**os.environ, **secret, **settings}
+        environment = {**os.environ, **secret, **settings, "ADR_URL": "http://127.0.0.1:9"}
         with (tmp_path / "log").open("wb") as log:
             log_to = {"stdout": log, "stderr": subprocess.STDOUT, "env": environment}
             first = subprocess.Popen(command, **log_to)

@@ -32,12 +32,21 @@ def test_a_value_nested_without_end_is_a_text():
     assert spec["x"].startswith("[[")
 
 
-def test_later_assignments_win_and_others_stay():
-    spec = {}
-    assign(spec, ["training.gamma=0.9", "training.max_steps=1", "training.gamma=0.8"])
+def test_assignments_leave_other_fields_as_they_are():
+    spec = {"training": {"gamma": 0.9}}
+    assign(spec, ["training.max_steps=1", "training.gamma=0.8"])
     assert spec == {"training": {"gamma": 0.8, "max_steps": 1}}
     assign(spec, None)
     assert spec == {"training": {"gamma": 0.8, "max_steps": 1}}
+
+
+def test_a_field_that_is_given_twice_is_refused():
+    with pytest.raises(InvalidInput, match="iterations is given already, and 'iterations=3'"):
+        assign({}, ["iterations=2", "iterations=3"])
+    with pytest.raises(InvalidInput, match="task is given already, and 'task=arm' beside it"):
+        assign({"task": "hopper"}, ["task=arm"], fixed=["task"])
+    assign(spec := {"target": {"kind": "recorded"}}, ["target.episodes=1"], fixed=["target"])
+    assert spec == {"target": {"kind": "recorded", "episodes": 1}}
 
 
 def test_an_assignment_without_a_value_is_refused():

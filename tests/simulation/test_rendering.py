@@ -84,6 +84,16 @@ class TestDrawing:
             assert (np.any(left != right, axis=2).mean() < 1e-4) == same
 
 
+def test_a_film_that_is_interrupted_leaves_no_file(tmp_path):
+    def pictures():
+        yield np.zeros((64, 64, 3), dtype=np.uint8)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        save(pictures(), tmp_path / "a.mp4", 0.02)
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("period_s", "stride"), [(0.008, 5), (0.05, 1), (0.015, 2), (0.02, 1), (0.001, 20), (0.1, 1)]
 )

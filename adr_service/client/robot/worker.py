@@ -76,8 +76,8 @@ class Robot:
         First it sends the episodes that an earlier client left in the working directory.
         """
         done, name = 0, self._about["name"]
-        self._report(f"{self._name} waits for episodes of {name}")
         with closing(self), self._connect(_REQUEST_S) as self._client, suppress(_Stopped):
+            self._report(f"{self._name} waits for episodes of {name}")
             for left in UnsentEpisode.all_here():
                 self._send_again(left)
             while (episodes is None or done < episodes) and not self._stopped.is_set():

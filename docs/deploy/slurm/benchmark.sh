@@ -9,6 +9,7 @@ benchmark=$1
 sum=$(sha256sum "$benchmark")
 name=$2/$(basename "$benchmark" .json)-${sum:0:8}
 export ADR_DATA_DIR=$2 ADR_RAY_ADDRESS=${ADR_RAY_ADDRESS:-auto}
+unset ADR_URL # of another service, which would get the benchmark
 
 adr serve &
 service=$!
@@ -18,6 +19,7 @@ until adr list >/dev/null 2>&1; do
     kill -0 "$service" # it has not ended
     sleep 2
 done
+kill -0 "$service" # it is what has answered
 echo "serving on $(hostname): ssh -L 8000:127.0.0.1:${ADR_PORT:-8000} $(hostname)"
 
 if [[ -s $name.id ]]; then

@@ -50,7 +50,7 @@ def shown(table, width=80):
 
 def test_a_results_row_keeps_its_names_and_interval_on_80_columns():
     text = shown(results_table({"rows": [ROW], "note": ""}))
-    assert "[0.12, 1.03]" in text
+    assert " [0.12, 1.03] " in text
     assert "half_cheetah, unmodeled" in text
     assert "…" not in text
 

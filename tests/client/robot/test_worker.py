@@ -196,6 +196,17 @@ def test_a_robot_that_breaks_is_closed_before_the_service_is_told():
     assert service.robot._env.closed == 1
 
 
+def test_a_robot_is_closed_where_nobody_can_be_told_that_it_waits():
+    def report(line):
+        raise OSError(28, "No space left on device")
+
+    waiting = robot(Service(), "breaking_arm")
+    waiting._report = report
+    with pytest.raises(OSError, match="No space left"):
+        waiting.work(1)
+    assert BreakingArm.last.closed == 1
+
+
 def test_a_robot_that_does_not_fit_is_closed():
     with pytest.raises(InvalidInput, match="limits of actions must be positive"):
         robot(Service(), "breaking_arm", limits=Limits(actions=(-1.0,)))
