@@ -28,12 +28,16 @@ _KINDS = "biufU"  # booleans, integers, floats, texts; never objects
 
 
 def read_arrays(
-    content: bytes, accepted: Sequence[str], longest: int | None = None
+    content: bytes,
+    accepted: Sequence[str],
+    longest: int | None = None,
+    *,
+    most: int = _MOST_NUMBERS,
 ) -> dict[str, np.ndarray]:
     """The arrays of an `.npz`, by name; all names must be `accepted` ones.
 
-    No array may have more than `longest` rows. Runs no code from the file, and unpacks no more
-    than its headers announce.
+    No array may have more than `longest` rows, and all together no more than `most` numbers. Runs
+    no code from the file, and unpacks no more than its headers announce.
     """
     if not content.startswith(b"PK"):  # a zip file may hide behind something else
         raise InvalidInput("not a readable .npz: it does not begin as one")
@@ -43,10 +47,8 @@ def read_arrays(
             _check_names([member.filename for member in members], accepted)
             check_size(members, len(content), ".npz")
             numbers = sum(_check_header(archive, member, longest) for member in members)
-            if numbers > _MOST_NUMBERS:
-                raise InvalidInput(
-                    f"the .npz holds {numbers} numbers; accepted are {_MOST_NUMBERS}"
-                )
+            if numbers > most:
+                raise InvalidInput(f"the .npz holds {numbers} numbers; accepted are {most}")
             return {m.filename.removesuffix(".npy"): _read(archive, m) for m in members}
     except BROKEN as error:
         raise InvalidInput(f"not a readable .npz of plain arrays: {error}") from error

@@ -11,7 +11,7 @@ from pathlib import Path
 _PACKAGES = (
     *("adr-service", "mujoco", "numpy", "scipy", "cma"),
     *("stable-baselines3", "sb3-contrib", "torch", "botorch", "gpytorch", "sbi", "zuko"),
-    *("sbx-rl", "jax", "flax"),
+    *("sbx-rl", "jax", "jaxlib", "flax", "optax"),
 )
 
 

@@ -199,9 +199,14 @@ class TransitionDataset:
 
     @classmethod
     def concatenate(cls, parts: Sequence["TransitionDataset"]) -> "TransitionDataset":
-        """The parts one after the other; episodes are renumbered so that none merge."""
+        """The parts one after the other; episodes are renumbered so that none merge.
+
+        The period and the names of columns are the first part's. Raises InvalidInput unless all
+        have the same; parts without names go with all others.
+        """
         if not parts:
             raise InvalidInput("at least one part is needed to concatenate; given none")
+        _check_alike(parts)
         offset, episodes = 0, []
         for part in parts:
             _, ids = np.unique(part.episodes, return_inverse=True)
@@ -237,6 +242,35 @@ def dataset_id(content: bytes) -> str:
 def unnamed(width: int) -> np.ndarray:
     """The column names of data without names, (width,)."""
     return np.array([f"observation_{i}" for i in range(width)], dtype=str)
+
+
+def _check_alike(parts: Sequence[TransitionDataset]) -> None:
+    """Raise InvalidInput unless all parts have one period, one width and the same columns."""
+    first, width = parts[0], _width(parts[0])
+    nameless = tuple(unnamed(width[0]).tolist())
+    named = next((n for n, part in enumerate(parts) if part.columns != nameless), 0)
+    for number, part in enumerate(parts, 1):
+        # twice what `check_recorded` allows each part
+        if not np.isclose(part.dt, first.dt, rtol=2e-6, atol=2e-8):
+            raise InvalidInput(
+                f"joined parts must have one control period; part 1 has {first.dt} s, part "
+                f"{number} {part.dt} s"
+            )
+        if (given := _width(part)) != width:
+            raise InvalidInput(
+                f"joined parts must be equally wide; part 1 has {width[0]} observations and "
+                f"{width[1]} actions, part {number} {given[0]} and {given[1]}"
+            )
+        if part.columns not in (parts[named].columns, nameless):
+            raise InvalidInput(
+                f"joined parts must have the same columns; part {named + 1} has "
+                f"{', '.join(parts[named].columns)}, part {number} {', '.join(part.columns)}"
+            )
+
+
+def _width(data: TransitionDataset) -> tuple[int, int]:
+    """The numbers of observation columns and of actions."""
+    return data.observations.shape[1], data.actions.shape[1]
 
 
 def _cut(origin: str) -> str:

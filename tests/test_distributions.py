@@ -161,6 +161,30 @@ def test_a_belief_that_is_wide_anywhere_stays_as_it_is():
     assert at_resolution(prior, 0.01) is prior
 
 
+def test_a_point_beyond_the_search_box_stays_beyond_it_at_a_resolution():
+    point = Uniform.point(SPACE, SPACE.denormalise(np.array([4.213, -0.208])))
+    moved = at_resolution(point, 0.01)
+    np.testing.assert_allclose(SPACE.normalise(moved.mean), [4.21, -0.208])  # -0.21 is further
+
+
+def test_a_point_at_the_feasible_bound_is_feasible_at_every_resolution():
+    point = Uniform.point(SPACE, np.array([0.1, 0.1]))
+    for resolution in (0.01, 0.03, 0.3, 1.0):
+        moved = SPACE.normalise(at_resolution(point, resolution).mean)
+        assert np.all(np.abs(moved - SPACE.normalise(point.mean)) <= resolution)
+
+
+def test_a_point_in_the_search_box_stays_in_it_at_a_resolution():
+    point = at_resolution(Uniform.point(SPACE, SPACE.high), 0.7)
+    np.testing.assert_allclose(SPACE.normalise(point.mean), 4.0)  # the grid has 4.2
+
+
+def test_a_box_keeps_its_width_at_every_resolution():
+    narrow = Uniform(SPACE, np.array([1.0, 2.0]), np.array([1.0, 2.001]))
+    for resolution in (0.01, 1.0):
+        assert at_resolution(narrow, resolution) is narrow
+
+
 def test_a_beta_with_both_shapes_one_is_the_whole_box():
     box, belief = Uniform(SPACE, SPACE.low, SPACE.high), Beta(SPACE, np.ones(2), np.ones(2))
     np.testing.assert_allclose(belief.mean, box.mean)

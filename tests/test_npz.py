@@ -46,6 +46,13 @@ def test_an_array_with_too_many_rows_is_refused_by_its_header():
         read_arrays(npz(a=np.zeros(11)), "a", 10)
 
 
+def test_a_file_with_more_numbers_than_its_reader_accepts_is_refused():
+    content = npz(a=np.zeros(6), b=np.zeros(5))
+    assert read_arrays(content, "ab", most=11).keys() == {"a", "b"}
+    with pytest.raises(InvalidInput, match="holds 11 numbers; accepted are 10"):
+        read_arrays(content, "ab", most=10)
+
+
 def test_plain_arrays_are_read_back():
     given = {"a": np.arange(6.0).reshape(2, 3), "b": np.array(["x", "yz"]), "c": np.float64(0.5)}
     for content in (npz(**given), write_arrays(given)):

@@ -1,6 +1,7 @@
 """Versions and CPU type of this process."""
 
 import numpy as np
+import pytest
 
 from adr_service.provenance import cpu_type, has_same_provenance, provenance
 
@@ -16,6 +17,11 @@ def test_the_libraries_of_trainings_and_of_searches_are_named():
     """Two of them have an underscore in their package's own name."""
     names = {"stable-baselines3", "sb3-contrib", "torch", "botorch", "gpytorch", "scipy", "cma"}
     assert names <= set(provenance())
+
+
+def test_the_libraries_that_compile_and_update_sbx_are_named():
+    pytest.importorskip("sbx")
+    assert {"sbx-rl", "jax", "jaxlib", "flax", "optax"} <= set(provenance())
 
 
 def test_a_package_that_pip_left_half_installed_is_passed_over(tmp_path, monkeypatch):

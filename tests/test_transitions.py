@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adr_service.errors import InvalidInput
-from adr_service.transitions import TransitionDataset
+from adr_service.transitions import TransitionDataset, unnamed
 
 
 def dataset(episodes=(0, 0, 0, 1, 1), **changes):
@@ -54,6 +54,33 @@ def test_concatenated_episodes_stay_apart():
     both = TransitionDataset.concatenate([dataset(), dataset()])
     assert both.episodes.tolist() == [0, 0, 0, 1, 1, 2, 2, 2, 3, 3]
     assert [len(part) for part in both.split()] == [3, 2, 3, 2]
+
+
+@pytest.mark.parametrize(
+    ("second", "words"),
+    [
+        ({"dt": 0.05}, r"one control period; part 1 has 0\.02 s, part 2 0\.05 s"),
+        ({"columns": ("a [m]", "c [m/s]", "b [m]")}, r"part 2 a \[m\], c \[m/s\], b \[m\]"),
+        ({"actions": np.zeros((5, 1))}, r"part 1 has 3 observations and 2 actions, part 2 3 and 1"),
+    ],
+    ids=["dt", "columns", "width"],
+)
+def test_parts_of_different_recordings_are_not_concatenated(second, words):
+    with pytest.raises(InvalidInput, match=words):
+        TransitionDataset.concatenate([dataset(), dataset(**second)])
+
+
+def test_parts_whose_periods_differ_by_rounding_are_concatenated():
+    parts = [dataset(dt=0.02 * (1 + share)) for share in (1e-6, -1e-6)]
+    assert TransitionDataset.concatenate(parts).dt == parts[0].dt
+
+
+def test_parts_without_names_of_columns_go_with_named_ones():
+    nameless = dataset(columns=tuple(unnamed(3).tolist()))
+    assert TransitionDataset.concatenate([dataset(), nameless]).columns == dataset().columns
+    other = dataset(columns=("x", "y", "z"))
+    with pytest.raises(InvalidInput, match=r"part 2 has a \[m\], .*, part 3 x, y, z"):
+        TransitionDataset.concatenate([nameless, dataset(), other])
 
 
 def test_many_origins_together_can_still_be_read():

@@ -362,7 +362,10 @@ def _spread(outcome: Outcome) -> float | None:
 
 
 def decode(outcome: Outcome) -> list[Distribution]:
-    """The beliefs that the iteration's policies were trained on, before any rounding."""
+    """The beliefs that the iteration's policies were trained on, before any rounding.
+
+    The oracle's is the point that it trained on, after rounding.
+    """
     spec = outcome.spec
     source = source_of(spec.task, spec.variant)
     if spec.method.needs_truth:

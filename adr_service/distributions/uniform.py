@@ -58,10 +58,17 @@ class Uniform:
 def at_resolution(distribution: Distribution, resolution: float) -> Distribution:
     """A point on a grid, where every deviation is below the grid's width; else the distribution.
 
-    In [0, 4] coordinates. The point lies in the search box, as the draws of a Gaussian do.
+    In [0, 4] coordinates. A box is its method's choice and stays, however narrow. The point lies in
+    the search box, as the draws of a Gaussian do; a point beyond that moves no further away.
     """
     space = distribution.space
-    if np.any(normalised_std(distribution) >= resolution):
+    is_box = isinstance(distribution, Uniform) and np.any(distribution.low < distribution.high)
+    if is_box or np.any(normalised_std(distribution) >= resolution):
         return distribution
-    nearest = np.round(space.normalise(distribution.mean) / resolution) * resolution
-    return Uniform.point(space, space.denormalise(np.clip(nearest, 0.0, space.WIDTH)))
+    x = space.normalise(distribution.mean)
+    least, most = np.zeros(len(space)), np.full(len(space), space.WIDTH)
+    if isinstance(distribution, Uniform):
+        least, most = np.minimum(least, x), np.maximum(most, x)
+    nearest = np.clip(np.round(x / resolution) * resolution, least, most)
+    # values at the feasible bound may come back from the coordinates a rounding error below it
+    return Uniform.point(space, np.maximum(space.denormalise(nearest), space.feasible_low))

@@ -33,6 +33,7 @@ def strategy(
             "bounds": [0, width],
             "randn": lambda *shape: rng.standard_normal(shape),
             "seed": np.nan,  # or pycma would seed NumPy's global generator
+            "signals_filename": "",  # or pycma would read options from the working directory
             "verbose": -9,
         },
     )

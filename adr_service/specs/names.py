@@ -31,9 +31,11 @@ def _known_variant(name: str, info: ValidationInfo) -> str:
 
 
 def known_method(given: Any) -> Any:
-    """Refuse a method that is not installed, and say which one may be meant."""
-    if isinstance(given, Wire):
-        return given
+    """A method's name, or its settings as JSON with `name`, which a dump of given fields keeps.
+
+    Refuses a method that is not installed, and says which one may be meant.
+    """
+    given = as_given(given)
     name = cast(dict[str, Any], given).get("name") if isinstance(given, dict) else given
     if not isinstance(name, str):
         raise ValueError(

@@ -129,7 +129,8 @@ def unpacked(content: bytes | None) -> list[tuple[bytes, TransitionDataset]]:
     """The visits in a file of `packed`; none without a file."""
     if content is None:
         return []
-    arrays = read_arrays(content, names_in(content))
+    # `packed` writes bytes and compresses nothing, so that a run may have any number of visits
+    arrays = read_arrays(content, names_in(content), most=len(content))
     return [
         (arrays[f"policy_{i}"].tobytes(), TransitionDataset.from_npz(arrays[f"data_{i}"].tobytes()))
         for i in range(len(arrays) // 2)

@@ -51,6 +51,12 @@ def test_the_global_generator_is_left_alone():
     assert np.random.random() == before  # noqa: NPY002
 
 
+def test_pycmas_file_of_signals_in_the_working_directory_is_not_read(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cma_signals.in").write_text("{'maxiter': 1}")
+    assert searched().stop() == {}
+
+
 @pytest.mark.parametrize("optimum", [-1.0, 5.0])
 def test_candidates_stay_inside_the_box_when_the_optimum_is_outside(optimum):
     candidates = np.array(searched(generations=60, optimum=optimum).ask(100))

@@ -1,7 +1,9 @@
 import pytest
 from pydantic import ValidationError
 
-from adr_service.specs import BenchmarkSpec
+from adr_service.methods.dropo import DropoSettings
+from adr_service.methods.simopt import SimOptSettings
+from adr_service.specs import BenchmarkExtension, BenchmarkPart, BenchmarkSpec
 
 GOOD = {"task": "arm", "method": "simopt", "preset": "smoke"}
 
@@ -50,6 +52,18 @@ class TestBenchmark:
         ):
             (run,) = known.runs()
             assert (run.method.updates, run.method.samples) == (1, 40)
+
+    def test_settings_of_a_class_keep_their_name_in_a_dump_of_what_was_given(self):
+        spec = self.spec(methods=[SimOptSettings(updates=1)], references=False, seeds=[0])
+        again = BenchmarkSpec.model_validate_json(spec.model_dump_json(exclude_unset=True))
+        assert again == spec
+        extension = BenchmarkExtension(methods=[DropoSettings(epsilon=1e-4)])
+        longer = spec.extended(extension)
+        assert longer.method_names == ["simopt", "dropo"]
+        assert longer.part(BenchmarkPart(methods=["simopt"])) == spec
+        assert extension.model_dump(exclude_unset=True) == {
+            "methods": [{"name": "dropo", "epsilon": 1e-4}]
+        }
 
     def test_overrides_reach_every_run(self):
         for run in self.spec(iterations=3, training={"max_steps": 700}).runs():

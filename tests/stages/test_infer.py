@@ -1,5 +1,6 @@
 """Inferences as stages, of an offline and of an online method."""
 
+import io
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from adr_service.methods.dropo import DropoSettings
 from adr_service.methods.simopt import SimOpt, SimOptSettings
 from adr_service.methods.sysid import SysidSettings
 from adr_service.stages.base import compute
-from adr_service.stages.infer import Infer
+from adr_service.stages.infer import Infer, packed, unpacked
 from tests.planted import PLANTED, PROBLEM, SPACE, distance, recorded, waving_policy
 from tests.stages.examples import Speed
 
@@ -94,3 +95,17 @@ def test_a_mean_at_a_bound_is_named(offline, online):
     data = recorded(waving_policy(), heavy, steps=20).to_npz()
     stage = replace(OFFLINE, data=data)
     assert stage.read(compute(stage)).diagnostics["at_bound"] == [SPACE.names[0]]
+
+
+def test_earlier_visits_of_more_bytes_than_an_upload_may_have_numbers_are_read_back():
+    policy, data = bytes(2**25), recorded(waving_policy(), steps=20)
+    ((kept, seen),) = unpacked(packed([(policy, data)]))
+    assert kept == policy
+    assert seen.to_npz() == data.to_npz()
+
+
+def test_earlier_visits_that_unpack_to_more_than_their_file_are_refused():
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, policy_0=np.zeros(10_000, np.uint8), data_0=np.zeros(1, np.uint8))
+    with pytest.raises(InvalidInput, match="holds 10001 numbers"):
+        unpacked(buffer.getvalue())
