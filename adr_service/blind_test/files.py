@@ -25,6 +25,7 @@ from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.verdict import Conclusion
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
+from adr_service.effects.models import unit_of
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.json_values import Wire, explain
 from adr_service.parameters import Parameter, ParameterSpace
@@ -184,7 +185,9 @@ def write_question(folder: Path, case: Case) -> None:
             Candidate(
                 kind=kind,
                 location=location,
-                strengths={s.name: s.unit for s in get_mechanism(kind).strengths},
+                strengths={
+                    s.name: unit_of(model, location, s.unit) for s in get_mechanism(kind).strengths
+                },
             )
             for kind, location in plantable(model)
         ),

@@ -54,6 +54,8 @@ def check_state(model: mujoco.MjModel) -> None:
             f"the model has {model.nq} positions for {model.nv} velocities: free and ball joints "
             "are not supported; accepted are slides and hinges"
         )
+    if not model.nv:
+        raise InvalidInput("the model has no joints; needed is at least one slide or hinge")
     if model.nu != (actuators := len(model.actuator_trntype)):
         raise InvalidInput(
             f"the model has {model.nu} commands for {actuators} actuators; accepted are actuators "

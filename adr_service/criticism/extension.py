@@ -6,6 +6,7 @@ extension.to_json()    # all effects; this package replays those on commands and
 """
 
 import ctypes
+from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -21,11 +22,21 @@ from adr_service.criticism.nominal import Nominal
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import with_effects
+from adr_service.errors import AdrError
 from adr_service.parameters import ParameterSpace
 
 _DIGITS = 17  # enough for every double
+_ROUNDING = 1e-12  # of a body's largest moment of inertia
 # attributes that MuJoCo writes out although a file without them means the same
 _WRITERS = dict.fromkeys(("simple", "ctrllimited", "forcelimited", "actlimited"), "false")
+# tag, name or class, and number among siblings that have both, from the root on
+_Place = tuple[tuple[str, str, int], ...]
+_Attributes = dict[str, str]
+_ROOT: _Place = (("mujoco", "", 0),)
+
+
+class NotWritable(AdrError):
+    """An extended model cannot be written as MJCF."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +67,10 @@ def _is_in_mjcf(effect: Effect) -> bool:
 
 
 def extend(nominal: Nominal, parameters: Vector, effects: Sequence[Effect]) -> Extension:
-    """The model with fitted parameters and effects, written out."""
+    """The model with fitted parameters and effects, written out.
+
+    Raises NotWritable if MuJoCo refuses what it has simulated.
+    """
     without, xml = (_written(nominal, parameters, each) for each in ((), effects))
     return Extension(xml, tuple(effects), tuple(_changes(without, xml, nominal.xml)))
 
@@ -65,8 +79,10 @@ def _written(nominal: Nominal, parameters: Vector, effects: Sequence[Effect]) ->
     spec = nominal.spec(parameters)
     model = with_effects(spec, lambda model: nominal.write(model, parameters), effects)
     spec.copy_back(model)
-    for body in spec.bodies[1:]:  # the one field of an effect that MuJoCo does not copy back
+    for body in spec.bodies[1:]:
+        # the one field of an effect that MuJoCo does not copy back
         body.gravcomp = float(model.body_gravcomp[model.body(body.name).id])
+        body.inertia = _possible(np.array(body.inertia))
     # what MuJoCo works out from inertias and positions as it compiles is not worked out again
     for number, actuator in enumerate(spec.actuators):
         actuator.biasprm = model.actuator_biasprm[number]
@@ -77,7 +93,21 @@ def _written(nominal: Nominal, parameters: Vector, effects: Sequence[Effect]) ->
             joint.springdamper = np.zeros(2)
     for number, tendon in enumerate(spec.tendons):
         tendon.springlength = model.tendon_lengthspring[number]
-    return written_out(spec)
+    try:
+        return written_out(spec)
+    except ValueError as error:
+        words = " ".join(str(error).split())  # MuJoCo's have several lines
+        raise NotWritable(f"MuJoCo cannot write the extended model; it says: {words}") from error
+
+
+def _possible(inertia: Vector) -> Vector:
+    """Moments of inertia (3,), of which none exceeds the sum of the others by rounding: in a flat
+    body the largest is that sum."""
+    largest = int(np.argmax(inertia))
+    others = float(np.delete(inertia, largest).sum())
+    if others < inertia[largest] <= (1 + _ROUNDING) * others:
+        inertia[largest] = others
+    return inertia
 
 
 def _changes(without: str, xml: str, file: str) -> Iterator[str]:
@@ -86,31 +116,34 @@ def _changes(without: str, xml: str, file: str) -> Iterator[str]:
     An element that has no name in the user's file is described by the one around it, and a new one
     has its name beside. Inertias are whole, because most files let MuJoCo infer them.
     """
-    known = dict(_elements(without))
-    for place, attributes in _elements(xml):
+    roots = (ElementTree.fromstring(text) for text in (without, xml))  # noqa: S314 - our own
+    before, after = (_elements(root, _ROOT) for root in roots)
+    known = dict(before)
+    for place, attributes in after:
         is_new, old = place not in known, _WRITERS | known.get(place, {})
         new = {name: value for name, value in attributes.items() if old.get(name) != value}
         if not new:
             continue
-        above, _, last = place.rpartition("/")
-        tag = last.partition(" ")[0]
+        tag = place[-1][0]
         given = attributes.get("name", "")
         is_named = f'"{given}"' in file
         shown = attributes if tag == "inertial" else new
         shown = {name: value for name, value in shown.items() if name != "name"}
         named = {"name": given} if is_named or (is_new and given) else {}
         words = " ".join(f'{name}="{_short(value)}"' for name, value in (named | shown).items())
-        yield f"<{tag} {words}>" + ("" if is_named else f" in {above.rpartition('/')[2]}")
+        around = "" if is_named else f" in {' '.join(place[-2][:2]).rstrip()}"
+        yield f"<{tag} {words}>{around}"
 
 
-def _elements(xml: str) -> Iterator[tuple[str, dict[str, str]]]:
-    """Every element's place, by tags and names from the root on, and its attributes."""
-    waiting = [("", ElementTree.fromstring(xml))]  # noqa: S314 - we have written it
-    while waiting:
-        above, element = waiting.pop()
-        place = f"{above}/{element.tag} {element.get('name', '')}".rstrip()
-        yield place, dict(element.attrib)
-        waiting += [(place, child) for child in reversed(element)]
+def _elements(element: ElementTree.Element, place: _Place) -> Iterator[tuple[_Place, _Attributes]]:
+    """Every element within one at this place, with its own place and attributes."""
+    alike = Counter[tuple[str, str]]()
+    for child in element:
+        label = child.tag, child.get("name", child.get("class", ""))
+        inside = (*place, (*label, alike[label]))
+        alike[label] += 1
+        yield inside, dict(child.attrib)
+        yield from _elements(child, inside)
 
 
 def _short(value: str) -> str:

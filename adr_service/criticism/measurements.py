@@ -219,10 +219,8 @@ def _check_alike(first: Measurement, other: Measurement) -> None:
         )
     for name in ("qpos_std", "qvel_std"):
         one, two = getattr(first, name), getattr(other, name)
-        same = (one is None and two is None) or (
-            one is not None and two is not None and np.array_equal(one, two, equal_nan=True)
-        )
-        if not same:
+        known = (np.nan if std is None else std for std in (one, two))  # None, too, is unknown
+        if not np.array_equal(*np.broadcast_arrays(*known), equal_nan=True):
             raise InvalidInput(
                 f"recordings that are judged together have the same sensors; {name} is "
                 f"{_listed(one)} in the first and {_listed(two)} in another"

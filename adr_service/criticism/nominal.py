@@ -7,6 +7,7 @@ model = nominal.model(nominal.start, effects)       # a compiled MjModel
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -99,8 +100,7 @@ class Nominal:
     def _spec(self, lengths: Lengths) -> mujoco.MjSpec:
         spec = self._read()
         for kind in ("bodies", "joints", "geoms", "actuators"):
-            for number, element in enumerate(getattr(spec, kind)):
-                element.name = element.name or f"unnamed_{number}"  # an effect needs a place
+            _name_all(getattr(spec, kind))
         spec.compiler.fusestatic = False  # bodies without a joint are places of effects
         make_inertias_explicit(spec)
         if spec.compiler.settotalmass > 0:
@@ -134,3 +134,12 @@ class Nominal:
         for address, value in self.addressed(values).items():
             if link_of(address) is None:
                 write(model, resolve(model, address), value)
+
+
+def _name_all(elements: Sequence[Any]) -> None:
+    """Give elements of one kind that have no name a free one, because an effect needs a place."""
+    taken = {element.name for element in elements}
+    for number, element in enumerate(elements):
+        if not element.name:
+            element.name = next(n for k in count(number) if (n := f"unnamed_{k}") not in taken)
+            taken.add(element.name)

@@ -22,7 +22,7 @@ from adr_service.criticism.compatibility import check_measurement
 from adr_service.criticism.decision import THRESHOLD, is_unknown
 from adr_service.criticism.evidence import Fit, fit, gained, smoothed
 from adr_service.criticism.experiments import separating_experiment
-from adr_service.criticism.extension import Extension, extend
+from adr_service.criticism.extension import Extension, NotWritable, extend
 from adr_service.criticism.flexible_force import Unexplained, unexplained
 from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.identifiability import indistinguishable
@@ -37,6 +37,8 @@ from adr_service.criticism.remarks import (
     on_persistence,
     on_refuted,
     on_unknown,
+    on_untried,
+    on_unwritable,
 )
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import Candidate, scan
@@ -61,7 +63,7 @@ class Criticism:
     final: Fit
     candidates: tuple[Candidate, ...]  # of the first scan, the best first
     named: tuple[Alike, ...]  # each cause with what is tied with it
-    extension: Extension | None  # None: nothing was named
+    extension: Extension | None  # None: nothing was named, or MuJoCo cannot write it
 
 
 @dataclass(frozen=True)
@@ -112,16 +114,30 @@ def criticise(
         first = scan(baseline, responses)
         named, final, chance = name_effects(baseline, first, responses, block, rng, progress)
         progress(0.9, causes=len(named), doing="judging what is left, and the sealed episodes")
-        outcome = _Outcome(named, final, chance, None, on_commands(baseline.simulator.base, data))
+        base = baseline.simulator.base
+        remarks = (*on_commands(base, data), *on_untried(base))
+        outcome = _Outcome(named, final, chance, None, remarks)
         outcome = _opened(outcome, baseline, sealed, rng, threads)
         judgement = _judged(outcome, baseline)
         confused = indistinguishable(baseline, responses, first)
         verdict = _verdict(judgement, baseline, first, confused)
     verdict = replace(verdict, seconds=time.perf_counter() - started)
     final = judgement.outcome.final
-    extension = _extension(nominal, final, judgement.spread) if verdict.causes else None
     named_at_last = tuple(judgement.outcome.named)
-    return Criticism(verdict, baseline, final, tuple(first), named_at_last, extension)
+    criticism = Criticism(verdict, baseline, final, tuple(first), named_at_last, None)
+    return extended(criticism, nominal, judgement.spread) if verdict.causes else criticism
+
+
+def extended(criticism: Criticism, nominal: Nominal, spread: Sequence[NamedCause]) -> Criticism:
+    """The criticism with its extension, or with a remark if MuJoCo cannot write that."""
+    final = criticism.final
+    beside = [Effect(c.kind, c.location, (c.strengths[0].value,)) for c in spread]
+    try:
+        extension = extend(nominal, final.parameters, [*final.effects, *beside])
+    except NotWritable as error:
+        remarks = (*criticism.verdict.remarks, on_unwritable(str(error)))
+        return replace(criticism, verdict=replace(criticism.verdict, remarks=remarks))
+    return replace(criticism, extension=extension)
 
 
 def split(data: Measurement) -> tuple[Measurement, Measurement]:
@@ -264,8 +280,3 @@ def _verdict(
         gain=outcome.gain,
         seconds=None,
     )
-
-
-def _extension(nominal: Nominal, final: Fit, spread: Sequence[NamedCause]) -> Extension:
-    beside = [Effect(c.kind, c.location, (c.strengths[0].value,)) for c in spread]
-    return extend(nominal, final.parameters, [*final.effects, *beside])

@@ -12,8 +12,8 @@ _ALIKE, _OFF = 0.5, 1.5  # correlation of positions' changes and velocities; the
 
 
 def check_usable(data: Measurement) -> None:
-    """Raises InvalidInput for too few data to separate effects from noise, and for a stuck
-    sensor."""
+    """Raises InvalidInput for too few data to separate effects from noise, for a joint that never
+    moves, and for a stuck sensor."""
     steps = int(np.sum(np.diff(data.episode) == 0))
     if steps < _LEAST_TRANSITIONS or len(data.spans()) < _LEAST_EPISODES:
         raise InvalidInput(
@@ -22,6 +22,15 @@ def check_usable(data: Measurement) -> None:
             "(cut a long recording into episodes of about a second)"
         )
 
+    is_still = (np.ptp(data.qpos, axis=0) == 0) & (np.ptp(data.qvel, axis=0) == 0)
+    if is_still.any():
+        column = int(np.argmax(is_still))
+        raise InvalidInput(
+            f"column {column} is constant in qpos ({data.qpos[0, column]:g}) and in qvel "
+            f"({data.qvel[0, column]:g}): the joint never moves; needed are readings of one of the "
+            "two that follow it, or else a model without the joint (weld it) and data without "
+            "its columns"
+        )
     both = (("qpos", data.qpos), ("qvel", data.qvel))
     shown = [(f"{name}, column {i},", v) for name, each in both for i, v in enumerate(each.T)]
     for (name, values), is_measured in zip(shown, data.is_measured(), strict=True):

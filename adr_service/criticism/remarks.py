@@ -1,6 +1,7 @@
 """Remarks of a verdict on the data and on what it names, in sentences."""
 
 from collections.abc import Sequence
+from copy import copy
 
 import mujoco
 import numpy as np
@@ -9,7 +10,7 @@ from adr_service.criticism.linear import Persistence
 from adr_service.criticism.measurements import Measurement
 from adr_service.effects.actuators import obeys_limits
 from adr_service.effects.base import Effect
-from adr_service.effects.catalogue import get_mechanism
+from adr_service.effects.catalogue import MECHANISMS, get_mechanism
 from adr_service.effects.models import plausible_of, unit_of
 
 _ROUNDING = 1e-6  # of a range of commands
@@ -39,6 +40,31 @@ def on_commands(model: mujoco.MjModel, data: Measurement) -> tuple[str, ...]:
                 f"{low:g} to {high:g}; the simulator obeys the limits, as MuJoCo does."
             )
     return tuple(remarks)
+
+
+def on_untried(model: mujoco.MjModel) -> tuple[str, ...]:
+    """A remark on effects that some joints rule out, because they limit their actuators' force."""
+    limited = [model.joint(i).name for i in np.flatnonzero(model.jnt_actfrclimited)]
+    if not limited:
+        return ()
+    unlimited = copy(model)
+    unlimited.jnt_actfrclimited[:] = 0
+    lost: list[str] = []
+    for kind, mechanism in MECHANISMS.items():
+        left, possible = mechanism.locations(model), mechanism.locations(unlimited)
+        if left != possible:
+            lost.append(f"{kind} there" if left else f"{kind} at any {mechanism.place}")
+    are_several = len(limited) > 1
+    who = f"joint{'s' * are_several} {', '.join(limited)} limit{'s' * (not are_several)}"
+    return (
+        f"Not tried, because {who} the total force of actuators "
+        f"(actuatorfrcrange), and MuJoCo would cut these effects too: {', '.join(lost)}.",
+    )
+
+
+def on_unwritable(reason: str) -> str:
+    """A remark on an extended model that has no files."""
+    return f"There are no extended.xml and effects.json: {reason}."
 
 
 def on_unknown() -> str:

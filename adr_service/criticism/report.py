@@ -243,9 +243,8 @@ def _detectable(verdict: Verdict) -> str:
     heads = ["effect", "smallest strength that would have been seen", "unit"]
     return (
         "<details><summary>How large an effect would have been seen, alone, by the simulator as it "
-        "is; what is not listed cannot be seen in these data</summary>"
-        + table(heads, rows)
-        + "</details>"
+        "is; what is not listed was not tried, or cannot be seen in these data (steps and noise of "
+        "sensors are judged apart)</summary>" + table(heads, rows) + "</details>"
     )
 
 

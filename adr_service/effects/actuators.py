@@ -67,6 +67,16 @@ def is_affine(model: mujoco.MjModel, actuator: int) -> bool:
     )
 
 
+def obeys_force(model: mujoco.MjModel, actuator: int) -> bool:
+    """True if its command is a force, beside which it has a constant at most.
+
+    The command of a servo is a goal, which stays where it is while the drive weakens.
+    """
+    bias, by_state = model.actuator_biastype[actuator], model.actuator_biasprm[actuator, 1:3]
+    is_constant = bias == mujoco.mjtBias.mjBIAS_AFFINE and not by_state.any()
+    return bool(bias == mujoco.mjtBias.mjBIAS_NONE or is_constant)
+
+
 def _gain(model: mujoco.MjModel, actuator: int, values: Vector) -> None:
     model.actuator_gainprm[actuator] *= 1 + values[0]
     model.actuator_biasprm[actuator] *= 1 + values[0]
@@ -167,6 +177,7 @@ DEADBAND = Mechanism(
     (Strength("half width", "control", low=0.0),),
     typical=lambda model, actuator: (0.03 * _largest_command(model, actuator),),
     command=_deadband,
+    applies=obeys_force,
     sizes=(0.3, 1.0, 4.0),
 )
 
@@ -202,4 +213,5 @@ FADE = Mechanism(
     (Strength("loss in an episode", "1/s"),),
     typical=lambda model, actuator: (0.05,),
     command=_fade,
+    applies=obeys_force,
 )

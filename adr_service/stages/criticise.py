@@ -54,8 +54,9 @@ class Criticise(Stage[Criticised]):
     # what MuJoCo works out as it compiles a model, 12: quick predictions in finer steps where those
     # matter, late commands simulated and held before an episode, effects tried at sizes that fit
     # fast joints and long delays, strengths of one effect that do not absorb each other, detection
-    # limits with the others known, and forces of servos
-    version: ClassVar = 12
+    # limits with the others known, and forces of servos, 13: deadband and fading of force commands
+    # alone, a remark on effects that joints' limits rule out, and changes of unnamed elements
+    version: ClassVar = 13
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 

@@ -1,5 +1,6 @@
 """`adr criticise`: name what a simulator gets wrong, given measured data."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -112,6 +113,8 @@ def _criticise_here(
     """Criticise in this process; `given` is task, variant, model and free parameters."""
     from api.cli import criticism_files  # imports the simulator
 
+    if planned is not None:
+        _check_apart(planned.file, out, criticism_files.FILES)
     criticism_files.check_out(out)
     nominal, name = criticism_files.nominal_of(*given)
     limits, allowed, start = {}, {}, {}
@@ -133,6 +136,18 @@ def _criticise_here(
         with told.status("planning"):
             lines = criticism_files.plan_file(criticism, planned.file, limits, allowed, start, seed)
         told.print("\n".join(lines), highlight=False)
+
+
+def _check_apart(plan: Path, out: Path, names: Sequence[str]) -> None:
+    """Raise InvalidInput if a plan would take the place of the folder of a criticism, or of one of
+    its files."""
+    file, folder = plan.resolve(), out.resolve()
+    files = [folder / name for name in names]
+    if file in (folder, *folder.parents) or any(each in (file, *file.parents) for each in files):
+        raise InvalidInput(
+            f"--next {plan} and --out {out} exclude each other: the folder gets "
+            f"{', '.join(names)}; give --next a file beside these, as {out / 'next.npz'}"
+        )
 
 
 def _criticise_there(spec: Json, out: Path, url: str | None, as_json: bool) -> None:

@@ -1,6 +1,7 @@
 """The files of a blind test: what is written is read, and what is wrong is refused."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,8 +19,10 @@ from adr_service.blind_test.files import (
     write_answer,
     write_question,
 )
+from adr_service.criticism.nominal import Nominal
 from adr_service.effects.models import check_simulated
 from adr_service.errors import InvalidInput, UnknownName
+from adr_service.tasks.catalogue import get_task, source_of
 from tests.blind_test.conftest import hidden
 
 KEY = Key(seed=1, cases={"0000": hidden(), "0001": hidden("none", 0.0, ())})
@@ -60,6 +63,18 @@ def test_a_question_hides_its_answer_among_the_candidates(tmp_path, case):
     assert len(candidates) > 50
     text = (tmp_path / "case.json").read_text() + (tmp_path / "model.xml").read_text()
     assert str(case.effects[0].values[0]) not in text
+
+
+def test_candidates_have_the_units_of_their_places(tmp_path, case):
+    """A hopper's root slides, and the columns of its sensors are positions and velocities."""
+    hopper = Nominal.of_task(get_task("hopper"), source_of("hopper", "vanilla"))
+    write_question(tmp_path, replace(case, nominal=hopper))
+    known = json.loads((tmp_path / "case.json").read_text())["candidates"]
+    units = {(c["kind"], c["location"]): c["strengths"] for c in known}
+    assert units["joint_coulomb_friction", "joint:rootx"] == {"friction": "N"}
+    assert units["joint_coulomb_friction", "joint:leg_joint"] == {"friction": "N m"}
+    assert units["sensor_bias", "sensor:rootz.velocity"] == {"bias": "m/s"}
+    assert units["sensor_bias", "sensor:leg_joint.position"] == {"bias": "rad"}
 
 
 def test_candidates_are_effects_of_the_model(tmp_path, case):

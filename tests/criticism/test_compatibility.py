@@ -52,6 +52,10 @@ def test_parts_of_rows_that_are_no_whole_steps_of_the_model_are_refused(good):
             "settotalmass",
         ),
         (
+            '<mujoco><worldbody><body><geom size="1"/></body></worldbody></mujoco>',
+            "the model has no joints; needed is at least one slide or hinge",
+        ),
+        (
             '<mujoco><worldbody><body><freejoint/><geom size="1"/></body></worldbody></mujoco>',
             "free and ball joints",
         ),

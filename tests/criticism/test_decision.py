@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adr_service.criticism.decision import ALIKE, THRESHOLD, beats, decide, is_unknown
+from adr_service.criticism.decision import ALIKE, THRESHOLD, beats, decide, is_evidence, is_unknown
 
 NOTHING = np.zeros(20)
 
@@ -70,3 +70,31 @@ def test_a_difference_within_the_error_of_a_large_gain_decides_nothing():
     difference = np.full(20, 1.0)
     assert beats(difference, gain=100.0)
     assert not beats(difference, gain=20.0 / ALIKE)
+
+
+def test_evidence_begins_at_25_nats():
+    assert not is_evidence(np.full(20, 24.0 / 20))
+    assert is_evidence(np.full(20, 26.0 / 20))
+
+
+def test_gains_of_two_episodes_count_from_two_standard_errors_of_their_sum():
+    gains = NOTHING.copy()
+    gains[:2] = 30.0  # 60 nats, with a standard error of 41.3
+    assert not is_evidence(gains)
+    assert is_evidence(gains + 2.0)
+
+
+def test_a_difference_counts_from_two_standard_errors_or_four_nats():
+    spread = np.tile([1.0, -1.0], 10)
+    spread /= spread.std(ddof=1)
+    border = 2 * np.sqrt(20)
+    assert not beats(spread + 0.9 * border / 20, gain=0.0)
+    assert beats(spread + 1.1 * border / 20, gain=0.0)
+    assert not beats(np.full(20, 3.5 / 20), gain=0.0)
+    assert beats(np.full(20, 4.5 / 20), gain=0.0)
+
+
+def test_the_cause_is_unknown_where_a_flexible_force_adds_more_than_a_fifth():
+    flexible = np.full(20, 5.0)  # 100 nats
+    assert is_unknown(flexible, named=490.0)
+    assert not is_unknown(flexible, named=510.0)

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from adr_service.criticism.extension import extend, written_out
+from adr_service.criticism.extension import NotWritable, extend, written_out
 from adr_service.criticism.nominal import Nominal
 from adr_service.effects.base import Effect
 from adr_service.parameters import ParameterSpace
@@ -53,6 +53,34 @@ RESOLVED = {  # by MuJoCo, as it compiles
     "a spring and damper": {"elbow": 'springdamper="0.3 1"'},
     "the length of a tendon": {"belt": "5", "elbow": 'ref="0.4"'},
 }
+
+
+FLAT = """<mujoco><worldbody><body name="plate">
+<inertial pos="0.1 0 0" mass="1" {}/>
+<joint axis="0 1 0"/><geom size=".1" pos=".2 0 0"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    "inertia",
+    ['diaginertia="0.012 0.013 0.025"', 'fullinertia="0.012 0.025 0.013 0 0.001 0"'],
+)
+@pytest.mark.parametrize("kind", ["body_inertia", "payload"])
+def test_a_flat_body_whose_moments_are_rounded_is_written(inertia, kind):
+    """MuJoCo refuses a file in which the largest moment exceeds the others' sum by one bit."""
+    nominal = Nominal.of_model(FLAT.format(inertia), ParameterSpace(()))
+    for value in np.linspace(0.01, 0.2, 12).tolist():
+        effects = [Effect(kind, "body:plate", (value,))]
+        fitted = nominal.model(nominal.start, effects).body_inertia
+        written = extend(nominal, nominal.start, effects).nominal().model(np.empty(0)).body_inertia
+        np.testing.assert_allclose(written, fitted, rtol=1e-15)
+
+
+def test_a_model_that_mujoco_simulates_but_does_not_write_is_refused_with_its_words():
+    nominal = arm()[1]
+    mass = float(nominal.model(nominal.start).body("fore").mass[0])
+    weightless = Effect("body_mass", "body:fore", (-mass,))
+    with pytest.raises(NotWritable, match=r"it says: .* must be larger than mjMINVAL"):
+        extend(nominal, nominal.start, [weightless])
 
 
 def moved(model):
@@ -114,6 +142,30 @@ def test_elements_without_a_name_are_told_by_what_is_around_them():
     (line,) = extend(nominal, nominal.start, [mass]).changes
     assert line.startswith("<inertial pos=")
     assert line.endswith("> in body link")
+
+
+UNNAMED = """<mujoco>
+<default>
+<default class="visual"><geom contype="0"/></default>
+<default class="collision"><geom group="3"/></default>
+</default>
+<worldbody>
+<body name="a"><joint name="one" axis="0 1 0"/><geom class="visual" size=".1" mass="1"/>
+<body name="b" pos="1 0 0"><joint name="two" axis="0 1 0"/>
+<geom class="collision" size=".1" mass="1"/><site/><site pos="1 0 0"/></body></body>
+</worldbody>
+<contact><exclude body1="world" body2="a"/><exclude body1="a" body2="b"/></contact>
+<tendon><fixed name="t"><joint joint="one" coef="1"/><joint joint="two" coef="2"/></fixed></tendon>
+<sensor><jointpos joint="one"/><jointpos joint="two"/></sensor>
+</mujoco>"""
+
+
+def test_unnamed_neighbours_that_nothing_changes_are_not_listed():
+    nominal = Nominal.of_model(UNNAMED, ParameterSpace(()))
+    spring = Effect("joint_spring", "joint:one", (1.5,))
+    assert extend(nominal, nominal.start, [spring]).changes == (
+        '<joint name="one" stiffness="1.5">',
+    )
 
 
 def test_new_elements_are_told_by_name_and_without_what_mujoco_adds():

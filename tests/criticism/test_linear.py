@@ -164,3 +164,15 @@ def test_a_false_spring_gains_nothing_beside_misfit_that_persists():
         gains.append(with_spring - without)
     assert gains[0] > 100
     assert abs(gains[1]) < 4
+
+
+def test_the_covariance_between_episodes_is_corrected_for_their_number():
+    """The sandwich, times 12 episodes over 12 less 2 columns."""
+    rng = np.random.default_rng(0)
+    x, y = rng.standard_normal((12, 30, 2)), rng.standard_normal((12, 30))
+    information, score = x.swapaxes(1, 2) @ x, np.einsum("etp,et->ep", x, y)
+    normal = Normal(information, score, np.zeros(12), np.zeros(2), np.zeros(2))
+    bread = np.linalg.inv(information.sum(axis=0))
+    apart = score - information @ bread @ score.sum(axis=0)
+    expected = bread @ (apart.T @ apart) @ bread * 12 / 10
+    np.testing.assert_allclose(normal.covariance(), expected, rtol=1e-6)

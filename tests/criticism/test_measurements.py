@@ -170,12 +170,20 @@ def test_recordings_are_joined_with_episodes_of_their_own(good):
     assert Measurement.joined([one]).ctrl_within is None
 
 
+def test_a_deviation_that_is_not_given_is_the_same_as_one_to_be_estimated(good):
+    silent, asked = Measurement(**good), Measurement(**good, qpos_std=np.nan, qvel_std=np.nan)
+    for pair in ((silent, asked), (asked, silent)):
+        joined = Measurement.joined(pair)
+        assert np.isnan(joined.sensor_variance()).all()
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"ctrl": lambda a: a[:, :1]}, "ctrl has 2 in the first and 1 in another"),
         ({"time": lambda a: 2 * a}, "equally far apart; given are"),
         ({"qpos_std": lambda _: [0.1, 0.1]}, "qpos_std is not given in the first"),
+        ({"qvel_std": lambda _: [np.nan, np.inf]}, "qvel_std is not given in the first"),
     ],
 )
 def test_recordings_that_do_not_fit_together_are_refused(good, change, message):

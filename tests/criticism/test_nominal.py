@@ -47,3 +47,15 @@ def test_elements_without_a_name_get_one_so_that_effects_have_a_place():
     model = Nominal.of_model(xml, ParameterSpace(())).model(np.empty(0))
     assert model.body(1).name == "unnamed_1"
     assert model.joint(0).name == "unnamed_0"
+
+
+@pytest.mark.parametrize("taken", ["unnamed_0", "unnamed_1", "unnamed_2"])
+def test_names_that_a_model_has_already_are_not_given_again(taken):
+    """A file of ours has such names, and its user may add elements without any."""
+    xml = f"""<mujoco><worldbody><geom size="1"/><body><joint/><geom size="1"/>
+    <geom name="{taken}" size="1"/></body></worldbody></mujoco>"""
+    model = Nominal.of_model(xml, ParameterSpace(())).model(np.empty(0))
+    names = [model.geom(i).name for i in range(3)]
+    assert taken in names
+    assert len(set(names)) == 3
+    assert all(names)

@@ -1,13 +1,25 @@
 """From a measurement to a verdict: planted effects are named, and nothing else is."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import draw_case, hide
+from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
-from adr_service.criticism.pipeline import criticise, split
+from adr_service.criticism.pipeline import (
+    _confidence,
+    _opened,
+    _Outcome,
+    criticise,
+    extended,
+    split,
+)
+from adr_service.criticism.report import FILES, files_of
+from adr_service.criticism.weighing import Weighed
 from adr_service.effects.base import Effect
 from adr_service.errors import InvalidInput
 from adr_service.parameters import ParameterSpace
@@ -191,3 +203,42 @@ def test_every_fourth_episode_is_sealed(good):
     learned, sealed = split(Measurement(**good))
     assert (len(learned.spans()), len(sealed.spans())) == (23, 7)
     assert not set(map(tuple, learned.qpos)) & set(map(tuple, sealed.qpos))
+
+
+def test_a_verdict_survives_an_extended_model_that_cannot_be_written(criticism):
+    """Nothing is left of the forearm's mass, which MuJoCo simulates but does not write."""
+    mass = float(criticism.final.simulator.base.body("fore").mass[0])
+    weightless = Effect("body_mass", "body:fore", (-2 * mass,))
+    final = replace(criticism.final, effects=(weightless,))
+    unwritten = replace(criticism, final=final, extension=None)
+    judged = extended(unwritten, arm()[1], [])
+    assert judged.extension is None
+    assert judged.verdict.causes == criticism.verdict.causes
+    assert "MuJoCo cannot write the extended model; it says: " in judged.verdict.remarks[-1]
+    assert tuple(files_of(criticism, "arm", "x")) == FILES
+    assert tuple(files_of(judged, "arm", "x")) == ("verdict.json", "report.html")
+
+
+def test_a_verdict_of_no_cause_is_less_sure_where_an_unknown_force_is_likely():
+    """A flexible force that gains the threshold is as likely real as not."""
+    assert _confidence([], 0.8, np.full(20, THRESHOLD / 20)) == pytest.approx(0.4)
+    assert _confidence([], 0.8, np.zeros(20)) == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(("strength", "is_named"), [(0.1, True), (0.3, False)])
+def test_an_effect_with_which_sealed_episodes_are_predicted_worse_is_not_named(
+    baseline, refined, hidden, friction, strength, is_named
+):
+    """The planted friction is 0.1 N m: without any the error is half of that with 0.3."""
+    final = replace(refined, effects=(replace(friction, values=(strength,)),))
+    named = [(Weighed(final.effects, final, np.full(12, 5.0), 0.75),)]
+    outcome = _opened(
+        _Outcome(named, final, 0.0, None, ()),
+        baseline,
+        hidden.episodes(range(12, 16)),
+        np.random.default_rng(0),
+        threads=1,
+    )
+    assert bool(outcome.named) == (outcome.gain is not None) == is_named
+    assert outcome.final is (final if is_named else baseline)
+    assert ("joint_coulomb_friction joint:elbow" in " ".join(outcome.remarks)) != is_named

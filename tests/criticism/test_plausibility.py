@@ -49,3 +49,13 @@ def test_a_joint_of_which_nothing_is_measured_is_refused(good):
     measurement = Measurement(**good, qpos_std=unread, qvel_std=unread)
     with pytest.raises(InvalidInput, match="column 1 is measured neither in qpos nor in qvel"):
         check_rates(measurement)
+
+
+@pytest.mark.parametrize("unread", [(), ("qpos",), ("qvel",), ("qpos", "qvel")])
+def test_a_joint_that_never_moves_is_refused_with_the_way_out(good, unread):
+    """Neither another column nor a deviation that is infinite would help."""
+    qpos, qvel = good["qpos"].copy(), good["qvel"].copy()
+    qpos[:, 1], qvel[:, 1] = 0.5, 0.0
+    known = {f"{name}_std": [np.nan, np.inf] for name in unread}
+    with pytest.raises(InvalidInput, match=r"column 1 is constant in qpos \(0.5\).*weld it"):
+        check_usable(Measurement(**{**good, "qpos": qpos, "qvel": qvel}, **known))

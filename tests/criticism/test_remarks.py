@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
+import pytest
 
 from adr_service.criticism.linear import Persistence
 from adr_service.criticism.measurements import Measurement
@@ -12,6 +14,7 @@ from adr_service.criticism.remarks import (
     on_implausible,
     on_persistence,
     on_refuted,
+    on_untried,
 )
 from adr_service.effects.base import Effect
 from adr_service.effects.models import plausible_of
@@ -51,6 +54,30 @@ def test_misfit_that_persists_has_a_remark():
     assert on_persistence(Persistence(0.0, noise)) == ()
     (remark,) = on_persistence(Persistence(0.7, noise))
     assert "passes about 0.7 of itself on to the next one" in remark
+
+
+TWO_JOINTS = """<mujoco><worldbody><body><joint name="one" {}/><geom size="1"/>
+<body><joint name="two" {}/><geom size="1"/></body></body></worldbody></mujoco>"""
+LIMITED = 'actuatorfrcrange="-1 1"'
+
+
+@pytest.mark.parametrize(
+    ("limits", "who", "where"),
+    [
+        ((LIMITED, ""), "joint one limits", "there"),
+        ((LIMITED, LIMITED), "joints one, two limit", "at any joint"),
+    ],
+)
+def test_effects_that_the_limits_of_joints_rule_out_have_a_remark(limits, who, where):
+    model = mujoco.MjModel.from_xml_string(TWO_JOINTS.format(*limits))
+    (remark,) = on_untried(model)
+    assert remark.startswith(f"Not tried, because {who} the total force of actuators")
+    assert f"joint_asymmetric_viscous_friction {where}, joint_stribeck_friction {where}" in remark
+    assert remark.endswith("external_force at any body.")
+
+
+def test_where_no_joint_limits_its_actuators_every_effect_is_tried():
+    assert on_untried(mujoco.MjModel.from_xml_string(TWO_JOINTS.format("", ""))) == ()
 
 
 def test_a_strength_that_no_robot_has_is_pointed_out():

@@ -86,3 +86,10 @@ def test_the_page_says_where_something_unknown_is_left(criticism):
     verdict = replace(criticism.verdict, conclusion=Conclusion.UNKNOWN, residual=residual)
     page = report_page(replace(criticism, verdict=verdict), "arm", ORIGIN)
     assert "a force at joint:elbow that depends on time, at 2.7 Hz predicts 30 nats better" in page
+
+
+def test_the_page_does_not_claim_that_data_cannot_show_what_was_not_tried(criticism):
+    """Steps and noise of sensors have no detection limit, and joints' limits rule effects out."""
+    page = report_page(criticism, "arm", ORIGIN)
+    assert "what is not listed was not tried, or cannot be seen in these data" in page
+    assert "sensor_noise" not in criticism.verdict.residual.detectable

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import refine
@@ -157,3 +158,12 @@ def test_every_transition_is_counted_once(baseline):
     fewer = replace(baseline, linear=replace(baseline.linear, chain=chain))
     residual = residual_of(baseline, fewer, [], (), left(0.0))
     assert (residual.used, residual.diverged) == (12 * 75 - 3, 3)
+
+
+def test_an_interval_has_as_many_degrees_of_freedom_as_episodes_less_columns(refined, friction):
+    (strength,) = named_cause(refined, slice(0, 1), weighed(refined, friction)).strengths
+    covariance = refined.normal.covariance()
+    (variance,) = np.diagonal(covariance)[refined.columns_of(slice(0, 1))]
+    freedom = 12 - len(covariance)
+    reach = (strength.high - strength.value) / np.sqrt(variance)
+    assert reach == pytest.approx(stats.t.ppf(0.975, freedom))

@@ -38,3 +38,25 @@ def test_a_file_in_place_of_the_folder_is_refused_before_the_work(adr_here, tmp_
     status, _, errors = adr_here("criticise", "--task", "arm", *at)
     assert status == 2
     assert "is a file; --out is a folder" in errors.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("out", "plan"),
+    [
+        ("found", "found"),
+        ("found/arm", "found"),
+        ("found", "found/verdict.json"),
+        ("found", "other/../found/effects.json"),
+        ("found", "found/report.html/next.npz"),
+    ],
+)
+def test_a_plan_in_the_place_of_the_criticism_is_refused_before_the_work(
+    adr_here, tmp_path, monkeypatch, out, plan
+):
+    monkeypatch.chdir(tmp_path)
+    judge = ("criticise", "--task", "arm", "--data", "nowhere.npz", "--out", out)
+    status, _, errors = adr_here(*judge, "--next", plan)
+    assert status == 2
+    assert f"--next {plan} and --out {out} exclude each other" in errors.replace("\n", " ")
+    assert not list(tmp_path.iterdir())
+    assert "nowhere.npz cannot be read" in adr_here(*judge, "--next", f"{out}/next.npz")[2]
