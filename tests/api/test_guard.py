@@ -117,3 +117,30 @@ def test_a_wall_clock_that_is_set_back_keeps_nobody_out(monkeypatch):
     monkeypatch.setattr("limits.storage.memory.time.time", lambda: hour_ago)
     assert until(lambda: guard._too_many("192.0.2.1"))
     until(lambda: guard._too_many("192.0.2.1") is None, 5)
+
+
+@pytest.mark.parametrize(
+    ("allowed", "host", "status"),
+    [
+        ("", "attacker.example", 200),
+        ("adr.example.org", "adr.example.org", 200),
+        ("adr.example.org", "attacker.example", 400),
+    ],
+)
+def test_a_service_for_every_address_answers_to_its_given_names_alone(allowed, host, status):
+    client = guarded(token=TOKEN, host="0.0.0.0", allowed_hosts=allowed)  # noqa: S104 - not bound
+    headers = {"Host": host, "Authorization": f"Bearer {TOKEN}"}
+    assert client.get("/v1/tasks", headers=headers).status_code == status
+
+
+@pytest.mark.parametrize(
+    ("origin", "status"),
+    [
+        ("http://127.0.0.1", 200),
+        ("http://127.0.0.1.attacker.example", 403),
+        ("http://attacker.example", 403),
+    ],
+)
+def test_pages_of_the_service_alone_may_change_something(origin, status):
+    answer = guarded().post("/v1/runs", json={}, headers={"Origin": origin})
+    assert answer.status_code == status

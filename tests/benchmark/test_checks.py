@@ -13,6 +13,7 @@ from adr_service.benchmark.checks import (
     all_of,
     conjunction,
     drops,
+    equal,
     higher,
     none_of,
 )
@@ -154,3 +155,15 @@ def test_a_method_is_not_compared_with_itself_or_with_one_that_did_not_run():
     cell = Cell("hopper", "vanilla", "dropo")
     assert higher(cell, cell)(NOTHING).gap == "not measured"
     assert higher(cell, Cell("hopper", "vanilla", "udr"))(NOTHING).gap == "not measured"
+
+
+@pytest.mark.parametrize(("gap", "is_equal"), [(0.06, True), (0.14, False)])
+def test_methods_are_equal_that_differ_by_less_than_a_tenth(gap, is_equal):
+    found = [
+        outcome(level, method=method, iteration=iteration, seed=seed)
+        for method, level, iteration in (("dropo", 1 + gap, 2), ("simopt", 1, 2), ("oracle", 1, 0))
+        for seed in range(9)
+    ]
+    cells = [Cell("hopper", "vanilla", method) for method in ("dropo", "simopt")]
+    evidence = equal(*cells)(Measured(found))
+    assert (evidence.supports < 0.05, evidence.contradicts < 0.05) == (is_equal, not is_equal)

@@ -20,6 +20,7 @@ VARIANTS = ("vanilla", "noisy", "unmodeled")
 SEEDS = tuple(range(9))
 STEPS = {"dropo": 3000, "simopt": 2000, "simopt_1": 2000, "droid": 1000}
 HARD = TASKS[1:]
+FRICTION = {"kind": "joint_viscous_friction", "location": "joint:thigh_joint", "values": [0.1]}
 
 
 def outcome(
@@ -395,3 +396,15 @@ def test_a_cost_that_is_judged_in_part_is_no_test():
     cost = next(claim for claim in CLAIMS if claim.name == "C1")
     answer = conjunction([check(measured) for check in cost.checks])
     assert (answer.gap, answer.is_tested) == ("measured in part", False)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"target": {"kind": "simulated", "effects": [FRICTION]}},
+        {"extension": [FRICTION]},
+    ],
+)
+def test_runs_with_effects_that_the_papers_tasks_lack_are_not_judged(given):
+    assert reports([outcome(1.0, **given)]) == []
+    assert reports([outcome(1.0)])

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from adr_service.benchmark.comparison import (
@@ -14,7 +15,9 @@ from adr_service.benchmark.comparison import (
     table,
     to_csv,
 )
+from adr_service.distributions import Gaussian
 from adr_service.methods.catalogue import methods
+from adr_service.tasks.catalogue import source_of
 from tests.benchmark.conftest import ITERATIONS, METHODS, with_a_third_seed
 from tests.benchmark.test_claims import outcome as at_level
 
@@ -183,3 +186,13 @@ def test_inferences_have_their_cost(benchmark):
     assert {cost.inference_seconds for cost in found} == {1.0}  # of two seeds
     dropo = [c for c in found if (c.method, c.variant) == ("dropo", "vanilla")]
     assert all(cost.inference_steps > 0 for cost in dropo)
+
+
+def test_the_width_of_a_belief_is_the_root_of_its_mean_variance():
+    space = source_of("hopper", "vanilla").space
+    variances = np.linspace(0.1, 2.0, len(space))
+    belief = Gaussian(space, np.full(len(space), 2.0), np.diag(variances))
+    run = at_level(1.0)
+    event = run.iteration.model_copy(update={"distributions": [belief.to_json()]})
+    (row,) = table([replace(run, iteration=event)])
+    assert row.posterior_std == pytest.approx(np.sqrt(variances.mean()))

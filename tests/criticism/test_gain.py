@@ -100,7 +100,7 @@ def test_an_interval_leaves_a_fortieth_of_the_draws_beyond_each_end():
     assert _interval(np.append(np.linspace(0, 1, 1001), np.nan)) == pytest.approx((0.025, 0.975))
 
 
-def test_an_overestimated_noise_makes_no_explained_share_smaller_or_larger(baseline, refined, sealed):
+def test_an_overestimated_noise_changes_no_explained_share(baseline, refined, sealed):
     """With sensors taken to be twice as noisy, what is left is noise, and all else is explained."""
     noise = replace(refined.noise, sensor=4 * refined.noise.sensor)
     gain = gained(baseline, replace(refined, noise=noise), sealed)

@@ -14,7 +14,7 @@ from adr_service.programs.references import reference_training
 from adr_service.specs import BenchmarkExtension, BenchmarkPart
 from db import archives, benchmarks, events, runs, stages, staging
 from db.errors import DiskFull, NotFound, NotPossible
-from db.models import ArtifactRow, StageRow
+from db.models import ArtifactRow, StageArtifactRow, StageRow
 from db.session import open_database
 from db.stages import note_checkpoint, policy_of_training
 from db.staging import staged
@@ -22,6 +22,8 @@ from tests.archives import rewritten, with_rows, without_results
 from tests.contracts.canned import canned
 from tests.db.finished import finished_benchmark, go_on, proceed
 from tests.db.rows import count
+
+COPY = "run_" + 16 * "f"
 
 
 @pytest.fixture
@@ -502,6 +504,7 @@ HOSTILE = {
     "no first iteration": ("events", _without("iteration_finished:0"), "has no event"),
     "no last iteration": ("events", _without("iteration_finished:1"), "has no event"),
     "another stage's document": ("stages", _moved, "document of another"),
+    "another kind of stage": ("stages", _first(kind="evil"), "document of another"),
     "a result of another form": ("stages", _first(result='{"evil":1}'), "cannot use its stored"),
     "a result that is a list": ("stages", _first(result="[1]"), "no JSON object"),
     "a result nested without end": ("stages", _first(result="[" * 100_000), "no JSON object"),
@@ -626,3 +629,32 @@ def test_a_spec_that_cannot_be_upgraded_refuses_the_archive(spec, path, other):
 
     with pytest.raises(InvalidInput, match="is of revision 0005, and its specs cannot be brought"):
         imported(other, rewritten(path, earlier))
+
+
+def test_a_stage_with_other_bytes_here_refuses_the_import(file_database, other, tmp_path):
+    path = exported(file_database, finished_benchmark(file_database), tmp_path / "a.adr")
+    finished_benchmark(other)
+    of_a_rollout = StageArtifactRow.digest.in_(
+        select(StageRow.digest).where(StageRow.kind == "target_rollout")
+    )
+    with other.write("test") as session:
+        row = session.scalars(select(StageArtifactRow).where(of_a_rollout)).first()
+        row.sha256 = stages.add_artifact(session, b"other bytes")
+    with pytest.raises(NotPossible, match="another result here than in the archive"):
+        imported(other, path)
+
+
+def test_a_run_of_an_archive_comes_once_and_not_under_a_second_id(path, other):
+    first = []
+
+    def copied_runs(rows):
+        first.append(rows[0]["id"])
+        return [*rows, {**rows[0], "id": COPY}]
+
+    def copied_events(rows):
+        return [*rows, *({**row, "run_id": COPY} for row in rows if row["run_id"] == first[0])]
+
+    rewritten(path, with_rows("runs", copied_runs))
+    rewritten(path, with_rows("events", copied_events))
+    with pytest.raises(InvalidInput, match="in the archive is no run of its benchmark"):
+        imported(other, path)

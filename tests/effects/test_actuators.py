@@ -7,6 +7,7 @@ import pytest
 from adr_service.effects.actuators import drives, largest_force
 from adr_service.effects.base import Commands, Effect
 from adr_service.effects.catalogue import get_mechanism
+from tests.effects.conftest import PLAIN
 
 COMMANDS = Commands(np.array([[1.0, 1.0, -0.5, 0.2, 0.0, 0.8]]), 0.01, 1.0)
 
@@ -56,6 +57,19 @@ def test_gain_and_bias_are_of_drives_whose_force_is_in_proportion_to_the_command
         assert get_mechanism(kind).locations(model) == ["actuator:torque"]
 
 
+def test_deadband_and_fading_are_of_drives_whose_command_is_a_force():
+    """A fading command would walk the goal of a servo to zero, which the drive still reaches."""
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body><joint name="x"/><geom size="0.1" mass="1"/></body></worldbody>
+        <actuator><motor name="motor" joint="x"/>
+        <general name="offset" joint="x" biastype="affine" biasprm="2"/>
+        <position name="position" joint="x" kp="20" kv="1"/>
+        <velocity name="velocity" joint="x" kv="3"/></actuator></mujoco>"""
+    )
+    for kind in ("actuator_deadband", "actuator_fade"):
+        assert get_mechanism(kind).locations(model) == ["actuator:motor", "actuator:offset"]
+
+
 def test_a_fading_gain_is_whole_at_first_and_less_by_a_factor_in_every_step():
     expected = COMMANDS.values * 0.9 ** np.arange(6)
     np.testing.assert_allclose(obeyed("actuator_fade", -100 * np.log(0.9)), expected, rtol=1e-12)
@@ -97,3 +111,14 @@ def test_saturation_is_not_tried_where_no_command_is_cut(cart):
     assert saturation.locations(model) == ["actuator:push"]
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     assert saturation.locations(model) == []
+
+
+def test_a_positive_gain_makes_a_drive_stronger_and_its_bias_too(cart):
+    xml = PLAIN.replace('dyntype="none"', 'dyntype="none" biastype="affine" biasprm="0.2"')
+    for effects, factor in (([], 1.0), ([Effect("actuator_gain", "actuator:push", (0.5,))], 1.5)):
+        model = cart(*effects, xml=xml)
+        data = mujoco.MjData(model)
+        for command in (0.0, 1.0):
+            data.ctrl[0] = command
+            mujoco.mj_forward(model, data)
+            assert data.qacc[0] == pytest.approx(factor * 3.0 * (command + 0.2) / 2.0)

@@ -89,3 +89,9 @@ def test_gravity_is_compensated_for_the_link_and_not_for_its_load(cart):
 
 def test_a_body_without_extent_may_carry_a_load_beside_it(cart):
     assert all(size > 0 for size in typical_of(cart(), "body_load", "body:cart"))
+
+
+def test_a_positive_change_of_inertia_makes_it_larger(cart):
+    before, after = cart(), cart(Effect("body_inertia", "body:cart", (0.5,)))
+    expected = 1.5 * before.body("cart").inertia
+    np.testing.assert_allclose(after.body("cart").inertia, expected)

@@ -144,3 +144,23 @@ def test_the_offset_of_backlash_is_what_a_whole_record_shows():
     motion = Motion(truth[:, None], truth[:, None], 0, past=truth[:, None] - truth[before])
     expected = BACKLASH.sensing.record(truth[None], values, 0.1)[0] - truth
     np.testing.assert_allclose(BACKLASH.sensing.offset(motion, values), expected, atol=1e-12)
+
+
+def test_an_offset_of_the_reference_moves_the_body_forwards(cart):
+    places = []
+    for effects in ([], [Effect("joint_reference_offset", "joint:x", (0.1,))]):
+        model = cart(*effects)
+        data = mujoco.MjData(model)
+        data.qpos[0] = 0.2
+        mujoco.mj_forward(model, data)
+        places.append(data.body("cart").xpos[0])
+    np.testing.assert_allclose(places, [0.2, 0.3])
+
+
+def test_armature_is_added_to_the_mass_that_a_drive_accelerates(cart):
+    for armature in (0.0, 0.5):
+        model = cart(Effect("joint_armature", "joint:x", (armature,)))
+        data = mujoco.MjData(model)
+        data.ctrl[0] = 1.0
+        mujoco.mj_forward(model, data)
+        assert data.qacc[0] == pytest.approx(3.0 / (2.0 + armature), rel=1e-9)

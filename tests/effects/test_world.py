@@ -39,3 +39,16 @@ def test_wind_pushes_what_drag_only_brakes(cart):
         accelerations.append(data.qacc[0])
     assert accelerations[0] == 0.0
     assert accelerations[1] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("tilt", "expected"),
+    [
+        ((0.1, 0.0), [np.sin(0.1), 0.0, np.cos(0.1)]),
+        ((0.0, 0.1), [0.0, -np.sin(0.1), np.cos(0.1)]),
+    ],
+)
+def test_a_positive_tilt_turns_gravity_backwards_or_to_the_left(cart, tilt, expected):
+    """As rotations by the right-hand rule about y (pitch) and about x (roll)."""
+    model = cart(Effect("gravity_tilt", "global", tilt))
+    np.testing.assert_allclose(model.opt.gravity, -9.81 * np.array(expected), atol=1e-12)

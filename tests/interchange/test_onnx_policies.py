@@ -1,6 +1,7 @@
 """Policies as ONNX, run by ONNX Runtime."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import onnxruntime
@@ -28,3 +29,10 @@ def test_the_file_says_what_its_columns_are(policy, task):
 
 def test_equal_policies_have_equal_files(policy, task):
     assert to_onnx(policy, task, {}) == to_onnx(policy, task, {})
+
+
+def test_actions_lie_about_the_middle_of_uneven_bounds(policy, task, observations):
+    uneven = replace(policy, action_low=policy.action_low / 2)
+    session = onnxruntime.InferenceSession(to_onnx(uneven, task, {}))
+    (actions,) = session.run(None, {"observation": observations.astype(np.float32)})
+    np.testing.assert_allclose(actions, uneven.act(observations), atol=1e-6)

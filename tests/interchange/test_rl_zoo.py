@@ -1,12 +1,14 @@
 """Policies as models of Stable-Baselines3, in folders that the Zoo reads."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
 from stable_baselines3 import PPO, SAC
 
 from adr_service.errors import InvalidInput
-from adr_service.interchange.rl_zoo import write_zoo_folder
+from adr_service.interchange.rl_zoo import as_sb3, write_zoo_folder
 
 IN_SB3 = pytest.mark.parametrize("squash", ["tanh", "clip"], indirect=True)
 CURVE = [{"steps": 1000, "mean_return": 1.5}, {"steps": 2000, "mean_return": 2.5}]
@@ -40,3 +42,11 @@ def test_the_zoo_finds_environment_and_evaluations(policy, task, tmp_path):
     evaluations = np.load(first / "evaluations.npz")
     assert evaluations["timesteps"].tolist() == [1000, 2000]
     assert evaluations["results"].mean(axis=1).tolist() == [1.5, 2.5]
+
+
+@pytest.mark.parametrize("squash", ["clip"], indirect=True)
+def test_actions_lie_about_the_middle_of_uneven_bounds(policy, task, observations):
+    uneven = replace(policy, action_low=policy.action_low / 2)
+    actions, _ = as_sb3(uneven, task.name, "vanilla").predict(observations, deterministic=True)
+    within = np.clip(actions, uneven.action_low, uneven.action_high)
+    np.testing.assert_allclose(within, uneven.act(observations), atol=1e-6)

@@ -1,10 +1,11 @@
 """The map from columns to a model."""
 
 import mujoco
+import numpy as np
 import pytest
 
 from adr_service.errors import InvalidInput
-from adr_service.logs.mapping import LogMap
+from adr_service.logs.mapping import JointMap, LogMap
 from tests.logs.conftest import MAP, XML
 
 
@@ -62,3 +63,26 @@ def test_a_set_point_of_a_joint_that_wraps_needs_a_wrap_as_well(robot):
     servo = XML.replace("<motor", "<position").replace('gear="5"', "")
     with pytest.raises(InvalidInput, match=r"readings of joints.shoulder wrap, so actuators.motor"):
         given.check(mujoco.MjModel.from_xml_string(servo))
+
+
+@pytest.mark.parametrize(
+    ("unit", "is_slide", "size"),
+    [
+        ("rad", False, 1.0),
+        ("deg", False, np.pi / 180),
+        ("rev", False, 2 * np.pi),
+        ("m", True, 1.0),
+        ("cm", True, 0.01),
+        ("mm", True, 0.001),
+    ],
+)
+def test_a_unit_has_its_size(unit, is_slide, size):
+    speed = {"velocity": "dq", "velocity_unit": f"{unit}/s"}
+    joint = JointMap.model_validate({"position": "q", "unit": unit, **speed})
+    assert joint.position_factor(is_slide) == pytest.approx(size)
+    assert joint.velocity_factor(is_slide) == pytest.approx(size)
+
+
+def test_a_turn_per_minute_is_a_sixtieth_of_a_turn_per_second():
+    joint = JointMap(position="q", velocity="dq", velocity_unit="rpm")
+    assert joint.velocity_factor(is_slide=False) == pytest.approx(2 * np.pi / 60)

@@ -141,3 +141,13 @@ def test_readings_that_wrap_without_a_wrap_in_the_map_are_pointed_out(robot, eve
 def test_a_single_outlier_is_no_turn(robot, even, given):
     spiked = {**even, "q1": np.where(even["time"] == even["time"][2000], 30.0, even["q1"])}
     assert not warned(convert([log(spiked)], given, robot).warnings, "column 'q1' jumps")
+
+
+def test_set_points_behind_a_gear_are_put_next_to_the_turns_of_their_drive(even):
+    """The joint swings by four radians, and its drive by eight."""
+    joint = 4 * even["q1"]
+    logged = {**even, "q1": in_degrees(joint), "dq1": 4 * even["dq1"], "u": in_degrees(2 * joint)}
+    given = WRAPS.replace('command = "u"', 'command = "u"\nunit = "deg"\nwrap = 360.0')
+    model = mujoco.MjModel.from_xml_string(SERVO.replace('name="motor"', 'name="motor" gear="2"'))
+    data = convert([log(logged)], LogMap.from_toml(given), model).measurement
+    np.testing.assert_allclose(data.ctrl[:, 0], 2 * data.qpos[:, 0], atol=0.2)

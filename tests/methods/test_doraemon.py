@@ -136,3 +136,12 @@ def test_the_distribution_moves_back_where_success_is_lost():
     mean = (curriculum.distribution.mean - SPACE.low) / (SPACE.high - SPACE.low)
     assert mean[0] < 0.42
     np.testing.assert_allclose(mean[1:], 0.5, atol=0.1)
+
+
+@pytest.mark.parametrize(("success", "widens"), [(0.4, True), (0.6, False)])
+def test_an_episode_succeeds_from_the_share_of_the_threshold_that_is_set(success, widens):
+    curriculum = DoraemonSettings(success=success).create(PROBLEM)
+    before = curriculum.distribution.std
+    dynamics = curriculum.sample(64, np.random.default_rng(0)).values
+    curriculum.move(dynamics, np.full(64, 0.5 * THRESHOLD))
+    assert np.all(curriculum.distribution.std > before) == widens

@@ -15,7 +15,7 @@ from adr_service.training.train import LIBRARIES
 from tests.training.examples import settings
 
 pytest.importorskip("sbx")
-from adr_service.training.fused_ppo import Rollout, _advantages
+from adr_service.training.fused_ppo import Rollout, _advantages, _Log
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 ARM, SOURCE = get_task("arm"), source_of("arm", "vanilla")
@@ -214,3 +214,23 @@ def test_observations_are_normalised_by_those_of_the_rollouts_before():
     mean, scale = model.normalisation
     np.testing.assert_allclose(mean, seen.mean(axis=0), atol=1e-4)
     np.testing.assert_allclose(scale, 1 / seen.std(axis=0), rtol=1e-2)
+
+
+def test_a_discounted_return_begins_anew_where_its_episode_ends():
+    model, seen = build("sbx", gamma=0.5), []
+    model._discounted.update = lambda returns: seen.append(returns.tolist())
+    for dones in ([True, False, False, False], [False] * 4):
+        model._note_returns(np.ones(ENVIRONMENTS), np.array(dones))
+    assert seen == [[1.0] * 4, [1.0, 1.5, 1.5, 1.5]]
+
+
+def test_rewards_are_divided_by_the_deviation_of_returns():
+    """Where all values are zero and lambda too, an advantage is its own reward."""
+    model, rewards = build("sbx", gae_lambda=0.0), np.random.default_rng(0).normal(size=(3, 4))
+    model._discounted.var = np.array(4.0)
+    model._values = lambda observations: np.zeros(observations.shape[:-1], np.float32)
+    log = _Log(3, ENVIRONMENTS, model.observation_space, model.action_space)
+    for step, each in enumerate(rewards):
+        log.note(step, each, np.zeros(ENVIRONMENTS, bool), [{}] * ENVIRONMENTS)
+    advantages = model._rollout_of(log).advantages
+    np.testing.assert_allclose(advantages, rewards.ravel() / 2, rtol=1e-6)

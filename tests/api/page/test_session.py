@@ -26,3 +26,16 @@ def test_a_login_leads_to_an_address_as_long_as_one_may_be(client, ids):
     assert 1000 < len(address) < 16_384  # bytes of all headers
     entered = client.post("/login", data={"token": TOKEN, "next": address})
     assert (entered.status_code, entered.headers["Location"]) == (303, address)
+
+
+@pytest.mark.parametrize("address", ["https://evil.example", "//evil.example", "/\\evil.example"])
+def test_a_login_leads_to_no_other_site(client, address):
+    """Browsers take a backslash for a slash."""
+    entered = client.post("/login", data={"token": TOKEN, "next": address})
+    assert (entered.status_code, entered.headers["Location"]) == (303, "/")
+
+
+@pytest.mark.parametrize("scheme", ["http", "https"])
+def test_the_cookie_of_an_encrypted_login_is_never_sent_in_the_clear(client, scheme):
+    entered = client.post(f"{scheme}://testserver/login", data={"token": TOKEN})
+    assert ("Secure" in entered.headers["Set-Cookie"]) == (scheme == "https")

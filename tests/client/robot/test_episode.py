@@ -155,3 +155,20 @@ def test_a_sensor_that_fails_is_the_reason_also_where_the_environment_stops():
     episode = run(Aborting(0.0))
     assert episode.wrong.startswith("the robot showed [nan")
     assert not episode.is_cut
+
+
+class Counting(SlowArm):
+    """Counts its resets."""
+
+    resets = 0
+
+    def reset(self, **given):
+        self.resets += 1
+        return super().reset(**given)
+
+
+def test_an_episode_that_should_stop_at_once_is_not_even_reset():
+    stopped, played = Counting(0.0), Counting(0.0)
+    run(stopped, why_stop=lambda: "stop")
+    run(played)
+    assert (stopped.resets, played.resets) == (0, 1)

@@ -37,3 +37,7 @@ def test_a_step_has_the_time_that_is_left_of_the_episode():
     assert limits.allows(5.0)
     assert not limits.allows(5.1)
     assert limits.left(4.0) - limits.left(4.5) == pytest.approx(0.5)
+
+
+def test_a_long_episode_leaves_a_step_no_more_time_than_a_step_may_take():
+    assert Limits(seconds=1e4).left(0.0) == Limits().left(0.0)

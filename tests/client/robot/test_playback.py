@@ -221,3 +221,23 @@ def test_a_pose_that_is_none_is_refused(pose):
     arrays = read_arrays(plan(), ["time", "ctrl", "episode"])
     with pytest.raises(InvalidInput, match="qpos0"):
         read_plan(write_arrays({**arrays, "qpos0": np.array(pose)}), 2, PERIOD)
+
+
+class Elsewhere(SlowArm):
+    """Its joints stand elsewhere after every reset but the first."""
+
+    is_new = True
+
+    def reset(self, **given):
+        observation, info = super().reset(**given)
+        moved = observation + (0.0 if self.is_new else 1.0)
+        self.is_new = False
+        return moved, info
+
+
+def test_a_later_episode_that_begins_in_another_pose_is_not_played():
+    env, (shown, _) = Elsewhere(0.0), SlowArm(0.0).reset(seed=0)
+    commands = read_plan(plan(episodes=3), 2, PERIOD)[0]
+    played = play(env, TASK, Limits(), commands, never, shown[:2])
+    assert len(env.actions) == 29
+    assert played.shortened == ("it did not begin in the plan's pose",) * 2
