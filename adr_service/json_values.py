@@ -76,10 +76,10 @@ def explain(error: ValidationError, whole: str) -> str:
 
     `whole` names the place of an error that concerns no single field.
     """
-    return "; ".join(f"{_place(e) or whole}: {in_words(e)}" for e in error.errors())
+    return "; ".join(f"{_place(e) or whole}: {message_of(e)}" for e in error.errors())
 
 
-def in_words(error: ErrorDetails) -> str:
+def message_of(error: ErrorDetails) -> str:
     """The reason of an error; Pydantic shows patterns as they are."""
     pattern = error.get("ctx", {}).get("pattern", "")
     return _OF_PATTERNS.get(pattern, error["msg"].removeprefix("Value error, "))

@@ -8,11 +8,10 @@ from pathlib import Path
 
 @contextmanager
 def written_whole(path: Path, mode: int = 0o666) -> Generator[Path]:
-    """A new, empty file beside `path` to write to, which takes its place at the end.
+    """A new, empty file beside `path`, which takes the place of `path` when the block ends.
 
-    If anything fails, the process dies, or the power does, what was at `path` stays; after the
-    block, what is there now does. `mode` has the file's permissions, of which the process's umask
-    takes some. Raises OSError where nothing can be written.
+    If the block fails, or the process or the power dies, `path` stays as it was. `mode` is the
+    file's permissions, less the umask. Raises OSError if nothing can be written.
     """
     part = path.with_name(f"{path.name}.part")
     part.unlink(missing_ok=True)

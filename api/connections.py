@@ -27,7 +27,7 @@ _KEPT = 512  # descriptors for Ray, the database, logs and files
 _MOST = 1_000  # connections, however many descriptors there are
 _RAISED_TO = 65_536  # descriptors, where the system lets us have as many
 _SECONDS = {"head": 20.0, "body": 600.0}  # for the headers of a request, and for its body
-_LEAST = 60_000_000  # bytes of a body that earn it as much time again
+_ENOUGH_BYTES = 60_000_000  # of a body in that time, for which it gets as much again
 _STALLED_S = 60.0  # in which a client must read some of its answer
 _REFUSAL = (
     b"HTTP/1.1 %s\r\nContent-Length: 0\r\nRetry-After: 5\r\nConnection: close\r\n\r\n"  # no app yet
@@ -169,7 +169,7 @@ class _Bounded(H11Protocol):
             self.refuse(b"408 Request Timeout")
         elif self.cycle.response_started:  # so that nobody waits for the rest of the body
             self.transport.abort()
-        elif self._came >= _LEAST:
+        elif self._came >= _ENOUGH_BYTES:
             self._start_clock()
         else:
             self._refuse_body()
@@ -177,8 +177,8 @@ class _Bounded(H11Protocol):
     def _refuse_body(self) -> None:
         """Answer 408 with the reason in the place of the application, and close the connection."""
         detail = (
-            f"the body came too slowly: a body has {_SECONDS['body']:.0f} s, and as long again for "
-            f"each {_LEAST / 1e6:.0f} MB that come in that time"
+            f"the body came too slowly: it has {_SECONDS['body']:.0f} s, and as long again if "
+            f"{_ENOUGH_BYTES / 1e6:.0f} MB came in that time"
         )
         answer = problem(408, "request_timeout", detail)
         protect(answer.headers)

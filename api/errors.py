@@ -14,7 +14,7 @@ from starlette.requests import ClientDisconnect
 from starlette.routing import Match, Route
 
 from adr_service.errors import AdrError
-from adr_service.json_values import in_words
+from adr_service.json_values import message_of
 
 log = logging.getLogger(__name__)
 _STATUS = {
@@ -98,7 +98,7 @@ def _field_error(each: Any, error: RequestValidationError, request: Request) -> 
             "detail": "the body must be JSON, with the header 'Content-Type: application/json'",
             "given": "no Content-Type" if given is None else _shorten(f"Content-Type: {given}"),
         }
-    detail = in_words(each)
+    detail = message_of(each)
     if each["type"] == "union_tag_not_found":  # Pydantic's words are about tags and discriminators
         detail = f"there is no {each['ctx']['discriminator']} here, which says what this is"
     return {

@@ -17,6 +17,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from adr_service.client.http import check_token
 from adr_service.errors import InvalidInput
+from adr_service.json_values import message_of
 from api.logs import LogFormat
 
 _SHORTEST_TOKEN = 16
@@ -168,7 +169,7 @@ def _explained(error: ValidationError) -> str:
     """Name each invalid variable, the reason and the given value, unless that is a secret."""
     return "; ".join(
         ("" if (name := _field(e["loc"])) is None else f"ADR_{name.upper()}: ")
-        + e["msg"].removeprefix("Value error, ")
+        + message_of(e)
         + ("" if _is_secret(name) else f" (given: {e['input']})")
         for e in error.errors()
     )

@@ -66,17 +66,17 @@ def _unreadable(connection: sqlite3.Connection) -> Iterator[str]:
         for column in table.columns:
             if not isinstance(column.type, String) or column.name.encode() not in present:
                 continue  # older databases lack some
-            kind = "JSON object" if f"{table.name}.{column.name}" in _DOCUMENTS else "text"
+            kind = "a JSON object" if f"{table.name}.{column.name}" in _DOCUMENTS else "UTF-8 text"
             cells = connection.execute(f'select rowid, "{column.name}" from {table.name}')  # noqa: S608 - our own names
             for row, content in cells:
                 if content is not None and not _is_readable(content, kind):
-                    yield f"row {row} of {table.name} has a {column.name} that is no {kind}"
+                    yield f"row {row} of {table.name}: its {column.name} is not {kind}"
 
 
 def _is_readable(content: bytes, kind: str) -> bool:
     try:
         text = content.decode()
-        return kind == "text" or isinstance(json.loads(text), dict)
+        return kind == "UTF-8 text" or isinstance(json.loads(text), dict)
     except (ValueError, RecursionError):
         return False
 

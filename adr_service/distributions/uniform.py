@@ -58,8 +58,8 @@ class Uniform:
 def at_resolution(distribution: Distribution, resolution: float) -> Distribution:
     """A point on a grid, where every deviation is below the grid's width; else the distribution.
 
-    In [0, 4] coordinates. A box is its method's choice and stays, however narrow. The point lies in
-    the search box, as the draws of a Gaussian do; a point beyond that moves no further away.
+    In [0, 4] coordinates. A box stays, however narrow: its width is its method's choice. A
+    Gaussian's point lies in the search box, as its draws do; a point beyond moves no further away.
     """
     space = distribution.space
     is_box = isinstance(distribution, Uniform) and np.any(distribution.low < distribution.high)

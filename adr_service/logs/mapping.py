@@ -40,7 +40,7 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from adr_service.criticism.compatibility import commanded_actuators, joints_of
 from adr_service.errors import InvalidInput, UnknownName
-from adr_service.json_values import Wire
+from adr_service.json_values import Wire, message_of
 from adr_service.logs.base import Clock, TimeUnit
 
 PositionUnit = Literal["rad", "deg", "rev", "m", "cm", "mm"]
@@ -166,9 +166,7 @@ class LogMap(Wire):
         except ValidationError as error:
             first = error.errors()[0]
             place = ".".join(str(part) for part in first["loc"]) or "the map"
-            raise InvalidInput(
-                f"the map, {place}: {first['msg'].removeprefix('Value error, ')}"
-            ) from error
+            raise InvalidInput(f"the map, {place}: {message_of(first)}") from error
 
     def check(self, model: mujoco.MjModel) -> None:
         """Raises InvalidInput unless the map has all joints and actuators of a model, no more."""

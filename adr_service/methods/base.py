@@ -143,7 +143,7 @@ class MethodSettings(Wire):
     name: Any  # of the method: a `Literal` in each class, which could not narrow a `str`
 
     program: ClassVar[str]  # module with the function `run` for runs of the method
-    # returns, visits by its own policies, or recordings of others; or nothing: without iterations
+    # returns, visits by its own policies, recordings of others, or nothing (without iterations)
     learns_from: ClassVar[Data]
     grid: ClassVar["Grid | None"] = None  # setting that is tried with several values
     believes: ClassVar[bool] = False  # each answer is one distribution, an estimate

@@ -77,7 +77,7 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode; `options["dynamics"]` sets some or all parameters by name."""
-        given = self._given(options)
+        given = self._dynamics_in(options)
         super().reset(seed=seed)
         self._drop_camera()  # it draws one episode's model
         self._simulations.set_dynamics(self._drawn(given)[None])
@@ -86,7 +86,7 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         task, simulations = self._task, self._simulations
-        before, action = simulations.state, self._checked(action)
+        before, action = simulations.state, self._finite_action(action)
         simulations.step(action)
         after = simulations.state
         if simulations.diverged[0]:
@@ -119,7 +119,7 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             observation[:measured] += self._noise * self.np_random.standard_normal(measured)
         return observation
 
-    def _checked(self, action: Any) -> Vector:
+    def _finite_action(self, action: Any) -> Vector:
         """The action as finite numbers (a,); raises InvalidInput for anything else."""
         shape = self.action_space.shape
         try:
@@ -130,7 +130,7 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             raise InvalidInput(f"an action must be finite, of shape {shape}; given {action!r}")
         return numbers
 
-    def _given(self, options: Any) -> dict[str, float]:
+    def _dynamics_in(self, options: Any) -> dict[str, float]:
         """The parameters that reset options set, by name."""
         if not (options is None or isinstance(options, Mapping)):
             raise InvalidInput(f"reset options must be values by name; given {options!r}")
@@ -141,9 +141,9 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         given = options.get("dynamics", {})
         if not isinstance(given, Mapping):
             raise InvalidInput(f"dynamics must be values by name; given {given!r}")
-        return {name: self._value(name, value) for name, value in given.items()}
+        return {name: self._feasible_value(name, value) for name, value in given.items()}
 
-    def _value(self, name: Any, value: Any) -> float:
+    def _feasible_value(self, name: Any, value: Any) -> float:
         """The value of a parameter; raises InvalidInput where the parameter cannot have it."""
         if not isinstance(name, str):
             raise InvalidInput(f"dynamics must be values by name; given the name {name!r}")

@@ -151,7 +151,7 @@ def stride_of(path: Path, period_s: float, most_fps: float | None = None) -> int
 def save(pictures: Iterable[Picture], path: Path, period_s: float) -> int:
     """Write a film with `period_s` between pictures; returns the number of pictures.
 
-    If it is interrupted, there is no file.
+    If it is interrupted, what was at `path` before stays.
     """
     # beside it, under the same name, whose ending says the format
     with TemporaryDirectory(dir=path.parent, ignore_cleanup_errors=True) as folder:

@@ -115,8 +115,8 @@ def _criticise_here(
 
     if planned is not None:
         _check_apart(planned.file, out, criticism_files.FILES)
-    criticism_files.check_out(out)
     nominal, name = criticism_files.nominal_of(*given)
+    criticism_files.check_out(out)
     limits, allowed, start = {}, {}, {}
     if planned is not None:  # wrong ones are refused before the work
         check_writable(planned.file)

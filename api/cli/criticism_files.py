@@ -3,10 +3,9 @@
 import filecmp
 import os
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from itertools import combinations, product
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -116,14 +115,19 @@ def check_differ(recordings: Sequence[Path]) -> None:
 
     Of folders, the files are compared that hold rows.
     """
-    for ones, others in combinations(map(_files_of, recordings), 2):
-        for one, other in product(ones, others):
-            if one.resolve() == other.resolve():
-                raise InvalidInput(f"{one} and {other} are the same; give each recording once")
-            if _is_copy(one, other):
-                raise InvalidInput(
-                    f"{one} and {other} have the same content; give each recording once"
-                )
+    earlier: dict[int, list[Path]] = defaultdict(list)  # files of those before, by size
+    for recording in recordings:
+        files = [(file, file.stat().st_size) for file in _files_of(recording) if file.exists()]
+        for file, size in files:
+            for other in earlier[size]:
+                if other.samefile(file):
+                    told = f"{other} and {file} are the same"
+                    raise InvalidInput(f"{told}; give each recording once")
+                if _is_copy(other, file):
+                    told = f"{other} and {file} have the same content"
+                    raise InvalidInput(f"{told}; give each recording once")
+        for file, size in files:  # those of one folder may be alike
+            earlier[size].append(file)
 
 
 def _files_of(recording: Path) -> list[Path]:
@@ -134,7 +138,7 @@ def _files_of(recording: Path) -> list[Path]:
 
 def _is_copy(one: Path, other: Path) -> bool:
     try:
-        return one.stat().st_size == other.stat().st_size and filecmp.cmp(one, other, shallow=False)
+        return filecmp.cmp(one, other, shallow=False)
     except OSError:  # whoever reads it will say so
         return False
 

@@ -1,5 +1,6 @@
 """Files that commands read, and those that they write. None is overwritten."""
 
+import os
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,7 +36,7 @@ def naming(file: Path) -> Generator[None]:
 def check_absent(*paths: Path) -> None:
     """Raise InvalidInput for the first of these files and folders that is there already."""
     for path in paths:
-        if path.exists():
+        if os.path.lexists(path):  # a link that leads nowhere is there as well
             raise InvalidInput(f"{path} is there already; give another name, or delete it first")
 
 

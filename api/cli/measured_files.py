@@ -28,8 +28,9 @@ def measure_files(
     """Write the measurement, and a page about it beside it."""
     nominal, name = nominal_of(task, None, model, ())
     robot = nominal.model(nominal.start)
+    text = read_text(map)
     with naming(map):
-        columns = LogMap.from_toml(read_text(map))
+        columns = LogMap.from_toml(text)
     converted = convert(_read(logs), columns, robot)
     page = _page(converted, nominal, ", ".join(log.name for log in logs), name)
     out.parent.mkdir(parents=True, exist_ok=True)

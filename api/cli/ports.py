@@ -6,7 +6,7 @@ from adr_service.errors import InvalidInput
 
 
 def check_port(host: str, port: int) -> None:
-    """Raise InvalidInput if nobody can listen there, as where another service does."""
+    """Raise InvalidInput if this port cannot be listened on, as where another service does."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -14,9 +14,8 @@ def check_port(host: str, port: int) -> None:
             probe.bind((host, port))
         except OSError as error:
             raise InvalidInput(
-                f"cannot listen on {host} port {port} ({error.strerror}); choose another with "
-                "--port, and name it to the other commands with ADR_URL, or name it to all with "
-                "ADR_PORT"
+                f"cannot listen on {host} port {port} ({error.strerror}); choose another port with "
+                "--port, and name it to the other commands with ADR_URL"
             ) from error
 
 

@@ -87,8 +87,9 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
     from adr_service.tasks.catalogue import get_task
 
     known = get_task(task)
+    content = read(plan)
     with naming(plan):
-        commands, start = read_plan(read(plan), len(known.action_low), control_period(known))
+        commands, start = read_plan(content, len(known.action_low), control_period(known))
     check_commands(known, commands)
     check_writable(out)  # before anything moves
     with closing(load_environment(env)) as robot:

@@ -64,7 +64,7 @@ def submit(
     spec = _spec(file, given)
     if extension is not None:
         spec["extension"] = given["extension"] = read_effects(extension)
-    assign(spec, setting, fixed=given)
+    assign(spec, setting, fixed=[*given, *(["method.name"] if method is not None else [])])
     with connect(url) as client:
         _show(client, _send(client, spec, dry_run), "", dry_run, watch, as_json)
 

@@ -14,6 +14,8 @@ from api.cli.tables import candidates_table
 from api.cli.terminal import console
 from api.specs import assign, read_value
 
+_OPTIONS = {"seed": "--first-seed", "preset": "--preset", "method": "--on-prior"}
+
 app = SingleOptionApp()
 
 
@@ -39,14 +41,15 @@ def tune(
     as_json: AsJson = False,
 ) -> None:
     """Search the settings that train to the threshold soonest; needs no service."""
-    spec: dict[str, Any] = {"task": task, "method": "prior" if on_prior else "oracle"}
-    spec["preset"] = preset
-    assign(spec, setting, fixed=spec.keys())
+    spec: dict[str, Any] = {"task": task}
+    assign(spec, setting, fixed=["task"])
     grid = dict(_values(text) for text in over)
     if len(grid) < len(over):
         raise InvalidInput(f"--over has one setting twice: {' '.join(over)}")
-    if "seed" in spec:
-        raise InvalidInput("`adr tune` takes --first-seed, not --set seed")
+    for name, option in _OPTIONS.items():
+        if name in spec:
+            raise InvalidInput(f"`adr tune` takes {option}, not --set {name}")
+    spec |= {"method": "prior" if on_prior else "oracle", "preset": preset}
     from workers.cluster import RayOptions  # imports Ray
     from workers.tuning import candidates
     from workers.tuning import tune as tune_on_ray

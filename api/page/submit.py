@@ -10,6 +10,7 @@ from pydantic import BaseModel, Field, ValidationError
 
 from adr_service.benchmark.plan import Plan
 from adr_service.errors import InvalidInput
+from adr_service.json_values import message_of
 from adr_service.methods.catalogue import methods
 from adr_service.presets import PRESETS
 from adr_service.specs import BenchmarkSpec
@@ -112,15 +113,15 @@ def spec_of(given: Given) -> BenchmarkSpec:
     lists = given.model_dump(include={"tasks", "variants", "methods", "collectors"})
     spec: dict[str, Any] = {**lists, "seeds": numbers_in(given.seeds), "preset": given.preset}
     spec["references"] = given.references
-    assign(spec, [line.strip() for line in given.settings.splitlines() if line.strip()])
+    settings = [line.strip() for line in given.settings.splitlines() if line.strip()]
+    assign(spec, settings, fixed=list(spec))
     return BenchmarkSpec.model_validate(spec)
 
 
 def _explained(error: ValidationError) -> list[str]:
     """A sentence for each wrong field."""
     return [
-        f"{'.'.join(map(str, each['loc'])) or 'benchmark'}: "
-        f"{each['msg'].removeprefix('Value error, ')}"
+        f"{'.'.join(map(str, each['loc'])) or 'benchmark'}: {message_of(each)}"
         for each in error.errors()
     ]
 

@@ -55,17 +55,19 @@ def training_views(
         elif isinstance(event, StageFinished):
             finished.add(event.digest)
     results = stage_store.values_of(database, [digest for digest in curves if digest in finished])
-    return [
-        TrainingView(
+    views: list[TrainingView] = []
+    for digest, curve in curves.items():
+        result = results.get(digest, {})
+        view = TrainingView(
             digest=digest,
             is_finished=digest in finished,
-            adjusted_draws=results.get(digest, {}).get("adjusted_draws"),
-            diverged_episodes=results.get(digest, {}).get("diverged_episodes"),
+            adjusted_draws=result.get("adjusted_draws"),
+            diverged_episodes=result.get("diverged_episodes"),
             curve=sorted(curve, key=lambda point: point.steps),
             links={"policy": f"/v1/runs/{run_id}/trainings/{digest}/policy"},
         )
-        for digest, curve in curves.items()
-    ]
+        views.append(view)
+    return views
 
 
 @router.get("/{run_id}/trainings")
@@ -79,8 +81,8 @@ def trainings(run_id: str, service: ServiceDependency) -> list[TrainingView]:
 def policy_of_training(run_id: str, digest: str, service: ServiceDependency) -> Response:
     """Policy of a training; while it goes on, the best so far."""
     content = stage_store.policy_of_training(service.database, digest)
-    if content is None or digest not in {
-        training.digest for training in trainings(run_id, service)
-    }:
+    events = (each.event for each in event_store.events_of(service.database, run_id))
+    known = {event.digest for event in events if isinstance(event, TrainingEvaluated)}
+    if content is None or digest not in known:
         raise NotFound("policy of training", digest)
     return bytes_response(content, f"{digest[:12]}.safetensors")

@@ -144,7 +144,7 @@ def test_the_docs_commands_run_an_external_target_to_its_end(service, tmp_path):
         timeout=200,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert re.search(r"simopt +– +1 ", done.stdout)  # its row after one trajectory
+    assert re.search(r"simopt +1 ", done.stdout)  # its row after one trajectory
 
 
 def test_a_simulated_target_goes_through_the_same_tasks(service):

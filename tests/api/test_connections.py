@@ -152,7 +152,7 @@ def clocks(monkeypatch):
 
 def test_a_large_body_has_more_time_while_enough_of_it_comes(monkeypatch, clocks):
     monkeypatch.setitem(connections._SECONDS, "body", 1.0)
-    monkeypatch.setattr(connections, "_LEAST", 200_000)
+    monkeypatch.setattr(connections, "_ENOUGH_BYTES", 200_000)
     with served(5) as port, connected(port, HEAD % b"/body") as client:
         for part in range(4):
             client.sendall(b"x" * 250_000)
@@ -163,7 +163,7 @@ def test_a_large_body_has_more_time_while_enough_of_it_comes(monkeypatch, clocks
 
 def test_a_body_that_goes_on_after_its_answer_has_no_more_time(monkeypatch, clocks):
     monkeypatch.setitem(connections._SECONDS, "body", 0.5)
-    monkeypatch.setattr(connections, "_LEAST", 1)
+    monkeypatch.setattr(connections, "_ENOUGH_BYTES", 1)
     with served(5) as port, connected(port, HEAD % b"/quick") as client:
         client.sendall(b"x" * 1000)
         assert received(client).startswith(b"HTTP/1.1 405 ")

@@ -45,6 +45,8 @@ def test_a_field_that_is_given_twice_is_refused():
         assign({}, ["iterations=2", "iterations=3"])
     with pytest.raises(InvalidInput, match="task is given already, and 'task=arm' beside it"):
         assign({"task": "hopper"}, ["task=arm"], fixed=["task"])
+    with pytest.raises(InvalidInput, match="training is given already"):
+        assign({}, ["training.max_steps=10", 'training={"gamma":0.5}'])
     assign(spec := {"target": {"kind": "recorded"}}, ["target.episodes=1"], fixed=["target"])
     assert spec == {"target": {"kind": "recorded", "episodes": 1}}
 

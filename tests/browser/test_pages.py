@@ -98,7 +98,8 @@ def test_tables_sort_by_any_column_and_filter(opened, benchmark):
 
 def test_learning_curves_grow_while_a_policy_is_trained(opened, service):
     spec = {"task": "arm", "method": "prior", "preset": "demo", "seed": 91}
-    run = service.client.submit_run({**spec, "training": {"stop_at_threshold": False}})["id"]
+    long = {"stop_at_threshold": False, "max_steps": 2_000_000}  # it is cancelled before
+    run = service.client.submit_run({**spec, "training": long})["id"]
     page = opened(f"/runs/{run}")
     expect(page.locator("#curves canvas")).to_be_visible(timeout=60_000)
     expect(page.locator("#curves .u-legend")).to_contain_text("training 1")

@@ -41,9 +41,9 @@ def test_check_names_the_rows_that_cannot_be_read(database, tmp_path):
         hand.execute("update runs set task = cast(x'61ff' as text) where number = ?", [other])
         hand.execute("update events set body = '{' where rowid = 1")
     assert maintenance.check(tmp_path / "adr.sqlite") == [
-        f"row {other} of runs has a task that is no text",
-        f"row {one} of runs has a spec that is no JSON object",
-        "row 1 of events has a body that is no JSON object",
+        f"row {other} of runs: its task is not UTF-8 text",
+        f"row {one} of runs: its spec is not a JSON object",
+        "row 1 of events: its body is not a JSON object",
     ]
 
 

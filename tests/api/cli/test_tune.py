@@ -16,6 +16,7 @@ import pytest
         (("arm", "--over", "epochs=[1]", "--set", "training.epochs=5"), "given, and searched"),
         (("arm", "--over", "epochs=[1]", "--first-seed", str(2**31 - 1)), "seed: Input should be"),
         (("arm", "--over", "epochs=[1]", "--cpus", "0"), "Invalid value for '--cpus'"),
+        (("arm", "--over", "epochs=[1]", "--set", "preset=quick"), "takes --preset, not --set"),
         (("amr", "--over", "epochs=[1]"), "task: there is no task 'amr'"),
     ],
 )
