@@ -45,5 +45,5 @@ def test_a_port_in_use_is_refused_before_anything_starts(tmp_path):
         )
     assert done.returncode == 2
     assert f"cannot listen on 127.0.0.1 port {port}" in done.stderr
-    assert "choose another with --port" in done.stderr
+    assert "choose another port with --port" in done.stderr
     assert not (tmp_path / "other").exists()
