@@ -171,7 +171,7 @@ def test_a_body_that_goes_on_after_its_answer_has_no_more_time(monkeypatch, cloc
 
 
 def received(client):
-    """What comes before the connection ends, in whatever way."""
+    """All bytes that come until the connection ends."""
     got = b""
     with suppress(ConnectionResetError):
         while part := client.recv(100_000):

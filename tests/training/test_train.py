@@ -109,7 +109,7 @@ class TestTrain:
         np.testing.assert_allclose(policy.act(seen), np.clip(expected, -1, 1), atol=1e-5)
 
     def test_a_training_that_diverges_says_so(self, algorithm, backend):
-        """The library fails at the next action, of which its message speaks."""
+        """The library's own message speaks of the next action alone."""
         with pytest.raises(InvalidInput, match="training diverged: the actor"):
             trained(algorithm, backend, learning_rate=1e3, stop_at_threshold=False)
 

@@ -59,7 +59,7 @@ def test_an_extension_that_runs_a_method_without_its_extra_is_refused(service, m
 
 
 def test_an_extension_by_a_method_that_needs_no_extra_starts_its_runs(service, monkeypatch):
-    """Of a benchmark from elsewhere, where more is installed."""
+    """The benchmark comes from a service that has the extra."""
     spec = BenchmarkSpec.model_validate({**BENCHMARK.model_dump(), "methods": ["npdr"]})
     id = start_benchmark(service, spec, None).id
     service.orchestrator.started.clear()
