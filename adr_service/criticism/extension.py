@@ -101,8 +101,8 @@ def _written(nominal: Nominal, parameters: Vector, effects: Sequence[Effect]) ->
 
 
 def _possible(inertia: Vector) -> Vector:
-    """Moments of inertia (3,), of which none exceeds the sum of the others by rounding: in a flat
-    body the largest is that sum."""
+    """Moments of inertia (3,) without a rounding error by which one exceeds the others' sum, which
+    it equals in a flat body."""
     largest = int(np.argmax(inertia))
     others = float(np.delete(inertia, largest).sum())
     if others < inertia[largest] <= (1 + _ROUNDING) * others:

@@ -159,7 +159,7 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return number
 
     def _drawn(self, given: Mapping[str, float]) -> Vector:
-        """The parameters of an episode, of which some are given, (d,)."""
+        """The parameters of an episode (d,): drawn, but for those that are given."""
         values = self._truth
         if self._distribution is not None:
             values = self._distribution.sample(1, self.np_random).values[0]
