@@ -10,17 +10,18 @@ carries a load off the axis at its last link. It is integrated by another integr
 the step, follows smooth motions in closed loop, and torques that are not recorded act on it,
 correlated in time. With `--nulls` the model has all that the robot has, but for these torques.
 5,000 transitions each. As many processes at once as there are cores (set OMP_NUM_THREADS=1). Prints
-a line for each case: the causes named, the largest relative error of a friction or rotor inertia,
-that of the load's mass, CPU seconds.
+a line for each case: what was named, the largest relative error of a friction or rotor inertia,
+that of the load's mass, CPU seconds. Writes build/bench/arms.json (arms-nulls.json) after every
+case, and goes on from there where it was interrupted, while the method is the same.
 """
 
 import argparse
-import os
 import time
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -29,11 +30,14 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.criticism.extension import extend
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
-from adr_service.criticism.pipeline import Criticism, criticise
+from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.simulator import other_integrator
 from adr_service.effects.base import Effect
 from adr_service.parameters import ParameterSpace
+from benchmarks.ended_cases import all_cases, digest_of
 
+PATH = Path("build/bench/arms.json")
+METHOD = ("adr_service/criticism", "adr_service/effects", "adr_service/simulation")
 EPISODES, ROWS, PERIOD = 50, 101, 0.01  # [s] between rows
 _FINER = 4
 _POSITION_NOISE, _VELOCITY_NOISE = 1e-4, 2e-3  # [rad], [rad/s]
@@ -196,8 +200,8 @@ def _torque(
     return inertia @ (acceleration + _STIFF * (position - q) + _DAMPED * (velocity - v))
 
 
-def one(job: tuple[int, int, bool]) -> str:
-    """The line of one case."""
+def one(job: tuple[int, int, bool]) -> dict[str, Any]:
+    """One case: what was hidden, what was named of it, and what was named beside it."""
     axes, seed, is_null = job
     rng, links = np.random.default_rng([axes, seed]), links_of(axes)
     nominal = Nominal.of_model(model_of(links), ParameterSpace(()))
@@ -208,21 +212,82 @@ def one(job: tuple[int, int, bool]) -> str:
     started = time.process_time()
     criticism = criticise(nominal, data, rng, threads=1)
     seconds = time.process_time() - started
-    causes = [f"{c.kind} {c.location}" for c in criticism.verdict.causes]
-    named = ", ".join(causes) or criticism.verdict.conclusion.value
-    errors = "" if is_null else _errors(criticism, effects)
-    return f"{axes} axes, seed {seed}: {named}; {errors}{seconds:.0f} CPU s"
-
-
-def _errors(criticism: Criticism, effects: Sequence[Effect]) -> str:
-    """Largest relative errors of strengths; of what is not named, one."""
+    planted = {} if is_null else {(e.kind, e.location): e.values[0] for e in effects}
     named = {(e.kind, e.location): e.values[0] for e in criticism.final.effects}
-    errors: dict[str, float] = {}
-    for effect in effects:
-        if effect.kind != "gravity_compensation":
-            off = abs(named.get((effect.kind, effect.location), 0.0) / effect.values[0] - 1)
-            errors[effect.kind] = max(errors.get(effect.kind, 0.0), off)
-    return "".join(f"{kind} {off:.1%}, " for kind, off in errors.items())
+    verdict = criticism.verdict
+    return {
+        "axes": axes,
+        "seed": seed,
+        "is_null": is_null,
+        "conclusion": verdict.conclusion.value,
+        "rest": verdict.residual.rest,
+        "causes": [f"{c.kind} {c.location}" for c in verdict.causes],
+        "errors": {
+            f"{kind} {place}": abs(named[kind, place] / value - 1)
+            for (kind, place), value in planted.items()
+            if (kind, place) in named
+        },
+        "missed": sorted(f"{kind} {place}" for kind, place in planted.keys() - named.keys()),
+        "false": sorted(f"{kind} {place}" for kind, place in named.keys() - planted.keys()),
+        "cpu_seconds": seconds,
+    }
+
+
+def _job(case: dict[str, Any]) -> tuple[int, int, bool]:
+    return case["axes"], case["seed"], case["is_null"]
+
+
+def _line(case: dict[str, Any]) -> str:
+    named = ", ".join(case["causes"]) or case["conclusion"]
+    errors = "".join(f"{kind} {_worst(case, kind):.1%}, " for kind in _kinds(case))
+    missed = "".join(f"not {name}, " for name in case["missed"])
+    opening = f"{case['axes']} axes, seed {case['seed']}"
+    return f"{opening}: {named}; {errors}{missed}{case['cpu_seconds']:.0f} CPU s"
+
+
+def _kinds(case: dict[str, Any]) -> list[str]:
+    """Kinds of effects that were planted and named, without the compensation of gravity."""
+    return sorted({name.split()[0] for name in case["errors"]} - {"gravity_compensation"})
+
+
+def _worst(case: dict[str, Any], kind: str) -> float:
+    return max(off for name, off in case["errors"].items() if name.split()[0] == kind)
+
+
+def table(cases: Sequence[dict[str, Any]]) -> str:
+    """How many cases are right, line by line."""
+    lines = _of_nulls(cases) if cases[0]["is_null"] else _of_planted(cases)
+    seconds = np.percentile([case["cpu_seconds"] for case in cases], [0, 50, 100])
+    lines["CPU seconds (smallest, median, largest)"] = ", ".join(f"{s:.0f}" for s in seconds)
+    return "\n".join(f"{name}: {value}" for name, value in lines.items())
+
+
+def _of_planted(cases: Sequence[dict[str, Any]]) -> dict[str, str]:
+    joints = ("joint_coulomb_friction", "joint_viscous_friction", "joint_armature")
+    return {
+        "nothing false named": _count(not case["false"] for case in cases),
+        "nothing missed": _count(not case["missed"] for case in cases),
+        "frictions and rotors within 15 %": _count(_is_within(c, joints, 0.15) for c in cases),
+        "load within 10 %": _count(_is_within(case, ("body_load",), 0.1) for case in cases),
+    }
+
+
+def _is_within(case: dict[str, Any], kinds: Sequence[str], most: float) -> bool:
+    """True if all effects of these kinds are named, with errors of at most this."""
+    has_all = not any(name.split()[0] in kinds for name in case["missed"])
+    return has_all and all(_worst(case, kind) <= most for kind in kinds)
+
+
+def _of_nulls(cases: Sequence[dict[str, Any]]) -> dict[str, str]:
+    return {
+        "nothing named": _count(not case["causes"] for case in cases),
+        "nothing called unknown": _count(case["rest"] == "none" for case in cases),
+    }
+
+
+def _count(right: Iterable[bool]) -> str:
+    each = list(right)
+    return f"{sum(each)} of {len(each)}"
 
 
 def main() -> None:
@@ -233,9 +298,9 @@ def main() -> None:
     parser.add_argument("--nulls", action="store_true")
     given = parser.parse_args()
     jobs = [(axes, seed, given.nulls) for seed, axes in product(range(given.seeds), given.axes)]
-    with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        for line in pool.map(one, jobs):
-            print(line, flush=True)
+    path = PATH.with_stem("arms-nulls") if given.nulls else PATH
+    ended = all_cases(path, {"code": digest_of(*METHOD)}, jobs, one, _job, _line)
+    print(table(ended))
 
 
 if __name__ == "__main__":

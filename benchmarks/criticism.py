@@ -9,18 +9,15 @@ where it was interrupted, while the method is the same.
 """
 
 import json
-import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import adr_service
 from adr_service.blind_test.cases import Hidden, draw_blind
 from adr_service.blind_test.files import Answer
 from adr_service.blind_test.planting import Case
@@ -29,10 +26,9 @@ from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.pipeline import Criticism, criticise, split
 from adr_service.criticism.verdict import Gain
 from adr_service.errors import AdrError
-from adr_service.json_values import sha256
-from adr_service.whole_files import written_whole
+from benchmarks.ended_cases import all_cases, digest_of
 
-FOLDER = Path("build/bench")
+PATH = Path("build/bench/criticism.json")
 METHOD = ("criticism", "effects", "simulation", "blind_test")  # packages
 
 
@@ -96,35 +92,17 @@ def _gains(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
 def main(
     cases: str = "320", tasks: str = "arm,hopper,half_cheetah,walker2d", seed: str = "12"
 ) -> None:
-    path = FOLDER / "criticism.json"
     code = digest_of(*(f"adr_service/{name}" for name in METHOD))
     origin = {"tasks": tasks, "seed": int(seed), "code": code}
+    names = tasks.split(",")
+    jobs = [(number, names[number % len(names)], int(seed)) for number in range(int(cases))]
 
-    ended = [case for case in _resumed(path, origin) if case["number"] < int(cases)]
-    done, names = {case["number"] for case in ended}, tasks.split(",")
-    jobs = [
-        (number, names[number % len(names)], int(seed))
-        for number in range(int(cases))
-        if number not in done
-    ]
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        for case in pool.map(one, jobs):
-            ended.append(case)
-            with written_whole(path) as part:
-                part.write_text(json.dumps({**origin, "cases": ended}, indent=1))
-            print(_line(case), flush=True)
+    def job_of(case: dict[str, Any]) -> tuple[int, str, int]:
+        return case["number"], case["hidden"]["task"], int(seed)
+
+    ended = all_cases(PATH, origin, jobs, one, job_of, _line)
     print(table(ended))
     print(f"failed: {sum('failed' in case for case in ended)} of {len(ended)}")
-
-
-def _resumed(path: Path, origin: dict[str, Any]) -> list[dict[str, Any]]:
-    """The cases of an interrupted run; those of another method or seed are set aside."""
-    known = json.loads(path.read_text()) if path.exists() else {}
-    if known and {name: known.get(name) for name in origin} != origin:
-        path.rename(path.with_name(f"criticism-{known.get('seed')}-{known.get('code')}.json"))
-        return []
-    return known.get("cases", [])
 
 
 def _line(case: dict[str, Any]) -> str:
@@ -143,13 +121,6 @@ def _line(case: dict[str, Any]) -> str:
         f"{opening} {hidden['ratio']:4g} {'+'.join(planted) or hidden['outside'] or 'nothing':50s} "
         f"-> {named[0]} (+{tied}) {good} {answer['cpu_seconds']:.0f} s"
     )
-
-
-def digest_of(*folders: str) -> str:
-    """Digest of all sources in folders of this project."""
-    root = Path(adr_service.__file__).parent.parent
-    files = [file for folder in folders for file in (root / folder).rglob("*.py")]
-    return sha256(b"".join(file.read_bytes() for file in sorted(files)))[:12]
 
 
 if __name__ == "__main__":

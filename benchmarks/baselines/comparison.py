@@ -28,7 +28,7 @@ from adr_service.blind_test.files import (
 from adr_service.blind_test.scoring import marked, score
 from adr_service.errors import AdrError
 from benchmarks.baselines import classifier, nested_models, sparse_regression
-from benchmarks.criticism import digest_of
+from benchmarks.ended_cases import digest_of
 
 FOLDER = Path("build/bench/baselines")
 METHODS: dict[str, Method] = {

@@ -1,0 +1,58 @@
+"""Cases of a long benchmark, kept as they end: it goes on where it was interrupted."""
+
+import json
+import os
+from collections.abc import Callable, Hashable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any, TypeVar
+
+import adr_service
+from adr_service.json_values import sha256
+from adr_service.whole_files import written_whole
+
+Case = dict[str, Any]
+Job = TypeVar("Job", bound=Hashable)
+
+
+def all_cases(
+    path: Path,
+    origin: dict[str, Any],
+    jobs: Sequence[Job],
+    one: Callable[[Job], Case],
+    job_of: Callable[[Case], Job],
+    line: Callable[[Case], str],
+) -> list[Case]:
+    """The cases of all jobs.
+
+    Those that the file of JSON at the path has are not computed again. The others are, as many at
+    once as there are cores, and each is written there as it ends, and its line printed. A file of
+    another origin (method, seed, …) is set aside.
+    """
+    ended = _resumed(path, origin)
+    done = {job_of(case) for case in ended}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        for case in pool.map(one, [job for job in jobs if job not in done]):
+            ended.append(case)
+            with written_whole(path) as part:
+                part.write_text(json.dumps({**origin, "cases": ended}, indent=1))
+            print(line(case), flush=True)
+    wanted = set(jobs)
+    return [case for case in ended if job_of(case) in wanted]
+
+
+def _resumed(path: Path, origin: dict[str, Any]) -> list[Case]:
+    known = json.loads(path.read_text()) if path.exists() else {}
+    if known and {name: known.get(name) for name in origin} != origin:
+        other = sha256(path.read_bytes())[:12]
+        path.rename(path.with_name(f"{path.stem}-{other}.json"))
+        return []
+    return known.get("cases", [])
+
+
+def digest_of(*folders: str) -> str:
+    """Digest of all sources in folders of this project."""
+    root = Path(adr_service.__file__).parent.parent
+    files = [file for folder in folders for file in (root / folder).rglob("*.py")]
+    return sha256(b"".join(file.read_bytes() for file in sorted(files)))[:12]

@@ -1,0 +1,37 @@
+"""A long benchmark goes on where it was interrupted."""
+
+import json
+
+from benchmarks.ended_cases import all_cases
+
+
+def squared(job):
+    return {"number": job, "square": job**2}
+
+
+def run(path, jobs, one=squared, **origin):
+    return all_cases(path, origin, jobs, one, lambda case: case["number"], str)
+
+
+def never(job):
+    raise AssertionError(f"{job} was computed again")
+
+
+def test_cases_that_ended_are_not_computed_again(tmp_path, capsys):
+    path = tmp_path / "new" / "squares.json"
+    assert run(path, [2, 3], seed=1) == [squared(2), squared(3)]
+    assert json.loads(path.read_text()) == {"seed": 1, "cases": [squared(2), squared(3)]}
+    assert run(path, [3], never, seed=1) == [squared(3)]
+    capsys.readouterr()
+    assert run(path, [2, 3, 4], seed=1) == [squared(2), squared(3), squared(4)]
+    assert capsys.readouterr().out == f"{squared(4)}\n"
+
+
+def test_cases_of_another_origin_are_set_aside(tmp_path):
+    path = tmp_path / "squares.json"
+    run(path, [2], seed=1)
+    before = path.read_bytes()
+    assert run(path, [3], seed=2) == [squared(3)]
+    (aside,) = set(tmp_path.iterdir()) - {path}
+    assert aside.read_bytes() == before
+    assert json.loads(path.read_text())["seed"] == 2
