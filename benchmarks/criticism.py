@@ -21,7 +21,7 @@ import numpy as np
 from adr_service.blind_test.cases import Hidden, draw_blind
 from adr_service.blind_test.files import Answer
 from adr_service.blind_test.planting import Case
-from adr_service.blind_test.scoring import Marked, is_named, score
+from adr_service.blind_test.scoring import Marked, is_named, score, share
 from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.pipeline import Criticism, criticise, split
 from adr_service.criticism.verdict import Gain
@@ -73,9 +73,33 @@ def _marked(case: dict[str, Any]) -> Marked:
 
 
 def table(cases: Sequence[dict[str, Any]]) -> str:
-    """The score of all cases, and the gain of the right ones."""
+    """The score of all cases, that by each record's own limit, cost by task, and gains."""
     lines = [f"{name}: {value}" for name, value in score([_marked(c) for c in cases]).items()]
-    return "\n".join([*lines, *_gains(cases)])
+    return "\n".join([*lines, *_by_limit(cases), *_costs(cases), *_gains(cases)])
+
+
+def _by_limit(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """Whether effects are named that their own record can show, or cannot."""
+    above, below = [], []
+    for case in cases:
+        hidden = case["hidden"]
+        if "failed" in case or hidden["kind"] != "one" or hidden["ratio"] < 0.1:
+            continue
+        (limit,), strength = case["detectable"], hidden["effects"][0]["values"][0]
+        if limit is not None:
+            (above if abs(strength) >= limit["value"] else below).append(_marked(case))
+    for where, chosen in (("above", above), ("below", below)):
+        yield (
+            f"one effect, ratio 0.1 or above, {where} its record's own limit: "
+            f"{share(chosen, is_named)}"
+        )
+
+
+def _costs(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
+    answered = [case for case in cases if "answer" in case]
+    for task in sorted({case["hidden"]["task"] for case in answered}):
+        seconds = [c["answer"]["cpu_seconds"] for c in answered if c["hidden"]["task"] == task]
+        yield f"CPU seconds on {task}, median: {np.median(seconds):.0f}"
 
 
 def _gains(cases: Sequence[dict[str, Any]]) -> Iterator[str]:

@@ -21,6 +21,7 @@ from adr_service.criticism.verdict import Conclusion
 from adr_service.effects.catalogue import get_mechanism
 
 _MOST_TIED = 3
+_STRONG = tuple(ratio for ratio in RATIOS if ratio >= 0.3)
 _ALL = 10**6
 Right = Callable[["Marked"], bool]
 
@@ -58,6 +59,15 @@ def are_all_named(case: Marked) -> bool:
     )
 
 
+def has_no_false_second(case: Marked) -> bool:
+    """False if one cause, or one tied with it, is hidden there, and another has nothing that is."""
+    if case.answer is None:
+        return False
+    hidden = _hidden(case)
+    right = [bool(hidden & set(group)) for group in case.answer.groups()]
+    return all(right) or not any(right)
+
+
 def is_silent(case: Marked) -> bool:
     """True if the answer is that nothing is missing."""
     return case.answer is not None and case.answer.verdict == Conclusion.NONE
@@ -85,24 +95,29 @@ def _hidden(case: Marked) -> set[tuple[str, str]]:
 def score(cases: Sequence[Marked]) -> dict[str, str]:
     """Shares with 95 % intervals (Clopper and Pearson), errors of strengths, and cost, by name."""
 
-    def of(kind: str, ratio: float | None = None) -> list[Marked]:
+    def of(kind: str, *ratios: float) -> list[Marked]:
         chosen = [case for case in cases if case.hidden.kind == kind]
-        return [case for case in chosen if ratio is None or case.hidden.ratio == ratio]
+        return [case for case in chosen if not ratios or case.hidden.ratio in ratios]
 
     known = [case for case in cases if case.hidden.kind != "outside"]
     lines: dict[str, str] = {}
     for ratio in RATIOS:
         lines[f"one effect, ratio {ratio:g}: named"] = share(of("one", ratio), is_named)
+    strong = f"ratio {_STRONG[0]:g} or above"
+    lines[f"one effect, {strong}: named"] = share(of("one", *_STRONG), is_named)
     lines["one effect, all ratios: named"] = share(of("one"), is_named)
     lines["one effect: named, in a tie of any size"] = share(
         of("one"), lambda case: is_named(case, _ALL)
     )
+    lines["one effect: none false beside a right one"] = share(of("one"), has_no_false_second)
+    lines[f"two effects, {strong}: both named"] = share(of("two", *_STRONG), are_all_named)
     lines["two effects: both named"] = share(of("two"), are_all_named)
     lines["two effects: all that was named is true"] = share(of("two"), is_named)
     lines["nothing hidden: none"] = share(of("none"), is_silent)
     for ratio in RATIOS:
         name = f"outside the catalogue, ratio {ratio:g}: unknown"
         lines[name] = share(of("outside", ratio), is_unknown)
+    lines[f"outside the catalogue, {strong}: unknown"] = share(of("outside", *_STRONG), is_unknown)
     lines["outside the catalogue, all ratios: unknown"] = share(of("outside"), is_unknown)
     lines["outside the catalogue: no effect named"] = share(of("outside"), names_nothing)
     lines["in the catalogue, or nothing: not unknown"] = share(known, has_no_unknown)

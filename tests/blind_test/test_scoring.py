@@ -7,6 +7,7 @@ from adr_service.blind_test.scoring import (
     Marked,
     are_all_named,
     errors_of,
+    has_no_false_second,
     is_named,
     is_silent,
     is_unknown,
@@ -44,6 +45,16 @@ def test_an_effect_is_named_by_its_kind_and_its_place():
 
 def test_a_false_name_beside_the_right_one_is_wrong():
     assert not is_named(Marked(hidden(), answer(named(BIAS), named(SPRING))))
+
+
+def test_a_false_second_is_one_beside_a_right_one():
+    beside = answer(named(BIAS), named(SPRING))
+    assert not has_no_false_second(Marked(hidden(), beside))
+    assert has_no_false_second(Marked(TWO, beside))
+    tied = answer(named(BIAS), tied=[[named(SPRING)]])
+    assert has_no_false_second(Marked(hidden(), tied))
+    assert has_no_false_second(Marked(hidden(), answer(named(SPRING))))
+    assert has_no_false_second(Marked(hidden(), answer(verdict="none")))
 
 
 def test_a_tie_of_three_names_its_effects_and_a_larger_one_only_if_asked():
@@ -94,7 +105,7 @@ def test_a_case_without_an_answer_is_wrong_in_every_line():
     lines = score([Marked(case, None) for case in cases])
     assert lines.pop("answered") == "0 of 4"
     shares = [text for text in lines.values() if "%" in text]
-    assert len(shares) == 10
+    assert len(shares) == 14
     assert all(text.startswith("0 of ") for text in shares)
 
 
@@ -111,6 +122,8 @@ def test_answers_are_scored_by_kind_and_ratio():
     assert lines["one effect, ratio 0.3: named"].startswith("2 of 2 = 100 %")
     assert lines["one effect, ratio 1: named"].startswith("1 of 2 = 50 %")
     assert lines["one effect, ratio 0.03: named"] == "no cases"
+    assert lines["one effect, ratio 0.3 or above: named"].startswith("3 of 4 = 75 %")
+    assert lines["outside the catalogue, ratio 0.3 or above: unknown"] == "no cases"
     assert lines["nothing hidden: none"].startswith("1 of 1")
     assert lines["outside the catalogue, ratio 0.1: unknown"].startswith("1 of 1")
     assert lines["in the catalogue, or nothing: not unknown"].startswith("5 of 5")
