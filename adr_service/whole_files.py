@@ -1,5 +1,6 @@
 """Files that are written as a whole or not at all."""
 
+import errno
 import os
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -20,13 +21,22 @@ def written_whole(path: Path, mode: int = 0o666) -> Generator[Path]:
         yield part
         _sync(part)
         part.replace(path)
-        _sync(path.parent)
+        _sync_names(path.parent)
     finally:
         part.unlink(missing_ok=True)
 
 
+def _sync_names(folder: Path) -> None:
+    """Wait for the names in a folder, if its file system can, and its user may read it."""
+    try:
+        _sync(folder)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EACCES):
+            raise
+
+
 def _sync(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk."""
+    """Wait until a file's bytes, or a folder's names, are on the disk."""
     opened = os.open(path, os.O_RDONLY)
     try:
         os.fsync(opened)
