@@ -3,6 +3,7 @@
 import json
 import re
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from adr_service.methods.catalogue import methods
 from adr_service.simulation.batch import control_period
 from adr_service.specs import BenchmarkSpec
 from adr_service.tasks.catalogue import BUILT_IN
+from adr_service.tasks.check import check_task
 from adr_service.training.policy import Policy
 
 ROOT = Path(__file__).parent.parent
@@ -118,6 +120,18 @@ def test_the_blind_test_of_the_docs_is_made_answered_and_scored(tmp_path, monkey
     assert status == 0
     for words in ("ours", "mine", "nothing hidden: none", "1 of 1"):
         assert words in shown
+
+
+def test_the_docs_narrow_the_actions_of_a_task_and_nothing_else():
+    page = (ROOT / "docs/own-task.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    namespace: dict = {}
+    exec(code, namespace)  # noqa: S102 - our own page
+    entry, arm = namespace["ENTRY"], BUILT_IN["arm"]
+    check_task(entry)
+    assert entry.task.action_high.tolist() == (-entry.task.action_low).tolist() == [0.5, 0.5]
+    names = ("action_low", "action_high")
+    assert replace(entry.task, name="arm", **{n: getattr(arm.task, n) for n in names}) == arm.task
 
 
 def test_the_map_of_the_docs_has_every_setting():
