@@ -61,13 +61,16 @@ class Gaussian:
     def log_prob(self, values: Matrix) -> Vector:
         """Log density of the unclipped Gaussian, per SI unit.
 
-        A singular one has SciPy's: a density on the plane of its draws, and none elsewhere.
+        A singular one has SciPy's: a density on the plane of its draws, and none elsewhere. A point
+        has an infinite one at itself.
         """
         from scipy import linalg
 
         x = self.space.normalise(values)
         variances, axes = linalg.eigh(self.covariance)
-        if variances[0] > len(variances) * np.finfo(np.float64).eps * variances[-1]:
+        if not variances.any():
+            density = np.where(np.all(x == self.location, axis=1), np.inf, -np.inf)
+        elif variances[0] > len(variances) * np.finfo(np.float64).eps * variances[-1]:
             white = (x - self.location) @ (axes * np.sqrt(1 / variances))
             log_det = np.sum(np.log(variances))
             squares = np.sum(white**2, axis=1)

@@ -64,7 +64,7 @@ class _Settings(OfflineSettings):
     )
     initial_std: float = Field(
         1.0,
-        gt=0,
+        ge=1e-6,
         le=ParameterSpace.WIDTH / 3,
         description="of the search, in [0, 4] coordinates; CMA-ES allows a third of the box",
     )

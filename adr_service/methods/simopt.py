@@ -24,6 +24,7 @@ Where we differ, and why:
   much each time.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any, ClassVar, Literal, Self
 
@@ -74,7 +75,7 @@ class _Settings(OnlineSettings):
     covariance_damping: float = Field(
         0.0,
         ge=0,
-        description="0: the covariance is that of the weighted samples; above 0 (guided policy "
+        description="0: the covariance is that of the weighted samples; from 1 on (guided policy "
         "search: 2), it keeps its shape and changes by the damped scale alone",
     )
     min_temperature: float = Field(
@@ -92,6 +93,21 @@ class _Settings(OnlineSettings):
     def _has_a_discrepancy(self) -> Self:
         if self.l1_weight == 0 and self.l2_weight == 0:
             raise ValueError("l1_weight and l2_weight are both 0: all simulations would be alike")
+        return self
+
+    @model_validator(mode="after")
+    def _has_a_trust_region(self) -> Self:
+        most = math.log(self.samples)
+        if self.kl_threshold >= most:
+            raise ValueError(
+                f"kl_threshold of {self.kl_threshold:g} nat bounds nothing: the weights of "
+                f"{self.samples} samples diverge by their logarithm at most, {most:.3g} nat"
+            )
+        if 0 < self.covariance_damping < 1:
+            raise ValueError(
+                f"covariance_damping of {self.covariance_damping:g} would exaggerate each change "
+                "of the scale; give 0, or at least 1"
+            )
         return self
 
     def create(self) -> "SimOpt":

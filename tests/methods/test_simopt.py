@@ -97,6 +97,18 @@ class TestReps:
         assert strong == pytest.approx(weak**0.25)
         assert weak < strong < 1
 
+    @pytest.mark.parametrize(
+        ("wrong", "told"),
+        [
+            ({"kl_threshold": 7.0}, "1000 samples diverge by their logarithm at most, 6.91 nat"),
+            ({"kl_threshold": 2.4, "samples": 10}, "kl_threshold of 2.4 nat bounds nothing"),
+            ({"covariance_damping": 0.5}, "give 0, or at least 1"),
+        ],
+    )
+    def test_updates_without_a_trust_region_are_refused(self, wrong, told):
+        with pytest.raises(ValidationError, match=told):
+            SimOptSettings(**wrong)
+
     def test_one_sample_with_all_the_weight_leaves_a_covariance(self):
         samples = np.random.default_rng(0).normal(size=(10, 3))
         costs = np.array([0.0] + [1e9] * 9)

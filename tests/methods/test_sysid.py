@@ -84,6 +84,29 @@ def test_laplaces_deviations_are_those_of_the_residuals_where_data_tell():
     assert np.all((ratio > 0.5) & (ratio < 2))
 
 
+def test_laplaces_gaussian_is_as_wide_as_its_mean_errs():
+    """Squared errors of the mean, in the Gaussian's own deviations: 1 on average. At the point of
+    least squares they were 23."""
+    squares = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        truth = SPACE.denormalise(rng.normal(2, 1, len(SPACE)).clip(0.3, 3.7))
+        clean = recorded(waving_policy(), dynamics=truth, steps=120, seed=seed)
+        noise = 0.01 * rng.standard_normal((len(clean), 4))
+        data = replace(clean, next_observations=clean.next_observations + noise)
+        found = fitted(SysidLaplaceSettings(starts=1), data).distribution
+        errors = found.location - SPACE.normalise(truth)
+        squares.append(errors @ np.linalg.solve(found.covariance, errors) / len(SPACE))
+    assert 0.3 < np.mean(squares) < 2
+
+
+def test_laplaces_mean_is_the_priors_where_data_say_nothing():
+    rng = np.random.default_rng(0)
+    end = OptimizeResult(x=np.full(4, 3.0), jac=np.zeros((30, 4)), fun=rng.standard_normal(30))
+    mean = SysidLaplaceSettings().distribution(SPACE, end, 3).mean
+    np.testing.assert_allclose(SPACE.normalise(mean), 2.0)
+
+
 def test_laplaces_deviations_are_the_priors_where_data_say_nothing():
     rng = np.random.default_rng(0)
     end = OptimizeResult(x=np.full(4, 2.0), jac=np.zeros((30, 4)), fun=rng.standard_normal(30))
