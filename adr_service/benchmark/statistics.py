@@ -15,8 +15,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import rankdata, trim_mean
 from scipy.stats import t as student
-from scipy.stats import trim_mean
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.errors import InvalidInput
@@ -107,9 +107,11 @@ def improvement(
     """The probability that a policy of `one` earns more than one of `other`, ties counted half."""
 
     def wins(a: Matrix, b: Matrix) -> Vector:
-        # Agarwal et al., Sec. 4.3: P(X > Y) = mean of S(x, y), S = 1, 1/2, 0 for x >, =, < y
-        difference = np.sign(a[..., :, None] - b[..., None, :])
-        return (difference.mean(axis=(-2, -1)) + 1) / 2
+        # Agarwal et al., Sec. 4.3: P(X > Y) = mean of S(x, y), S = 1, 1/2, 0 for x >, =, < y, which
+        # is Mann and Whitney's U over the number of pairs; U follows from ranks without the pairs
+        n, m = a.shape[-1], b.shape[-1]
+        ranks = rankdata(np.concatenate([a, b], axis=-1), axis=-1)[..., :n]
+        return (ranks.sum(axis=-1) - n * (n + 1) / 2) / (n * m)
 
     means = [_policy_means(seeds) for seeds in (one, other)]
     resampled = [_resampled(seeds, rng).reshape(_RESAMPLES, -1) for seeds in (one, other)]
