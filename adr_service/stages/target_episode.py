@@ -11,7 +11,7 @@ from adr_service.events import MOST_RETURN, RunEvent
 from adr_service.npz import read_arrays
 from adr_service.progress import Progress
 from adr_service.simulation.batch import control_period
-from adr_service.simulation.replay import check_recorded
+from adr_service.simulation.replay import check_replayable
 from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage
 from adr_service.stages.stand_ins import trajectory
 from adr_service.tasks.catalogue import get_task
@@ -62,13 +62,14 @@ def read_episode(task_name: str, transitions: int, content: bytes) -> RobotEpiso
     """The result that a robot uploaded for an episode of at most `transitions`.
 
     `content` is the `.npz` of a TransitionDataset with `rewards` (N,). Raises InvalidInput where
-    it is not of the task, is not one episode, or is longer than was asked for.
+    it is not of the task, is not one episode of rows that follow one another, or is longer than was
+    asked for.
     """
     longest = max(transitions, MOST_COLUMNS)  # a name for each column takes rows too
     fields = read_arrays(content, (*TransitionDataset.ARRAYS, "rewards"), longest)
     rewards = fields.pop("rewards", None)
     data = TransitionDataset.from_arrays(fields)
-    check_recorded(get_task(task_name), data)
+    check_replayable(get_task(task_name), data, None)
     if data.episode_count != 1:
         raise InvalidInput(f"a task is one episode; the data have {data.episode_count}")
     if len(data) > transitions:

@@ -14,6 +14,7 @@ from pydantic import BaseModel, Field
 
 from adr_service.errors import UnknownName
 from adr_service.json_values import Line, Paragraphs, Wire
+from adr_service.specs.names import TaskName
 from adr_service.tasks import catalogue
 from api.routes.downloads import bytes_response
 from api.routes.paging import Page, PageSize, PageToken, page_of
@@ -70,7 +71,7 @@ class Claim(Wire):
     """A request for work: the name of the client, and the tasks of its robots."""
 
     worker: _Name
-    tasks: list[_Name] = Field(min_length=1, max_length=100)
+    tasks: list[TaskName] = Field(min_length=1, max_length=100)
     wait_s: float = Field(
         0.0, ge=0, le=20, description="seconds to wait for a task if none is free"
     )

@@ -4,6 +4,9 @@ import asyncio
 from dataclasses import replace
 from types import SimpleNamespace
 
+import pytest
+from pydantic import ValidationError
+
 from api.routes.target_tasks import Claim, task_view
 from api.routes.target_tasks import claim as claim_route
 from db import runs, visits
@@ -30,6 +33,12 @@ def test_a_visit_of_a_task_that_is_not_installed_any_more_is_shown(database):
     assert task_view(replace(visit, task="gone")).transitions == visit.inputs["transitions"]
     unknown = replace(visit, task="gone", inputs={"seed": 0})
     assert task_view(unknown).transitions is None
+
+
+def test_a_claim_of_an_unknown_task_is_refused_with_the_nearest_name():
+    """It had waited for ever."""
+    with pytest.raises(ValidationError, match=r"tasks\.1\n.*'hoper'; did you mean 'hopper'"):
+        Claim(worker="mine", tasks=["arm", "hoper"])
 
 
 def coroutine(*answers):

@@ -83,6 +83,14 @@ def test_two_episodes_are_refused(data):
         read_episode("arm", 10, two)
 
 
+def test_rows_that_do_not_follow_one_another_are_refused(data):
+    order = np.random.default_rng(0).permutation(10)
+    rows = ("observations", "actions", "next_observations")
+    shuffled = {name: getattr(data, name)[order] for name in rows}
+    with pytest.raises(InvalidInput, match="need the rows of an episode to follow one another"):
+        read_episode("arm", 10, upload(data, **shuffled))
+
+
 def test_an_episode_of_another_task_is_refused(data):
     message = r"the data have 4 observations and 2 actions; hopper measures \d+ and takes 3"
     with pytest.raises(InvalidInput, match=message):
