@@ -32,6 +32,14 @@ class BlindArm(SlowArm):
         return observation * (np.nan if len(self.actions) > 10 else 1.0), *rest
 
 
+class NarrowArm(SlowArm):
+    """Shows one number fewer than it declares."""
+
+    def reset(self, **given):
+        observation, info = super().reset(**given)
+        return observation[:-1], info
+
+
 class StuckArm(SlowArm):
     """Its driver hangs, in the sixth step or at once."""
 
@@ -96,6 +104,10 @@ def stuck_arm():
 
 def stuck_reset():
     return StuckArm("reset")
+
+
+def narrow_arm():
+    return NarrowArm(0.0)
 
 
 def blind_arm():

@@ -1,5 +1,6 @@
 """A connection to a running service, request by request."""
 
+import json
 import os
 import time
 from collections.abc import Generator, Iterator, Sequence
@@ -30,6 +31,10 @@ class AdrClient:
         headers = {"Authorization": f"Bearer {token}"} if token else {}
         self.url = url.rstrip("/")
         check_token("ADR_TOKEN", token)
+        if not self.url.lower().startswith(("http://", "https://")):
+            raise InvalidInput(
+                f"an address begins with http:// or https://, as {DEFAULT_URL}; given {url!r}"
+            )
         try:
             self._http = httpx2.Client(base_url=self.url, headers=headers, timeout=timeout_s)
         except httpx2.InvalidURL as error:
@@ -43,15 +48,15 @@ class AdrClient:
 
     def submit_run(self, spec: Json, *, dry_run: bool = False) -> Json:
         """Submit a run; `dry_run` starts nothing, and its answer has the expected cost, `plan`."""
-        return self._json("POST", "/v1/runs", json=spec, params=_dry(dry_run))
+        return self._json("POST", "/v1/runs", json=_plain(spec), params=_dry(dry_run))
 
     def submit_benchmark(self, spec: Json, *, dry_run: bool = False) -> Json:
         """Submit a benchmark; `dry_run` as in `submit_run`."""
-        return self._json("POST", "/v1/benchmarks", json=spec, params=_dry(dry_run))
+        return self._json("POST", "/v1/benchmarks", json=_plain(spec), params=_dry(dry_run))
 
     def submit_criticism(self, spec: Json) -> Json:
         """Criticise a task's simulator with an uploaded measurement."""
-        return self._json("POST", "/v1/criticisms", json=spec)
+        return self._json("POST", "/v1/criticisms", json=_plain(spec))
 
     def criticism(self, run_id: str) -> Json:
         """State of a criticism, and its verdict once there is one."""
@@ -66,7 +71,7 @@ class AdrClient:
     ) -> Json:
         """Add seeds, methods, … to a benchmark."""
         path = f"{_path(benchmark_id)}/extend"
-        return self._json("POST", path, json=extension, params=_dry(dry_run))
+        return self._json("POST", path, json=_plain(extension), params=_dry(dry_run))
 
     def upload(self, content: bytes, task: str | None = None, name: str | None = None) -> Json:
         """Store a recording; with `task`, also check that it is of that task.
@@ -195,6 +200,8 @@ class AdrClient:
 
     def claim_task(self, worker: str, tasks: Sequence[str], wait_s: float = 20.0) -> Json | None:
         """An episode for a robot, and its lease; None if there is none within `wait_s`."""
+        if isinstance(tasks, str):  # a sequence of letters
+            raise InvalidInput(f"tasks is a list, as [{tasks!r}]; given {tasks!r}")
         given = {"worker": worker, "tasks": list(tasks), "wait_s": wait_s}
         response = self._request("POST", "/v1/target_tasks/claim", json=given)
         return None if response.status_code == 204 else self._parsed(response)
@@ -361,8 +368,29 @@ def check_benchmark(id: str, what: str) -> None:
 
 
 def _path(id: str) -> str:
+    if not id:
+        raise InvalidInput("give the id of a run, a benchmark or a recording; given ''")
     collections = {"bench": "benchmarks", "data": "datasets"}
     return f"/v1/{collections.get(id.partition('_')[0], 'runs')}/{id}"
+
+
+def _plain(spec: Json) -> Json:
+    """The spec with numbers and lists in the place of NumPy's values and of ranges.
+
+    Raises InvalidInput for other values that JSON does not have.
+    """
+    try:
+        return json.loads(json.dumps(spec, default=_number_or_list, allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(f"the spec cannot be sent as JSON: {error}") from error
+
+
+def _number_or_list(value: Any) -> Any:
+    if isinstance(value, range):
+        return list(value)
+    if hasattr(value, "tolist"):  # of NumPy, which takes a moment to import
+        return value.tolist()
+    raise TypeError(f"{value!r} is no number, text, list or object")
 
 
 def _dry(dry_run: bool) -> dict[str, str]:

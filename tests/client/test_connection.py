@@ -5,6 +5,7 @@ import threading
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
+import numpy as np
 import pytest
 
 from adr_service.client import connection
@@ -112,6 +113,9 @@ def test_an_error_of_another_server_is_shown_as_it_is(body):
     ("given", "message"),
     [
         ({"url": "http://127.0.0.1:abc"}, "'http://127.0.0.1:abc' is no address of a service"),
+        ({"url": "localhost:8761"}, "begins with http:// or https://, .*given 'localhost:8761'"),
+        ({"url": "127.0.0.1:8761"}, "begins with http:// or https://, .*given '127.0.0.1:8761'"),
+        ({"url": "ftp://here"}, "begins with http:// or https://, .*given 'ftp://here'"),
         ({"token": "geheim-ü"}, "ADR_TOKEN has characters that no token has"),
         ({"token": "from-a-file\n"}, "ADR_TOKEN has characters that no token has"),
     ],
@@ -148,3 +152,58 @@ def test_what_is_of_a_benchmark_refuses_the_id_of_a_run():
     check_benchmark("bench_1", "claims are")
     with pytest.raises(InvalidInput, match="claims are of a benchmark; given run_1"):
         check_benchmark("run_1", "claims are")
+
+
+@pytest.mark.parametrize("ask", ["get", "cancel", "results", "policy"])
+def test_an_empty_id_is_refused(ask):
+    with AdrClient() as client, pytest.raises(InvalidInput, match=r"the id of a run.*given ''"):
+        getattr(client, ask)("")
+
+
+def test_a_name_in_the_place_of_a_list_of_tasks_is_refused():
+    refused = pytest.raises(InvalidInput, match=r"tasks is a list, as \['arm'\]; given 'arm'")
+    with AdrClient() as client, refused:
+        client.claim_task("mine", "arm")
+
+
+@contextmanager
+def echo():
+    """A client whose service answers every request with its body."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self):
+            body = self.rfile.read(int(self.headers["Content-Length"]))
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_):
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Handler) as serving:
+        thread = threading.Thread(target=serving.serve_forever, daemon=True)
+        thread.start()
+        with AdrClient(f"http://127.0.0.1:{serving.server_port}") as client:
+            yield client
+        serving.shutdown()
+        thread.join(10)
+
+
+def test_values_of_numpy_and_ranges_are_sent_as_numbers_and_lists():
+    spec = {
+        "seed": np.int64(3),
+        "seeds": range(2),
+        "simopt": {"std": np.array([0.5, np.float32(1)])},
+    }
+    sent = {"seed": 3, "seeds": [0, 1], "simopt": {"std": [0.5, 1.0]}}
+    with echo() as client:
+        assert client.submit_run(spec) == client.submit_benchmark(spec) == sent
+        assert client.submit_criticism(spec) == client.extend_benchmark("bench_1", spec) == sent
+
+
+@pytest.mark.parametrize(
+    ("value", "message"), [({3}, r"\{3\} is no number, text, list"), (np.nan, "not JSON compliant")]
+)
+def test_a_spec_with_what_json_does_not_have_is_refused(value, message):
+    with AdrClient() as client, pytest.raises(InvalidInput, match=message):
+        client.submit_run({"seed": value})

@@ -83,7 +83,7 @@ class Rollout:
             observation, _ = self._machine.env.reset(seed=seed)
         self._observations.append(_row(observation))
         self._began = time.monotonic()
-        self._wrong = _broken(self._observations[0], 0.0)
+        self._wrong = self._broken(self._observations[0], 0.0)
 
     def step(self, act: Callable[[Matrix], Matrix]) -> None:
         passed = time.monotonic() - self._began
@@ -112,14 +112,27 @@ class Rollout:
             self._wrong = "the environment ended the episode early (truncated)"
 
     def _record(self, observation: Vector, action: Vector, reward: float) -> None:
-        """Append a transition, unless its numbers are not finite."""
-        self._wrong = _broken(observation, reward)
+        """Append a transition, unless something is wrong with its numbers."""
+        self._wrong = self._broken(observation, reward)
         if self._wrong:
             return
         self._observations.append(observation)
         self._actions.append(action)
         self._rewards.append(reward)
         self._watch.steps = len(self._actions)
+
+    def _broken(self, observation: Vector, reward: float) -> str:
+        """Return what is wrong with a transition's numbers, or nothing."""
+        about = self._machine.about
+        columns = about["observation_columns"]
+        if observation.shape != (len(columns),):
+            return (
+                f"the robot showed an observation of shape {observation.shape}; {about['name']} "
+                f"has {(len(columns),)}: {', '.join(columns)}"
+            )
+        if np.all(np.isfinite(observation)) and np.isfinite(reward):
+            return ""
+        return f"the robot showed {observation.tolist()} and the reward {reward}"
 
     def episode(self) -> Episode:
         return Episode(
@@ -187,10 +200,3 @@ def _identity(task: Json) -> tuple[str, int, int]:
 
 def _row(observation: Any) -> Vector:
     return np.array(observation, dtype=np.float64)  # its own: a driver may fill one buffer again
-
-
-def _broken(observation: Vector, reward: float) -> str:
-    """Return the numbers if some are not finite, else nothing."""
-    if np.all(np.isfinite(observation)) and np.isfinite(reward):
-        return ""
-    return f"the robot showed {observation.tolist()} and the reward {reward}"

@@ -84,10 +84,10 @@ class Player:
 
         `start` (nq,) is the pose from which the plan begins: nothing is sent from another one. An
         episode ends early where the environment ends it, after the owner's `limits.seconds`, or at
-        an observation that is not finite. Where a call of the environment does not return, another
-        thread calls `hangs` with the reason. Raises InvalidInput for commands beyond the task's
-        bounds before anything moves, if the first episode begins in another pose, and if none has a
-        transition.
+        an observation that is not finite, or of another shape than the task's. Where a call of the
+        environment does not return, another thread calls `hangs` with the reason. Raises
+        InvalidInput for commands beyond the task's bounds before anything moves, if the first
+        episode begins in another pose, and if none has a transition.
         """
         check_commands(self._task, plan)
         model = compiled(self._task.xml)
@@ -104,7 +104,8 @@ class Player:
                 if (played := self.played) is not None:
                     self._keep(played)
         if self.played is None:
-            raise InvalidInput("no episode of the plan has a single transition")
+            why = self._episodes[0].why_short
+            raise InvalidInput(f"no episode of the plan has a single transition: {why}")
 
     @property
     def played(self) -> Playback | None:
@@ -150,9 +151,10 @@ def _episode(
     """One episode. Its last command is not sent: a measurement's last row has a state alone."""
     rollout = Rollout(machine, watch, len(commands) - 1)
     rollout.reset(number)
-    if start is not None:
+    shown = rollout.episode()
+    if start is not None and not shown.wrong:
         try:
-            _check_start(task, rollout.episode().observations[0], start)
+            _check_start(task, shown.observations[0], start)
         except InvalidInput:
             if number == 0:
                 raise

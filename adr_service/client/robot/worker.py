@@ -73,8 +73,11 @@ class Robot:
     def work(self, episodes: int | None = None) -> None:
         """Run tasks as they come: `episodes` of them, or without an end.
 
-        First it sends the episodes that an earlier client left in the working directory.
+        First it sends the episodes that an earlier client left in the working directory. However it
+        ends, the environment is closed; raises InvalidInput if it is closed already.
         """
+        if self._is_closed:
+            raise InvalidInput("this robot is closed; make another Robot")
         done, name = 0, self._about["name"]
         with closing(self), self._connect(_REQUEST_S) as self._client, suppress(_Stopped):
             self._report(f"{self._name} waits for episodes of {name}")

@@ -105,6 +105,35 @@ def test_a_sensor_that_fails_ends_the_episode_before_that_transition():
     assert episode.wrong.startswith("the robot showed [nan, nan")
 
 
+class Reshaped(SlowArm):
+    """Shows its numbers in another form after ten steps."""
+
+    def __init__(self, form):
+        super().__init__(0.0)
+        self.form = form
+
+    def step(self, action):
+        observation, *rest = super().step(action)
+        return self.form(observation) if len(self.actions) > 10 else observation, *rest
+
+
+@pytest.mark.parametrize(
+    ("form", "shape"),
+    [
+        (lambda observation: observation[:3], "(3,)"),
+        (lambda observation: np.append(observation, 0.0), "(5,)"),
+        (lambda observation: observation[None], "(1, 4)"),
+        (lambda observation: None, "()"),
+    ],
+)
+def test_an_observation_of_another_shape_ends_the_episode_before_that_transition(form, shape):
+    episode = run(Reshaped(form))
+    assert len(episode.actions) == len(episode.rewards) == 10
+    assert episode.wrong == (
+        f"the robot showed an observation of shape {shape}; arm has (4,): {', '.join(ARM.columns)}"
+    )
+
+
 def test_a_policy_whose_action_is_not_finite_is_not_obeyed():
     env = fast_arm()
     episode = run(env, act=lambda observations: np.full((1, 2), np.nan))

@@ -18,7 +18,7 @@ from adr_service.errors import InvalidInput
 from adr_service.npz import read_arrays, write_arrays
 from adr_service.simulation.batch import control_period
 from adr_service.tasks.catalogue import get_task, source_of
-from tests.robots import SlowArm
+from tests.robots import NarrowArm, SlowArm
 
 TASK = get_task("arm")
 PERIOD = control_period(TASK)
@@ -241,3 +241,27 @@ def test_a_later_episode_that_begins_in_another_pose_is_not_played():
     played = play(env, TASK, Limits(), commands, never, shown[:2])
     assert len(env.actions) == 29
     assert played.shortened == ("it did not begin in the plan's pose",) * 2
+
+
+class Narrowing(SlowArm):
+    """Shows a number fewer after 40 steps, which are within its second episode."""
+
+    def step(self, action):
+        observation, *rest = super().step(action)
+        return observation[:-1] if len(self.actions) > 40 else observation, *rest
+
+
+def test_an_episode_whose_observations_change_their_shape_keeps_what_it_had():
+    commands = read_plan(plan(episodes=2), 2, PERIOD)[0]
+    played = play(Narrowing(0.0), TASK, Limits(), commands, never)
+    assert [last - first for first, last in played.measurement.spans()] == [30, 12]
+    [why] = played.shortened
+    assert why.startswith("the robot showed an observation of shape (3,); arm has (4,)")
+
+
+@pytest.mark.parametrize("start", [None, np.zeros(2)])
+def test_a_robot_that_shows_too_few_numbers_is_sent_nothing(start):
+    env, commands = NarrowArm(0.0), read_plan(plan(episodes=2), 2, PERIOD)[0]
+    with pytest.raises(InvalidInput, match=r"single transition: the robot showed .* shape \(3,\)"):
+        play(env, TASK, Limits(), commands, never, start)
+    assert env.actions == []

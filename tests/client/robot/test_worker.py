@@ -98,6 +98,16 @@ def test_an_episode_of_steps_that_take_too_long_goes_back():
     assert (service.released, service.failures) == (["task_a"], [])
 
 
+def test_an_episode_that_begins_with_too_few_numbers_fails_its_task():
+    service = Service()
+    worker = robot(service, "narrow_arm")
+    claims = iter([service.claim_task("bench", ["arm"], 0)])
+    service.claim_task = lambda *_: next(claims, None) or worker.stop()
+    worker.work()
+    [failure] = service.failures
+    assert failure.startswith("the robot showed an observation of shape (3,); arm has (4,): ")
+
+
 def test_a_cut_rollout_is_uploaded():
     rollout = Service()
     robot(rollout, "blind_arm").work(1)
@@ -204,6 +214,16 @@ def test_a_robot_is_closed_where_nobody_can_be_told_that_it_waits():
     waiting._report = report
     with pytest.raises(OSError, match="No space left"):
         waiting.work(1)
+    assert BreakingArm.last.closed == 1
+
+
+def test_a_robot_works_once_because_its_end_closes_the_environment():
+    service = Service()
+    closed = robot(service, "breaking_arm")
+    closed.stop()
+    closed.work(1)
+    with pytest.raises(InvalidInput, match="this robot is closed; make another Robot"):
+        closed.work(1)
     assert BreakingArm.last.closed == 1
 
 
