@@ -70,7 +70,7 @@ class Guard:
         return (
             self._unknown_host(headers.get("host", ""))
             or self._too_many(scope["client"][0] if scope.get("client") else "")
-            or _from_elsewhere(headers, scope["method"])
+            or self._from_elsewhere(headers, scope["method"])
             or _strange_charset(headers)
             or self._not_allowed(headers, scope["method"], scope["path"])
         )
@@ -82,6 +82,22 @@ class Guard:
         accepted = ", ".join(sorted(self._hosts))
         detail = f"{host!r} is not a name of this service; accepted: {accepted} (ADR_ALLOWED_HOSTS)"
         return problem(400, "unknown_host", detail)
+
+    def _from_elsewhere(self, headers: Headers, method: str) -> Response | None:
+        """Refuse requests that change something and whose Origin is another site (CSRF)."""
+        origin, host = headers.get("origin"), headers.get("host", "")
+        if method in _READING or origin is None:
+            return None
+        name = origin.partition("://")[2]
+        if name == host:
+            return None
+        detail = f"pages of {origin[:_LONGEST]!r} may not change anything here"
+        if name and self._unknown_host(name) is None:
+            detail += (
+                f": the request came for {host[:_LONGEST]!r}. If a proxy is before the service, "
+                "let it pass the browser's Host on (nginx: proxy_set_header Host $http_host)"
+            )
+        return problem(403, "foreign_origin", detail)
 
     def _too_many(self, client: str) -> Response | None:
         # the library's windows follow the wall clock, which may be set back by hours: so each
@@ -145,17 +161,6 @@ def protect(headers: MutableHeaders) -> None:
     """Add the headers that protect browsers."""
     for name, value in _HEADERS.items():
         headers.setdefault(name, value)
-
-
-def _from_elsewhere(headers: Headers, method: str) -> Response | None:
-    """Refuse requests that change something and whose Origin is another site (CSRF)."""
-    origin = headers.get("origin")
-    if method in _READING or origin is None:
-        return None
-    if origin.partition("://")[2] == headers.get("host"):
-        return None
-    detail = f"pages of {origin[:_LONGEST]!r} may not change anything here"
-    return problem(403, "foreign_origin", detail)
 
 
 def _strange_charset(headers: Headers) -> Response | None:

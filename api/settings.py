@@ -1,6 +1,10 @@
 """The service's settings, from the environment (`ADR_…`) or the command line."""
 
+import difflib
+import os
 import re
+from collections.abc import Iterable, Iterator
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Any, Self
 
@@ -21,6 +25,12 @@ from adr_service.json_values import message_of
 from api.logs import LogFormat
 
 _SHORTEST_TOKEN = 16
+_LONGEST_IDLE_S = 31_536_000.0  # a year
+# variables that are no settings: of clients, of workers' and Slurm's deployments, and of tests
+_OTHER_VARIABLES = {
+    *("ADR_URL", "ADR_DATASETS", "ADR_WORKER_CPUS", "ADR_IMAGE", "ADR_SCRIPTS"),
+    *("ADR_FAILPOINT", "ADR_KEEP", "ADR_WRITE_GOLDEN"),
+}
 
 
 class Settings(BaseSettings):
@@ -39,6 +49,11 @@ class Settings(BaseSettings):
     )
     robot_token: SecretStr = Field(SecretStr(""), description="of robots' clients, if not users'")
     allowed_hosts: str = Field("", description="names of the service, with commas between")
+    proxies: str = Field(
+        "",
+        description="addresses or networks of proxies whose X-Forwarded-For and "
+        "X-Forwarded-Proto are believed, with commas between",
+    )
     rate: str = Field(
         "500/second", description="of requests from one address, or several with ; between"
     )
@@ -71,7 +86,10 @@ class Settings(BaseSettings):
         description="of the nodes for stages: Ray's name for it, one for each core",
     )
     keep_idle_s: float = Field(
-        600.0, ge=0, description="seconds for which a process without a stage is kept"
+        600.0,
+        ge=0,
+        le=_LONGEST_IDLE_S,
+        description="seconds for which a process without a stage is kept",
     )
     runs_at_once: int | None = Field(
         None,
@@ -117,6 +135,13 @@ class Settings(BaseSettings):
             )
         return self
 
+    @field_validator("data_dir", mode="before")
+    @classmethod
+    def _is_a_folder(cls, given: str | Path) -> str | Path:
+        if given == "":
+            raise ValueError("an empty name is no folder; for the present one, give a dot")
+        return given
+
     @field_validator("ray_address")
     @classmethod
     def _is_an_address(cls, given: str) -> str:
@@ -148,6 +173,26 @@ class Settings(BaseSettings):
                 )
         return given
 
+    @field_validator("proxies")
+    @classmethod
+    def _are_addresses(cls, given: str) -> str:
+        for address in map(str.strip, given.split(",") if given else ()):
+            try:
+                ip_network(address)
+            except ValueError:
+                raise ValueError(
+                    f"{address!r} is no address; as 127.0.0.1 or 10.0.0.0/8, or several with , "
+                    "between"
+                ) from None
+        return given
+
+    @field_validator("ray_dashboard_url")
+    @classmethod
+    def _is_a_web_address(cls, given: str) -> str:
+        if given and not re.match(r"(?i:https?)://[^/]", given):
+            raise ValueError(f"{given!r} is no web address; as http://127.0.0.1:8265")
+        return given
+
     @property
     def database(self) -> str:
         if given := self.database_url.get_secret_value():
@@ -156,6 +201,19 @@ class Settings(BaseSettings):
 
         return url_of(self.data_dir.absolute() / "adr.sqlite")
 
+    @property
+    def folders(self) -> set[Path]:
+        """Folders that the service writes to: of its data, and of an SQLite database.
+
+        Raises InvalidInput if the database's URL names no database.
+        """
+        from db.backends import file_of, parse_url  # imports SQLAlchemy
+
+        data_dir = self.data_dir.absolute()
+        if parse_url(self.database).get_backend_name() == "postgresql":
+            return {data_dir}
+        return {data_dir, file_of(self.database).absolute().parent}
+
 
 def read_settings(**given: Any) -> Settings:
     """Return settings from the environment; `given` ones replace those. Raises InvalidInput."""
@@ -163,6 +221,26 @@ def read_settings(**given: Any) -> Settings:
         return Settings(**given)
     except ValidationError as error:
         raise InvalidInput(_explained(error)) from error
+
+
+def unknown_variables(environment: Iterable[str]) -> Iterator[str]:
+    """Yield a sentence about each `ADR_…` variable that nothing reads, with the closest known."""
+    known = {f"ADR_{name.upper()}" for name in Settings.model_fields} | _OTHER_VARIABLES
+    for name in sorted(environment):
+        if name.upper().startswith("ADR_") and name.upper() not in known:
+            close = difflib.get_close_matches(name.upper(), known, n=1)
+            hint = f"; did you mean {close[0]}?" if close else ""
+            yield f"{name} is no setting, and has no effect{hint}"
+
+
+def too_many_cores(settings: Settings) -> Iterator[str]:
+    """Yield a sentence if a local cluster is given more cores than this process may use."""
+    here = len(os.sched_getaffinity(0))
+    if settings.cpus is not None and settings.cpus > here:
+        yield (
+            f"ADR_CPUS is {settings.cpus}, but {here} cores are here: stages share them, and each "
+            "takes longer"
+        )
 
 
 def _explained(error: ValidationError) -> str:

@@ -1,5 +1,6 @@
 """`adr serve`: the service itself."""
 
+import logging
 import os
 import sys
 from contextlib import suppress
@@ -10,8 +11,9 @@ import typer
 
 from api.cli.ports import check_port
 from api.cli.single_options import SingleOptionApp
-from api.settings import Settings, read_settings
+from api.settings import Settings, read_settings, too_many_cores, unknown_variables
 
+log = logging.getLogger(__name__)
 app = SingleOptionApp()
 
 
@@ -52,6 +54,8 @@ def _listen(settings: Settings) -> None:
     from api.logs import configure
 
     configure(settings.log_format)
+    for doubt in (*unknown_variables(os.environ), *too_many_cores(settings)):
+        log.warning("%s", doubt)
     has_died = False
 
     def end() -> None:
@@ -65,6 +69,8 @@ def _listen(settings: Settings) -> None:
             port=settings.port,
             # on h11: httptools, which is faster, keeps headers of any size in memory
             http=bounded(connections_allowed(settings.max_connections)),
+            proxy_headers=bool(settings.proxies),  # uvicorn believes everyone on this machine
+            forwarded_allow_ips=settings.proxies,
             log_config=None,  # `configure` has set up logging
             timeout_keep_alive=30,  # longer than clients keep one, so that they meet no closed one
             timeout_graceful_shutdown=5,  # for clients that follow a stream

@@ -144,3 +144,24 @@ def test_a_service_for_every_address_answers_to_its_given_names_alone(allowed, h
 def test_pages_of_the_service_alone_may_change_something(origin, status):
     answer = guarded().post("/v1/runs", json={}, headers={"Origin": origin})
     assert answer.status_code == status
+
+
+@pytest.mark.parametrize(
+    ("origin", "has_remedy"),
+    [
+        ("https://adr.example.org", True),
+        ("https://adr.example.org:8443", True),
+        ("https://attacker.example", False),
+        ("null", False),
+    ],
+)
+def test_a_page_that_a_proxy_serves_under_another_host_is_refused_with_the_remedy(
+    origin, has_remedy
+):
+    client = guarded(allowed_hosts="adr.example.org")
+    headers = {"Origin": origin, "Host": "localhost:8000"}
+    refused = client.post("/v1/runs", json={}, headers=headers)
+    assert refused.status_code == 403
+    detail = refused.json()["detail"]
+    assert ("the request came for 'localhost:8000'" in detail) == has_remedy
+    assert ("nginx: proxy_set_header Host $http_host" in detail) == has_remedy

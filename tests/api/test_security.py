@@ -19,6 +19,7 @@ from tests.service import free_port, start_service
 pytestmark = pytest.mark.ray
 ROOT = Path(__file__).parents[2]
 TOKEN, ROBOT = "u" * 32, "r" * 32
+PROXY = "127.0.0.2"
 RUN = {"task": "arm", "method": "prior", "preset": "smoke"}
 XSS = "<script>alert(1)</script>"
 
@@ -28,11 +29,13 @@ def guarded(tmp_path_factory):
     """A service with tokens, few live runs and a low rate, in a folder that was open to all."""
     folder = tmp_path_factory.mktemp("guarded")
     folder.chmod(0o755)
+    (folder / "adr.sqlite").touch()  # it is the service's own
     environment = {
         "ADR_TOKEN": TOKEN,
         "ADR_ROBOT_TOKEN": ROBOT,
         "ADR_RATE": "600/hour",  # more than the tests send by themselves, however fast
         "ADR_MAX_LIVE_RUNS": "3",
+        "ADR_PROXIES": PROXY,
     }
     with start_service(folder, cpus=1, environment=environment) as running:
         yield running
@@ -236,6 +239,18 @@ def test_more_runs_than_may_wait_are_refused(http):
     assert http.post("/v1/benchmarks", json=grid, headers=bearer(TOKEN)).status_code == 429
     for answer in made[:3]:
         http.post(f"/v1/runs/{answer.json()['id']}/cancel", headers=bearer(TOKEN))
+
+
+@pytest.mark.parametrize(("address", "is_believed"), [("127.0.0.1", False), (PROXY, True)])
+def test_a_trusted_proxy_alone_says_who_its_client_is(guarded, address, is_believed):
+    client_of_it = "192.0.2.77" if is_believed else "192.0.2.78"
+    headers = {"X-Forwarded-For": client_of_it, "X-Forwarded-Proto": "https"}
+    transport = httpx2.HTTPTransport(local_address=address)
+    with httpx2.Client(base_url=guarded.client.url, transport=transport) as proxy:
+        entered = proxy.post("/login", data={"token": TOKEN}, headers=headers)
+    assert entered.status_code == 303
+    assert ("Secure" in entered.headers["Set-Cookie"]) == is_believed
+    assert (client_of_it in guarded.log.read_text()) == is_believed
 
 
 def test_secrets_are_in_no_log_and_no_answer(http, guarded):

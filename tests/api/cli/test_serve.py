@@ -1,5 +1,6 @@
 """The command that starts the service."""
 
+import os
 import socket
 import subprocess
 import sys
@@ -47,3 +48,21 @@ def test_a_port_in_use_is_refused_before_anything_starts(tmp_path):
     assert f"cannot listen on 127.0.0.1 port {port}" in done.stderr
     assert "choose another port with --port" in done.stderr
     assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.ray
+def test_a_service_warns_of_settings_that_are_probably_mistakes(tmp_path):
+    environment = {**os.environ, "ADR_TOKENS": "s" * 16}
+    nowhere = f"sqlite:///{tmp_path / 'nowhere' / 'adr.sqlite'}"  # so that it ends at once
+    command = [sys.executable, "-m", "api", "serve", "--port", "0", "--cpus", "9999"]
+    done = subprocess.run(
+        [*command, "--data-dir", str(tmp_path)],
+        env={**environment, "ADR_DATABASE_URL": nowhere},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "ADR_TOKENS is no setting, and has no effect; did you mean ADR_TOKEN?" in done.stderr
+    assert "ADR_CPUS is 9999, but" in done.stderr
