@@ -44,7 +44,9 @@ class _Now(Collector):
             "adr_database_read_seconds", "How long counting all this took.", read_s
         )
         yield GaugeMetricFamily(
-            "adr_disk_free_bytes", "Where results are.", self._service.free_disk()
+            "adr_disk_free_bytes",
+            "Where results are; of several disks, on the one with fewest.",
+            self._service.free_disk(),
         )
 
 

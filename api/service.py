@@ -29,6 +29,7 @@ from workers.cluster import ClusterUnavailable, RayOptions
 from workers.orchestrator import RUNS_AT_ONCE, Orchestrator
 
 log = logging.getLogger(__name__)
+_OWN_FILES = ("adr.sqlite", "ray_token")  # by which a data folder is known
 
 
 class QueueFull(AdrError):
@@ -78,8 +79,8 @@ class Service:
         return self.settings.ray_dashboard_url or self.orchestrator.dashboard_url
 
     def free_disk(self) -> int:
-        """Free bytes on the disk of the results."""
-        return shutil.disk_usage(self.settings.data_dir).free
+        """Free bytes on the disk of the results; of several disks, on the one with fewest."""
+        return min(shutil.disk_usage(folder).free for folder in self.settings.folders)
 
     def check_disk(self) -> None:
         """Raise DiskFull if the disk is nearly full; live runs may end."""
@@ -137,11 +138,21 @@ def open_service(settings: Settings) -> Service:
 
 
 def _prepare(data_dir: Path) -> None:
-    """Make a folder for results and secrets that no other user of the machine can read."""
+    """Make a folder for results and secrets that no other user of the machine can read.
+
+    Raises InvalidInput if others can read it and it has files of theirs, or of another program.
+    """
     try:
         data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
         mode = stat.S_IMODE(data_dir.stat().st_mode)
         if mode & 0o077:
+            names = {path.name for path in data_dir.iterdir()}
+            if names and names.isdisjoint(_OWN_FILES):
+                raise InvalidInput(
+                    f"{data_dir} is open to others (mode {mode:o}) and has other files than the "
+                    "service's: give it a folder of its own (ADR_DATA_DIR, --data-dir), or close "
+                    f"this one (chmod 700 {data_dir})"
+                )
             data_dir.chmod(0o700)
             log.warning("%s was open to others (mode %o); now it is yours alone", data_dir, mode)
         with tempfile.TemporaryFile(dir=data_dir):

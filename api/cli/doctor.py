@@ -18,7 +18,7 @@ from adr_service.errors import InvalidInput
 from api.cli.options import AsJson, Url
 from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console
-from api.settings import Settings, read_settings
+from api.settings import read_settings, too_many_cores, unknown_variables
 
 app = SingleOptionApp()
 _LEAST_DISK_GB = 2.0
@@ -72,15 +72,20 @@ def checks(url: str | None) -> Iterator[Check]:
     yield _cores()
     yield from _simulator()
     yield _fast_backend(importlib.util.find_spec("sbx") is not None)
+    for doubt in unknown_variables(os.environ):
+        yield Check(False, doubt, is_needed=False)
     try:
         settings = read_settings()
+        folders = sorted(settings.folders)
     except InvalidInput as error:
         yield Check(False, f"the ADR_… settings are not valid: {error}")
         settings = None
     else:
         at = f"service at {settings.host}:{settings.port}"
         yield Check(True, f"data in {settings.data_dir.absolute()}, {at}")
-        yield _disk(settings)
+        for doubt in too_many_cores(settings):
+            yield Check(False, doubt, is_needed=False)
+        yield from map(_disk, folders)
     yield _descriptors(None if settings is None else settings.max_connections)
     yield _running(url)
     yield _datasets(os.environ.get("ADR_DATASETS", ""))
@@ -126,13 +131,11 @@ def _fast_backend(is_installed: bool) -> Check:
     return Check(is_installed, text, is_needed=False)
 
 
-def _disk(settings: Settings) -> Check:
-    """Check the disk of the data folder, where results and Ray's sessions are."""
-    folder = settings.data_dir.absolute()
-    while not folder.exists():
-        folder = folder.parent
-    free = shutil.disk_usage(folder).free / 1e9
-    text = f"{free:.0f} GB free where the data are; {_LEAST_DISK_GB:.0f} needed"
+def _disk(folder: Path) -> Check:
+    """Check the disk of a folder that the service writes to, or will make."""
+    there = next(path for path in (folder, *folder.parents) if path.exists())
+    free = shutil.disk_usage(there).free / 1e9
+    text = f"{free:.0f} GB free for {folder}; {_LEAST_DISK_GB:.0f} needed"
     return Check(free >= _LEAST_DISK_GB, text)
 
 

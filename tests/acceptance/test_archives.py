@@ -14,8 +14,8 @@ pytestmark = [pytest.mark.ray, pytest.mark.slow]  # a killed service, in test_cr
 
 def test_half_a_benchmark_is_finished_by_another_service(tmp_path):
     archive, one, two = tmp_path / "half.adr", tmp_path / "one", tmp_path / "two"
-    one.mkdir()
-    two.mkdir()
+    one.mkdir(mode=0o700)
+    two.mkdir(mode=0o700)
     with start_service(one, cpus=2) as running:
         id = running.client.submit_benchmark(BENCHMARK)["id"]
         wait_for_stages(running.client, id, 4)

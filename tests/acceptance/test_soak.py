@@ -62,7 +62,7 @@ ROBOT_RUNS, ROBOTS = 12, 3
 def test_whatever_dies_results_are_the_same_and_leases_exclusive(tmp_path, postgresql):
     quiet, soaked = tmp_path / "quiet", tmp_path / "soaked"
     for folder in (quiet, soaked):
-        folder.mkdir()
+        folder.mkdir(mode=0o700)
     tables = undisturbed(quiet)
     url, began = postgresql.new_database(), time.monotonic()
     killed, log, histories = disturbed(soaked, url, postgresql, tables)

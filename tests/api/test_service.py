@@ -1,13 +1,17 @@
 """The service as a process: its start, its log and its files."""
 
+import shutil
 import stat
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
-from api.service import Service
+from adr_service.errors import InvalidInput
+from api.service import Service, open_service
 from api.settings import Settings
+from db.errors import DiskFull
 from tests.api.standins import Orchestrator
 from workers.cluster import ClusterUnavailable
 
@@ -21,6 +25,38 @@ def test_without_a_core_work_is_refused_unless_an_autoscaler_is_asked_for_one():
     with pytest.raises(ClusterUnavailable, match="no node of the cluster has any adr_trainer"):
         Service(Settings(**joined), None, orchestrator).check_cores()
     Service(Settings(**joined, max_cores=8), None, orchestrator).check_cores()
+
+
+@pytest.mark.parametrize("full", ["data", "small"])
+def test_work_is_refused_where_the_disk_of_the_data_or_of_the_database_is_full(
+    tmp_path, monkeypatch, full
+):
+    free = {tmp_path / "data": 2 * 10**9, tmp_path / "small": 10**9, tmp_path / full: 10**6}
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=free[path]))
+    url = f"sqlite:///{tmp_path / 'small' / 'adr.sqlite'}"
+    service = Service(Settings(data_dir=tmp_path / "data", database_url=url), None, Orchestrator())
+    assert service.free_disk() == 10**6
+    with pytest.raises(DiskFull, match="has 1 MB left; new work is refused below 500"):
+        service.check_disk()
+
+
+def test_a_folder_of_others_is_not_closed(tmp_path):
+    (tmp_path / "letter.txt").touch()
+    tmp_path.chmod(0o755)
+    with pytest.raises(InvalidInput, match=r"is open to others \(mode 755\) and has other files"):
+        open_service(Settings(data_dir=tmp_path))
+    assert stat.S_IMODE(tmp_path.stat().st_mode) == 0o755
+
+
+@pytest.mark.parametrize("files", [[], ["adr.sqlite", "letter.txt"], ["ray_token"]])
+def test_an_empty_folder_and_one_of_the_service_are_closed(tmp_path, files):
+    for name in files:
+        (tmp_path / name).touch()
+    tmp_path.chmod(0o755)
+    nowhere = f"sqlite:///{tmp_path / 'nowhere' / 'adr.sqlite'}"  # so that it goes no further
+    with pytest.raises(InvalidInput, match="there is no folder"):
+        open_service(Settings(data_dir=tmp_path, database_url=nowhere))
+    assert stat.S_IMODE(tmp_path.stat().st_mode) == 0o700
 
 
 def test_the_log_has_a_line_for_every_stage(service, finished):

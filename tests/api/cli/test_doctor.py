@@ -59,3 +59,25 @@ def test_as_json_a_program_can_read_every_check(adr_here):
     found = json.loads(out)
     assert {"is_good", "text", "is_needed"} == set(found[0])
     assert status == (0 if all(each["is_good"] or not each["is_needed"] for each in found) else 1)
+
+
+def test_misspelt_variables_and_too_many_cores_are_notes(adr_here, monkeypatch):
+    monkeypatch.setenv("ADR_TOKENS", "s" * 16)
+    monkeypatch.setenv("ADR_CPUS", "9999")
+    status, text, _ = adr_here("doctor", "--url", "http://127.0.0.1:9")
+    assert status == 0
+    assert "note ADR_TOKENS is no setting, and has no effect; did you mean ADR_TOKEN?" in text
+    assert "note ADR_CPUS is 9999, but" in text
+
+
+def test_the_disks_of_the_data_and_of_the_database_are_checked(adr_here, monkeypatch, tmp_path):
+    monkeypatch.setenv("ADR_DATA_DIR", str(tmp_path / "data"))
+    monkeypatch.setenv("ADR_DATABASE_URL", f"sqlite:///{tmp_path}/small/adr.sqlite")
+    _, text, _ = adr_here("doctor", "--url", "http://127.0.0.1:9")
+    unfolded = text.replace("\n", "")
+    assert f"GB free for {tmp_path}/data; 2 needed" in unfolded
+    assert f"GB free for {tmp_path}/small; 2 needed" in unfolded
+    monkeypatch.setenv("ADR_DATABASE_URL", "mysql://here")
+    status, text, _ = adr_here("doctor", "--url", "http://127.0.0.1:9")
+    assert status == 1
+    assert "the ADR_… settings are not valid: the database must be an SQLite file" in text
