@@ -6,7 +6,9 @@ have `run`, `stage`, `kind` and `attempt`.
 
 import io
 import logging
+import math
 import sys
+import time
 from typing import Literal, TextIO
 
 import structlog
@@ -14,6 +16,8 @@ import structlog
 from adr_service.json_values import printable
 
 LogFormat = Literal["text", "json"]
+_OUTAGES = "workers.outages"  # where each run says every second that the database cannot be used
+_QUIET_S = 60.0  # between two equal lines of these
 
 
 def configure(log_format: LogFormat) -> None:
@@ -41,11 +45,29 @@ def configure(log_format: LogFormat) -> None:
             ),
         ]
     handler = logging.StreamHandler()
+    handler.addFilter(_OnceAMinute())
     handler.setFormatter(
         structlog.stdlib.ProcessorFormatter(foreign_pre_chain=known, processors=form)
     )
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     logging.getLogger("alembic").setLevel(logging.WARNING)  # it also reports models in memory
+
+
+class _OnceAMinute(logging.Filter):
+    """Drops what an outage repeats, whichever run says it: its log should fill no disk."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._shown: dict[str, float] = {}  # texts, each with the moment when it was shown last
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        if record.name != _OUTAGES:
+            return True
+        text, now = record.getMessage(), time.monotonic()
+        if now - self._shown.get(text, -math.inf) < _QUIET_S:
+            return False
+        self._shown[text] = now
+        return True
 
 
 def _trace(output: TextIO, error: structlog.typing.ExcInfo) -> None:

@@ -42,7 +42,7 @@ from workers.cluster import ClusterUnavailable, RayOptions
 from workers.dispatcher import Dispatcher
 from workers.jobs import Activity
 from workers.ray_stages import RayStages
-from workers.results import DatabaseResults
+from workers.results import DatabaseResults, outages
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -272,7 +272,7 @@ class Orchestrator:
             try:
                 return action()
             except DatabaseUnavailable as error:
-                log.warning("%s; trying again in %g s", error, RETRY_S)
+                outages.warning("%s; trying again in %g s", error, RETRY_S)
                 if self._closing.wait(RETRY_S):
                     raise RunCancelled("the service is stopping") from error
 

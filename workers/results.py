@@ -24,6 +24,7 @@ from db.events import append_to_all
 from db.session import RETRY_S, Database
 
 log = logging.getLogger(__name__)
+outages = logging.getLogger("workers.outages")  # `api.logs` shows each text once a minute
 T = TypeVar("T")
 P = ParamSpec("P")
 _LEASE_S = 3600.0  # of the simulated target, which is watched by its signs of life
@@ -159,7 +160,7 @@ def attempted(
     try:
         return action(*args, **kwargs)
     except DatabaseUnavailable as error:
-        log.warning("%s just now: %s", trouble, error, extra=dict(ids))
+        outages.warning("%s just now: %s", trouble, error, extra=dict(ids))
         return Unavailable()
     except Exception as error:  # the database's trouble must not stop other runs
         log.exception(trouble, extra=dict(ids))

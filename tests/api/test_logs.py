@@ -3,24 +3,41 @@
 import io
 import json
 import logging
+from contextlib import contextmanager
 
 import pytest
 
+from adr_service.specs import RunSpec
 from api.logs import configure
+from db import runs
+from db.errors import DiskFull
+from tests.service import until
+from workers.cluster import RayOptions
+from workers.orchestrator import Orchestrator
+from workers.results import attempted
 
 FORGED = "gone\n2026-01-01T00:00:00Z [info] all runs succeeded\x1b[2J\u2028\x9b31m"
 
 
-@pytest.fixture(params=["text", "json"])
-def logged(request, monkeypatch):
-    """The form, and the log of three failed stages."""
+@contextmanager
+def configured(monkeypatch, form):
+    """The service's log in this form, until the block ends."""
     output = io.StringIO()
     monkeypatch.setattr("sys.stderr", output)
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     root.handlers.clear()  # pytest's own must stay as they are
     try:
-        configure(request.param)
+        configure(form)
+        yield output
+    finally:
+        root.handlers[:], root.level = handlers, level
+
+
+@pytest.fixture(params=["text", "json"])
+def logged(request, monkeypatch):
+    """The form, and the log of three failed stages."""
+    with configured(monkeypatch, request.param) as output:
         secret = "a-token-of-somebody"  # noqa: S105
         try:
             raise ValueError(len(secret))
@@ -31,8 +48,6 @@ def logged(request, monkeypatch):
             raise ValueError(FORGED)
         except ValueError:
             logging.getLogger("workers").exception("it broke again")
-    finally:
-        root.handlers[:], root.level = handlers, level
     return request.param, output.getvalue()
 
 
@@ -56,3 +71,35 @@ def test_text_of_others_begins_no_line_and_controls_no_terminal(logged):
         assert json.loads(text.splitlines()[1])["robot"] == FORGED
     else:
         assert r"succeeded\x1b[2J" in text
+
+
+def write_to_a_full_disk(*_):
+    raise DiskFull("the disk is full")
+
+
+def test_trouble_with_the_database_is_logged_once_a_minute(monkeypatch):
+    with configured(monkeypatch, "text") as output:
+        for moment in (0.0, 1.0, 59.0, 61.0):
+            monkeypatch.setattr("time.monotonic", lambda moment=moment: moment)
+            for run in ("run_a", "run_b"):
+                ids = {"run": run}
+                attempted("results could not be stored", ids, write_to_a_full_disk)
+                attempted("stages could not be begun", ids, write_to_a_full_disk)
+    lines = output.getvalue().splitlines()
+    assert len(lines) == 4
+    assert sum("results could not be stored just now: the disk is full" in x for x in lines) == 2
+
+
+def test_runs_that_wait_for_a_full_disk_do_not_each_log_it(file_database, monkeypatch):
+    """Every run did, every second, and the log grew on the disk that was full."""
+    spec = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})
+    records = [runs.create_run(file_database, spec) for _ in range(3)]
+    asked = []
+    file_database.write = lambda name: asked.append(name) or write_to_a_full_disk()
+    with configured(monkeypatch, "text") as output:
+        orchestrator = Orchestrator(file_database, RayOptions())
+        for record in records:
+            orchestrator.submit(record)
+        until(lambda: len(asked) >= 2 * len(records))
+        orchestrator.close()
+    assert output.getvalue().count("the disk is full; trying again in 1 s") == 1
