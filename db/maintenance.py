@@ -18,8 +18,9 @@ from sqlalchemy import StaticPool, String, create_engine
 from adr_service.errors import InvalidInput
 from adr_service.json_values import sha256
 from adr_service.whole_files import written_whole
+from db.errors import DatabaseNewer
 from db.models import Base
-from db.schema import differences, head
+from db.schema import differences, head, revisions
 
 _DOCUMENTS = {
     *("benchmarks.spec", "runs.spec", "events.body", "target_tasks.document"),
@@ -126,10 +127,17 @@ def restore(path: Path, copy: Path) -> Path | None:
     """Put a backup in the place of the database, which must be locked.
 
     Return the path beside it where the old file is kept; None if there was none. Raises
-    InvalidInput if the backup is damaged or cannot be copied.
+    InvalidInput if the backup is damaged or cannot be copied, and DatabaseNewer if a later version
+    of the service has written it.
     """
     if wrong := check(copy):
         raise InvalidInput("\n".join([f"{copy} is damaged itself, and was not restored", *wrong]))
+    if (revision := revision_of(copy)) not in {None, *revisions()}:
+        raise DatabaseNewer(
+            f"{copy} has tables of revision {revision}, which this version does not know (its own "
+            f"is {head()}), and was not restored; restore it with the version of the service that "
+            "wrote it"
+        )
     aside = path.with_name(f"{path.name}.{datetime.now(UTC):%Y%m%dT%H%M%S%f}.replaced")
     try:
         with written_whole(path, mode=0o600) as part:

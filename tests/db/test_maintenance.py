@@ -12,6 +12,7 @@ import pytest
 
 from adr_service.errors import InvalidInput
 from db import maintenance, runs, stages
+from db.errors import DatabaseNewer
 from db.session import open_database
 from tests.db.rows import SPEC, count
 
@@ -128,6 +129,20 @@ def test_a_restore_that_dies_at_its_end_loses_nothing_of_the_old_database(
     with pytest.raises(KeyboardInterrupt):
         maintenance.restore(killed, copy)
     monkeypatch.undo()
+    with closing(open_database(f"sqlite:///{killed}")) as old:
+        assert runs.get_run(old, run.id) == run
+
+
+def test_a_backup_of_a_later_version_is_refused_before_anything_is_replaced(database, tmp_path):
+    path, killed, copy = (tmp_path / name for name in ("adr.sqlite", "killed.sqlite", "copy"))
+    run = runs.create_run(database, SPEC)
+    for file in (killed, copy):
+        maintenance.backup(path, file)
+    with closing(sqlite3.connect(copy)) as later, later:
+        later.execute("update alembic_version set version_num = '9999'")
+    with pytest.raises(DatabaseNewer, match="revision 9999, which this version does not know"):
+        maintenance.restore(killed, copy)
+    assert list(tmp_path.glob("*.replaced")) == []
     with closing(open_database(f"sqlite:///{killed}")) as old:
         assert runs.get_run(old, run.id) == run
 
