@@ -79,6 +79,14 @@ class TestChart:
         read = Settings.model_validate({name[4:].lower(): value for name, value in given.items()})
         assert (read.max_cores, read.resource, read.retention_days) == (200, "adr_trainer", 30)
 
+    def test_the_service_has_no_variables_of_kubernetes_and_a_folder_of_its_own(self):
+        *_, api = rendered(TOKENS)["RayCluster", "adr"]["spec"]["workerGroupSpecs"]
+        assert api["template"]["spec"]["enableServiceLinks"] is False
+        (container,) = api["template"]["spec"]["containers"]
+        folder = {each["name"]: each.get("value") for each in container["env"]}["ADR_DATA_DIR"]
+        volume = {each["name"]: each["mountPath"] for each in container["volumeMounts"]}["data"]
+        assert Path(folder).parent == Path(volume)
+
     @pytest.mark.parametrize(
         ("given", "message"),
         [
