@@ -113,6 +113,28 @@ def resolve(model: mujoco.MjModel, address: str) -> Slot:
     return Slot(quantity.field, elements, quantity.scaled)
 
 
+def check_written_once(model: mujoco.MjModel, source: Source) -> None:
+    """Raise InvalidInput if two addresses of a source set one element, or one length."""
+    owners: dict[tuple[str, tuple[int, ...]], str] = {}
+    for address in addresses_of(source):
+        for place in _places(model, address):
+            if place in owners:
+                field, element = place
+                raise InvalidInput(
+                    f"{owners[place]} and {address} both set {field}{list(element) or ''}; a value "
+                    "may have one address among a source's parameters and fixed values"
+                )
+            owners[place] = address
+
+
+def _places(model: mujoco.MjModel, address: str) -> list[tuple[str, tuple[int, ...]]]:
+    """The elements that an address sets, each with its field; of a length, the address alone."""
+    if link_of(address) is not None:
+        return [(address, ())]
+    slot = resolve(model, address)
+    return [(slot.field, element) for element in slot.elements]
+
+
 def unit_at(model: mujoco.MjModel, address: str) -> str:
     """The unit of an address's values, as "N m"; "N m or N" where it depends on what is driven."""
     quantity, _, objects = _found(model, address)

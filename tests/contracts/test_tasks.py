@@ -18,19 +18,14 @@ every_variant = pytest.mark.parametrize(("task", "variant"), CASES, ids=IDS)
 
 
 def moved(task, n=8, steps=20):
-    """Simulations at the truth after random actions, with the states and actions of the last step.
-
-    Returns (simulations, state before, actions, state after).
-    """
+    """Simulations at the truth after random actions."""
     rng, hidden = np.random.default_rng(0), hidden_of(task.name, "vanilla")
     simulations = Simulations(task, hidden.source, n)
     simulations.set_dynamics(np.tile(hidden.values, (n, 1)))
     simulations.set_state(task.initial(n, rng))
     for _ in range(steps):
-        before = simulations.state
-        actions = rng.uniform(task.action_low, task.action_high, (n, len(task.action_low)))
-        simulations.step(actions)
-    return simulations, before, actions, simulations.state
+        simulations.step(rng.uniform(task.action_low, task.action_high, (n, len(task.action_low))))
+    return simulations
 
 
 def row_of(state, row):
@@ -54,83 +49,34 @@ def test_every_task_has_the_three_variants_and_two_where_the_search_ends_too_ear
 
 
 @every_task
-def test_there_is_a_unique_column_name_with_unit_for_every_observed_value(task):
-    _, _, _, after = moved(task)
-    assert task.observe(after).shape == (8, len(task.columns))
-    assert len(set(task.columns)) == len(task.columns)
+def test_every_column_names_its_unit(task):
     assert all(column.endswith("]") for column in task.columns)
 
 
 @every_task
-def test_the_state_of_an_observation_is_observed_as_it_was(task):
-    simulations, _, _, state = moved(task)
-    before = task.observe(state)
-    simulations.set_state(task.state(before))
-    after = task.observe(simulations.state)
-    measured = slice(task.measured)
-    np.testing.assert_allclose(after[:, measured], before[:, measured], atol=1e-12)
-
-
-@every_task
 def test_the_state_needs_the_measured_columns_alone(task):
-    _, _, _, state = moved(task)
-    observations = task.observe(state)
+    observations = task.observe(moved(task).state)
     whole, measured = task.state(observations), task.state(observations[:, : task.measured])
     np.testing.assert_array_equal(whole.qpos, measured.qpos)
     np.testing.assert_array_equal(whole.qvel, measured.qvel)
 
 
 @every_task
-def test_initial_states_are_alive_and_repeat_with_the_seed(task):
-    first = task.initial(50, np.random.default_rng(3))
-    assert not task.terminated(first).any()
-    again, other = (task.initial(50, np.random.default_rng(seed)) for seed in (3, 4))
-    np.testing.assert_array_equal(first.qpos, again.qpos)
-    np.testing.assert_array_equal(first.qvel, again.qvel)
-    assert np.any(first.qpos != other.qpos)
-
-
-@every_task
-def test_rewards_observations_and_endings_are_the_same_row_by_row(task):
-    _, before, actions, after = moved(task)
-    rewards, ended = task.reward(before, actions, after), task.terminated(after)
-    observations = task.observe(after)
-    for row in range(8):
-        one, other = row_of(before, row), row_of(after, row)
-        assert task.reward(one, actions[row : row + 1], other)[0] == pytest.approx(
-            rewards[row], rel=1e-12
-        )
-        assert task.terminated(other)[0] == ended[row]
-        np.testing.assert_array_equal(task.observe(other)[0], observations[row])
+def test_initial_states_differ_from_seed_to_seed(task):
+    one, other = (task.initial(5, np.random.default_rng(seed)) for seed in (3, 4))
+    assert np.any(one.qpos != other.qpos)
 
 
 @every_task
 def test_actions_beyond_their_bounds_act_as_at_the_bounds(task):
-    simulations, _, _, state = moved(task, n=4)
+    simulations = moved(task, n=4)
+    state = simulations.state
     rows = np.array([task.action_high, 3 * task.action_high, task.action_low, 3 * task.action_low])
     simulations.set_state(State(state.qpos[[0] * 4], state.qvel[[0] * 4]))
     simulations.step(rows)
     qvel = simulations.state.qvel
     np.testing.assert_array_equal(qvel[[0, 2]], qvel[[1, 3]])
     assert np.any(qvel[0] != qvel[2])
-
-
-@every_variant
-def test_every_parameter_changes_the_trajectory(task, variant):
-    """One simulation in the middle of the search box, then one per parameter at its bound."""
-    source, rng = source_of(task.name, variant), np.random.default_rng(0)
-    space, n = source.space, len(source.space) + 1
-    draws = np.tile((space.low + space.high) / 2, (n, 1))
-    draws[np.arange(1, n), np.arange(n - 1)] = space.high
-    start = task.initial(1, rng)
-    simulations = Simulations(task, source, n)
-    simulations.set_dynamics(draws)
-    simulations.set_state(State(np.tile(start.qpos, (n, 1)), np.tile(start.qvel, (n, 1))))
-    for _ in range(60):
-        simulations.step(rng.uniform(task.action_low, task.action_high))
-    qvel = simulations.state.qvel
-    same = np.all(qvel[1:] == qvel[0], axis=1)
-    assert not same.any(), [space.names[i] for i in np.flatnonzero(same)]
 
 
 @every_variant
@@ -227,18 +173,6 @@ def test_a_draw_is_the_model_that_is_compiled_afresh(task, variant):
         simulations.set_dynamics(draws)
     for row, draw in enumerate(draws):
         assert not differing(simulations.model(row), model_of(task, source, draw))
-
-
-@every_variant
-def test_the_smallest_feasible_draw_compiles_and_moves(task, variant):
-    source = source_of(task.name, variant)
-    simulations = Simulations(task, source, 1)
-    simulations.set_dynamics(source.space.feasible_low[None])
-    simulations.set_state(task.initial(1, np.random.default_rng(0)))
-    before = simulations.state
-    simulations.step(task.action_high)
-    assert not simulations.diverged.any()
-    assert np.any(simulations.state.qpos != before.qpos)
 
 
 @every_task
