@@ -1,10 +1,20 @@
 """Extensions by installed packages: the entry points of our groups."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from adr_service.errors import InvalidInput
+
+TASKS, METHODS = "adr_service.tasks", "adr_service.methods"  # our groups
+# inputs of stages that name a package: the group that it adds to, and the input that it adds
+_PACKAGES = {
+    "package": (TASKS, "task"),
+    "method_package": (METHODS, "method"),
+    "curriculum_package": (METHODS, "curriculum"),
+}
 
 
 def installed(group: str) -> list[EntryPoint]:
@@ -13,7 +23,11 @@ def installed(group: str) -> list[EntryPoint]:
 
 
 def load(point: EntryPoint) -> Any:
-    """Import the object that an entry point names."""
+    """Import the object that an entry point names.
+
+    `package_of` gives the version of this moment from now on: an upgrade changes no imported code.
+    """
+    package_of(point.group, point.name)
     try:
         return point.load()
     # a foreign module may raise anything while it is imported, or even exit
@@ -28,6 +42,29 @@ def package_of(group: str, name: str) -> str | None:
         if point.name == name and point.dist is not None:
             return f"{point.dist.name} {point.dist.version}"
     return None
+
+
+@dataclass(frozen=True)
+class OtherVersion:
+    """Names and versions of the package that a stage is of, and of what this process has for it."""
+
+    of_stage: str
+    here: str
+
+
+def other_versions(inputs: Mapping[str, Any]) -> dict[str, OtherVersion]:
+    """The packages that this process has in another version than a stage is of.
+
+    Takes the stage's inputs as JSON; the keys are those of the inputs that name a package.
+    """
+    others: dict[str, OtherVersion] = {}
+    for field, (group, member) in _PACKAGES.items():
+        if field in inputs:
+            added = inputs[member]  # a task's name, or a method's settings
+            here = package_of(group, added if isinstance(added, str) else added["name"])
+            if here is not None and here != inputs[field]:
+                others[field] = OtherVersion(inputs[field], here)
+    return others
 
 
 def origin(point: EntryPoint) -> str:

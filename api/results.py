@@ -18,13 +18,16 @@ from adr_service.benchmark.comparison import (
     comparisons,
     costs,
     estimates,
+    lost,
     not_compared,
     table,
 )
 from adr_service.benchmark.cost import Execution, Utilisation, utilisation
 from adr_service.events import IterationFinished
 from adr_service.json_values import canonical_json, sha256
-from adr_service.specs import LostRun, RecordedTarget, RunSpec
+from adr_service.plugins import TASKS, other_versions, package_of
+from adr_service.specs import AnyRun, LostRun, RecordedTarget, RunSpec
+from adr_service.specs.lost import reason_of_distributions
 from api.service import Service
 from db import events as event_store
 from db import results as result_store
@@ -78,13 +81,26 @@ def outcomes_of(service: Service, records: Sequence[RunRecord]) -> list[Outcome]
     """Return the finished iterations of runs, with the seconds that their inference took."""
     specs = {record.id: record.spec for record in records}
     iterations = [
-        (spec, event)
+        (run_id, spec, event)
         for run_id, event in event_store.all_of(service.database, list(specs), IterationFinished)
         if isinstance(spec := specs[run_id], RunSpec)
     ]
-    digests = [digest for _, event in iterations for digest in event.inferences]
-    seconds = stage_store.seconds_of(service.database, digests)
-    return [Outcome(spec, event, _seconds(seconds, event.inferences)) for spec, event in iterations]
+    digests = [digest for _, _, event in iterations for digest in event.inferences]
+    seconds, reasons = stage_store.seconds_of(service.database, digests), _lost(service, specs)
+    return [
+        Outcome(spec, event, _seconds(seconds, event.inferences), reasons.get(run_id))
+        for run_id, spec, event in iterations
+    ]
+
+
+def _lost(service: Service, specs: Mapping[str, AnyRun | LostRun]) -> dict[str, str]:
+    """The reasons by run, for those computed with another version of their task's package."""
+    packaged = [run_id for run_id, spec in specs.items() if package_of(TASKS, spec.task)]
+    return {
+        run_id: reason_of_distributions(other)
+        for run_id, inputs in stage_store.packaged_inputs(service.database, packaged)
+        if (other := other_versions(inputs).get("package"))
+    }
 
 
 def _seconds(known: Mapping[str, float], digests: Sequence[str]) -> float | None:
@@ -98,20 +114,22 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
     """Return the ResultsView of a run or a benchmark as JSON.
 
     Its bootstraps take seconds, so it is stored until one of the runs finishes another iteration,
-    or tables have other columns.
+    tables have other columns, or a task's package has another version.
     """
     count = event_store.count_iterations(service.database, [record.id for record in records])
     tables = (Row, Aggregate, Comparison, ParameterEstimate, InferenceCost)
     columns = [field.name for each in tables for field in fields(each)]
-    lost = [record.id for record in records if isinstance(record.spec, LostRun)]
-    known = [adr_service.__version__, _TABLES, columns, count, lost]
+    unread = [record.id for record in records if isinstance(record.spec, LostRun)]
+    tasks = sorted({record.spec.task for record in records})
+    packages = [package_of(TASKS, task) for task in tasks]
+    known = [adr_service.__version__, _TABLES, columns, count, unread, packages]
     version = sha256(canonical_json(known).encode())
     stored = result_store.kept_results(service.database, id, version)
     if stored is not None:
         return stored
     view = results_view(outcomes_of(service, records))
-    if lost:
-        left_out = f"{view.note}; {len(lost)} runs cannot be read here, and are left out"
+    if unread:
+        left_out = f"{view.note}; {len(unread)} runs cannot be read here, and are left out"
         view = view.model_copy(update={"note": left_out})
     results = view.model_dump_json()
     try:
@@ -124,7 +142,7 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
 def results_view(outcomes: Sequence[Outcome]) -> ResultsView:
     """Return tables of finished iterations, and a note on how to read them."""
     return ResultsView(
-        note=_note(outcomes),
+        note="; ".join([_note(outcomes), *lost(outcomes)]),
         rows=[asdict(row) for row in table(outcomes)],
         aggregates=[asdict(each) for each in aggregates(outcomes)],
         comparisons=[asdict(pair) for pair in comparisons(outcomes)],

@@ -16,6 +16,7 @@ from sqlalchemy.orm import Session
 from adr_service.errors import InvalidInput
 from adr_service.events import FINISHED, RunState
 from adr_service.json_values import explain
+from adr_service.plugins import other_versions
 from adr_service.specs import (
     BenchmarkExtension,
     BenchmarkPart,
@@ -45,6 +46,7 @@ from db.runs import (
     record_of,
 )
 from db.session import Database
+from db.stages import packaged_inputs
 
 Cell = tuple[str, str, str, int]  # task, variant, method with its collector, seed
 
@@ -139,12 +141,12 @@ def extend_benchmark(
 ) -> list[RunRecord]:
     """Add runs to a benchmark, and return them; the runs that it has stay as they are.
 
-    Raises NotFound, InvalidInput if the extension adds nothing, NotPossible if the new runs
-    would not compare with the old ones or another request was faster, and what `accept` raises.
+    Raises NotFound, InvalidInput if the extension adds nothing or a package has another version
+    since, NotPossible if the new runs would not compare with the old ones or another request was
+    faster, and what `accept` raises.
     """
     now = get_benchmark(database, benchmark_id)
-    spec = readable(now).extended(extension)
-    specs = _missing(now, spec, runs_of(database, benchmark_id))
+    spec, specs = _extended(database, now, extension)
     new = [new_run(run, benchmark_id) for run in specs]  # before the lock
     with database.write("extend_benchmark") as session:
         row = get_row(session, BenchmarkRow, benchmark_id)
@@ -160,9 +162,7 @@ def planned_extension(
     database: Database, benchmark_id: str, extension: BenchmarkExtension
 ) -> tuple[BenchmarkSpec, list[RunSpec]]:
     """The spec of a benchmark with an extension, and its new runs. Raises as `extend_benchmark`."""
-    now = get_benchmark(database, benchmark_id)
-    spec = readable(now).extended(extension)
-    return spec, _missing(now, spec, runs_of(database, benchmark_id))
+    return _extended(database, get_benchmark(database, benchmark_id), extension)
 
 
 def request_cancel_all(database: Database, benchmark_id: str) -> list[RunRecord]:
@@ -230,6 +230,21 @@ def finished_before(database: Database, moment: datetime) -> list[Deletion]:
             *((partial(delete_benchmark, since=moment), id) for id in benchmarks),
             *((partial(delete_run, since=moment), id) for id in session.scalars(single)),
         ]
+
+
+def _extended(
+    database: Database, now: BenchmarkRecord, extension: BenchmarkExtension
+) -> tuple[BenchmarkSpec, list[RunSpec]]:
+    """The spec of a benchmark with an extension, and its new runs."""
+    spec, present = readable(now).extended(extension), runs_of(database, now.id)
+    new = _missing(now, spec, present)
+    for _, inputs in packaged_inputs(database, [run.id for run in present]):
+        for other in other_versions(inputs).values():
+            raise InvalidInput(
+                f"{now.id} was computed with {other.of_stage}, and {other.here} is installed; "
+                "submit it anew"
+            )
+    return spec, new
 
 
 def _missing(

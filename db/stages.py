@@ -140,6 +140,18 @@ def values_of(database: Database, digests: Sequence[str]) -> dict[str, dict[str,
     return values
 
 
+def packaged_inputs(database: Database, run_ids: Sequence[str]) -> list[tuple[str, dict[str, Any]]]:
+    """Pairs (run, inputs as JSON) of the runs' stages whose task or method a package adds."""
+    columns = select(EventRow.run_id, StageRow.document).join(StageRow, _OF_EVENT)
+    query = columns.where(StageRow.document.contains('package":'))
+    found: list[tuple[str, dict[str, Any]]] = []
+    with database.read() as session:
+        for some in parts(run_ids, CHUNK):
+            rows = session.execute(query.where(EventRow.run_id.in_(some)))
+            found += [(row.run_id, json.loads(row.document)["inputs"]) for row in rows]
+    return found
+
+
 def provenance_of(session: Session, digest: str) -> dict[str, Any]:
     """Versions and CPU type that a stored stage was computed with; inside a transaction."""
     return json.loads(session.get_one(StageRow, digest).provenance)

@@ -44,6 +44,61 @@ assert events[-1].iteration == spec.iterations
 assert all(s.inputs["package"] == "adr-pendulum 0.1.0" for s in stages.executed), stages.executed
 print("fine")
 """
+# a benchmark of the package's first version, in a database
+FILL = """
+import pickle, sys
+from dataclasses import replace
+
+from adr_service.tasks.catalogue import identity_of
+from db.session import open_database
+from tests.db.finished import finished_benchmark
+from tests.stages.examples import evaluation
+
+id = finished_benchmark(open_database({url!r}), tasks=["pendulum", "arm"], methods=["simopt"])
+with open({stage!r}, "wb") as file:
+    pickle.dump(replace(evaluation(task="pendulum"), **identity_of("pendulum")), file)
+print(id)
+"""
+# what a service of the next version answers
+LOOK = """
+import pickle
+
+from adr_service.errors import AdrError
+from adr_service.stages.base import compute
+from api.page import benchmarks as benchmark_pages, runs as run_pages
+from api.routes import benchmark_results, benchmarks, run_results
+from db import benchmarks as store
+from db.session import open_database
+from tests.api.standins import Service
+
+database = open_database({url!r})
+client = Service(database).client(
+    *(benchmark_pages.router, run_pages.router),
+    *(benchmark_results.router, benchmarks.router, run_results.router),
+)
+one, here = "{id}", "/v1/benchmarks/{id}"
+found = client.get(here + "/results").json()
+assert {{row["task"] for row in found["rows"]}} == {{"arm", "pendulum"}}
+assert {{each["task"] for each in found["estimates"]}} == {{"arm"}}
+for name in client.get(here + "/figures").json():
+    assert client.get(f"{{here}}/figures/{{name}}.svg").status_code == 200, name
+reason = found["note"].rpartition("; ")[2]
+assert reason in client.get("/benchmarks/" + one).text
+for run in store.runs_of(database, one):
+    answer = client.get(f"/v1/runs/{{run.id}}/distribution")
+    page = client.get(f"/runs/{{run.id}}")
+    assert (answer.status_code, reason in page.text) == {{
+        "arm": (200, False), "pendulum": (409, True)}}[run.spec.task], answer.text
+    assert answer.status_code == 200 or answer.json()["detail"] in reason
+extension = client.post(here + "/extend", json={{"seeds": [1]}})
+print(reason)
+print(extension.status_code, extension.json()["detail"].replace(one, "it"))
+try:
+    with open({stage!r}, "rb") as file:
+        compute(pickle.load(file))
+except AdrError as error:
+    print(error)
+"""
 
 
 @pytest.fixture(scope="module")
@@ -75,3 +130,40 @@ def test_a_broken_entry_point_is_named_with_its_error(installed, tmp_path, value
     done = python(code, tmp_path, installed)
     assert message in done.stderr
     assert "'broken'" in done.stderr
+
+
+def test_a_newer_version_shows_no_distributions_of_an_older_one_and_computes_none_of_its_stages(
+    installed, tmp_path
+):
+    newer, source = tmp_path / "newer", tmp_path / "source"
+    subprocess.run(["cp", "-r", str(EXAMPLE), str(source)], check=True)
+    _change(source / "pyproject.toml", 'version = "0.1.0"', 'version = "0.2.0"')
+    module = source / "adr_pendulum/__init__.py"
+    mass, friction = _lines(module, 'Parameter("mass"', 'Parameter("friction"')
+    _change(module, mass + friction, friction + mass)
+    install(source, newer)
+    places = {"url": f"sqlite:///{tmp_path / 'adr.sqlite'}", "stage": str(tmp_path / "stage")}
+    filled = python(FILL.format(**places), installed)
+    assert filled.returncode == 0, filled.stderr
+    seen = python(LOOK.format(**places, id=filled.stdout.strip()), newer)
+    assert seen.returncode == 0, seen.stderr
+    assert seen.stdout.splitlines() == [
+        "pendulum: computed with adr-pendulum 0.1.0, and adr-pendulum 0.2.0 is installed: install "
+        "the former again to see its distributions",
+        "422 it was computed with adr-pendulum 0.1.0, and adr-pendulum 0.2.0 is installed; submit "
+        "it anew",
+        "this process has adr-pendulum 0.2.0, the stage is of adr-pendulum 0.1.0: start the "
+        "service again",
+    ]
+
+
+def _lines(path, *starts):
+    """The line of a file that begins with each of these."""
+    lines = path.read_text().splitlines(keepends=True)
+    return [next(line for line in lines if line.lstrip().startswith(start)) for start in starts]
+
+
+def _change(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))

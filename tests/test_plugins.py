@@ -6,7 +6,17 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from adr_service.errors import InvalidInput
-from adr_service.plugins import installed, load, origin, package_of
+from adr_service.plugins import (
+    METHODS,
+    TASKS,
+    OtherVersion,
+    installed,
+    load,
+    origin,
+    other_versions,
+    package_of,
+)
+from tests.packages import add_entry_point
 
 
 def test_an_entry_point_is_loaded():
@@ -42,3 +52,34 @@ def test_entry_points_are_sorted_by_name():
     names = [point.name for point in installed("console_scripts")]
     assert names == sorted(names)
     assert "pytest" in names
+
+
+def test_a_package_keeps_the_version_that_it_had_when_it_was_imported(tmp_path, monkeypatch):
+    add_entry_point(tmp_path, TASKS, "math:pi", "imported_once")
+    monkeypatch.syspath_prepend(tmp_path)
+    load(EntryPoint("imported_once", "math:pi", TASKS))
+    about = tmp_path / "broken-1.0.dist-info/METADATA"
+    about.write_text(about.read_text().replace("1.0", "1.1"))
+    assert package_of(TASKS, "imported_once") == "broken 1.0"
+
+
+@pytest.mark.parametrize(
+    ("group", "member", "field"),
+    [
+        (TASKS, {"task": "of_two_versions"}, "package"),
+        (METHODS, {"method": {"name": "of_two_versions"}}, "method_package"),
+        (METHODS, {"curriculum": {"name": "of_two_versions"}}, "curriculum_package"),
+    ],
+)
+def test_a_stage_of_another_version_names_both(tmp_path, monkeypatch, group, member, field):
+    add_entry_point(tmp_path, group, "math:pi", "of_two_versions")
+    monkeypatch.syspath_prepend(tmp_path)
+    inputs = {"task": "arm", **member}
+    others = other_versions({**inputs, field: "broken 0.9"})
+    assert others == {field: OtherVersion("broken 0.9", "broken 1.0")}
+    assert other_versions({**inputs, field: "broken 1.0"}) == {}
+
+
+def test_a_stage_of_ours_or_of_a_package_that_is_gone_is_of_no_other_version():
+    assert other_versions({"task": "arm"}) == {}
+    assert other_versions({"task": "uninstalled", "package": "broken 0.9"}) == {}

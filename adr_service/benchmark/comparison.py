@@ -30,6 +30,7 @@ from adr_service.events import IterationFinished
 from adr_service.methods.catalogue import methods
 from adr_service.randomness import stream
 from adr_service.specs import RunSpec, SimulatedTarget
+from adr_service.specs.lost import Lost
 from adr_service.tasks.catalogue import get_task, hidden_of, source_of
 
 
@@ -40,6 +41,12 @@ class Outcome:
     spec: RunSpec
     iteration: IterationFinished
     inference_seconds: float | None = None  # of computing, if known
+    lost: str | None = None  # why its distributions cannot be read here
+
+    @property
+    def is_inferred(self) -> bool:
+        """True if the method infers one distribution, which can be read here."""
+        return self.spec.method.infers and self.lost is None
 
 
 @dataclass(frozen=True)
@@ -242,8 +249,13 @@ def _last_of_all(counts: Mapping[int, int]) -> int:
 
 def estimates(outcomes: Sequence[Outcome]) -> list[ParameterEstimate]:
     """Beliefs of the methods that infer one distribution, parameter by parameter."""
-    inferred = [outcome for outcome in outcomes if outcome.spec.method.infers]
+    inferred = [outcome for outcome in outcomes if outcome.is_inferred]
     return [estimate for outcome in inferred for estimate in _estimates(outcome)]
+
+
+def lost(outcomes: Sequence[Outcome]) -> list[str]:
+    """The tasks with distributions that cannot be read here, each with the reason."""
+    return sorted({f"{o.spec.task}: {o.lost}" for o in outcomes if o.lost is not None})
 
 
 def _estimates(outcome: Outcome) -> list[ParameterEstimate]:
@@ -350,22 +362,29 @@ def _scored(
 ) -> float | None:
     """A score of a method's belief at the hidden truth; None where there is no such."""
     spec = outcome.spec
-    if not spec.method.believes or not isinstance(spec.target, SimulatedTarget):
+    if not _is_belief(outcome) or not isinstance(spec.target, SimulatedTarget):
         return None
     return score(spec.task, spec.variant, decode(outcome)[0])
 
 
 def _spread(outcome: Outcome) -> float | None:
-    if not outcome.spec.method.believes:
+    if not _is_belief(outcome):
         return None
     return float(np.sqrt(np.mean(normalised_std(decode(outcome)[0]) ** 2)))
+
+
+def _is_belief(outcome: Outcome) -> bool:
+    return outcome.spec.method.believes and outcome.lost is None
 
 
 def decode(outcome: Outcome) -> list[Distribution]:
     """The beliefs that the iteration's policies were trained on, before any rounding.
 
-    The oracle's is the point that it trained on, after rounding.
+    The oracle's is the point that it trained on, after rounding. Raises Lost if they were computed
+    with another version of the task's package.
     """
+    if outcome.lost is not None:
+        raise Lost(outcome.lost)
     spec = outcome.spec
     source = source_of(spec.task, spec.variant)
     if spec.method.needs_truth:

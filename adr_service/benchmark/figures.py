@@ -90,7 +90,7 @@ def _by_others(outcome: Outcome) -> bool:
 
 def _has_spread(outcome: Outcome) -> bool:
     """True if the outcome is of the protocol and its belief is no point (as sysid's is)."""
-    inferred = bool(outcome.iteration.inferences) and outcome.spec.method.infers
+    inferred = bool(outcome.iteration.inferences) and outcome.is_inferred
     return inferred and outcome.spec.collector == "simopt" and bool(decode(outcome)[0].std.any())
 
 
@@ -158,7 +158,7 @@ FIGURES: Mapping[str, Kind] = {
     ),
     "parameters": Kind(
         "Inferred parameters against the truth",
-        lambda outcome: outcome.spec.method.infers,
+        lambda outcome: outcome.is_inferred,
         ParameterEstimate,
         estimates,
         plot_parameters,

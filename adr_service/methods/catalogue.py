@@ -13,10 +13,12 @@ from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any, Union, get_args
 
-from pydantic import Field
+from pydantic import Field, ValidationError
+from pydantic_core import PydanticSerializationError
 
 import adr_service.methods
 from adr_service.errors import InvalidInput
+from adr_service.json_values import message_of
 from adr_service.methods.base import (
     CurriculumSettings,
     Data,
@@ -25,9 +27,8 @@ from adr_service.methods.base import (
     OnlineSettings,
     ReturnsSettings,
 )
-from adr_service.plugins import installed, load, origin, package_of
+from adr_service.plugins import METHODS, installed, load, origin, package_of
 
-GROUP = "adr_service.methods"
 _ORDER: tuple[Data, ...] = get_args(Data)
 
 
@@ -40,7 +41,7 @@ def methods() -> Mapping[str, type[MethodSettings]]:
     ours = {name_of(settings): settings for settings in sorted(_built_in(), key=_rank)}
     references = {name: each for name, each in ours.items() if each.is_reference}
     entries = {name: each for name, each in ours.items() if not each.is_reference}
-    for point in installed(GROUP):
+    for point in installed(METHODS):
         settings = _settings_at(point)
         if point.name in entries | references:
             raise InvalidInput(
@@ -65,7 +66,7 @@ def check_installed(name: str) -> None:
 
 def identity_of(settings: MethodSettings) -> dict[str, Any]:
     """Inputs by which a stage knows a method: its settings, and the version of its package."""
-    return {"method": settings, "method_package": package_of(GROUP, settings.name)}
+    return {"method": settings, "method_package": package_of(METHODS, settings.name)}
 
 
 def name_of(settings: type[MethodSettings]) -> str:
@@ -86,7 +87,27 @@ def _settings_at(point: EntryPoint) -> type[MethodSettings]:
         raise InvalidInput(f"{origin(point)} gives {settings.__name__}, which lacks {lacking}")
     if name_of(settings) != point.name:
         raise InvalidInput(f"{origin(point)} gives a method of another name, {name_of(settings)!r}")
+    _check_defaults(point, settings)
     return settings
+
+
+def _check_defaults(point: EntryPoint, settings: type[MethodSettings]) -> None:
+    """Raise InvalidInput unless the settings can be read from the JSON of their defaults.
+
+    Runs are kept with their settings as JSON. A field without a default cannot be tried.
+    """
+    defaults, whose = settings.model_construct(), f"{origin(point)} gives {settings.__name__}"
+    try:
+        settings.model_validate(defaults.model_dump(mode="json", warnings=False))
+    except PydanticSerializationError as error:
+        raise InvalidInput(f"{whose}, whose defaults are not JSON: {error}") from error
+    except ValidationError as error:
+        faults = [fault for fault in error.errors() if fault["type"] != "missing"]
+        if faults:
+            fields = "; ".join(f"{'.'.join(map(str, f['loc']))}: {message_of(f)}" for f in faults)
+            raise InvalidInput(
+                f"{whose}, whose defaults cannot be read from their JSON: {fields}"
+            ) from error
 
 
 def _built_in() -> Iterator[type[MethodSettings]]:

@@ -1,6 +1,7 @@
 """Stored specs that cannot be read any more: a package was uninstalled, or has other settings now.
 
 They are listed beside all others with what is known of them, and nothing can be computed of them.
+Of runs whose task's package has another version now, only the distributions cannot be read.
 """
 
 from typing import Any, ClassVar, Literal, cast
@@ -10,6 +11,7 @@ from pydantic import ValidationError
 from adr_service.errors import AdrError, FailureCode
 from adr_service.json_values import Wire, explain
 from adr_service.methods.catalogue import methods
+from adr_service.plugins import OtherVersion
 from adr_service.specs.benchmark import BenchmarkSpec
 from adr_service.tasks.catalogue import catalogue
 
@@ -73,8 +75,19 @@ def reason_of(document: dict[str, Any], error: ValidationError) -> str:
     )
 
 
+def reason_of_distributions(other: OtherVersion) -> str:
+    """Why a finished run's distributions cannot be read, and what helps.
+
+    Their numbers mean something in the task's parameter space of that version alone.
+    """
+    return (
+        f"computed with {other.of_stage}, and {other.here} is installed: install the former again "
+        "to see its distributions"
+    )
+
+
 class Lost(AdrError):
-    """A stored spec cannot be used before its package is installed again."""
+    """A stored spec or distribution cannot be used before its package is installed again."""
 
     code = FailureCode.LOST_SPEC
 

@@ -17,10 +17,9 @@ import numpy as np
 from adr_service import tasks
 from adr_service.effects.base import parse_domain
 from adr_service.errors import InvalidInput, UnknownName
-from adr_service.plugins import installed, load, origin, package_of
+from adr_service.plugins import TASKS, installed, load, origin, package_of
 from adr_service.tasks.base import Entry, Hidden, Source, Task, Variant
 
-GROUP = "adr_service.tasks"
 _NO_TASKS = {"catalogue", "check"}  # modules of the package that import this one
 
 
@@ -45,7 +44,7 @@ BUILT_IN = _built_in()
 def catalogue() -> Mapping[str, Entry]:
     """All tasks by name: ours, then those of installed packages."""
     entries = dict(BUILT_IN)
-    for point in installed(GROUP):
+    for point in installed(TASKS):
         entry = _loaded(point)
         if entry.task.name in entries:
             raise InvalidInput(
@@ -126,7 +125,7 @@ def identity_of(task: str) -> Mapping[str, str]:
 
     A change of one of our own tasks bumps the versions of the stage kinds instead.
     """
-    package = package_of(GROUP, task)
+    package = package_of(TASKS, task)
     return {"task": task} if package is None else {"task": task, "package": package}
 
 

@@ -10,7 +10,7 @@ from fastapi.responses import HTMLResponse, RedirectResponse
 from pydantic import ValidationError
 
 from adr_service.benchmark.claims import reports
-from adr_service.benchmark.comparison import Outcome, final_outcomes, not_compared, table
+from adr_service.benchmark.comparison import Outcome, final_outcomes, lost, not_compared, table
 from adr_service.benchmark.figures import FIGURES, drawable
 from adr_service.benchmark.improvements import improvement_matrices
 from adr_service.errors import InvalidInput
@@ -52,6 +52,7 @@ def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -
         offline=names_of("recordings"),
         figures=drawable(outcomes),
         captions={name: kind.caption for name, kind in FIGURES.items()},
+        lost=lost(outcomes),
         spec=json.dumps(shown.spec.model_dump(mode="json", exclude_unset=True), indent=1),
         **_tables(service, shown, records, outcomes),
     )

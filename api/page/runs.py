@@ -9,7 +9,7 @@ from fastapi import APIRouter, Form, Request, Response
 from fastapi.responses import RedirectResponse
 from pydantic import BaseModel, ValidationError
 
-from adr_service.benchmark.comparison import estimates, table
+from adr_service.benchmark.comparison import estimates, lost, table
 from adr_service.benchmark.cost import Execution
 from adr_service.benchmark.figures import FIGURES, drawable
 from adr_service.criticism.verdict import interval_text, quantity_text
@@ -106,6 +106,7 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
         figures=drawable(outcomes),
         captions={name: kind.caption for name, kind in FIGURES.items()},
         estimates=estimates(outcomes),
+        lost=lost(outcomes),
         inferences=[each.iteration for each in outcomes if each.iteration.diagnostics],
         trainings=trainings,
         has_curves=isinstance(record.spec, RunSpec),

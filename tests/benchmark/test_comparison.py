@@ -8,15 +8,18 @@ import pytest
 from adr_service.benchmark.comparison import (
     comparisons,
     costs,
+    decode,
     estimates,
     final_outcomes,
     last_shared,
+    lost,
     not_compared,
     table,
     to_csv,
 )
 from adr_service.distributions import Gaussian
 from adr_service.methods.catalogue import methods
+from adr_service.specs.lost import Lost
 from adr_service.tasks.catalogue import source_of
 from tests.benchmark.conftest import ITERATIONS, METHODS, with_a_third_seed
 from tests.benchmark.test_claims import outcome as at_level
@@ -171,6 +174,24 @@ def test_estimates_name_every_parameter_with_its_truth(benchmark):
         ("shoulder_friction", 2.0),
         ("elbow_friction", 1.0),
     }
+
+
+def test_distributions_of_another_version_are_left_out_and_returns_stay(benchmark):
+    changed = [replace(o, lost="of old 0.1") if _is_simopt(o) else o for o in benchmark[2]]
+    assert lost(changed) == ["arm: of old 0.1"]
+    assert lost(benchmark[2]) == []
+    assert estimates(changed) == [e for e in estimates(benchmark[2]) if e.method != "simopt"]
+    for row, whole in zip(table(changed), table(benchmark[2]), strict=True):
+        without = replace(
+            whole, estimation_error=None, posterior_std=None, log_score=None, energy_score=None
+        )
+        assert row == (without if row.method == "simopt" else whole)
+    with pytest.raises(Lost, match=r"of old 0\.1"):
+        decode(next(o for o in changed if o.lost))
+
+
+def _is_simopt(outcome):
+    return outcome.spec.method.name == "simopt"
 
 
 def test_inferences_have_their_cost(benchmark):

@@ -2,6 +2,7 @@
 
 import csv
 import io
+from dataclasses import replace
 
 import pytest
 
@@ -50,6 +51,13 @@ def test_a_variant_in_which_others_collected_has_no_figure_of_the_protocol(bench
     assert [name for name in names if name.startswith("returns")] == ["returns"]
     for name in names:
         assert draw(name, both, "svg")
+
+
+def test_outcomes_without_distributions_have_no_figures_of_these(benchmark):
+    changed = [replace(o, lost="of old 0.1") for o in benchmark[2]]
+    assert set(drawable(benchmark[2])) - set(drawable(changed)) == {"parameters", "spread"}
+    for name in drawable(changed):
+        assert draw(name, changed, "svg")
 
 
 def test_a_figure_of_nothing_or_of_no_such_name_is_refused(benchmark):

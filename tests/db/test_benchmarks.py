@@ -1,16 +1,21 @@
 """Benchmarks: grids of runs that are stored, extended and deleted as one."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
 from adr_service.errors import InvalidInput
 from adr_service.events import RunFailed, RunStopped, RunSucceeded
+from adr_service.plugins import METHODS, TASKS
 from adr_service.presets import PRESETS
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec
+from adr_service.stages.propose import Propose
 from db import benchmarks, events, runs
 from db.errors import NotFound, NotPossible
-from tests.db.rows import SPEC, benchmark_spec, count, statements
+from tests.db.rows import RESULT, SPEC, benchmark_spec, commit, count, statements
+from tests.packages import add_entry_point
+from tests.stages.examples import evaluation
 
 
 def test_a_benchmark_is_stored_with_all_its_runs(database):
@@ -91,6 +96,51 @@ def test_a_benchmark_does_not_grow_by_runs_of_another_budget(database, monkeypat
     monkeypatch.setitem(PRESETS["smoke"]["run"], "transitions", 30)
     with pytest.raises(NotPossible, match=r"differ from those that bench_\w+ has in transitions"):
         benchmarks.extend_benchmark(database, id, BenchmarkExtension.model_validate({"seeds": [1]}))
+
+
+@pytest.mark.parametrize(
+    ("group", "stage"),
+    [
+        (TASKS, replace(evaluation(task="upgraded"), package="broken 0.9")),
+        (
+            METHODS,
+            Propose(
+                task="arm",
+                variant="vanilla",
+                seed=0,
+                method={"name": "upgraded"},
+                method_package="broken 0.9",
+                distributions=[],
+                returns=[],
+            ),
+        ),
+    ],
+)
+def test_a_benchmark_does_not_grow_by_runs_of_another_version(
+    database, tmp_path, monkeypatch, group, stage
+):
+    add_entry_point(tmp_path, group, "math:pi", "upgraded")
+    monkeypatch.syspath_prepend(tmp_path)
+    id = benchmarks.create_benchmark(database, benchmark_spec()).id
+    first = benchmarks.runs_of(database, id)[0].id
+    commit(database, stage, RESULT, first)
+    more = BenchmarkExtension.model_validate({"seeds": [1]})
+    message = "was computed with broken 0.9, and broken 1.0 is installed; submit it anew"
+    for extend in (benchmarks.planned_extension, benchmarks.extend_benchmark):
+        with pytest.raises(InvalidInput, match=f"{id} {message}"):
+            extend(database, id, more)
+
+
+def test_a_benchmark_grows_where_its_packages_have_the_version_that_computed_it(
+    database, tmp_path, monkeypatch
+):
+    add_entry_point(tmp_path, TASKS, "math:pi", "as_it_was")
+    monkeypatch.syspath_prepend(tmp_path)
+    id = benchmarks.create_benchmark(database, benchmark_spec()).id
+    stage = replace(evaluation(task="as_it_was"), package="broken 1.0")
+    commit(database, stage, RESULT, benchmarks.runs_of(database, id)[0].id)
+    more = BenchmarkExtension.model_validate({"seeds": [1]})
+    assert benchmarks.extend_benchmark(database, id, more)
 
 
 def test_states_count_the_runs_of_each_benchmark(database):

@@ -162,3 +162,51 @@ def test_a_wrong_entry_point_is_refused_with_its_name(installed, tmp_path, value
     done = python("import adr_service.specs", tmp_path, installed)
     assert message in done.stderr
     assert "'broken'" in done.stderr
+
+
+# of types that JSON lacks, beside one whose default JSON keeps and one without a default
+ODD_SETTINGS = """
+from enum import Enum
+from pathlib import Path
+from typing import Literal
+
+from adr_service.methods.base import CurriculumSettings
+
+class Shape(Enum):
+    BOX = "box"
+
+class OddSettings(CurriculumSettings):
+    name: Literal["broken"] = "broken"
+    width: float
+    count: int = 3
+{odd}
+
+    def create(self, problem):
+        raise NotImplementedError
+"""
+ODD = """
+    sizes: tuple[int, int] = (3, 4)
+    shape: Shape = Shape.BOX
+    kinds: set[str] = {"one"}
+    folder: Path = Path("data")
+"""
+
+
+def imported_with(odd, folder):
+    """A process that imports us beside a package with `ODD_SETTINGS`."""
+    (folder / "odd.py").write_text(ODD_SETTINGS.format(odd=odd))
+    add_entry_point(folder, "adr_service.methods", "odd:OddSettings")
+    return python("import adr_service.specs", folder)
+
+
+def test_settings_that_cannot_be_read_from_the_json_of_their_defaults_are_refused(tmp_path):
+    done = imported_with(ODD, tmp_path)
+    assert "whose defaults cannot be read from their JSON: sizes: Input should be" in done.stderr
+    assert all(f"; {name}: Input should be" in done.stderr for name in ("shape", "kinds", "folder"))
+    assert "width" not in done.stderr.splitlines()[-1]
+    assert "count" not in done.stderr.splitlines()[-1]
+
+
+def test_settings_without_a_default_are_accepted(tmp_path):
+    done = imported_with("", tmp_path)
+    assert done.returncode == 0, done.stderr
