@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adr_service.arrays import Array3, Indices, Mask, Matrix, Vector
+from adr_service.errors import InvalidInput
 from adr_service.progress import Progress, silent
 from adr_service.simulation.batch import Simulations
 from adr_service.tasks.base import State, Task
@@ -73,11 +74,21 @@ def run_episodes(
     return log.episodes()
 
 
+def check_rewards(task: Task, rewards: np.ndarray) -> None:
+    """Raise InvalidInput unless the rewards of simulations that have not diverged are finite."""
+    finite = np.isfinite(rewards)
+    if not finite.all():
+        raise InvalidInput(
+            f"the reward of {task.name} must be finite where the simulation has not diverged; it "
+            f"was {rewards[~finite][0]}"
+        )
+
+
 class _Log:
     """The arrays of an `Episodes` while it is recorded."""
 
     def __init__(self, task: Task, n: int, steps: int):
-        self._steps, self._measured = steps, task.measured
+        self._task, self._steps, self._measured = task, steps, task.measured
         # written step by step, read by simulation
         self._observations = np.empty((steps + 1, n, task.measured)).swapaxes(0, 1)
         self._actions = np.empty((steps, n, len(task.action_low))).swapaxes(0, 1)
@@ -105,6 +116,7 @@ class _Log:
         over = np.arange(self._steps) >= self._lengths[:, None]
         observations[:, 1:][over], actions[over], rewards[over] = np.nan, np.nan, 0.0
         rewards[self._diverged, self._lengths[self._diverged] - 1] = 0.0
+        check_rewards(self._task, rewards)
         return Episodes(observations, actions, rewards, self._lengths, self._diverged)
 
 

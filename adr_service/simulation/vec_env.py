@@ -10,6 +10,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from adr_service.arrays import Indices, Matrix, Vector
 from adr_service.distributions import Draws
 from adr_service.simulation.batch import Simulations
+from adr_service.simulation.rollout import check_rewards
 from adr_service.tasks.base import Source, State, Task
 
 # called with rows (k,), dynamics (k, d), returns (k,) and the steps of all environments so far
@@ -83,6 +84,7 @@ class RandomizedVecEnv(VecEnv):
         observations = task.observe(after).astype(np.float32)
         if broken.any():
             observations[broken], rewards[broken] = 0.0, 0.0
+        check_rewards(task, rewards)
         self._returns += rewards
         self._taken += self.num_envs
         self._before = after

@@ -11,6 +11,7 @@ A kind of stage is one class in one file of this package: its fields are its inp
 methods compute the result, say what that costs, and give a stand-in result to plan with.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -22,9 +23,11 @@ from pydantic import BaseModel, ConfigDict, PlainSerializer, PlainValidator, Val
 from threadpoolctl import threadpool_limits
 
 from adr_service.distributions import Distribution, distribution_from_json
+from adr_service.errors import InvalidInput
 from adr_service.events import RunEvent, StageFinished
 from adr_service.json_values import canonical_json, sha256
 from adr_service.parameters import ParameterSpace
+from adr_service.plugins import other_versions
 from adr_service.progress import Progress, silent
 from adr_service.randomness import stream
 
@@ -160,10 +163,21 @@ AnyStage = Stage[Any]
 def compute(stage: AnyStage, progress: Progress = silent) -> StageResult:
     """Run a stage here and now; its random numbers come from its digest.
 
-    On one thread, because the last bits of a BLAS product depend on how many share it.
+    On one thread, because the last bits of a BLAS product depend on how many share it. Raises
+    InvalidInput if this process has another version of a package than the stage is of: the result
+    would be stored under the wrong one. Also if a value of the result is not JSON, as a plug-in's
+    diagnostics may be.
     """
+    for other in other_versions(stage.inputs).values():
+        raise InvalidInput(
+            f"this process has {other.here}, the stage is of {other.of_stage}: "
+            "start the service again"
+        )
     with threadpool_limits(1):
-        return stage.compute(stream("stage", stage.digest), progress).to_stored()
+        result = stage.compute(stream("stage", stage.digest), progress).to_stored()
+    for name, value in result.values.items():
+        _check_json(f"{name} of {stage.kind}", value)
+    return result
 
 
 def events_of(stage: Stage[R], result: R) -> list[RunEvent]:
@@ -194,6 +208,28 @@ def _split(fields: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, bytes]]
     given = {name: content for name, content in fields.items() if content is not None}
     blobs = {name: content for name, content in given.items() if isinstance(content, bytes)}
     return {name: content for name, content in given.items() if name not in blobs}, blobs
+
+
+def _check_json(name: str, value: Any) -> None:
+    """Raise InvalidInput unless the value is JSON; `name` says which it is."""
+    match value:
+        case dict():
+            for key, each in cast(dict[Any, Any], value).items():
+                if not isinstance(key, str):
+                    raise InvalidInput(f"a key in {name} must be text; given {key!r}")
+                _check_json(f"{key} in {name}", each)
+        case list() | tuple():
+            for each in cast(Sequence[Any], value):
+                _check_json(f"an item of {name}", each)
+        case float() if not math.isfinite(value):
+            raise InvalidInput(f"{name} is {value}, which is not a JSON number")
+        case None | str() | int() | float():
+            pass
+        case _:
+            raise InvalidInput(
+                f"{name} is of type {type(value).__name__}, which is not JSON; accepted are "
+                "numbers, text, booleans, None, and lists and dictionaries of them"
+            )
 
 
 def _as_json(value: Any) -> Any:

@@ -1,5 +1,6 @@
 """Infer a distribution from what the target showed."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, cast
@@ -7,6 +8,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 
 from adr_service.distributions import Distribution
+from adr_service.errors import InvalidInput
 from adr_service.events import RunEvent
 from adr_service.methods.base import (
     Evidence,
@@ -22,6 +24,7 @@ from adr_service.progress import Progress
 from adr_service.stages.base import Belief, CoreSpeed, Cost, Result, Role, Stage
 from adr_service.stages.stand_ins import gaussian
 from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.training.curriculum import check_space
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
 
@@ -93,18 +96,36 @@ class Infer(Stage[Inferred]):
         )
 
     def _remarked(self, distribution: Distribution, found: dict[str, Any]) -> dict[str, Any]:
-        """A method's diagnostics, and the parameters whose mean is at a bound of the search."""
+        """A method's diagnostics, and the parameters whose mean is at a bound of the search.
+
+        Raises InvalidInput where the distribution is over another space.
+        """
+        check_space(f"the distribution of {self.method.name}", distribution, self.space)
         return {**found, "at_bound": self.space.at_bound(distribution.mean)}
 
     def events(self, result: Inferred) -> list[RunEvent]:
         return []
 
     def cost(self, speed: CoreSpeed) -> Cost:
-        settings = cast(OfflineSettings | OnlineSettings, self.method)
         transitions = len(TransitionDataset.from_npz(self.data))
         transitions += sum(len(data) for _, data in unpacked(self.earlier))
-        steps = settings.planned_steps(len(self.space), transitions)
-        return Cost(steps / speed.steps_per_second(self.task) + settings.seconds)
+        steps = self._planned_steps(transitions)
+        return Cost(steps / speed.steps_per_second(self.task) + self.method.seconds)
+
+    def _planned_steps(self, transitions: int) -> float:
+        """The control steps that the method plans, finite and not negative.
+
+        A plug-in's function may give or raise anything.
+        """
+        settings = cast(OfflineSettings | OnlineSettings, self.method)
+        name = f"planned_steps of {self.method.name}"
+        try:
+            steps: Any = settings.planned_steps(len(self.space), transitions)
+        except Exception as error:
+            raise InvalidInput(f"{name} raised {type(error).__name__}: {error}") from error
+        if not (isinstance(steps, int | float | np.integer) and 0 <= steps < math.inf):
+            raise InvalidInput(f"{name} must be a finite number of 0 or more; it gave {steps!r}")
+        return float(steps)
 
     def stand_in(self) -> Inferred:
         grid = self.method.grid

@@ -15,6 +15,7 @@ from adr_service.progress import Progress
 from adr_service.randomness import stream
 from adr_service.stages.base import Belief, CoreSpeed, Cost, Result, Role, Stage
 from adr_service.tasks.catalogue import get_task, source_of
+from adr_service.training.curriculum import check_space
 
 
 class Proposed(Result):
@@ -55,6 +56,7 @@ class Propose(Stage[Proposed]):
             raise InvalidInput(
                 f"{self.method['name']} says that policy {proposal.best} is best, of {len(returns)}"
             )
+        check_space(f"the distribution of {self.method['name']}", proposal.next, self.space)
         return Proposed(
             distribution=proposal.next,
             best=proposal.best,

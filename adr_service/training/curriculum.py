@@ -1,6 +1,6 @@
 """Curricula: distributions that move while a policy is trained on them.
 
-    course = Course(curriculum, environments=64)
+    course = Course(curriculum, source.space, environments=64)
     env = RandomizedVecEnv(task, source, course, 64, rng, ended=course.ended)
     ...                                     # train
     course.phases[-1].distribution          # the last one, JSON
@@ -15,7 +15,9 @@ import numpy as np
 
 from adr_service.arrays import Indices, Matrix, Vector
 from adr_service.distributions import Distribution, Draws
+from adr_service.errors import InvalidInput
 from adr_service.json_values import Wire
+from adr_service.parameters import ParameterSpace
 
 
 class Curriculum(Protocol):
@@ -45,15 +47,32 @@ class Phase(Wire):
     mean_return: float | None = None  # of its episodes; none in the last phase, which no move ended
 
 
+def check_space(name: str, distribution: Distribution, space: ParameterSpace) -> None:
+    """Raise InvalidInput unless a distribution is over this space; `name` is its subject.
+
+    The JSON of a distribution has no names of parameters: it is read in the order of the space.
+    """
+    if distribution.space != space:
+        raise InvalidInput(
+            f"{name} is over {', '.join(distribution.space.names)}; accepted is one over the "
+            f"source's own space: {', '.join(space.names)}, in this order, with the same bounds"
+        )
+
+
 class Course:
     """A curriculum during one training, as its environments ask for it.
 
     It is moved when every environment has ended its share of episodes that began after the last
     move. Counting all episodes that end would count those that fail too often: they are short.
+    Raises InvalidInput where the curriculum breaks its promises.
     """
 
-    def __init__(self, curriculum: Curriculum, environments: int):
-        self._curriculum = curriculum
+    def __init__(self, curriculum: Curriculum, space: ParameterSpace, environments: int):
+        if curriculum.episodes < 1:
+            raise InvalidInput(
+                f"a curriculum needs 1 episode or more for a move; given {curriculum.episodes}"
+            )
+        self._curriculum, self._space = curriculum, space
         self._share = -(-curriculum.episodes // environments)  # of each environment, per phase
         self._is_fresh = np.ones(environments, np.bool_)  # if its episode began after the move
         self._counts = np.zeros(environments, np.int64)  # fresh episodes that ended
@@ -62,7 +81,19 @@ class Course:
         self._begin(steps=0)
 
     def sample(self, n: int, rng: np.random.Generator) -> Draws:
-        return self._curriculum.sample(n, rng)
+        draws, expected = self._curriculum.sample(n, rng), (n, len(self._space))
+        values, least = draws.values, self._space.feasible_low
+        if values.shape != expected:
+            raise InvalidInput(
+                f"the curriculum's draws must have the shape {expected}; given {values.shape}"
+            )
+        wrong = ~np.all(np.isfinite(values) & (values >= least), axis=1)
+        if wrong.any():
+            raise InvalidInput(
+                f"the curriculum's draws must be finite and at least {least.tolist()}, for "
+                f"{', '.join(self._space.names)}; given {values[wrong][0].tolist()}"
+            )
+        return draws
 
     def ended(self, rows: Indices, dynamics: Matrix, returns: Vector, steps: int) -> None:
         """Note episodes that ended in the environments `rows`, after `steps` of all of them."""
@@ -84,7 +115,8 @@ class Course:
         self._begin(steps)
 
     def _begin(self, steps: int) -> None:
-        distribution = self._curriculum.distribution.to_json()
-        self.phases.append(Phase(steps=steps, distribution=distribution))
+        distribution = self._curriculum.distribution
+        check_space("the curriculum's distribution", distribution, self._space)
+        self.phases.append(Phase(steps=steps, distribution=distribution.to_json()))
         self._counts[:] = 0
         self._dynamics, self._returns = [], []

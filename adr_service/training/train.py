@@ -25,7 +25,7 @@ from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.tasks.base import Source, Task
 from adr_service.training import crossq, ppo, sac
 from adr_service.training.average import Average
-from adr_service.training.curriculum import Course, Curriculum, Phase
+from adr_service.training.curriculum import Course, Curriculum, Phase, check_space
 from adr_service.training.curve import Evaluation
 from adr_service.training.judge import Judge
 from adr_service.training.libraries import Library
@@ -74,9 +74,10 @@ def train(
     the networks of an earlier training with the same settings. With a curriculum, the episodes of
     the training are drawn from that, and those of the evaluations from `distribution`.
     """
+    check_space("the distribution to train on", distribution, source.space)
     dynamics_rng, evaluation_rng, seed_rng = rng.spawn(3)
     n = settings.environments
-    course = None if curriculum is None else Course(curriculum, n)
+    course = None if curriculum is None else Course(curriculum, source.space, n)
     drawn, ended = (distribution, None) if course is None else (course, course.ended)
     env = RandomizedVecEnv(task, source, drawn, n, dynamics_rng, ended=ended)
     assert settings.backend is not None, "validation has chosen one"

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from adr_service.errors import InvalidInput
 from adr_service.simulation.batch import Simulations
 from adr_service.simulation.rollout import follow, random_actions, run_episodes
 from adr_service.tasks.base import State
@@ -89,6 +90,27 @@ def test_a_diverged_simulation_ends_its_episode_and_earns_nothing_in_its_last_st
     assert episodes.lengths.tolist() == [5, 1]
     assert episodes.returns[1] == 0
     assert episodes.returns[0] > 0
+
+
+def test_a_reward_that_is_not_finite_is_refused_by_the_tasks_name():
+    class Undefined(type(ARM)):
+        def reward(self, before, actions, after):
+            return np.array([0.0, np.nan])
+
+    initial = ARM.initial(2, np.random.default_rng(0))
+    with pytest.raises(InvalidInput, match=r"the reward of arm must be finite .* it was nan"):
+        run_episodes(Undefined(), simulations_of(2), no_power, initial, 5)
+
+
+def test_a_reward_after_the_end_of_an_episode_may_be_anything():
+    class Undefined(type(ARM)):
+        def reward(self, before, actions, after):
+            return np.where(self.terminated(before), np.nan, 1.0)
+
+    initial = ARM.initial(3, np.random.default_rng(0))
+    episodes = run_episodes(Undefined(), simulations_of(3), full_power, initial, 200)
+    assert len(set(episodes.lengths.tolist())) > 1
+    np.testing.assert_array_equal(episodes.returns, episodes.lengths)
 
 
 def test_returns_are_the_sums_of_rewards():

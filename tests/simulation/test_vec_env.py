@@ -5,6 +5,7 @@ import pytest
 from stable_baselines3.common.vec_env import VecMonitor
 
 from adr_service.distributions import Gaussian, Uniform
+from adr_service.errors import InvalidInput
 from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.tasks.catalogue import get_task, hidden_of, source_of
 
@@ -89,3 +90,15 @@ def test_environments_of_a_batch_have_nothing_to_set_or_to_call():
         env.set_attr("gravity", 0)
     with pytest.raises(AttributeError, match="no method 'jump'"):
         env.env_method("jump")
+
+
+@pytest.mark.parametrize("wrong", [np.nan, -np.inf])
+def test_a_reward_that_is_not_finite_is_refused_by_the_tasks_name(wrong):
+    class Undefined(type(ARM)):
+        def reward(self, before, actions, after):
+            return np.array([0.0, wrong])
+
+    env = RandomizedVecEnv(Undefined(), SOURCE, TRUTH, 2, np.random.default_rng(0))
+    env.reset()
+    with pytest.raises(InvalidInput, match=f"the reward of arm must be finite .* it was {wrong}"):
+        env.step(np.zeros((2, 2)))

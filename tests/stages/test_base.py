@@ -8,7 +8,9 @@ import pytest
 
 from adr_service.benchmark.plan import MeasuredSpeed
 from adr_service.distributions import Uniform
+from adr_service.errors import InvalidInput
 from adr_service.parameters import ParameterSpace
+from adr_service.plugins import TASKS
 from adr_service.stages.base import (
     Belief,
     CoreSpeed,
@@ -23,6 +25,7 @@ from adr_service.stages.local import LocalStages, drained
 from adr_service.tasks.catalogue import source_of
 from db import runs
 from tests.db.rows import EXECUTION, SPEC
+from tests.packages import add_entry_point
 from workers.results import DatabaseResults, Outcome
 
 
@@ -91,6 +94,15 @@ def test_a_kind_of_stage_needs_its_file_alone_to_be_stored(file_database):
     found = results.find(STAGE, run_id)
     assert found == result
     assert STAGE.read(found).picture == b"dots"
+
+
+def test_a_stage_of_another_version_than_this_process_has_is_not_computed(tmp_path, monkeypatch):
+    add_entry_point(tmp_path, TASKS, "math:pi", "newer_here")
+    monkeypatch.syspath_prepend(tmp_path)
+    stage = ThrowDice(task="newer_here", package="broken 0.9", count=5)
+    message = "this process has broken 1.0, the stage is of broken 0.9: start the service again"
+    with pytest.raises(InvalidInput, match=message):
+        compute(stage)
 
 
 def test_random_numbers_come_from_the_digest():

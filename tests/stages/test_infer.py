@@ -2,12 +2,15 @@
 
 import io
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Literal
 
 import numpy as np
 import pytest
 
 from adr_service.distributions import Gaussian, Uniform
 from adr_service.errors import InvalidInput
+from adr_service.methods.base import Estimate, OfflineSettings
 from adr_service.methods.dropo import DropoSettings
 from adr_service.methods.simopt import SimOpt, SimOptSettings
 from adr_service.methods.sysid import SysidSettings
@@ -109,3 +112,71 @@ def test_earlier_visits_that_unpack_to_more_than_their_file_are_refused():
     np.savez_compressed(buffer, policy_0=np.zeros(10_000, np.uint8), data_0=np.zeros(1, np.uint8))
     with pytest.raises(InvalidInput, match="holds 10001 numbers"):
         unpacked(buffer.getvalue())
+
+
+def of_a_plug_in(fit=None, planned_steps=lambda: 10):
+    """The offline stage with a method of a user's own, under a name of the catalogue."""
+
+    class OwnSettings(OfflineSettings):
+        name: Literal["sysid"] = "sysid"
+
+        def create(self):
+            return SimpleNamespace(fit=lambda *_: fit())
+
+        def planned_steps(self, parameters, transitions):
+            return planned_steps()
+
+    return replace(OFFLINE, method=OwnSettings())
+
+
+def test_a_distribution_over_the_parameters_in_another_order_is_refused():
+    turned = SPACE.subset(SPACE.names[::-1])
+    stage = of_a_plug_in(lambda: Estimate(Gaussian.prior(turned), 10))
+    with pytest.raises(InvalidInput, match="the distribution of sysid is over elbow_friction, "):
+        compute(stage)
+
+
+@pytest.mark.parametrize(
+    ("found", "message"),
+    [
+        (np.zeros(3), "error in diagnostics of infer is of type ndarray, which is not JSON"),
+        (np.int64(3), "error in diagnostics of infer is of type int64, which is not JSON"),
+        (np.nan, "error in diagnostics of infer is nan, which is not a JSON number"),
+        ([1.0, -np.inf], "an item of error in diagnostics of infer is -inf, which"),
+        ({"of": {1: "one"}}, "a key in of in error in diagnostics of infer must be text; given 1"),
+    ],
+    ids=["array", "integer", "NaN", "infinity", "key"],
+)
+def test_diagnostics_that_are_not_json_are_refused_by_their_name(found, message):
+    stage = of_a_plug_in(lambda: Estimate(Gaussian.prior(SPACE), 10, {"error": found}))
+    with pytest.raises(InvalidInput, match=message):
+        compute(stage)
+
+
+def test_diagnostics_that_are_json_stay_as_they_are():
+    found = {"none": None, "many": [1, 2.5, [True, "text"]], "float": np.float64(0.1)}
+    stage = of_a_plug_in(lambda: Estimate(Gaussian.prior(SPACE), 10, found))
+    assert compute(stage).values["diagnostics"] == {**found, "at_bound": []}
+
+
+@pytest.mark.parametrize(
+    "given", [None, np.nan, np.inf, -1, "many"], ids=["None", "NaN", "infinity", "minus", "text"]
+)
+def test_planned_steps_that_are_no_number_of_steps_are_refused(given):
+    message = f"planned_steps of sysid must be a finite number of 0 or more; it gave {given!r}"
+    with pytest.raises(InvalidInput, match=message):
+        of_a_plug_in(planned_steps=lambda: given).cost(Speed())
+
+
+def test_planned_steps_that_raise_are_refused_with_the_reason():
+    def divided():
+        return 1 / 0
+
+    with pytest.raises(InvalidInput, match="planned_steps of sysid raised ZeroDivisionError: "):
+        of_a_plug_in(planned_steps=divided).cost(Speed())
+
+
+def test_planned_steps_may_be_a_number_of_numpy():
+    plain = of_a_plug_in(planned_steps=lambda: 1000)
+    of_numpy = of_a_plug_in(planned_steps=lambda: np.int64(1000))
+    assert of_numpy.cost(Speed()) == plain.cost(Speed())

@@ -61,6 +61,14 @@ def test_a_best_policy_that_was_not_tried_is_refused(monkeypatch, best):
         compute(STAGE)
 
 
+def test_a_distribution_over_the_parameters_in_another_order_is_refused(monkeypatch):
+    turned = SPACE.subset(SPACE.names[::-1])
+    wrong = Proposal(Uniform(turned, turned.low, turned.high), best=0)
+    monkeypatch.setattr(BayRn, "propose", lambda *_: wrong)
+    with pytest.raises(InvalidInput, match="the distribution of bayrn is over elbow_friction, "):
+        compute(STAGE)
+
+
 def test_a_stand_in_reports_the_latest_and_differs_by_digest():
     other = replace(STAGE, seed=1)
     assert STAGE.stand_in().best == len(RETURNS) - 1

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from adr_service.distributions import Uniform
+from adr_service.distributions import Draws, Uniform
+from adr_service.errors import InvalidInput
 from adr_service.randomness import stream
 from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.tasks.catalogue import get_task, source_of
@@ -40,7 +41,7 @@ class Walk:
 
 def test_a_curriculum_moves_after_each_environments_share_of_episodes():
     walk = Walk(episodes=5)
-    course = Course(walk, environments=3)  # two episodes of each
+    course = Course(walk, SPACE, environments=3)  # two episodes of each
 
     def end(rows, returns, steps):
         course.ended(np.array(rows), walk.points(len(rows)), np.array(returns), steps)
@@ -57,7 +58,7 @@ def test_a_curriculum_moves_after_each_environments_share_of_episodes():
 
 def test_episodes_from_before_a_move_do_not_count_for_the_next():
     walk = Walk(episodes=2)
-    course = Course(walk, environments=2)
+    course = Course(walk, SPACE, environments=2)
 
     def end(rows, returns):
         course.ended(np.array(rows), walk.points(len(rows)), np.array(returns), 0)
@@ -78,7 +79,7 @@ def test_short_episodes_count_no_more_than_long_ones():
             self.moves.append(np.mean(returns))
 
     rng, stay, n = np.random.default_rng(0), Stay(episodes=8), 8
-    course = Course(stay, environments=n)
+    course = Course(stay, SPACE, environments=n)
     lengths, done = np.where(rng.random(n) < 0.5, 1, 50), np.zeros(n, np.int64)
     begun, soon = np.zeros(n, np.int64), []  # those that begin and end in one window of 60 steps
     for step in range(20_000):
@@ -135,3 +136,43 @@ def test_a_training_draws_from_its_curriculum_and_is_judged_on_the_distribution(
     elsewhere = train(ARM, SOURCE, middle, given, stream("one"), curriculum=Walk(episodes=12))
     assert elsewhere.phases == moved.phases  # it has trained on the same
     assert elsewhere.curve != moved.curve
+
+
+@pytest.mark.parametrize("episodes", [0, -5])
+def test_a_curriculum_that_would_move_after_no_episode_is_refused_at_the_start(episodes):
+    with pytest.raises(InvalidInput, match=f"needs 1 episode or more for a move; given {episodes}"):
+        Course(Walk(episodes), SPACE, environments=3)
+
+
+def test_a_curriculum_may_draw_the_smallest_feasible_values_and_none_below():
+    class Draw(Walk):
+        values = np.tile(SPACE.feasible_low, (2, 1))
+
+        def sample(self, n, rng):
+            return Draws(self.values, 0)
+
+    draw, rng = Draw(episodes=2), np.random.default_rng(0)
+    course = Course(draw, SPACE, environments=2)
+    assert course.sample(2, rng).values is draw.values
+    for wrong in (SPACE.feasible_low[1] - 0.01, np.nan, np.inf):
+        draw.values = np.tile(SPACE.feasible_low, (2, 1))
+        draw.values[1, 1] = wrong
+        with pytest.raises(InvalidInput, match=f"must be finite and at least .*{wrong}"):
+            course.sample(2, rng)
+    with pytest.raises(InvalidInput, match=r"must have the shape \(5, 4\); given \(2, 4\)"):
+        course.sample(5, rng)
+
+
+def test_a_curriculum_whose_distribution_leaves_the_space_is_refused_when_it_does():
+    class Narrow(Walk):
+        @property
+        def distribution(self):
+            space = SPACE.subset(SPACE.names[: len(SPACE) - len(self.moves)])
+            return Uniform(space, space.low, space.high)
+
+        def move(self, dynamics, returns):
+            self.moves.append(returns)
+
+    course = Course(Narrow(episodes=1), SPACE, environments=1)
+    with pytest.raises(InvalidInput, match=r"the curriculum's distribution is over .*_friction; "):
+        course.ended(np.array([0]), SPACE.low[None], np.array([1.0]), 10)

@@ -187,3 +187,9 @@ def seen_by(model, observations):
         return (observations - mean) * scale
     normal = model.get_vec_normalize_env()
     return observations if normal is None else normal.normalize_obs(observations)
+
+
+def test_a_distribution_over_the_parameters_in_another_order_is_refused():
+    turned = Gaussian.prior(PRIOR.space.subset(PRIOR.space.names[::-1]))
+    with pytest.raises(InvalidInput, match="the distribution to train on is over elbow_friction, "):
+        train(ARM, VANILLA.source, turned, settings("sac"), stream("one"))
