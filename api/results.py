@@ -114,7 +114,8 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
     """Return the ResultsView of a run or a benchmark as JSON.
 
     Its bootstraps take seconds, so it is stored until one of the runs finishes another iteration,
-    tables have other columns, or a task's package has another version.
+    tables have other columns, or a task's package has another version. One is computed at a time:
+    whoever asks for the same waits for it.
     """
     count = event_store.count_iterations(service.database, [record.id for record in records])
     tables = (Row, Aggregate, Comparison, ParameterEstimate, InferenceCost)
@@ -124,18 +125,20 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
     packages = [package_of(TASKS, task) for task in tasks]
     known = [adr_service.__version__, _TABLES, columns, count, unread, packages]
     version = sha256(canonical_json(known).encode())
-    stored = result_store.kept_results(service.database, id, version)
-    if stored is not None:
+    if (stored := result_store.kept_results(service.database, id, version)) is not None:
         return stored
-    view = results_view(outcomes_of(service, records))
-    if unread:
-        left_out = f"{view.note}; {len(unread)} runs cannot be read here, and are left out"
-        view = view.model_copy(update={"note": left_out})
-    results = view.model_dump_json()
-    try:
-        result_store.keep_results(service.database, id, version, results)
-    except DatabaseUnavailable as error:
-        log.warning("the results of %s are not kept: %s", id, error)
+    with service.comparing:
+        if (stored := result_store.kept_results(service.database, id, version)) is not None:
+            return stored
+        view = results_view(outcomes_of(service, records))
+        if unread:
+            left_out = f"{view.note}; {len(unread)} runs cannot be read here, and are left out"
+            view = view.model_copy(update={"note": left_out})
+        results = view.model_dump_json()
+        try:
+            result_store.keep_results(service.database, id, version, results)
+        except DatabaseUnavailable as error:
+            log.warning("the results of %s are not kept: %s", id, error)
     return results
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from threading import Lock
 from typing import Annotated, Any
 
 from fastapi import Depends, Request
@@ -44,6 +45,7 @@ class Service:
     database: Database
     orchestrator: Orchestrator
     films: Films = field(default_factory=Films)
+    comparing: Lock = field(default_factory=Lock)  # held while results are compared
     # the best methods on the first page with the moment of a benchmark's last change, by benchmark
     leaders: dict[str, tuple[datetime, dict[str, Any] | None]] = field(default_factory=dict)
 

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,6 +21,7 @@ from db.models import VisitState
 
 router = APIRouter(include_in_schema=False)
 _SHOWN = 50  # of each list; the API has the rest
+_PATIENCE_S = 2.0  # for comparisons of benchmarks, which take seconds each once
 log = logging.getLogger(__name__)
 
 
@@ -27,14 +29,14 @@ log = logging.getLogger(__name__)
 def overview(request: Request, service: ServiceDependency) -> Response:
     records, single = benchmark_store.latest(service.database, _SHOWN)
     benchmarks = benchmark_summaries(service, records)
-    activities = service.orchestrator.activities()
+    activities, leaders = service.orchestrator.activities(), _leaders(service, benchmarks)
     waiting = visit_store.list_visits(
         service.database, state=VisitState.PENDING, external=True, limit=1000
     )
     return show(
         request,
         "overview.html",
-        live=bool(activities) or not all(each.is_finished for each in benchmarks),
+        live=bool(activities) or len(leaders) < len(benchmarks),  # unfinished ones have none
         cores=service.orchestrator.cores,
         free_disk=service.free_disk(),
         ray=service.dashboard_url,
@@ -42,7 +44,7 @@ def overview(request: Request, service: ServiceDependency) -> Response:
         activities=sorted(activities, key=lambda each: each.state),
         owners=titles(service, (each.started_by for each in activities)),
         benchmarks=benchmarks,
-        leaders=_leaders(service, benchmarks),
+        leaders=leaders,
         runs=single,
     )
 
@@ -52,13 +54,18 @@ def _leaders(
 ) -> dict[str, dict[str, Any] | None]:
     """The best methods of finished benchmarks; nothing is compared while results still come.
 
-    They are kept until a run changes, because a page that renews itself must be cheap.
+    They are kept until a run changes, because a page that renews itself must be cheap. Those that
+    a look has no time to compare, or that others compare just now, are missing: the next one has
+    them.
     """
+    until = time.monotonic() + _PATIENCE_S
     finished = [benchmark.id for benchmark in benchmarks if benchmark.is_finished]
     found: dict[str, dict[str, Any] | None] = {}
     for id, changed in benchmark_store.changes_of(service.database, finished).items():
         before = service.leaders.get(id)
         if before is None or before[0] != changed:
+            if service.comparing.locked() or time.monotonic() > until:
+                continue
             before = service.leaders[id] = (changed, _leader(service, id))
         found[id] = before[1]
     return found
