@@ -80,14 +80,17 @@ class _Clock:
         self._is_first = _Clock._stages == 0
         _Clock._stages += 1
         self._began, self._preparing = time.time(), preparation_seconds()
-        self._cpu = time.process_time()
+        self._steady, self._cpu = time.monotonic(), time.process_time()
 
     def measured(self, placed: Execution) -> Execution:
-        """The execution with what this process has measured until now."""
+        """The execution with what this process has measured until now.
+
+        By a steady clock: the other one may be set while a stage computes.
+        """
         return replace(
             placed,
             began=self._began,
-            ended=time.time(),
+            ended=self._began + time.monotonic() - self._steady,
             cpu=time.process_time() - self._cpu,
             preparing=preparation_seconds() - self._preparing,
             is_first=self._is_first,
