@@ -23,11 +23,20 @@ from adr_service.effects.models import (
     write_all,
 )
 from adr_service.errors import InvalidInput
-from adr_service.parameters import ParameterSpace
-from adr_service.simulation.model import link_of, not_a_model, read, resolve, write
+from adr_service.parameters import Parameter, ParameterSpace
+from adr_service.simulation.model import (
+    check_written_once,
+    link_of,
+    not_a_model,
+    read,
+    resolve,
+    write,
+)
 from adr_service.tasks.base import Reshapable, Source, Task
 
 Lengths = tuple[tuple[str, float], ...]  # of links, by name
+_NOT_NEGATIVE = ("body_mass", "dof_damping", "dof_armature")  # fields
+_ROUNDING = 1e-9  # relative: values of a model as near as that are the same
 
 
 @dataclass(frozen=True)
@@ -59,16 +68,16 @@ class Nominal:
         task: Task | None = None,
         folder: str = "",
     ) -> "Nominal":
-        """A model whose free parameters start at the values that its file has."""
+        """A model whose free parameters start at the values that its file has.
+
+        Raises InvalidInput for a parameter whose bounds do not hold that value or go below what a
+        simulation can have, and for one that sets several elements which differ in the file, or an
+        element that another address sets too.
+        """
         whole = cls(xml, ParameterSpace(()), np.empty(0), fixed or {}, task, folder)
         model = whole.model(whole.start)
-        start = [read(model, resolve(model, p.address)) for p in space.parameters]
-        for p, value in zip(space.parameters, start, strict=True):
-            if not p.feasible_low <= value <= p.high:
-                raise InvalidInput(
-                    f"the model has {value:g} for {p.name}, which is outside of its bounds: "
-                    f"{p.feasible_low:g} to {p.high:g}"
-                )
+        check_written_once(model, Source(space, whole.fixed))
+        start = [_start_of(p, model) for p in space.parameters]
         return cls(xml, space, np.array(start), fixed or {}, task, folder)
 
     def model(self, values: Vector, effects: Sequence[Effect] = ()) -> mujoco.MjModel:
@@ -134,6 +143,26 @@ class Nominal:
         for address, value in self.addressed(values).items():
             if link_of(address) is None:
                 write(model, resolve(model, address), value)
+
+
+def _start_of(parameter: Parameter, model: mujoco.MjModel) -> float:
+    """The one value that a model has for a parameter, within bounds that can be simulated."""
+    slot = resolve(model, parameter.address)
+    value, low, name = read(model, slot), parameter.feasible_low, parameter.name
+    held = [float(getattr(model, slot.field)[element]) for element in slot.elements]
+    if not np.allclose(held, value, rtol=_ROUNDING, atol=0):
+        raise InvalidInput(
+            f"{name} sets {len(held)} values alike, and the model has {min(held):g} to "
+            f"{max(held):g} for them; make them equal in the model, or free each by its own address"
+        )
+    if slot.field in _NOT_NEGATIVE and low < 0:
+        raise InvalidInput(f"the lower bound of {name} is {low:g}; accepted are 0 and more")
+    if not low <= value <= parameter.high:
+        raise InvalidInput(
+            f"the model has {value:g} for {name}, which is outside of its bounds: "
+            f"{low:g} to {parameter.high:g}"
+        )
+    return value
 
 
 def _name_all(elements: Sequence[Any]) -> None:

@@ -26,6 +26,66 @@ def test_a_model_starts_at_the_values_of_its_file():
     np.testing.assert_allclose(nominal.start, [0.7])
 
 
+GANTRY = """
+<mujoco>
+  <worldbody>
+    <body name="bridge">
+      <joint name="x" type="slide" axis="1 0 0" damping="2"/>
+      <geom size="0.1" mass="4"/>
+      <body name="carriage">
+        <joint name="y" type="slide" axis="0 1 0" damping="1"/>
+        <geom size="0.1" mass="1"/>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>"""
+
+
+def freed(*addresses, low=0.5):
+    return ParameterSpace(tuple(Parameter(a, a, "", low, 5.0, low) for a in addresses))
+
+
+@pytest.mark.parametrize(
+    "twice",
+    [("body:carriage.mass", "body:carriage.inertial"), ("joint:x.damping", "joint:*.damping")],
+)
+def test_an_element_that_two_parameters_set_is_refused(twice):
+    """The last one won, and the fit of the other was of nothing."""
+    with pytest.raises(InvalidInput, match="both set"):
+        Nominal.of_model(GANTRY, freed(*twice))
+
+
+def test_a_fixed_value_of_what_is_free_is_refused():
+    with pytest.raises(InvalidInput, match=r"mass and body:bridge\.inertial both set"):
+        Nominal.of_model(GANTRY, freed("body:bridge.inertial"), {"body:bridge.mass": 3.0})
+
+
+def test_one_parameter_of_elements_that_differ_is_refused_and_of_equal_ones_is_not():
+    with pytest.raises(InvalidInput, match=r"damping sets 2 values alike.* has 1 to 2 for them"):
+        Nominal.of_model(GANTRY, freed("joint:*.damping"))
+    alike = Nominal.of_model(GANTRY.replace('damping="2"', 'damping="1"'), freed("joint:*.damping"))
+    assert alike.start.tolist() == [1.0]
+
+
+@pytest.mark.parametrize(
+    ("address", "low"),
+    [
+        ("body:carriage.mass", -1.0),
+        ("body:carriage.inertial", -0.5),
+        ("joint:x.damping", -0.1),
+        ("joint:x.armature", -0.1),
+    ],
+)
+def test_bounds_that_go_below_what_can_be_simulated_are_refused(address, low):
+    with pytest.raises(InvalidInput, match=f"{address} is {low:g}; accepted are 0 and more"):
+        Nominal.of_model(GANTRY, freed(address, low=low))
+
+
+def test_masses_and_dampings_may_begin_at_zero_and_a_spring_below_it():
+    Nominal.of_model(GANTRY, freed("body:carriage.mass", "joint:x.damping", low=0.0))
+    Nominal.of_model(GANTRY, freed("joint:x.stiffness", low=-1.0))
+
+
 def test_parameters_land_in_the_model():
     nominal = arm()[1]
     values = 1.1 * nominal.start
