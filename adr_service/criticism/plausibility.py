@@ -1,14 +1,18 @@
 """Checks of a measurement by itself: rows enough, sensors that move, velocities that are rates."""
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.stats import rankdata
 
-from adr_service.arrays import Vector
+from adr_service.arrays import Indices, Vector
 from adr_service.criticism.measurements import Measurement
 from adr_service.errors import InvalidInput
 
 _LEAST_EPISODES, _LEAST_TRANSITIONS = 8, 200
 _STUCK = 0.2  # of all rows, with the very same extreme value
 _ALIKE, _OFF = 0.5, 1.5  # correlation of positions' changes and velocities; their ratio
+_WINDOW, _LEAST_WINDOWS = 10, 20  # transitions of a window; how many show a correlation
+_CLEAR = 2.0  # standard deviations of noise: the median difference of displacements in clear motion
 
 
 def check_usable(data: Measurement) -> None:
@@ -65,6 +69,14 @@ def check_rates(data: Measurement) -> None:
                 "columns are not in the model's order"
             )
         if not alike >= _ALIKE:
+            over_windows = _likeness_over_windows(data, column)
+            if over_windows is not None and over_windows < _ALIKE:
+                raise InvalidInput(
+                    f"column {column} of qpos moves, but not as the same column of qvel says (over "
+                    f"{_WINDOW} transitions their correlation is {over_windows:.2f}): the columns "
+                    "are not in the model's order, one of the two holds something else or is "
+                    "late, or positions jump by a turn"
+                )
             continue  # too little motion to judge by
         ratio = float(moved @ expected / (expected @ expected))
         if not 1 / _OFF < ratio < _OFF:
@@ -73,6 +85,41 @@ def check_rates(data: Measurement) -> None:
                 "qvel says; expected is about 1: `time` in seconds, positions and velocities "
                 "both in rad or both in m, and columns in the model's order"
             )
+
+
+def _likeness_over_windows(data: Measurement, column: int) -> float | None:
+    """Rank correlation of displacements with integrated velocities, over windows of an episode.
+
+    None unless displacements differ clearly more than noise makes them differ. Ranks and medians
+    are compared, so that a few outliers decide nothing.
+    """
+    starts = np.concatenate([np.arange(a, b - _WINDOW, _WINDOW) for a, b in data.spans()])
+    if len(starts) < _LEAST_WINDOWS:
+        return None
+    position, velocity, period = data.qpos[:, column], data.qvel[:, column], data.period()
+    integral = cumulative_trapezoid(velocity, dx=period, initial=0.0)
+    displacement = position[starts + _WINDOW] - position[starts]
+    expected = integral[starts + _WINDOW] - integral[starts]
+    noise = max(
+        np.sqrt(2) * _noise(position, data.episode),
+        np.sqrt(_WINDOW) * period * _noise(velocity, data.episode),
+    )
+    if not np.median(np.abs(displacement - np.median(displacement))) > _CLEAR * noise:
+        return None
+    if np.ptp(expected) == 0:
+        return 0.0
+    return float(np.corrcoef(rankdata(displacement), rankdata(expected))[0, 1])
+
+
+def _noise(values: Vector, episode: Indices) -> float:
+    """Standard deviation of the noise in readings (n,), by their third differences and their step.
+
+    At least as large as it is, because fast motion counts as noise.
+    """
+    third = np.diff(values, n=3)[episode[3:] == episode[:-3]]
+    step = np.min(np.diff(np.unique(values)), initial=np.ptp(values))
+    # 20 = 1 + 9 + 9 + 1, the weights' squares
+    return float(np.hypot(np.sqrt(np.mean(third**2) / 20), step / np.sqrt(12)))
 
 
 def why_stuck(values: Vector) -> str | None:

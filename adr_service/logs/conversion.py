@@ -26,6 +26,7 @@ from adr_service.errors import InvalidInput
 from adr_service.logs.agreement import Agreement, agreements
 from adr_service.logs.base import Log
 from adr_service.logs.mapping import LogMap, is_slide
+from adr_service.logs.overlaps import check_logs_apart
 from adr_service.logs.resampling import edges, held, interpolated, sampled, scatter
 from adr_service.logs.tracks import (
     DENSER,
@@ -118,6 +119,7 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
     given.check(model)
     parts, short = _parts(logs, given.rows.episode)
     recordings = [unwrapped(recording_of(part, given, model), given, model) for part in parts]
+    check_logs_apart(logs, given)
     for recording in recordings:
         check_jumps(recording, given, model)
     recordings = on_one_branch(recordings, given, model)
@@ -130,7 +132,7 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
     records: list[Record] = []
     noise: list[Vector] = []
     for recording in recordings:
-        check_derived(recording, period)
+        check_derived(recording, period, float(model.opt.timestep))
         pieces = _pieces(recording, period, given.rows.seconds)
         episodes += [_episode(recording, piece, period, given, model) for piece in pieces]
         records.append(_record(recording, pieces, period))

@@ -221,7 +221,7 @@ def check_lengths(
                 raise InvalidInput(
                     f"{recording.source}: rows {period:g} s apart are more than the readings of "
                     f"{track.column!r}, {track.spacing:.3g} s apart; give rows.period = "
-                    f"{np.ceil(track.spacing / step - SAME) * step:.6g} or more"
+                    f"{_whole_steps(track.spacing, step):.6g} or more"
                 )
         tracks = [*recording.states, *(track for track in recording.commands if track is not None)]
         last, first = (
@@ -236,14 +236,22 @@ def check_lengths(
             )
 
 
-def check_derived(recording: Recording, period: float) -> None:
-    """Raises InvalidInput if a velocity is to be derived from readings that are too few for it."""
+def check_derived(recording: Recording, period: float, step: float) -> None:
+    """Raises InvalidInput if a velocity is to be derived from readings that are too few for it.
+
+    A period is a multiple of `step` [s], the model's own.
+    """
     for track in recording.positions:
         if track.is_fitted and period < LEAST_READINGS * track.spacing * (1 - SAME):
             name = track.quantity.removesuffix(".position")
             raise InvalidInput(
                 f"joints.{name}: no velocity can be derived from readings {track.spacing:.3g} s "
                 f"apart for rows {period:g} s apart, because a row needs {LEAST_READINGS} of its "
-                f"own; give rows.period = {PREFERRED * track.spacing:.2g} or so, or leave "
-                "derive_velocity out (not measured)"
+                f"own; give rows.period = {_whole_steps(PREFERRED * track.spacing, step):.6g} or "
+                "so, or leave derive_velocity out (not measured)"
             )
+
+
+def _whole_steps(seconds: float, step: float) -> float:
+    """The shortest time of whole steps that is at least as long."""
+    return float(np.ceil(seconds / step - SAME) * step)

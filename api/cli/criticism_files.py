@@ -23,6 +23,7 @@ from adr_service.criticism.next_recording import (
     recorded_limits,
 )
 from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.overlaps import check_apart
 from adr_service.criticism.pipeline import Criticism, criticise
 from adr_service.criticism.plans import Plan, Separation
 from adr_service.criticism.recordings import read_measurement
@@ -99,7 +100,9 @@ def criticise_files(
 ) -> Criticism:
     """Write verdict.json, report.html and, if effects are named, the extended model."""
     check_differ(data)
-    whole = Measurement.joined([_measurement(path, nominal.task) for path in data])
+    parts = [_measurement(path, nominal.task) for path in data]
+    whole = Measurement.joined(parts)
+    check_apart([path.name for path in data], parts)
     criticism = criticise(nominal, whole, np.random.default_rng(seed), progress)
     made = f"{datetime.now().astimezone():%Y-%m-%d}"
     names = ", ".join(path.name for path in data)

@@ -92,13 +92,14 @@ def minari(
     url: Url = None,
 ) -> None:
     """Store an uploaded recording as a data set of Minari on this machine."""
+    from adr_service.criticism.recordings import read_recording
     from adr_service.interchange.minari_datasets import to_minari
     from adr_service.tasks.catalogue import get_task
-    from adr_service.transitions import TransitionDataset
 
+    recorded = get_task(task)
     with connect(url) as client:
-        data = TransitionDataset.from_npz(client.recording(dataset))
-    to_minari(data, get_task(task), name)
+        data = read_recording(recorded, client.recording(dataset))
+    to_minari(data, recorded, name)
     typer.echo(f"minari show {name}")
 
 

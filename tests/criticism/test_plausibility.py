@@ -44,6 +44,53 @@ def test_velocities_that_are_not_the_rates_of_positions_are_refused(good, name, 
         check_rates(measurement)
 
 
+def drawn(good, rng):
+    return rng.normal(scale=good["qvel"][:, 1].std() / 2, size=len(good["qvel"]))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        lambda good, rng: good["qvel"][:, 0],
+        lambda good, rng: good["qpos"][:, 1],
+        lambda good, rng: good["ctrl"][:, 0],
+        drawn,
+    ],
+    ids=["another joint's velocity", "the position", "a command", "random numbers"],
+)
+def test_a_velocity_that_has_nothing_to_do_with_its_position_is_refused(good, other):
+    qvel = good["qvel"].copy()
+    qvel[:, 1] = other(good, np.random.default_rng(0))
+    with pytest.raises(InvalidInput, match=r"column 1 of qpos moves, but not as .* order"):
+        check_rates(Measurement(**{**good, "qvel": qvel}))
+
+
+@pytest.mark.parametrize(
+    ("name", "spoil"),
+    [
+        ("qvel", lambda v, rng: v + 10 * rng.normal(scale=v.std(), size=v.shape)),
+        ("qpos", lambda v, rng: v + 3 * rng.normal(scale=v.std(), size=v.shape)),
+        ("qpos", lambda v, rng: np.round(v / np.ptp(v))),
+        ("qvel", lambda v, rng: np.where(rng.uniform(size=v.shape) < 0.01, 1e4, v)),
+        ("qpos", lambda v, rng: np.where(rng.uniform(size=v.shape) < 0.01, 1e4, v)),
+    ],
+    ids=["noisy velocities", "noisy positions", "a coarse encoder", "velocity spikes", "spikes"],
+)
+def test_poor_readings_of_the_right_joint_are_no_wrong_columns(good, name, spoil):
+    values = good[name].copy()
+    values[:, 1] = spoil(values[:, 1], np.random.default_rng(0))
+    check_rates(Measurement(**{**good, name: values}))
+
+
+def test_a_joint_that_turns_at_one_speed_is_no_wrong_column(good):
+    """Displacements that are all alike correlate with nothing."""
+    rng, time = np.random.default_rng(0), np.arange(len(good["time"])) * 0.02
+    qpos, qvel = good["qpos"].copy(), good["qvel"].copy()
+    qpos[:, 1] = 2.0 * time + rng.normal(scale=1e-3, size=len(time))
+    qvel[:, 1] = 2.0 + rng.normal(scale=1e-2, size=len(time))
+    check_rates(Measurement(**{**good, "qpos": qpos, "qvel": qvel}))
+
+
 def test_a_joint_of_which_nothing_is_measured_is_refused(good):
     unread = [0.1, np.inf]
     measurement = Measurement(**good, qpos_std=unread, qvel_std=unread)

@@ -212,6 +212,17 @@ def test_a_velocity_cannot_be_derived_from_few_readings(robot, even):
         convert([log(even)], given, robot)
 
 
+def test_the_period_that_is_advised_for_a_derived_velocity_is_accepted(even):
+    """Eight readings are 32 ms, and seven steps of the model 35 ms."""
+    slower = mujoco.MjModel.from_xml_string(XML.replace('timestep="0.002"', 'timestep="0.005"'))
+    velocity = ('velocity = "dq1"', "derive_velocity = true")
+    given = changed(velocity, ("[actuators", "[rows]\nperiod = 0.01\n[actuators"))
+    with pytest.raises(InvalidInput, match=r"rows\.period = 0\.035 or so"):
+        convert([log(even)], given, slower)
+    given = changed(velocity, ("[actuators", "[rows]\nperiod = 0.035\n[actuators"))
+    assert convert([log(even)], given, slower).period == pytest.approx(0.035)
+
+
 def test_rows_are_as_far_apart_as_a_derived_velocity_needs(robot, even):
     given = changed(('velocity = "dq1"', "derive_velocity = true"))
     assert convert([log(even)], given, robot).period == pytest.approx(0.032)
@@ -233,8 +244,10 @@ def test_a_pose_has_the_same_position_whichever_turn_its_recording_began_in(robo
     wrapped = {**even, "q1": even["q1"] % (2 * np.pi)}
     later = even["time"] >= 1.1  # just below zero, which reads as nearly a whole turn
     assert wrapped["q1"][later][0] > 6
-    second = {name: values[later] for name, values in wrapped.items()}
-    for logs in ([wrapped, second], [second, wrapped]):
+    first, second = (
+        {name: values[rows] for name, values in wrapped.items()} for rows in (~later, later)
+    )
+    for logs in ([first, second], [second, first]):
         assert_is_the_motion(
             convert([log(each) for each in logs], turning, robot).measurement, 1e-9
         )
@@ -345,9 +358,10 @@ def test_the_period_that_is_chosen_or_asked_for_can_be_given(robot, given):
 
 
 def test_several_recordings_and_trials_are_episodes_of_their_own(robot, even, given):
-    trials = {**even, "trial": np.floor(even["time"] / 5)}
+    later = motion(even["time"] + 20)
+    first, second = ({**each, "trial": np.floor(each["time"] / 5)} for each in (even, later))
     by_trial = changed(('command = "u"', 'command = "u"\n[rows]\nepisode = "trial"\nseconds = 5.0'))
-    converted = convert([log(trials), log(trials, "second.csv")], by_trial, robot)
+    converted = convert([log(first), log(second, "second.csv")], by_trial, robot)
     assert len(converted.measurement.spans()) == 8
     assert [r.source for r in converted.records][:2] == ["log.csv, trial 0", "log.csv, trial 1"]
 

@@ -80,8 +80,11 @@ def warned(warnings, start):
 def test_a_geared_encoder_keeps_the_branch_of_its_readings_and_its_zero(robot, even):
     """The encoder turns ten times as fast as the joint, which stands at 1.2 turns of it."""
     stands = np.radians(36 * 1.2)
-    logged = {**even, "q1": in_degrees(10 * (even["q1"] + stands))}
-    for recordings in ([log(logged)], [log(logged), log(logged, "second.csv")]):
+    logged, second = (
+        {**each, "q1": in_degrees(10 * (each["q1"] + stands))}
+        for each in (even, motion(even["time"] + 20 * np.pi))
+    )
+    for recordings in ([log(logged)], [log(logged), log(second, "second.csv")]):
         for zero, shift in (("0.0", 0.2 * 36), ("-360.0", 1.2 * 36)):
             given = LogMap.from_toml(GEARED.replace("zero = 0.0", f"zero = {zero}"))
             converted = convert(recordings, given, robot)

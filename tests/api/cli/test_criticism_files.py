@@ -3,8 +3,10 @@
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 
+from adr_service.blind_test.planting import hide
 from adr_service.criticism.extension import extend
 from adr_service.errors import InvalidInput
 from adr_service.progress import silent
@@ -19,6 +21,7 @@ from api.cli.criticism_files import (
     start_of,
     write,
 )
+from tests.hidden import arm
 
 MASS = "body:upper.mass=0.5:2"
 
@@ -178,6 +181,17 @@ def test_a_recording_that_is_given_twice_is_refused(tmp_path, other, message):
     nominal, name = nominal_of("arm", None, None, [])
     with pytest.raises(InvalidInput, match=message):
         criticise_files(nominal, name, data, tmp_path / "out", 0, silent)
+
+
+def test_recordings_that_share_rows_are_refused_by_their_files(tmp_path):
+    data = hide(*arm(), np.random.default_rng(0), [])
+    first, second = tmp_path / "first.npz", tmp_path / "second.npz"
+    first.write_bytes(data.episodes(range(10)).to_npz())
+    second.write_bytes(data.episodes(range(9, 20)).to_npz())
+    with pytest.raises(
+        InvalidInput, match=r"first\.npz from row 684 on and second\.npz from row 0"
+    ):
+        criticise_files(arm()[1], "arm", [first, second], tmp_path / "out", 0, silent)
 
 
 @pytest.mark.parametrize("file", ["bag_0.mcap", "data/chunk-000/episode_000000.parquet"])

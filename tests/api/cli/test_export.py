@@ -1,12 +1,15 @@
 """`adr export` on a real service: what each command writes is read by the library of its format."""
 
 import minari
+import numpy as np
 import onnxruntime
 import pytest
 from huggingface_hub import ModelCard
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from adr_service.blind_test.planting import hide
 from tests.api.conftest import finished  # noqa: F401 - a fixture
+from tests.hidden import arm
 from tests.recordings import recording
 
 pytestmark = [pytest.mark.slow, pytest.mark.ray]
@@ -46,6 +49,14 @@ def test_a_recording_goes_to_minari_and_comes_back(adr, tmp_path):
     assert "adr/arm-v0" in adr("export", "minari", dataset, "adr/arm-v0", "--task", "arm")
     assert minari.load_dataset("adr/arm-v0").total_steps == 20
     assert adr("upload", "minari:adr/arm-v0", "--task", "arm").strip() == dataset
+
+
+def test_a_measurement_goes_to_minari_as_the_recording_that_methods_read(adr, tmp_path):
+    file = tmp_path / "measured.npz"
+    file.write_bytes(hide(*arm(), np.random.default_rng(0), []).episodes(range(2)).to_npz())
+    dataset = adr("upload", file, "--task", "arm").strip()
+    adr("export", "minari", dataset, "adr/measured-v0", "--task", "arm")
+    assert minari.load_dataset("adr/measured-v0").total_episodes == 2
 
 
 def test_what_has_no_policy_is_refused(adr_here, service):
