@@ -46,7 +46,7 @@ def package_of(group: str, name: str) -> str | None:
 
 @dataclass(frozen=True)
 class OtherVersion:
-    """Names and versions of the package that a stage is of, and of what this process has for it."""
+    """A package with its version, in a stage and in this process."""
 
     of_stage: str
     here: str

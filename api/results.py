@@ -114,8 +114,8 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
     """Return the ResultsView of a run or a benchmark as JSON.
 
     Its bootstraps take seconds, so it is stored until one of the runs finishes another iteration,
-    tables have other columns, or a task's package has another version. One is computed at a time:
-    whoever asks for the same waits for it.
+    tables have other columns, or a task's package has another version. Whoever asks for one that is
+    computed just now waits for it.
     """
     count = event_store.count_iterations(service.database, [record.id for record in records])
     tables = (Row, Aggregate, Comparison, ParameterEstimate, InferenceCost)
@@ -127,7 +127,7 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
     version = sha256(canonical_json(known).encode())
     if (stored := result_store.kept_results(service.database, id, version)) is not None:
         return stored
-    with service.comparing:
+    with service.comparing[id]:
         if (stored := result_store.kept_results(service.database, id, version)) is not None:
             return stored
         view = results_view(outcomes_of(service, records))

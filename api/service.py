@@ -5,6 +5,7 @@ import os
 import shutil
 import stat
 import tempfile
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
@@ -30,7 +31,8 @@ from workers.cluster import ClusterUnavailable, RayOptions
 from workers.orchestrator import RUNS_AT_ONCE, Orchestrator
 
 log = logging.getLogger(__name__)
-_OWN_FILES = ("adr.sqlite", "ray_token")  # by which a data folder is known
+# names, or how they begin, by which a data folder is known
+_OWN_FILES = ("adr.sqlite", "ray", "service.log", "compile_cache", staging.PREFIX)
 
 
 class QueueFull(AdrError):
@@ -45,7 +47,8 @@ class Service:
     database: Database
     orchestrator: Orchestrator
     films: Films = field(default_factory=Films)
-    comparing: Lock = field(default_factory=Lock)  # held while results are compared
+    # held while the results of a run or a benchmark are compared, by its id
+    comparing: defaultdict[str, Lock] = field(default_factory=lambda: defaultdict(Lock))
     # the best methods on the first page with the moment of a benchmark's last change, by benchmark
     leaders: dict[str, tuple[datetime, dict[str, Any] | None]] = field(default_factory=dict)
 
@@ -142,14 +145,14 @@ def open_service(settings: Settings) -> Service:
 def _prepare(data_dir: Path) -> None:
     """Make a folder for results and secrets that no other user of the machine can read.
 
-    Raises InvalidInput if others can read it and it has files of theirs, or of another program.
+    Raises InvalidInput if others can read it and it has files, none of them the service's.
     """
     try:
         data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
         mode = stat.S_IMODE(data_dir.stat().st_mode)
         if mode & 0o077:
             names = {path.name for path in data_dir.iterdir()}
-            if names and names.isdisjoint(_OWN_FILES):
+            if names and not any(name.startswith(_OWN_FILES) for name in names):
                 raise InvalidInput(
                     f"{data_dir} is open to others (mode {mode:o}) and has other files than the "
                     "service's: give it a folder of its own (ADR_DATA_DIR, --data-dir), or close "

@@ -37,7 +37,10 @@ from adr_service.parameters import ParameterSpace
 from benchmarks.ended_cases import all_cases, digest_of
 
 PATH = Path("build/bench/arms.json")
-METHOD = ("adr_service/criticism", "adr_service/effects", "adr_service/simulation")
+METHOD = (
+    *("adr_service/criticism", "adr_service/effects", "adr_service/simulation"),
+    "benchmarks/arms.py",
+)
 EPISODES, ROWS, PERIOD = 50, 101, 0.01  # [s] between rows
 _FINER = 4
 _POSITION_NOISE, _VELOCITY_NOISE = 1e-4, 2e-3  # [rad], [rad/s]

@@ -51,8 +51,9 @@ def _resumed(path: Path, origin: dict[str, Any]) -> list[Case]:
     return known.get("cases", [])
 
 
-def digest_of(*folders: str) -> str:
-    """Digest of all sources in folders of this project."""
+def digest_of(*places: str) -> str:
+    """Digest of sources of this project: files, and all in folders."""
     root = Path(adr_service.__file__).parent.parent
-    files = [file for folder in folders for file in (root / folder).rglob("*.py")]
+    files = [file for place in places for file in (root / place).rglob("*.py")]
+    files += [root / place for place in places if place.endswith(".py")]
     return sha256(b"".join(file.read_bytes() for file in sorted(files)))[:12]

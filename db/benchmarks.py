@@ -16,7 +16,6 @@ from sqlalchemy.orm import Session
 from adr_service.errors import InvalidInput
 from adr_service.events import FINISHED, RunState
 from adr_service.json_values import explain
-from adr_service.plugins import other_versions
 from adr_service.specs import (
     BenchmarkExtension,
     BenchmarkPart,
@@ -46,7 +45,7 @@ from db.runs import (
     record_of,
 )
 from db.session import Database
-from db.stages import packaged_inputs
+from db.stages import check_versions
 
 Cell = tuple[str, str, str, int]  # task, variant, method with its collector, seed
 
@@ -180,8 +179,11 @@ def resubmit_all(
     """Queue all failed and cancelled runs of a benchmark again, and yield them.
 
     Each batch is a transaction; what `accept` raises ends it, and earlier batches stay queued.
+    Raises InvalidInput before the first if a package has another version since.
     """
-    stopped = [run.id for run in runs_of(database, benchmark_id) if run.state.is_resumable]
+    present = runs_of(database, benchmark_id)
+    check_versions(database, benchmark_id, [run.id for run in present])
+    stopped = [run.id for run in present if run.state.is_resumable]
     for batch in batches(stopped):
         with database.write("resubmit_all") as session:
             rows = [get_row(session, RunRow, run_id) for run_id in batch]
@@ -238,12 +240,7 @@ def _extended(
     """The spec of a benchmark with an extension, and its new runs."""
     spec, present = readable(now).extended(extension), runs_of(database, now.id)
     new = _missing(now, spec, present)
-    for _, inputs in packaged_inputs(database, [run.id for run in present]):
-        for other in other_versions(inputs).values():
-            raise InvalidInput(
-                f"{now.id} was computed with {other.of_stage}, and {other.here} is installed; "
-                "submit it anew"
-            )
+    check_versions(database, now.id, [run.id for run in present])
     return spec, new
 
 

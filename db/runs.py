@@ -27,6 +27,7 @@ from db.references import delete_unreferenced
 from db.requests import RequestKey, once
 from db.results import delete_results
 from db.session import Database, parts
+from db.stages import check_versions
 
 T = TypeVar("T")
 _LONG = 100_000  # characters of a spec that is read again each time
@@ -140,8 +141,10 @@ def request_cancel(database: Database, run_id: str) -> RunRecord:
 def resubmit(database: Database, run_id: str, accept: Accept | None = None) -> RunRecord:
     """Queue a failed or cancelled run again; its finished stages answer at once.
 
-    Raises NotFound, NotPossible for a run in another state, and what `accept` raises.
+    Raises NotFound, NotPossible for a run in another state, InvalidInput if a package has another
+    version since, and what `accept` raises.
     """
+    check_versions(database, run_id, [run_id])
     with database.write("resubmit") as session:
         row = get_row(session, RunRow, run_id)
         if not RunState(row.state).is_resumable:

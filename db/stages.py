@@ -10,7 +10,9 @@ from sqlalchemy import ColumnElement, Row, Select, delete, exists, func, select
 from sqlalchemy.orm import Session
 
 from adr_service.benchmark.cost import Execution
+from adr_service.errors import InvalidInput
 from adr_service.json_values import Line, canonical_json, sha256
+from adr_service.plugins import other_versions
 from adr_service.stages.base import StageResult
 from db.models import (
     ArtifactRow,
@@ -150,6 +152,17 @@ def packaged_inputs(database: Database, run_ids: Sequence[str]) -> list[tuple[st
             rows = session.execute(query.where(EventRow.run_id.in_(some)))
             found += [(row.run_id, json.loads(row.document)["inputs"]) for row in rows]
     return found
+
+
+def check_versions(database: Database, id: str, run_ids: Sequence[str]) -> None:
+    """Raise InvalidInput if a package has another version now than in the stages of these runs, all
+    runs of the run or the benchmark `id`."""
+    for _, inputs in packaged_inputs(database, run_ids):
+        for other in other_versions(inputs).values():
+            raise InvalidInput(
+                f"{id} was computed with {other.of_stage}, and {other.here} is installed; submit "
+                "it anew"
+            )
 
 
 def provenance_of(session: Session, digest: str) -> dict[str, Any]:

@@ -60,7 +60,7 @@ def are_all_named(case: Marked) -> bool:
 
 
 def has_no_false_second(case: Marked) -> bool:
-    """False if one cause, or one tied with it, is hidden there, and another has nothing that is."""
+    """False if a false cause is named beside a right one, or there is no answer."""
     if case.answer is None:
         return False
     hidden = _hidden(case)

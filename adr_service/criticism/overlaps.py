@@ -32,8 +32,6 @@ def overlap(recordings: Sequence[tuple[Matrix, Indices]]) -> Overlap | None:
 
     Each recording is its rows (n, k) and the numbers of those with which such a stretch may begin.
     """
-    if len(recordings) < 2:
-        return None
     earlier: dict[int, tuple[int, int]] = {}  # recording and row, by the hash of a stretch
     for number, (rows, starts) in enumerate(recordings):
         exact = np.ascontiguousarray(rows + 0.0)  # -0.0 is 0.0
@@ -54,7 +52,7 @@ def check_apart(names: Sequence[str], recordings: Sequence[Measurement]) -> None
     Rows count in which no change of the readings occurs twice: a robot that rests or turns steadily
     shows the same to a coarse sensor in every recording.
     """
-    if both := overlap([_rows_of(each) for each in recordings]):
+    if len(recordings) > 1 and (both := overlap([_rows_of(each) for each in recordings])):
         raise InvalidInput(
             f"{names[both.first]} from row {both.first_row} on and {names[both.second]} from row "
             f"{both.second_row} on are the same; give each row of a recording once"
@@ -66,7 +64,7 @@ def _rows_of(data: Measurement) -> tuple[Matrix, Indices]:
     rows, steps = np.hstack([readings, data.ctrl]), np.diff(readings, axis=0)
     if len(rows) < LEAST_SHARED:
         return rows, np.arange(0)
-    rounded = np.round(steps / (_SAME * np.abs(steps).max() or 1.0))
+    rounded = np.round(steps / (_SAME * np.max(np.abs(steps), initial=0.0) or 1.0))
     kinds = np.unique(rounded, axis=0, return_inverse=True)[1]
     stretches = np.sort(sliding_window_view(kinds, LEAST_SHARED - 1), axis=1)
     return rows, np.flatnonzero(np.all(np.diff(stretches, axis=1) > 0, axis=1))

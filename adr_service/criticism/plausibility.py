@@ -2,7 +2,7 @@
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.stats import rankdata
+from scipy.stats import theilslopes
 
 from adr_service.arrays import Indices, Vector
 from adr_service.criticism.measurements import Measurement
@@ -11,7 +11,9 @@ from adr_service.errors import InvalidInput
 _LEAST_EPISODES, _LEAST_TRANSITIONS = 8, 200
 _STUCK = 0.2  # of all rows, with the very same extreme value
 _ALIKE, _OFF = 0.5, 1.5  # correlation of positions' changes and velocities; their ratio
-_WINDOW, _LEAST_WINDOWS = 10, 20  # transitions of a window; how many show a correlation
+_WINDOW, _LEAST_WINDOWS, _MOST_WINDOWS = 10, 20, 500  # transitions of a window; how many to compare
+_FOLLOWS, _SURE = 0.5, 0.999  # least slope of velocities that are of a joint, and of its interval
+_SPACINGS = (1, 4)  # of rows, by which noise is measured: a filter leaves little from row to row
 _CLEAR = 2.0  # standard deviations of noise: the median difference of displacements in clear motion
 
 
@@ -69,11 +71,11 @@ def check_rates(data: Measurement) -> None:
                 "columns are not in the model's order"
             )
         if not alike >= _ALIKE:
-            over_windows = _likeness_over_windows(data, column)
-            if over_windows is not None and over_windows < _ALIKE:
+            most = _most_slope(data, column)
+            if most is not None and most < _FOLLOWS:
                 raise InvalidInput(
                     f"column {column} of qpos moves, but not as the same column of qvel says (over "
-                    f"{_WINDOW} transitions their correlation is {over_windows:.2f}): the columns "
+                    f"{_WINDOW} transitions, {most:.2g} times as far as that at most): the columns "
                     "are not in the model's order, one of the two holds something else or is "
                     "late, or positions jump by a turn"
                 )
@@ -87,36 +89,35 @@ def check_rates(data: Measurement) -> None:
             )
 
 
-def _likeness_over_windows(data: Measurement, column: int) -> float | None:
-    """Rank correlation of displacements with integrated velocities, over windows of an episode.
+def _most_slope(data: Measurement, column: int) -> float | None:
+    """The largest slope of integrated velocities by displacements, over windows of an episode.
 
-    None unless displacements differ clearly more than noise makes them differ. Ranks and medians
-    are compared, so that a few outliers decide nothing.
+    Noise of velocities leaves the slope at 1, however much of it there is and however it is
+    filtered. It is Theil and Sen's, by which a few outliers decide nothing, at the upper end of its
+    interval. None unless displacements differ clearly more than the noise of positions makes them.
     """
     starts = np.concatenate([np.arange(a, b - _WINDOW, _WINDOW) for a, b in data.spans()])
     if len(starts) < _LEAST_WINDOWS:
         return None
-    position, velocity, period = data.qpos[:, column], data.qvel[:, column], data.period()
-    integral = cumulative_trapezoid(velocity, dx=period, initial=0.0)
+    starts = starts[:: -(-len(starts) // _MOST_WINDOWS)]
+    position, velocity = data.qpos[:, column], data.qvel[:, column]
+    integral = cumulative_trapezoid(velocity, dx=data.period(), initial=0.0)
     displacement = position[starts + _WINDOW] - position[starts]
     expected = integral[starts + _WINDOW] - integral[starts]
-    noise = max(
-        np.sqrt(2) * _noise(position, data.episode),
-        np.sqrt(_WINDOW) * period * _noise(velocity, data.episode),
-    )
-    if not np.median(np.abs(displacement - np.median(displacement))) > _CLEAR * noise:
+    noise = max(_noise(position[::apart], data.episode[::apart]) for apart in _SPACINGS)
+    if not np.median(np.abs(displacement - np.median(displacement))) > _CLEAR * np.sqrt(2) * noise:
         return None
-    if np.ptp(expected) == 0:
-        return 0.0
-    return float(np.corrcoef(rankdata(displacement), rankdata(expected))[0, 1])
+    return float(theilslopes(expected, displacement, _SURE).high_slope)
 
 
 def _noise(values: Vector, episode: Indices) -> float:
     """Standard deviation of the noise in readings (n,), by their third differences and their step.
 
-    At least as large as it is, because fast motion counts as noise.
+    Fast motion counts as noise. Infinite where episodes are too short to tell.
     """
     third = np.diff(values, n=3)[episode[3:] == episode[:-3]]
+    if not len(third):
+        return np.inf
     step = np.min(np.diff(np.unique(values)), initial=np.ptp(values))
     # 20 = 1 + 9 + 9 + 1, the weights' squares
     return float(np.hypot(np.sqrt(np.mean(third**2) / 20), step / np.sqrt(12)))

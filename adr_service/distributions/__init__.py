@@ -6,7 +6,7 @@
 Draws are always feasible. `Draws.adjusted` counts those that were moved to make them so.
 """
 
-from adr_service.distributions.base import Distribution, Draws, normalised_std
+from adr_service.distributions.base import Distribution, Draws, check_space, normalised_std
 from adr_service.distributions.beta import Beta
 from adr_service.distributions.empirical import Empirical
 from adr_service.distributions.gaussian import Gaussian
@@ -26,6 +26,7 @@ __all__ = [
     "TruncatedGaussian",
     "Uniform",
     "at_resolution",
+    "check_space",
     "distribution_from_json",
     "normalised_std",
 ]

@@ -40,6 +40,18 @@ def normalised_std(distribution: Distribution) -> Vector:
     return distribution.std / (space.high - space.low) * space.WIDTH
 
 
+def check_space(name: str, distribution: Distribution, space: ParameterSpace) -> None:
+    """Raise InvalidInput unless a distribution is over this space; `name` is its subject.
+
+    The JSON of a distribution has no names of parameters: it is read in the order of the space.
+    """
+    if distribution.space != space:
+        raise InvalidInput(
+            f"{name} is over {', '.join(distribution.space.names)}; accepted is one over the "
+            f"source's own space: {', '.join(space.names)}, in this order, with the same bounds"
+        )
+
+
 def array_of(name: str, values: Any) -> Matrix:
     """The values as a read-only array. Raises InvalidInput unless they are numbers in a grid."""
     try:

@@ -94,7 +94,8 @@ def _settings_at(point: EntryPoint) -> type[MethodSettings]:
 def _check_defaults(point: EntryPoint, settings: type[MethodSettings]) -> None:
     """Raise InvalidInput unless the settings can be read from the JSON of their defaults.
 
-    Runs are kept with their settings as JSON. A field without a default cannot be tried.
+    Runs are kept with their settings as JSON. A field without a default cannot be tried, nor what a
+    validator says of several fields.
     """
     defaults, whose = settings.model_construct(), f"{origin(point)} gives {settings.__name__}"
     try:
@@ -102,7 +103,7 @@ def _check_defaults(point: EntryPoint, settings: type[MethodSettings]) -> None:
     except PydanticSerializationError as error:
         raise InvalidInput(f"{whose}, whose defaults are not JSON: {error}") from error
     except ValidationError as error:
-        faults = [fault for fault in error.errors() if fault["type"] != "missing"]
+        faults = [f for f in error.errors() if f["loc"] and f["type"] != "missing"]
         if faults:
             fields = "; ".join(f"{'.'.join(map(str, f['loc']))}: {message_of(f)}" for f in faults)
             raise InvalidInput(

@@ -15,11 +15,10 @@ because they are honest only where the model is right.
 
 Two extensions are the ensembles that practitioners train on, and baselines for methods that infer a
 spread. `sysid_wide` is uniform within a share of the point, which is next to no width for a
-parameter that is estimated near zero. `sysid_laplace` is the Gaussian of Laplace's method about the
-most probable point: by the benchmark's prior, N(2, I) in [0, 4], and by residuals that are
-independent and have one deviation in each column, that at the point of least squares. From there,
-where columns weigh otherwise and no prior holds what the data leave open, one step of Gauss and
-Newton leads to it.
+parameter that is estimated near zero. `sysid_laplace` is Laplace's Gaussian under the benchmark's
+prior, N(2, I) in [0, 4]. Residuals count as independent, with one deviation for each column, taken
+at the point of least squares. The mean is one Gauss-Newton step from that point, which weighs
+columns otherwise and has no prior.
 """
 
 from typing import ClassVar, Literal

@@ -45,9 +45,9 @@ def belief(es: "cma.CMAEvolutionStrategy") -> tuple[Vector, Matrix]:
     The search draws x ~ N(m, s² C) (eq. 5), with `stds` s sqrt(diag C), and pycma's transformation
     moves x into the box. The mean is transformed, the covariance is not. The transformation is
     quadratic within .05 of 0 and within (1 + width) / 20 of the width, .25 of 4, and the identity
-    between. So the covariance is that of the draws, except near a bound: of a mean there, its
-    deviations are too large, without limit as the search narrows, and of a search that is still as
-    wide as the box (20 parameters and few generations), it differs by a third.
+    between. The covariance is that of the draws, with two exceptions. Near a bound its deviations
+    are too large, without limit as the search narrows. While the search is as wide as the box, it
+    is off by a third (20 parameters, 15 generations).
     """
     shape: Matrix = np.asarray(es.C, dtype=np.float64)
     scale = np.asarray(es.result.stds, dtype=np.float64) / np.sqrt(np.diag(shape))

@@ -114,15 +114,19 @@ def resolve(model: mujoco.MjModel, address: str) -> Slot:
 
 
 def check_written_once(model: mujoco.MjModel, source: Source) -> None:
-    """Raise InvalidInput if two addresses of a source set one element, or one length."""
+    """Raise InvalidInput if two addresses of a source set one element, or one length.
+
+    Another address may set anew what a fixed value sets by a `*`.
+    """
     owners: dict[tuple[str, tuple[int, ...]], str] = {}
     for address in addresses_of(source):
         for place in _places(model, address):
-            if place in owners:
+            first = owners.get(place)
+            if first is not None and not ("*" in first and first in source.fixed):
                 field, element = place
                 raise InvalidInput(
-                    f"{owners[place]} and {address} both set {field}{list(element) or ''}; a value "
-                    "may have one address among a source's parameters and fixed values"
+                    f"{first} and {address} both set {field}{list(element) or ''}; a value may "
+                    "have one address among the parameters and fixed values"
                 )
             owners[place] = address
 

@@ -78,30 +78,32 @@ def check_replayable(task: Task, data: TransitionDataset, length: int | None) ->
     has, stays below that.
     """
     check_recorded(task, data)
-    if length != 1:
-        _check_order(data)
+    if length != 1 and (gap := gap_of(data)) is not None:
+        raise InvalidInput(
+            f"replays longer than one step need rows that follow one another; {gap}. Give each "
+            "stretch of rows that do an episode id of its own, or replay single steps (`steps` of "
+            "dropo and sysid, or `segment` of bayes_sim and npdr: 1)"
+        )
 
 
-def _check_order(data: TransitionDataset) -> None:
-    """Raise InvalidInput if the rows of an episode do not follow one another."""
+def gap_of(data: TransitionDataset) -> str | None:
+    """Where and how far the rows of an episode do not follow one another; None if they do."""
     rows = np.flatnonzero(data.episodes[1:] == data.episodes[:-1])  # with a row after
     if not len(rows):
-        return
+        return None
     after = data.next_observations[rows]
     gaps = _root_mean_square(after - data.observations[rows + 1])  # (s,)
     changes = _root_mean_square(after - data.observations[rows])
     rounding = _ROUNDED * np.max(np.abs(after), axis=0)
     apart = np.flatnonzero(gaps > np.maximum(_LEAST_GAP * changes, rounding))
-    if len(apart):
-        column = int(apart[0])
-        raise InvalidInput(
-            "replays longer than one step need the rows of an episode to follow one another; in "
-            f"{data.columns[column]}, next observations differ from the observations of the row "
-            f"after by {gaps[column]:.3g}, where a step changes them by {changes[column]:.3g} "
-            "(root mean squares). Give each stretch of rows that follow one another an episode id "
-            "of its own, or replay single steps (`steps` of dropo and sysid, or `segment` of "
-            "bayes_sim and npdr: 1)"
-        )
+    if not len(apart):
+        return None
+    column = int(apart[0])
+    return (
+        f"in {data.columns[column]}, next observations differ from the observations of the row "
+        f"after by {gaps[column]:.3g}, where a step changes them by {changes[column]:.3g} (root "
+        "mean squares)"
+    )
 
 
 def _root_mean_square(values: Matrix) -> Vector:

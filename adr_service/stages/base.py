@@ -170,8 +170,8 @@ def compute(stage: AnyStage, progress: Progress = silent) -> StageResult:
     """
     for other in other_versions(stage.inputs).values():
         raise InvalidInput(
-            f"this process has {other.here}, the stage is of {other.of_stage}: "
-            "start the service again"
+            f"this process has {other.here}, the stage is of {other.of_stage}: install one version "
+            "everywhere, and start the service again"
         )
     with threadpool_limits(1):
         result = stage.compute(stream("stage", stage.digest), progress).to_stored()

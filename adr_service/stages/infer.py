@@ -3,11 +3,12 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from adr_service.distributions import Distribution
+from adr_service.distributions import Distribution, check_space
 from adr_service.errors import InvalidInput
 from adr_service.events import RunEvent
 from adr_service.methods.base import (
@@ -24,7 +25,6 @@ from adr_service.progress import Progress
 from adr_service.stages.base import Belief, CoreSpeed, Cost, Result, Role, Stage
 from adr_service.stages.stand_ins import gaussian
 from adr_service.tasks.catalogue import get_task, source_of
-from adr_service.training.curriculum import check_space
 from adr_service.training.policy import Policy
 from adr_service.transitions import TransitionDataset
 
@@ -123,7 +123,7 @@ class Infer(Stage[Inferred]):
             steps: Any = settings.planned_steps(len(self.space), transitions)
         except Exception as error:
             raise InvalidInput(f"{name} raised {type(error).__name__}: {error}") from error
-        if not (isinstance(steps, int | float | np.integer) and 0 <= steps < math.inf):
+        if not (isinstance(steps, Real) and 0 <= steps < math.inf):
             raise InvalidInput(f"{name} must be a finite number of 0 or more; it gave {steps!r}")
         return float(steps)
 

@@ -5,7 +5,7 @@ from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from adr_service.distributions import Distribution, Uniform
+from adr_service.distributions import Distribution, Uniform, check_space
 from adr_service.errors import InvalidInput
 from adr_service.events import RunEvent
 from adr_service.methods.base import Problem, ReturnsSettings
@@ -15,7 +15,6 @@ from adr_service.progress import Progress
 from adr_service.randomness import stream
 from adr_service.stages.base import Belief, CoreSpeed, Cost, Result, Role, Stage
 from adr_service.tasks.catalogue import get_task, source_of
-from adr_service.training.curriculum import check_space
 
 
 class Proposed(Result):

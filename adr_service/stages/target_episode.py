@@ -11,7 +11,7 @@ from adr_service.events import MOST_RETURN, RunEvent
 from adr_service.npz import read_arrays
 from adr_service.progress import Progress
 from adr_service.simulation.batch import control_period
-from adr_service.simulation.replay import check_replayable
+from adr_service.simulation.replay import check_recorded, gap_of
 from adr_service.stages.base import CoreSpeed, Cost, Result, Role, Stage
 from adr_service.stages.stand_ins import trajectory
 from adr_service.tasks.catalogue import get_task
@@ -69,7 +69,9 @@ def read_episode(task_name: str, transitions: int, content: bytes) -> RobotEpiso
     fields = read_arrays(content, (*TransitionDataset.ARRAYS, "rewards"), longest)
     rewards = fields.pop("rewards", None)
     data = TransitionDataset.from_arrays(fields)
-    check_replayable(get_task(task_name), data, None)
+    check_recorded(get_task(task_name), data)
+    if (gap := gap_of(data)) is not None:
+        raise InvalidInput(f"the rows do not follow one another: {gap}; send them in time's order")
     if data.episode_count != 1:
         raise InvalidInput(f"a task is one episode; the data have {data.episode_count}")
     if len(data) > transitions:

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from adr_service.arrays import Indices, Matrix, Vector
-from adr_service.distributions import Distribution, Draws
+from adr_service.distributions import Distribution, Draws, check_space
 from adr_service.errors import InvalidInput
 from adr_service.json_values import Wire
 from adr_service.parameters import ParameterSpace
@@ -45,18 +45,6 @@ class Phase(Wire):
     steps: int  # of the environments, when it began
     distribution: dict[str, Any]
     mean_return: float | None = None  # of its episodes; none in the last phase, which no move ended
-
-
-def check_space(name: str, distribution: Distribution, space: ParameterSpace) -> None:
-    """Raise InvalidInput unless a distribution is over this space; `name` is its subject.
-
-    The JSON of a distribution has no names of parameters: it is read in the order of the space.
-    """
-    if distribution.space != space:
-        raise InvalidInput(
-            f"{name} is over {', '.join(distribution.space.names)}; accepted is one over the "
-            f"source's own space: {', '.join(space.names)}, in this order, with the same bounds"
-        )
 
 
 class Course:

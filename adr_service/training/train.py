@@ -18,14 +18,14 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
-from adr_service.distributions import Distribution
+from adr_service.distributions import Distribution, check_space
 from adr_service.progress import Checkpoint, Progress, StageCancelled, silent
 from adr_service.randomness import integer_seed
 from adr_service.simulation.vec_env import RandomizedVecEnv
 from adr_service.tasks.base import Source, Task
 from adr_service.training import crossq, ppo, sac
 from adr_service.training.average import Average
-from adr_service.training.curriculum import Course, Curriculum, Phase, check_space
+from adr_service.training.curriculum import Course, Curriculum, Phase
 from adr_service.training.curve import Evaluation
 from adr_service.training.judge import Judge
 from adr_service.training.libraries import Library

@@ -64,7 +64,7 @@ def _leaders(
     for id, changed in benchmark_store.changes_of(service.database, finished).items():
         before = service.leaders.get(id)
         if before is None or before[0] != changed:
-            if service.comparing.locked() or time.monotonic() > until:
+            if service.comparing[id].locked() or time.monotonic() > until:
                 continue
             before = service.leaders[id] = (changed, _leader(service, id))
         found[id] = before[1]

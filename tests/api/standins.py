@@ -1,5 +1,8 @@
 """A service in this process, on a database and without Ray."""
 
+from collections import defaultdict
+from threading import Lock
+
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
@@ -31,6 +34,7 @@ class Service:
     def __init__(self, database):
         self.database, self.orchestrator = database, Orchestrator()
         self.refusal = None
+        self.comparing = defaultdict(Lock)
 
     def check_queue(self, live):
         if self.refusal is not None:

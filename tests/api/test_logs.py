@@ -91,7 +91,6 @@ def test_trouble_with_the_database_is_logged_once_a_minute(monkeypatch):
 
 
 def test_runs_that_wait_for_a_full_disk_do_not_each_log_it(file_database, monkeypatch):
-    """Every run did, every second, and the log grew on the disk that was full."""
     spec = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})
     records = [runs.create_run(file_database, spec) for _ in range(3)]
     asked = []

@@ -48,7 +48,9 @@ def test_a_folder_of_others_is_not_closed(tmp_path):
     assert stat.S_IMODE(tmp_path.stat().st_mode) == 0o755
 
 
-@pytest.mark.parametrize("files", [[], ["adr.sqlite", "letter.txt"], ["ray_token"]])
+@pytest.mark.parametrize(
+    "files", [[], ["adr.sqlite", "letter.txt"], ["ray_token"], ["service.log"]]
+)
 def test_an_empty_folder_and_one_of_the_service_are_closed(tmp_path, files):
     for name in files:
         (tmp_path / name).touch()

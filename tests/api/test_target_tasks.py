@@ -36,7 +36,6 @@ def test_a_visit_of_a_task_that_is_not_installed_any_more_is_shown(database):
 
 
 def test_a_claim_of_an_unknown_task_is_refused_with_the_nearest_name():
-    """It had waited for ever."""
     with pytest.raises(ValidationError, match=r"tasks\.1\n.*'hoper'; did you mean 'hopper'"):
         Claim(worker="mine", tasks=["arm", "hoper"])
 

@@ -50,7 +50,6 @@ def freed(*addresses, low=0.5):
     [("body:carriage.mass", "body:carriage.inertial"), ("joint:x.damping", "joint:*.damping")],
 )
 def test_an_element_that_two_parameters_set_is_refused(twice):
-    """The last one won, and the fit of the other was of nothing."""
     with pytest.raises(InvalidInput, match="both set"):
         Nominal.of_model(GANTRY, freed(*twice))
 

@@ -26,6 +26,12 @@ def test_measurements_that_share_rows_are_refused_with_the_rows(good):
         check_apart(NAMES, [part(good, slice(0, 60)), second])
 
 
+def test_measurements_of_which_nothing_is_measured_share_nothing(good):
+    unknown = np.full(good["qpos"].shape[1], np.inf)
+    parts = [part(good, slice(a, a + 40), qpos_std=unknown, qvel_std=unknown) for a in (0, 80)]
+    check_apart(NAMES, parts)
+
+
 def test_ten_shared_rows_are_refused_and_nine_are_not(good):
     first = part(good, slice(0, 60))
     check_apart(NAMES, [first, part(good, slice(51, 76))])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.plausibility import check_rates, check_usable
@@ -80,6 +81,27 @@ def test_poor_readings_of_the_right_joint_are_no_wrong_columns(good, name, spoil
     values = good[name].copy()
     values[:, 1] = spoil(values[:, 1], np.random.default_rng(0))
     check_rates(Measurement(**{**good, name: values}))
+
+
+def filtered(noise, keep):
+    """Noise (n,) after a filter of first order, as drives have, with its deviation kept."""
+    return lfilter([np.sqrt(1 - keep**2)], [1, -keep], noise)
+
+
+@pytest.mark.parametrize(
+    ("reach", "position", "velocity"),
+    [(0.005, 1e-5, 0.02), (0.0, 1e-4, 0.005)],
+    ids=["a slow motion", "a joint at rest"],
+)
+def test_filtered_noise_of_a_quiet_joint_is_no_wrong_column(reach, position, velocity):
+    for seed in range(8):
+        rng, time = np.random.default_rng(seed), np.tile(np.arange(75) * 0.01, 30)
+        episode = np.repeat(np.arange(30), 75)
+        angle = 1.26 * time + rng.uniform(0, 6, 30)[episode]
+        q = reach * np.sin(angle) + position * filtered(rng.normal(size=len(time)), 0.9)
+        v = 1.26 * reach * np.cos(angle) + velocity * filtered(rng.normal(size=len(time)), 0.8)
+        columns = {"qpos": q[:, None], "qvel": v[:, None], "ctrl": np.zeros((len(time), 1))}
+        check_rates(Measurement(time=time, episode=episode, **columns))
 
 
 def test_a_joint_that_turns_at_one_speed_is_no_wrong_column(good):

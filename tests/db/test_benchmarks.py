@@ -116,7 +116,7 @@ def test_a_benchmark_does_not_grow_by_runs_of_another_budget(database, monkeypat
         ),
     ],
 )
-def test_a_benchmark_does_not_grow_by_runs_of_another_version(
+def test_a_benchmark_of_another_version_is_neither_extended_nor_resumed(
     database, tmp_path, monkeypatch, group, stage
 ):
     add_entry_point(tmp_path, group, "math:pi", "upgraded")
@@ -129,6 +129,10 @@ def test_a_benchmark_does_not_grow_by_runs_of_another_version(
     for extend in (benchmarks.planned_extension, benchmarks.extend_benchmark):
         with pytest.raises(InvalidInput, match=f"{id} {message}"):
             extend(database, id, more)
+    with pytest.raises(InvalidInput, match=f"{first} {message}"):
+        runs.resubmit(database, first)
+    with pytest.raises(InvalidInput, match=f"{id} {message}"):
+        next(benchmarks.resubmit_all(database, id))
 
 
 def test_a_benchmark_grows_where_its_packages_have_the_version_that_computed_it(

@@ -58,7 +58,7 @@ def test_rows_that_do_not_follow_one_another_are_refused():
     order = np.random.default_rng(0).permutation(len(DATA))
     arrays = ("observations", "actions", "next_observations")
     shuffled = replace(DATA, **{name: getattr(DATA, name)[order] for name in arrays})
-    with pytest.raises(InvalidInput, match="the rows of an episode to follow one another"):
+    with pytest.raises(InvalidInput, match="need rows that follow one another"):
         fit(shuffled, budget=30)
 
 

@@ -170,6 +170,8 @@ from enum import Enum
 from pathlib import Path
 from typing import Literal
 
+from pydantic import model_validator
+
 from adr_service.methods.base import CurriculumSettings
 
 class Shape(Enum):
@@ -207,6 +209,18 @@ def test_settings_that_cannot_be_read_from_the_json_of_their_defaults_are_refuse
     assert "count" not in done.stderr.splitlines()[-1]
 
 
-def test_settings_without_a_default_are_accepted(tmp_path):
-    done = imported_with("", tmp_path)
+CHOICE = """
+    share: float | None = None
+
+    @model_validator(mode="after")
+    def _has_one(self):
+        if self.share is None:
+            raise ValueError("give a share")
+        return self
+"""
+
+
+@pytest.mark.parametrize("more", ["", CHOICE], ids=["a field", "a choice"])
+def test_settings_that_need_something_given_are_accepted(tmp_path, more):
+    done = imported_with(more, tmp_path)
     assert done.returncode == 0, done.stderr

@@ -85,8 +85,7 @@ def test_laplaces_deviations_are_those_of_the_residuals_where_data_tell():
 
 
 def test_laplaces_gaussian_is_as_wide_as_its_mean_errs():
-    """Squared errors of the mean, in the Gaussian's own deviations: 1 on average. At the point of
-    least squares they were 23."""
+    """Squared errors of the mean, in the Gaussian's own deviations, are 1 on average."""
     squares = []
     for seed in range(8):
         rng = np.random.default_rng(seed)

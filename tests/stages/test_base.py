@@ -100,7 +100,7 @@ def test_a_stage_of_another_version_than_this_process_has_is_not_computed(tmp_pa
     add_entry_point(tmp_path, TASKS, "math:pi", "newer_here")
     monkeypatch.syspath_prepend(tmp_path)
     stage = ThrowDice(task="newer_here", package="broken 0.9", count=5)
-    message = "this process has broken 1.0, the stage is of broken 0.9: start the service again"
+    message = "this process has broken 1.0, the stage is of broken 0.9: install one version"
     with pytest.raises(InvalidInput, match=message):
         compute(stage)
 

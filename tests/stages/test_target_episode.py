@@ -87,7 +87,7 @@ def test_rows_that_do_not_follow_one_another_are_refused(data):
     order = np.random.default_rng(0).permutation(10)
     rows = ("observations", "actions", "next_observations")
     shuffled = {name: getattr(data, name)[order] for name in rows}
-    with pytest.raises(InvalidInput, match="need the rows of an episode to follow one another"):
+    with pytest.raises(InvalidInput, match="rows do not follow one another: in shoulder_angle"):
         read_episode("arm", 10, upload(data, **shuffled))
 
 

@@ -265,11 +265,6 @@ def test_a_reward_may_be_undefined_where_the_episode_has_ended():
             r"joint:elbow.damping and joint:\*.damping both set dof_damping\[1\]",
         ),
         (
-            ["body:fore.mass"],
-            {"body:*.mass": 2.0},
-            r"body:\*.mass and body:fore.mass both set body_mass\[2\]",
-        ),
-        (
             ["link:fore.length"],
             {"link:fore.length": 1.0},
             "link:fore.length and link:fore.length both set",
@@ -279,6 +274,10 @@ def test_a_reward_may_be_undefined_where_the_episode_has_ended():
 def test_a_value_that_two_addresses_set_is_refused_with_both(addresses, fixed, message):
     with pytest.raises(InvalidInput, match=message):
         check_task(arm_with([(address, 1.0, 0.1) for address in addresses], fixed))
+
+
+def test_a_parameter_may_set_anew_what_a_fixed_value_sets_everywhere():
+    check_task(arm_with([("body:fore.mass", 1.0, 0.1)], {"body:*.mass": 2.0}))
 
 
 def test_one_address_of_two_parameters_is_refused():

@@ -76,6 +76,14 @@ def test_a_result_comes_with_its_measured_execution(actor, board):
     assert {"python", "cpu", "mujoco", "numpy"} <= set(execution.provenance)
 
 
+def test_a_clock_that_is_set_back_meanwhile_shortens_no_stage(actor, board, monkeypatch):
+    began, steady = time.time(), time.monotonic()
+    monkeypatch.setattr(time, "time", lambda: began - (time.monotonic() - steady))  # backwards
+    stage = evaluation(policy=waving_policy().to_bytes())
+    execution = actor.compute(stage, PLACED, board).execution
+    assert execution.ended > execution.began
+
+
 def test_an_execution_keeps_the_dispatchers_part(actor, board):
     stage = evaluation(policy=waving_policy().to_bytes())
     first, second = (actor.compute(stage, PLACED, board).execution for _ in range(2))

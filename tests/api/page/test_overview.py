@@ -1,5 +1,6 @@
 """The first page's best methods."""
 
+from collections import defaultdict
 from threading import Lock
 from types import SimpleNamespace
 
@@ -13,7 +14,7 @@ from tests.db.finished import finished_benchmark
 def test_the_best_method_is_found_again_where_a_run_has_changed(file_database):
     """A run that was resumed and stopped again has the state that it had before."""
     id = finished_benchmark(file_database)
-    service = SimpleNamespace(database=file_database, leaders={}, comparing=Lock())
+    service = SimpleNamespace(database=file_database, leaders={}, comparing=defaultdict(Lock))
     finished = [SimpleNamespace(id=id, is_finished=True)]
     best = overview._leaders(service, finished)
     assert not methods()[best[id]["method"]].is_reference
@@ -28,8 +29,8 @@ def test_the_best_method_is_found_again_where_a_run_has_changed(file_database):
 
 def test_the_first_page_waits_for_no_comparison_of_others(file_database):
     id = finished_benchmark(file_database)
-    service = SimpleNamespace(database=file_database, leaders={}, comparing=Lock())
+    service = SimpleNamespace(database=file_database, leaders={}, comparing=defaultdict(Lock))
     finished = [SimpleNamespace(id=id, is_finished=True)]
-    with service.comparing:
+    with service.comparing[id]:
         assert overview._leaders(service, finished) == {}
     assert set(overview._leaders(service, finished)) == {id}

@@ -7,7 +7,7 @@ from api.page.rendering import show
 
 
 def test_without_scripts_a_live_page_reloads_once_a_minute():
-    """Every reload drops what one has ticked: five seconds were too few to fill in a form."""
+    """Every reload drops what one has ticked."""
     app = FastAPI()
 
     @app.get("/")
