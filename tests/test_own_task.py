@@ -152,8 +152,8 @@ def test_a_newer_version_shows_no_distributions_of_an_older_one_and_computes_non
         "the former again to see its distributions",
         "422 it was computed with adr-pendulum 0.1.0, and adr-pendulum 0.2.0 is installed; submit "
         "it anew",
-        "this process has adr-pendulum 0.2.0, the stage is of adr-pendulum 0.1.0: start the "
-        "service again",
+        "this process has adr-pendulum 0.2.0, the stage is of adr-pendulum 0.1.0: install "
+        "one version everywhere, and start the service again",
     ]
 
 

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -123,7 +122,9 @@ class Infer(Stage[Inferred]):
             steps: Any = settings.planned_steps(len(self.space), transitions)
         except Exception as error:
             raise InvalidInput(f"{name} raised {type(error).__name__}: {error}") from error
-        if not (isinstance(steps, Real) and 0 <= steps < math.inf):
+        if not (
+            isinstance(steps, int | float | np.integer | np.floating) and 0 <= steps < math.inf
+        ):
             raise InvalidInput(f"{name} must be a finite number of 0 or more; it gave {steps!r}")
         return float(steps)
 
