@@ -107,7 +107,8 @@ def _most_slope(data: Measurement, column: int) -> float | None:
     noise = max(_noise(position[::apart], data.episode[::apart]) for apart in _SPACINGS)
     if not np.median(np.abs(displacement - np.median(displacement))) > _CLEAR * np.sqrt(2) * noise:
         return None
-    return float(theilslopes(expected, displacement, _SURE).high_slope)
+    slopes = np.asarray(theilslopes(expected, displacement, _SURE), dtype=np.float64)
+    return float(slopes[3])  # the upper end of the interval
 
 
 def _noise(values: Vector, episode: Indices) -> float:
