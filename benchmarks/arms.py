@@ -258,7 +258,7 @@ def _worst(case: dict[str, Any], kind: str) -> float:
 
 
 def table(cases: Sequence[dict[str, Any]]) -> str:
-    """How many cases are right, line by line."""
+    """Lines that count the cases that are right."""
     lines = _of_nulls(cases) if cases[0]["is_null"] else _of_planted(cases)
     seconds = np.percentile([case["cpu_seconds"] for case in cases], [0, 50, 100])
     lines["CPU seconds (smallest, median, largest)"] = ", ".join(f"{s:.0f}" for s in seconds)

@@ -79,7 +79,7 @@ def table(cases: Sequence[dict[str, Any]]) -> str:
 
 
 def _by_limit(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """Whether effects are named that their own record can show, or cannot."""
+    """Shares of named effects, of those that their own record can show and of those it cannot."""
     above, below = [], []
     for case in cases:
         hidden = case["hidden"]

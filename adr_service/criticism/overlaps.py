@@ -19,7 +19,7 @@ _SAME = 1e-9  # of the largest change: changes as near as that are the same
 
 @dataclass(frozen=True)
 class Overlap:
-    """Where the rows of two recordings begin to be the same."""
+    """Two recordings, and the rows from which on they are the same."""
 
     first: int  # number of a recording
     first_row: int

@@ -87,7 +87,8 @@ def check_replayable(task: Task, data: TransitionDataset, length: int | None) ->
 
 
 def gap_of(data: TransitionDataset) -> str | None:
-    """Where and how far the rows of an episode do not follow one another; None if they do."""
+    """A column in which the rows of an episode do not follow one another, and by how much; None if
+    they do."""
     rows = np.flatnonzero(data.episodes[1:] == data.episodes[:-1])  # with a row after
     if not len(rows):
         return None

@@ -120,7 +120,7 @@ class Infer(Stage[Inferred]):
         name = f"planned_steps of {self.method.name}"
         try:
             steps: Any = settings.planned_steps(len(self.space), transitions)
-        except Exception as error:
+        except Exception as error:  # of a plug-in
             raise InvalidInput(f"{name} raised {type(error).__name__}: {error}") from error
         if not (
             isinstance(steps, int | float | np.integer | np.floating) and 0 <= steps < math.inf

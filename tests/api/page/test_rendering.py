@@ -1,4 +1,4 @@
-"""What every page has in common."""
+"""The frame of all pages."""
 
 from fastapi import FastAPI, Request
 from fastapi.testclient import TestClient
