@@ -16,6 +16,17 @@ from tests.api.smoke import SMOKE
 
 
 @contextmanager
+def serving(handler):
+    """The address of a server that answers by a handler."""
+    with HTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+        thread.join(10)
+
+
+@contextmanager
 def server(status, seconds=0.0, answers=()):
     """A server that answers every request with this status, after so many seconds.
 
@@ -36,13 +47,9 @@ def server(status, seconds=0.0, answers=()):
         def log_message(self, *_):
             pass
 
-    with HTTPServer(("127.0.0.1", 0), Handler) as serving:
-        thread = threading.Thread(target=serving.serve_forever, daemon=True)
-        thread.start()
-        yield f"http://127.0.0.1:{serving.server_port}"
+    with serving(Handler) as url:
+        yield url
         done.set()
-        serving.shutdown()
-        thread.join(10)
 
 
 @pytest.mark.parametrize("status", [502, 503, 504])
@@ -180,13 +187,8 @@ def echo():
         def log_message(self, *_):
             pass
 
-    with HTTPServer(("127.0.0.1", 0), Handler) as serving:
-        thread = threading.Thread(target=serving.serve_forever, daemon=True)
-        thread.start()
-        with AdrClient(f"http://127.0.0.1:{serving.server_port}") as client:
-            yield client
-        serving.shutdown()
-        thread.join(10)
+    with serving(Handler) as url, AdrClient(url) as client:
+        yield client
 
 
 def test_values_of_numpy_and_ranges_are_sent_as_numbers_and_lists():
