@@ -9,7 +9,8 @@ import numpy as np
 Outside = Literal[
     "torque_ripple", "cross_coupling", "position_dependent_friction", "gain_drift", "disturbance"
 ]
-OUTSIDE: tuple[Outside, ...] = get_args(Outside)
+# older keys have torque ripple too, which the catalogue had not then
+OUTSIDE: tuple[Outside, ...] = get_args(Outside)[1:]
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ _TOLD_APART = 0.05  # of an effect, that no free parameter may absorb
 # planted on whole arms (benchmarks/arms.py); here its mass is often not identifiable, and then it
 # is a shifted centre of mass by another name
 _ELSEWHERE = ("body_load",)
+_SHAPED = (4.0, 12.0)  # times typical: strengths that say how the others act
 _OFF = 0.1  # relative error of the parameters that the diagnosis starts from
 
 
@@ -139,6 +140,8 @@ class _Robot:
         mixed = rng.uniform(0.5, 1.0, len(typical)) if len(typical) > 1 else np.ones(1)
         signs = [1.0 if s.low == 0 else rng.choice([-1.0, 1.0]) for s in mechanism.strengths]
         values = typical * mixed * np.array(signs)
+        is_shape = np.array([strength.is_shape for strength in mechanism.strengths])
+        values = np.where(is_shape, rng.uniform(*_SHAPED) * typical, values)
         reached = 0.0
         for _ in range(_ADJUSTMENTS):
             reached = self._ratio_of(Effect(kind, place, tuple(values.tolist())))
@@ -146,7 +149,7 @@ class _Robot:
                 return None
             if abs(reached / ratio - 1) < 0.05:
                 break
-            values = values * np.clip(ratio / reached, 0.1, 10.0)
+            values = values * np.where(is_shape, 1.0, np.clip(ratio / reached, 0.1, 10.0))
         effect = Effect(kind, place, tuple(values.tolist()))
         low = np.array([s.low for s in mechanism.strengths])
         is_sized = abs(reached / ratio - 1) <= 0.3 and not np.any(values < low)

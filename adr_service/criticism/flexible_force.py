@@ -21,10 +21,10 @@ from adr_service.arrays import Array3, Indices, Matrix, Vector
 from adr_service.criticism.evidence import Fit, gained
 from adr_service.criticism.linear import Linear, Normal, estimate
 from adr_service.criticism.noise import Whitener
+from adr_service.criticism.periods import PADDED, power_of, pulls
 from adr_service.criticism.verdict import Dependence, Rest
 from adr_service.effects.actuators import drives, is_affine, obeys_limits
 
-_PADDED = 4  # times as many frequencies as the recording resolves
 _SLOWEST = 3  # swings in a recording; less is a drift
 _AROUND = 30  # resolved frequencies to either side, above which one has to stand out
 _RIDGES = (0.01, 0.1, 1.0, 10.0)  # prior precisions, relative to the information in all data
@@ -132,18 +132,11 @@ def _swing(fit: Fit, responses: Sequence[Matrix]) -> _Swing:
     what is beyond that counts. Degree of freedom and frequency are chosen from all episodes. By
     that choice, chance gains about 10 nats (the logarithm of the number of choices).
     """
-    simulator, layout, chain = fit.simulator, fit.layout, fit.linear.chain
-    whitener = Whitener.of(chain, fit.noise)
-    adjoint = whitener.adjoint(whitener.whiten(fit.left[..., None])[..., 0])
-    folded = np.stack([layout.fold(r) for r in responses], axis=3)
-    folded[~chain.mask] = 0.0
-    pull = np.nan_to_num(np.einsum("etmd,etm->det", folded, adjoint)[:, layout.mask])  # (d, N)
-    information = np.sum(whitener.whiten(folded) ** 2, axis=(0, 1, 2))  # (d,) on a unit force
-    pull /= np.sqrt(np.maximum(information, 1e-300))[:, None]
+    simulator, pull = fit.simulator, pulls(fit, responses)
     when = simulator.data.rows[simulator.starts]
     power = _power(pull, when)
     dof, wave = np.unravel_index(np.argmax(power / _excess(power)), power.shape)
-    turns = int(wave) / (_PADDED * (int(when[-1]) + 1))  # in a control step
+    turns = int(wave) / (PADDED * (int(when[-1]) + 1))  # in a control step
     angle = 2 * np.pi * turns * when
     swung = np.column_stack([np.sin(angle), np.cos(angle)])
     forces = [
@@ -157,18 +150,16 @@ def _swing(fit: Fit, responses: Sequence[Matrix]) -> _Swing:
 
 
 def _power(pull: Matrix, when: Indices) -> Matrix:
-    """(d, F) squared Fourier sums of rows (d, N) at these moments; zero below the slowest swing."""
-    rows = np.zeros((len(pull), _PADDED * (int(when[-1]) + 1)))
-    rows[:, when] = pull
-    power = np.abs(np.fft.rfft(rows)) ** 2
-    power[:, : _SLOWEST * _PADDED] = 0.0
+    """(d, F) squared Fourier sums of pulls (d, N) in time; zero below the slowest swing."""
+    power = power_of(pull, when)
+    power[:, : _SLOWEST * PADDED] = 0.0
     return power
 
 
 def _excess(power: Matrix) -> Matrix:
     """(d, F) power at the frequencies around each, over that at most, where it is more."""
-    slowest = _SLOWEST * _PADDED
-    around = median_filter(power[:, slowest:], (1, 2 * _AROUND * _PADDED + 1), mode="mirror")
+    slowest = _SLOWEST * PADDED
+    around = median_filter(power[:, slowest:], (1, 2 * _AROUND * PADDED + 1), mode="mirror")
     typical = np.maximum(np.median(around, axis=1, keepdims=True), 1e-300)
     return np.pad(np.maximum(around / typical, 1.0), ((0, 0), (slowest, 0)), constant_values=1.0)
 

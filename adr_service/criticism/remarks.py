@@ -103,7 +103,7 @@ def on_implausible(model: mujoco.MjModel, effects: Sequence[Effect]) -> tuple[st
         likely = plausible_of(model, effect)
         strengths = get_mechanism(effect.kind).strengths
         for strength, value, usual in zip(strengths, effect.values, likely, strict=True):
-            if abs(value) > _IMPLAUSIBLE * usual:
+            if abs(value) > _IMPLAUSIBLE * usual and not strength.is_shape:
                 unit = unit_of(model, effect.location, strength.unit)
                 remarks.append(
                     f"{effect.kind} {effect.location} needs a {strength.name} of {value:.3g} "

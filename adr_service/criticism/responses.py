@@ -6,12 +6,13 @@ Each effect is simulated once and serves all scans, also those of later fits.
 """
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from adr_service.arrays import Matrix
 from adr_service.criticism.evidence import Fit
-from adr_service.effects.base import Effect
+from adr_service.effects.base import ByAngle, Effect
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import element_of
 from adr_service.effects.signals import offset_of
@@ -20,8 +21,9 @@ from adr_service.effects.signals import offset_of
 class Responses:
     """Changes of a fit's predictions by effect.
 
-    An effect in a sensor, or on a command for a whole control step, is a combination of what is
-    known of states and commands already; any other effect is simulated once for each strength.
+    An effect in a sensor, on a command for a whole control step, or by a joint's angle is a
+    combination of what is known of states, commands and forces already; any other effect is
+    simulated once for each strength.
     """
 
     def __init__(self, fit: Fit):
@@ -42,6 +44,8 @@ class Responses:
                 response = self._in_sensor(effect)
             elif mechanism.command is not None and not mechanism.is_late:
                 response = self._on_command(effect)
+            elif mechanism.by_angle is not None:
+                response = self._on_joint(effect, mechanism.by_angle)
             else:
                 response = self._simulated(effect)
             response[~self._fit.linear.chain.mask] = 0.0  # nothing is known there
@@ -77,6 +81,22 @@ class Responses:
         changed = simulator.commands((*fit.effects, effect), simulator.steps) - self._commands
         change = changed[:, :, actuator].mean(axis=1)
         return fit.layout.fold(self._to_command(actuator) * change[:, None])[..., None]
+
+    def _on_joint(self, effect: Effect, by_angle: ByAngle) -> np.ndarray:
+        """A force that follows a joint's angle, as it is at the start of each simulator step."""
+        simulator, values = self._simulator, np.array(effect.values)
+        dof = int(simulator.base.jnt_dofadr[element_of(simulator.base, effect.location)])
+        before, after = self._fit.states[simulator.starts, dof], self._predicted[:, dof]
+        turned = np.linspace(before, after, simulator.quick_steps, endpoint=False)
+        force = np.mean([by_angle(angles, values) for angles in turned], axis=0)
+        return self._fit.layout.fold(self.to_forces[dof][:, :, None] * force[:, None])
+
+    @cached_property
+    def to_forces(self) -> list[Matrix]:
+        """(N, m) response to a unit of force on each degree of freedom; zero where it diverges."""
+        fit = self._fit
+        known = (fit.parameters, fit.effects, fit.states)
+        return [np.nan_to_num(each) for each in self._simulator.responses_to_forces(*known)]
 
     def _to_command(self, actuator: int) -> Matrix:
         """(N, m) response to one unit of command, simulated once for all effects on it."""

@@ -7,7 +7,7 @@ An effect is tried beside the free parameters and the effects of a fit: what the
 evidence. A group is one mechanism at all its places at once, each with a strength of its own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from adr_service.arrays import Matrix, Vector
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.linear import Linear, Normal, inverse
 from adr_service.criticism.noise import Whitener
+from adr_service.criticism.periods import waves_in_turn
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import LATE, Effect
@@ -53,11 +54,14 @@ class Candidate:
 def scan(fit: Fit, responses: Responses) -> list[Candidate]:
     """A candidate for every kind at every location, and for every group; the best first."""
     known = {(effect.kind, effect.location) for effect in fit.effects}
-    asked = [place for place in places(fit.simulator) if place not in known]
-    look = Scan(
-        fit, responses, [effect for at in asked for effect in _tried_at(fit.simulator, *at)]
-    )
-    candidates = [look.alone(*place) for place in asked]
+    waves = waves_in_turn(fit, responses.to_forces)
+    tried = [
+        _tried_at(fit.simulator, *place, waves)
+        for place in places(fit.simulator)
+        if place not in known
+    ]
+    look = Scan(fit, responses, [effect for sizes in tried for effect in sizes])
+    candidates = [look.alone(sizes) for sizes in tried]
     groups: dict[str, list[Candidate]] = {}
     for candidate in candidates:
         if len(get_mechanism(candidate.kind).strengths) == 1:
@@ -66,9 +70,14 @@ def scan(fit: Fit, responses: Responses) -> list[Candidate]:
     return sorted(candidates, key=lambda candidate: -candidate.gain)
 
 
-def _tried_at(simulator: Simulator, kind: str, location: str) -> list[Effect]:
-    """An effect at a place, in all sizes where its response may differ."""
+def _tried_at(
+    simulator: Simulator, kind: str, location: str, waves: Mapping[str, float]
+) -> list[Effect]:
+    """An effect at a place, in all sizes where its response may differ; one that repeats with a
+    joint's angle as often as the `waves` in a turn say."""
     typical, mechanism = typical_of(simulator.base, kind, location), get_mechanism(kind)
+    if mechanism.by_angle is not None:
+        typical[-1] = waves.get(location, typical[-1])
     sizes = [size * typical for size in mechanism.sizes]
     if mechanism.is_late:
         sizes += [np.array([steps * simulator.period]) for steps in LATE]
@@ -104,7 +113,7 @@ class Scan:
 
     def __init__(self, fit: Fit, responses: Responses, tried: Sequence[Effect]):
         """`tried`: all effects, at all sizes where their responses may differ."""
-        self._simulator, self._without = fit.simulator, fit.held_out
+        self._without = fit.held_out
         self.own = list(range(fit.linear.columns.shape[3]))
         mask, known = fit.linear.chain.mask, {effect: responses.of(effect) for effect in tried}
         finite = {effect: each for effect, each in known.items() if np.isfinite(each[mask]).all()}
@@ -116,10 +125,9 @@ class Scan:
         precision = prior_precision(fit.simulator.base, list(finite))
         self.normal = _beside(fit, list(finite.values()), precision)
 
-    def alone(self, kind: str, location: str) -> Candidate:
-        """The candidate at the best of the sizes where its response may differ."""
-        first, *_ = sizes = _tried_at(self._simulator, kind, location)
-        best = self._nothing([first])
+    def alone(self, sizes: Sequence[Effect]) -> Candidate:
+        """The candidate at the best of the sizes where the response of its effect may differ."""
+        best = self._nothing(sizes[:1])
         for effect in sizes:
             candidate = self._at([effect])
             if candidate is None or (candidate.gain <= best.gain and best.gain > 0):
@@ -162,8 +170,12 @@ class Scan:
         if not seen.any():
             return None
         strengths = np.where(seen, change[-len(sizes) :] * sizes, 0.0)
-        if get_mechanism(tried[0].kind).needs_first and not seen[0]:
+        mechanism = get_mechanism(tried[0].kind)
+        if mechanism.needs_first and not seen[0]:
             strengths[0] = sizes[0]  # any, for the others' sake
+        if len(tried) == 1:
+            is_shape = np.array([strength.is_shape for strength in mechanism.strengths])
+            strengths = np.where(is_shape, sizes, strengths)
         gains = normal.left_out() - self._without
         split = np.split(strengths, len(tried))
         effects = tuple(

@@ -110,6 +110,11 @@ class Simulator:
         """True if `predict_quickly` simulates what `predict` does."""
         return self._rough == self.finer and is_first_order(self.base)
 
+    @property
+    def quick_steps(self) -> int:
+        """Number of steps that `predict_quickly` takes from one row to the next."""
+        return self.steps // self.finer * self._rough
+
     def predict_quickly(self, values: Vector, effects: Sequence[Effect], states: Matrix) -> Matrix:
         """`predict` with the model's own step and an integrator of first order, to be compared
         with other predictions of this kind.

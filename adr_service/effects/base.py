@@ -99,6 +99,7 @@ class Strength:
     name: str
     unit: str  # on a hinge, "of the sensor" for its own
     low: float = -np.inf  # smallest value that makes sense
+    is_shape: bool = False  # True if it says how the others act, and not how much
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,8 @@ class Commands:
 
 
 Command = Callable[[Commands, Vector], Matrix]
+# angles (n,) of a joint and strengths (k,): the force on it (n, k) that each strength adds
+ByAngle = Callable[[Vector, Vector], Matrix]
 
 
 @dataclass(frozen=True)
@@ -168,6 +171,9 @@ class Mechanism:
     has_sides: bool = False  # True if more and less of it are effects of their own
     needs_first: bool = False  # True if its other strengths do nothing while the first is zero
     includes: str = ""  # kind that it equals while its last strengths are zero
+    # of a force on a hinge that repeats with its angle: scans need no simulation, and take its last
+    # strength, the number of waves in a turn, from the data
+    by_angle: ByAngle | None = None
 
     def __post_init__(self) -> None:
         ways = [name for name in ("change", "command", "sensing") if getattr(self, name)]

@@ -1,5 +1,7 @@
 """Effects at joints: friction, springs, inertia of the drive, play. First degree of freedom."""
 
+from itertools import count
+
 import mujoco
 import numpy as np
 
@@ -16,6 +18,7 @@ from adr_service.effects.base import (
 from adr_service.effects.bodies import weight
 
 BRAKE, RELEASE = f"{ADDED}brake_", f"{ADDED}release_"  # actuators, by joint
+RIPPLE = f"{ADDED}ripple{{}}_"  # and by number, from 1 on
 _UNLIMITED = 1e10
 # sizes: what is sensible at one unit of speed or position is huge at a hundred, which wheels have
 _ANY_SPEED = (1.0, 1e-2, 1e-4)
@@ -196,6 +199,55 @@ CUBIC_SPRING = Mechanism(
     change=_cubic_spring,
     sizes=_ANY_SPEED,
     in_force=True,
+)
+
+
+def _add_ripple(spec: mujoco.MjSpec, joint: str) -> None:
+    """Add an actuator that does nothing yet, as MuJoCo's direct-current motors that only cog."""
+    name = next(
+        name
+        for number in count(1)
+        if (known := spec.actuator(name := RIPPLE.format(number) + joint)) is None
+        or known.biasprm[0] == 0
+    )
+    if spec.actuator(name) is None:
+        actuator = add_passive(spec, name, joint, mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.gear = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        actuator.biastype = mujoco.mjtBias.mjBIAS_DCMOTOR
+
+
+def _ripple(model: mujoco.MjModel, joint: int, values: Vector) -> None:
+    """A model that is extended already keeps its own, which may repeat otherwise."""
+    sine, cosine, waves = values
+    names = (RIPPLE.format(number) + model.joint(joint).name for number in count(1))
+    free = next(name for name in names if model.actuator(name).biasprm[0] == 0)
+    model.actuator(free).biasprm[:3] = np.hypot(sine, cosine), waves, np.arctan2(cosine, sine)
+
+
+def _by_angle(angles: Vector, values: Vector) -> Matrix:
+    sine, cosine, waves = values
+    turned = waves * angles
+    return np.column_stack([sine * np.sin(turned), cosine * np.cos(turned), 0 * angles])
+
+
+def _may_ripple(model: mujoco.MjModel, joint: int) -> bool:
+    is_hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+    return bool(is_hinge and _is_driven(model, joint) and _is_free(model, joint))
+
+
+TORQUE_RIPPLE = Mechanism(
+    "joint_torque_ripple",
+    "joint",
+    (
+        Strength("sine", "N m"),
+        Strength("cosine", "N m"),
+        Strength("waves in a turn", "1", low=0.0, is_shape=True),
+    ),
+    typical=lambda model, joint: (_torque(model, joint), _torque(model, joint), 2.0),
+    change=_ripple,
+    prepare=_add_ripple,
+    applies=_may_ripple,
+    by_angle=_by_angle,
 )
 
 

@@ -55,8 +55,9 @@ class Criticise(Stage[Criticised]):
     # matter, late commands simulated and held before an episode, effects tried at sizes that fit
     # fast joints and long delays, strengths of one effect that do not absorb each other, detection
     # limits with the others known, and forces of servos, 13: deadband and fading of force commands
-    # alone, a remark on effects that joints' limits rule out, and changes of unnamed elements
-    version: ClassVar = 13
+    # alone, a remark on effects that joints' limits rule out, and changes of unnamed elements, 14:
+    # torque ripple
+    version: ClassVar = 14
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 

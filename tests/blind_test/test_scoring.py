@@ -100,7 +100,7 @@ def test_a_case_without_an_answer_is_wrong_in_every_line():
         hidden(),
         TWO,
         hidden("none", 0.0, ()),
-        hidden("outside", 1.0, (), "torque_ripple"),
+        hidden("outside", 1.0, (), "gain_drift"),
     ]
     lines = score([Marked(case, None) for case in cases])
     assert lines.pop("answered") == "0 of 4"
@@ -116,7 +116,7 @@ def test_answers_are_scored_by_kind_and_ratio():
         Marked(hidden(ratio=1.0), answer(named(BIAS), cpu_seconds=4.0)),
         Marked(hidden(ratio=1.0), answer(verdict="none", cpu_seconds=2.0)),
         Marked(hidden("none", 0.0, ()), answer(verdict="none")),
-        Marked(hidden("outside", 0.1, (), "torque_ripple"), answer(verdict="unknown")),
+        Marked(hidden("outside", 0.1, (), "gain_drift"), answer(verdict="unknown")),
     ]
     lines = score(cases)
     assert lines["one effect, ratio 0.3: named"].startswith("2 of 2 = 100 %")

@@ -53,7 +53,6 @@ FADE = Effect("actuator_fade", "actuator:elbow", (0.07,))
 @pytest.mark.parametrize(
     ("kind", "dof", "size", "mean", "depends_on"),
     [
-        ("torque_ripple", 0, 0.2, (), "position"),
         ("position_dependent_friction", 1, 0.1, (FRICTION,), "position"),
         ("cross_coupling", 1, 0.3, (), "motion"),
     ],
@@ -65,6 +64,14 @@ def test_what_varies_about_a_named_mean_is_found_with_its_joint(kind, dof, size,
     assert rest.gains.sum() > 100
     joint = ("joint:shoulder", "joint:elbow")[dof]
     assert (rest.where.location, rest.where.depends_on) == (joint, depends_on)
+
+
+def test_a_torque_ripple_that_is_not_named_depends_on_position():
+    ripple = Effect("joint_torque_ripple", "joint:shoulder", (0.2, 0.0, 12.0))
+    data = hide(*arm(), np.random.default_rng(5), [ripple]).episodes(range(12))
+    rest = found(arm()[1], data)
+    assert rest.gains.sum() > 100
+    assert (rest.where.location, rest.where.depends_on) == ("joint:shoulder", "position")
 
 
 def test_a_swing_is_found_at_its_frequency_where_every_fourth_episode_is_sealed():

@@ -1,5 +1,7 @@
 """First-order responses, against simulations with the effect."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,19 @@ def test_a_response_is_the_change_that_a_simulation_shows(baseline, responses, e
     expected = baseline.layout.fold(with_it - without)
     error = np.abs(responses.of(effect)[..., 0] - expected).max()
     assert error < 0.05 * np.abs(expected).max()
+
+
+def test_a_response_to_a_ripple_is_what_its_sine_and_its_cosine_change(baseline, responses):
+    """Where the fastest step of the recording moves through a fifth of a wave."""
+    ripple = Effect("joint_torque_ripple", "joint:elbow", (0.01, 0.02, 5.0))
+    simulator, known = baseline.simulator, (baseline.parameters, baseline.states)
+    without, with_sine, with_both = (
+        baseline.layout.fold(simulator.predict_quickly(known[0], effects, known[1]))
+        for effects in ((), (replace(ripple, values=(0.01, 0.0, 5.0)),), (ripple,))
+    )
+    expected = np.stack([with_sine - without, with_both - with_sine, 0 * without], axis=-1)
+    error = np.sum((responses.of(ripple) - expected) ** 2, axis=(0, 1, 2))
+    assert np.all(error <= 0.05**2 * np.sum(expected**2, axis=(0, 1, 2)))
 
 
 def test_strengths_of_one_effect_add_up_to_the_whole(baseline, responses):

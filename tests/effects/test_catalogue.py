@@ -8,7 +8,7 @@ from adr_service.errors import UnknownName
 KINDS = """
 joint_coulomb_friction joint_viscous_friction joint_quadratic_friction
 joint_asymmetric_viscous_friction joint_stribeck_friction joint_spring joint_cubic_spring
-joint_reference_offset joint_armature joint_backlash
+joint_torque_ripple joint_reference_offset joint_armature joint_backlash
 actuator_gain actuator_bias actuator_delay actuator_lag actuator_deadband actuator_saturation
 actuator_fade
 body_mass body_com body_inertia payload body_load gravity_compensation

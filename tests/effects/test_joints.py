@@ -8,6 +8,7 @@ from adr_service.criticism.extension import extend
 from adr_service.effects.base import Effect, Motion
 from adr_service.effects.catalogue import MECHANISMS
 from adr_service.effects.joints import BACKLASH
+from adr_service.effects.models import with_effects
 
 
 @pytest.mark.parametrize("default", ["", 'gear="50" dyntype="integrator" forcerange="-1 1"'])
@@ -28,6 +29,7 @@ def test_a_brake_acts_one_way_whatever_the_defaults_are(moving, default, damping
     [
         ("joint_asymmetric_viscous_friction", "joint:x", (0.0,)),
         ("joint_stribeck_friction", "joint:x", (0.0, 0.0)),
+        ("joint_torque_ripple", "joint:x", (0.0, 0.0, 3.0)),
         ("external_force", "body:cart", (0.0, 0.0, 0.0)),
     ],
 )
@@ -46,6 +48,7 @@ def test_an_added_actuator_has_nothing_of_the_defaults(moving, kind, location, v
         # forwards 4 and backwards .5: damping of .5, and a brake of 3.5
         ("joint_asymmetric_viscous_friction", (4.0,), (-0.5,), [(3.5,), 0.5]),
         ("joint_stribeck_friction", (1.0, 0.5), (0.2, 0.1), [(1.2, 0.6)]),
+        ("joint_torque_ripple", (1.0, 0.5, 3.0), (0.2, 0.1, 3.0), [(1.2, 0.6, 3.0)]),
     ],
 )
 def test_an_effect_is_added_to_what_an_extended_model_has(moving, kind, present, added, together):
@@ -70,6 +73,43 @@ def test_no_effect_is_an_actuator_of_a_joint_whose_actuators_are_limited_togethe
     kinds = ("joint_asymmetric_viscous_friction", "joint_stribeck_friction", "external_force")
     assert [MECHANISMS[kind].locations(model) for kind in kinds] == [[], [], []]
     assert MECHANISMS["joint_viscous_friction"].locations(model) == ["joint:x"]
+
+
+HINGES = """
+<mujoco><worldbody><body name="link"><joint name="free" axis="0 1 0"/><geom size=".1" mass="2"/>
+<body><joint name="driven" axis="0 1 0"/><geom size=".1" mass="2"/>
+<body><joint name="limited" axis="0 1 0" actuatorfrcrange="-1 1"/><geom size=".1" mass="2"/>
+<body><joint name="slide" type="slide" axis="0 1 0"/><geom size=".1" mass="2"/></body>
+</body></body></body></worldbody>
+<actuator><motor joint="driven"/><motor joint="limited"/><motor joint="slide"/></actuator></mujoco>
+"""
+
+
+def test_torque_ripples_with_the_angle_of_a_driven_hinge(cart):
+    """sine sin(n q) + cosine cos(n q), whatever else acts there."""
+    effects = [Effect("joint_torque_ripple", "joint:driven", (0.3, -0.2, 7.5))]
+    model = cart(*effects, xml=HINGES)
+    data = mujoco.MjData(model)
+    for angle in (-2.0, 0.0, 0.1, 3.0):
+        data.qpos[1], data.qvel[1] = angle, 5.0
+        mujoco.mj_forward(model, data)
+        expected = 0.3 * np.sin(7.5 * angle) - 0.2 * np.cos(7.5 * angle)
+        assert data.qfrc_actuator[1] == pytest.approx(expected)
+    ripple = MECHANISMS["joint_torque_ripple"]
+    assert ripple.locations(cart(xml=HINGES)) == ["joint:driven"]
+
+
+def test_a_ripple_is_beside_another_that_an_extended_model_has(cart):
+    first = Effect("joint_torque_ripple", "joint:driven", (0.3, -0.2, 7.5))
+    second = Effect("joint_torque_ripple", "joint:driven", (0.1, 0.0, 2.0))
+    spec = mujoco.MjSpec.from_string(HINGES)
+    spec.copy_back(with_effects(spec, lambda model: None, [first]))
+    model = cart(second, xml=spec.to_xml())
+    data = mujoco.MjData(model)
+    data.qpos[1] = 0.4
+    mujoco.mj_forward(model, data)
+    expected = 0.3 * np.sin(3.0) - 0.2 * np.cos(3.0) + 0.1 * np.sin(0.8)
+    assert data.qfrc_actuator[1] == pytest.approx(expected)
 
 
 def test_viscous_friction_brakes_both_ways(moving):
