@@ -17,7 +17,7 @@ from adr_service.criticism.evidence import Fit
 from adr_service.criticism.noise import Whitener
 
 PADDED = 4  # times as many frequencies as a record resolves
-_FEWEST = 2  # waves in a joint's motion; fewer are a spring or a load
+_FEWEST = 2  # waves in a joint's motion and in a turn; fewer are a spring, or a weight
 _MOST = 400.0  # waves in a turn
 _BINS = 8  # of angles, in the shortest wave
 
@@ -55,7 +55,8 @@ def waves_in_turn(fit: Fit, responses: Sequence[Matrix]) -> dict[str, float]:
         where = ((angles - angles.min()) / width).astype(np.int64)
         power = power_of(pull[dof : dof + 1], where)[0]
         waves = np.arange(len(power)) * 2 * np.pi / (PADDED * width * (int(where.max()) + 1))
-        asked = slice(_FEWEST * PADDED, int(np.searchsorted(waves, _MOST)))
+        first, last = np.searchsorted(waves, [_FEWEST, _MOST]).tolist()
+        asked = slice(max(first, _FEWEST * PADDED), last)
         if power[asked].size:
             found[f"joint:{model.joint(joint).name}"] = float(waves[asked][power[asked].argmax()])
     return found

@@ -21,23 +21,30 @@ def rippling(waves, *others):
     return hide(*arm(), np.random.default_rng(5), [ripple, *others])
 
 
+def waves_of(nominal, data):
+    with Simulator(nominal, data, threads=1, finer=3) as simulator:
+        start = fit(simulator, data.sensor_variance())
+        return waves_in_turn(start, Responses(start).to_forces)
+
+
 @pytest.mark.parametrize("waves", [7.5, 60.0])
 def test_the_waves_of_a_ripple_are_found_to_a_fraction_of_one(waves):
-    data = rippling(waves).episodes(range(12))
-    with Simulator(arm()[1], data, threads=1, finer=3) as simulator:
-        start = fit(simulator, data.sensor_variance())
-        found = waves_in_turn(start, Responses(start).to_forces)
+    found = waves_of(arm()[1], rippling(waves).episodes(range(12)))
     assert found["joint:elbow"] == pytest.approx(waves, abs=0.5)
+
+
+def test_what_repeats_once_in_a_turn_is_left_to_weights():
+    """The arm turns often, so that it would be resolved."""
+    data = rippling(1.0).episodes(range(12))
+    assert np.ptp(data.qpos[:, 1]) > 3 * np.pi
+    assert waves_of(arm()[1], data)["joint:elbow"] >= 2
 
 
 @pytest.mark.parametrize(("reach", "count"), [(1.0, 1), (0.01, 0)])
 def test_waves_repeat_within_the_motion_of_the_joint(swinging, reach, count):
     """Twice within it at least, and 400 times in a turn at most."""
     nominal, data = swinging
-    data = replace(data, qpos=reach * data.qpos)
-    with Simulator(nominal, data, threads=1) as simulator:
-        start = fit(simulator, data.sensor_variance())
-        found = waves_in_turn(start, Responses(start).to_forces)
+    found = waves_of(nominal, replace(data, qpos=reach * data.qpos))
     assert len(found) == count
     assert all(2 <= waves * reach / (2 * np.pi) <= 400 / (2 * np.pi) for waves in found.values())
 
