@@ -60,11 +60,11 @@ class AdrClient:
 
     def criticism(self, run_id: str) -> Json:
         """State of a criticism, and its verdict once there is one."""
-        return self._json("GET", f"/v1/criticisms/{run_id}")
+        return self._json("GET", _criticism(run_id))
 
     def criticism_file(self, run_id: str, name: str) -> bytes:
         """`report.html`, `verdict.json`, `extended.xml` or `effects.json`."""
-        return self.content(f"/v1/criticisms/{run_id}/{name}")
+        return self.content(f"{_criticism(run_id)}/{name}")
 
     def extend_benchmark(
         self, benchmark_id: str, extension: Json, *, dry_run: bool = False
@@ -372,6 +372,12 @@ def _path(id: str) -> str:
         raise InvalidInput("give the id of a run, a benchmark or a recording; given ''")
     collections = {"bench": "benchmarks", "data": "datasets"}
     return f"/v1/{collections.get(id.partition('_')[0], 'runs')}/{id}"
+
+
+def _criticism(id: str) -> str:
+    if not id:
+        raise InvalidInput("give the id of a criticism; given ''")
+    return f"/v1/criticisms/{id}"
 
 
 def _plain(spec: Json) -> Json:

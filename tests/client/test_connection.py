@@ -161,9 +161,9 @@ def test_what_is_of_a_benchmark_refuses_the_id_of_a_run():
         check_benchmark("run_1", "claims are")
 
 
-@pytest.mark.parametrize("ask", ["get", "cancel", "results", "policy"])
+@pytest.mark.parametrize("ask", ["get", "cancel", "results", "policy", "criticism"])
 def test_an_empty_id_is_refused(ask):
-    with AdrClient() as client, pytest.raises(InvalidInput, match=r"the id of a run.*given ''"):
+    with AdrClient() as client, pytest.raises(InvalidInput, match=r"give the id of a .*given ''"):
         getattr(client, ask)("")
 
 
