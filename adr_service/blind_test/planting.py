@@ -24,7 +24,7 @@ from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
-from adr_service.effects.models import typical_of
+from adr_service.effects.models import shapes_of, typical_of
 from adr_service.effects.signals import obeyed, recorded
 from adr_service.errors import InvalidInput
 from adr_service.tasks.base import State, Task
@@ -140,8 +140,9 @@ class _Robot:
         mixed = rng.uniform(0.5, 1.0, len(typical)) if len(typical) > 1 else np.ones(1)
         signs = [1.0 if s.low == 0 else rng.choice([-1.0, 1.0]) for s in mechanism.strengths]
         values = typical * mixed * np.array(signs)
-        is_shape = np.array([strength.is_shape for strength in mechanism.strengths])
-        values = np.where(is_shape, rng.uniform(*_SHAPED) * typical, values)
+        is_shape = shapes_of(kind)
+        if is_shape.any():
+            values = np.where(is_shape, rng.uniform(*_SHAPED) * typical, values)
         reached = 0.0
         for _ in range(_ADJUSTMENTS):
             reached = self._ratio_of(Effect(kind, place, tuple(values.tolist())))

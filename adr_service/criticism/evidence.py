@@ -38,7 +38,7 @@ from adr_service.criticism.linearisation import (
 from adr_service.criticism.noise import Chain, Noise, Whitener, at_start, lifted, misfit_variance
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
-from adr_service.effects.models import plausible_of, sensible, typical_of
+from adr_service.effects.models import amounts, plausible_of, sensible, typical_of
 
 _ROUNDS, _CONVERGED = 4, 0.3  # of steps at most; [nats] that a step gains at least
 _NEAR = 0.25  # of a strength or of a typical one: so far, derivatives by it hardly change
@@ -148,7 +148,7 @@ def held_out_without(fit: Fit, gone: Sequence[int]) -> Vector:
     """
     lost, linear = [fit.columns_of(slice(n, n + 1)) for n in gone], fit.linear
     columns = [column for slot in lost for column in range(slot.start, slot.stop)]
-    values = np.array([value for n in gone for value in fit.effects[n].values])
+    values = np.concatenate([*(amounts(fit.effects[n]) for n in gone), np.empty(0)])
     kept = np.setdiff1d(np.arange(linear.columns.shape[3]), columns)
     linear = Linear(
         linear.chain,

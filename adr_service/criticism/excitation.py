@@ -18,7 +18,7 @@ from adr_service.criticism.scan import places
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
-from adr_service.effects.models import typical_of, unit_of
+from adr_service.effects.models import shapes_of, typical_of, unit_of
 
 _LEAST = 1e-12  # of an error, where readings are exact
 
@@ -63,10 +63,12 @@ def gained_by_effects(
     simulator: Simulator, noise: Vector, states: Matrix
 ) -> Iterator[tuple[Effect, Vector]]:
     """Each effect at its typical size, and the nats (N,) that it would gain by each transition from
-    `states` (rows, 2 nv), NaN where it diverges."""
+    `states` (rows, 2 nv), NaN where it diverges; none that has a shape, which only data tell."""
     start = simulator.nominal.start
     without = simulator.predict_quickly(start, (), states)
     for kind, location in places(simulator):
+        if shapes_of(kind).any():
+            continue
         typical = typical_of(simulator.base, kind, location)
         effect = Effect(kind, location, tuple(typical.tolist()))
         changed = simulator.predict_quickly(start, (effect,), states)

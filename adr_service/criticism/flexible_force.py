@@ -22,6 +22,7 @@ from adr_service.criticism.evidence import Fit, gained
 from adr_service.criticism.linear import Linear, Normal, estimate
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.periods import PADDED, power_of, pulls
+from adr_service.criticism.responses import responses_to_forces
 from adr_service.criticism.verdict import Dependence, Rest
 from adr_service.effects.actuators import drives, is_affine, obeys_limits
 
@@ -52,7 +53,7 @@ class _Regression:
 
 def unexplained(fit: Fit) -> Unexplained:
     """The best flexible force beside a fit, if only by chance."""
-    responses = _responses(fit)
+    responses = responses_to_forces(fit)
     swing = _swing(fit, responses)
     best = max(
         _regressions(fit, responses, swing),
@@ -109,12 +110,6 @@ def _location(fit: Fit, best: _Regression) -> str:
     return f"joint:{model.joint(model.dof_jntid[int(np.argmax(alone))]).name}"
 
 
-def _responses(fit: Fit) -> list[Matrix]:
-    """(N, m) response to a unit of force on each degree of freedom; zero where it diverges."""
-    known = (fit.parameters, fit.effects, fit.states)
-    return [np.nan_to_num(response) for response in fit.simulator.responses_to_forces(*known)]
-
-
 @dataclass(frozen=True)
 class _Swing:
     """A sine and a cosine at one frequency, on one degree of freedom."""
@@ -151,7 +146,7 @@ def _swing(fit: Fit, responses: Sequence[Matrix]) -> _Swing:
 
 def _power(pull: Matrix, when: Indices) -> Matrix:
     """(d, F) squared Fourier sums of pulls (d, N) in time; zero below the slowest swing."""
-    power = power_of(pull, when)
+    power = power_of(pull, when, PADDED * (int(when[-1]) + 1))
     power[:, : _SLOWEST * PADDED] = 0.0
     return power
 

@@ -17,7 +17,7 @@ from adr_service.criticism.noise import Chain
 from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
-from adr_service.effects.models import typical_of
+from adr_service.effects.models import element_of, shapes_of, typical_of
 from adr_service.errors import InvalidInput
 
 FINER = 3  # how much smaller a step shows what numerical integration adds
@@ -113,12 +113,20 @@ def by_strengths(
                 derivatives.append(np.zeros_like(quickly))
                 continue
             slopes: list[Matrix] = []
-            for step, moved in _moved_both_ways(effect, number, 0.01 * size):
+            is_shape = shapes_of(effect.kind)[number]
+            reach = 1 / _largest_angle(simulator, effect, states) if is_shape else size
+            for step, moved in _moved_both_ways(effect, number, 0.01 * reach):
                 changed = tuple(moved if each is effect else each for each in effects)
                 response = simulator.predict_quickly(parameters, changed, states) - quickly
                 slopes.append(response / step)
             derivatives.append(_flatter(*slopes))
     return derivatives
+
+
+def _largest_angle(simulator: Simulator, effect: Effect, states: Matrix) -> float:
+    """Largest angle [rad] of an effect's joint, by which its number of waves turns a phase."""
+    dof = simulator.base.jnt_dofadr[element_of(simulator.base, effect.location)]
+    return max(float(np.abs(states[:, dof]).max()), 1.0)
 
 
 def _moved_both_ways(effect: Effect, number: int, size: float) -> Iterator[tuple[float, Effect]]:

@@ -1,30 +1,32 @@
-"""What residuals ask for of a force that repeats: in time, or with the angle of a joint.
+"""Forces that repeat, in time or with the angle of a joint, as residuals ask for them.
 
-    pull = pulls(fit, responses)             # (nv, N), of one deviation each by noise alone
-    power = power_of(pull, rows)             # squared Fourier sums
-    waves_in_turn(fit, responses)            # {"joint:elbow": 12.1}
+    pull = pulls(fit, responses)                        # (nv, N)
+    power = power_of(pull, rows, size)                  # squared Fourier sums
+    waves_in_turn(fit, responses, ["joint:elbow"])      # {"joint:elbow": 12.1}
 
 `responses` are what a unit of force on each degree of freedom changes of a prediction, (N, m) each.
 """
 
 from collections.abc import Sequence
 
-import mujoco
 import numpy as np
+from scipy.fft import next_fast_len
 
 from adr_service.arrays import Indices, Matrix
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.noise import Whitener
+from adr_service.effects.models import element_of
 
 PADDED = 4  # times as many frequencies as a record resolves
 _FEWEST = 2  # waves in a joint's motion and in a turn; fewer are a spring, or a weight
-_MOST = 400.0  # waves in a turn
+_MOST = 400.0  # waves in a turn: twice a drive's two hundred teeth; faster ones look like noise
 _BINS = 8  # of angles, in the shortest wave
+_MOST_BINS = 2**18  # in a joint's motion; one that turns further is asked for fewer waves
 
 
 def pulls(fit: Fit, responses: Sequence[Matrix]) -> Matrix:
-    """(nv, N) how much the residuals of each transition ask for a force on each degree of freedom;
-    a sum over transitions is of one standard deviation if all are noise."""
+    """Derivatives (nv, N) of the log-likelihood by a force on each degree of freedom during each
+    transition, scaled so that their sum over transitions has a deviation of one by noise alone."""
     layout, chain = fit.layout, fit.linear.chain
     whitener = Whitener.of(chain, fit.noise)
     adjoint = whitener.adjoint(whitener.whiten(fit.left[..., None])[..., 0])
@@ -35,28 +37,30 @@ def pulls(fit: Fit, responses: Sequence[Matrix]) -> Matrix:
     return pull / np.sqrt(np.maximum(information, 1e-300))[:, None]
 
 
-def power_of(pull: Matrix, where: Indices) -> Matrix:
-    """(d, F) squared Fourier sums of pulls (d, N) at these places, which several may share."""
-    size = PADDED * (int(where.max()) + 1)
+def power_of(pull: Matrix, where: Indices, size: int) -> Matrix:
+    """(d, size // 2 + 1) squared Fourier sums of pulls (d, N) at these places below `size`, which
+    several may share."""
     rows = np.stack([np.bincount(where, each, size) for each in pull])
     return np.abs(np.fft.rfft(rows)) ** 2
 
 
-def waves_in_turn(fit: Fit, responses: Sequence[Matrix]) -> dict[str, float]:
-    """For each hinge, how often in a turn that force repeats which its residuals ask for most."""
-    model, starts, pull = fit.simulator.base, fit.simulator.starts, pulls(fit, responses)
+def waves_in_turn(fit: Fit, responses: Sequence[Matrix], hinges: Sequence[str]) -> dict[str, float]:
+    """Number of waves in a turn, by hinge, of the periodic force that explains most of what the fit
+    leaves; no entry for a hinge that moves by less than two of the shortest waves."""
+    base, pull = fit.simulator.base, pulls(fit, responses)
+    kept = fit.linear.chain.mask[fit.layout.mask]  # (N,) those that do not diverge
     found: dict[str, float] = {}
-    for dof, joint in enumerate(model.dof_jntid.tolist()):
-        if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
-            continue
-        before, after = fit.states[starts, dof], fit.predicted[:, dof]
-        angles = np.where(np.isfinite(after), (before + after) / 2, before)  # some may diverge
-        width = 2 * np.pi / (_BINS * _MOST)
+    for hinge in hinges:
+        dof = int(base.jnt_dofadr[element_of(base, hinge)])
+        angles = (fit.states[fit.simulator.starts, dof] + fit.predicted[:, dof])[kept] / 2
+        width = max(2 * np.pi / (_BINS * _MOST), float(np.ptp(angles)) / _MOST_BINS)
         where = ((angles - angles.min()) / width).astype(np.int64)
-        power = power_of(pull[dof : dof + 1], where)[0]
-        waves = np.arange(len(power)) * 2 * np.pi / (PADDED * width * (int(where.max()) + 1))
-        first, last = np.searchsorted(waves, [_FEWEST, _MOST]).tolist()
-        asked = slice(max(first, _FEWEST * PADDED), last)
-        if power[asked].size:
-            found[f"joint:{model.joint(joint).name}"] = float(waves[asked][power[asked].argmax()])
+        size = next_fast_len(PADDED * (int(where.max()) + 1), real=True)
+        power = power_of(pull[dof : dof + 1, kept], where, size)[0]
+        waves = 2 * np.pi / width * np.arange(len(power)) / size
+        resolved = _FEWEST * 2 * np.pi / (width * (int(where.max()) + 1))
+        most = min(_MOST, 2 * np.pi / (_BINS * width))
+        asked = (waves >= max(resolved, _FEWEST)) & (waves <= most)
+        if asked.any():
+            found[hinge] = float(waves[asked][power[asked].argmax()])
     return found

@@ -2,7 +2,7 @@
 
     response = Responses(baseline).of(effect)       # (E, T, m, strengths)
 
-Each effect is simulated once and serves all scans, also those of later fits.
+Each effect that has to be simulated is so once, for all scans, also those of later fits.
 """
 
 from dataclasses import replace
@@ -16,6 +16,12 @@ from adr_service.effects.base import ByAngle, Effect
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import element_of
 from adr_service.effects.signals import offset_of
+
+
+def responses_to_forces(fit: Fit) -> list[Matrix]:
+    """(N, m) response to a unit of force on each degree of freedom; zero where it diverges."""
+    known = (fit.parameters, fit.effects, fit.states)
+    return [np.nan_to_num(each) for each in fit.simulator.responses_to_forces(*known)]
 
 
 class Responses:
@@ -38,14 +44,16 @@ class Responses:
 
     def of(self, effect: Effect) -> np.ndarray:
         """(E, T, m, strengths) change by each strength, one after the other."""
+        mechanism = get_mechanism(effect.kind)
+        if mechanism.by_angle is not None:  # it repeats otherwise in each scan
+            response = self._on_joint(effect, mechanism.by_angle)
+            response[~self._fit.linear.chain.mask] = 0.0
+            return response
         if effect not in self._by_effect:
-            mechanism = get_mechanism(effect.kind)
             if mechanism.sensing is not None:
                 response = self._in_sensor(effect)
             elif mechanism.command is not None and not mechanism.is_late:
                 response = self._on_command(effect)
-            elif mechanism.by_angle is not None:
-                response = self._on_joint(effect, mechanism.by_angle)
             else:
                 response = self._simulated(effect)
             response[~self._fit.linear.chain.mask] = 0.0  # nothing is known there
@@ -87,16 +95,14 @@ class Responses:
         simulator, values = self._simulator, np.array(effect.values)
         dof = int(simulator.base.jnt_dofadr[element_of(simulator.base, effect.location)])
         before, after = self._fit.states[simulator.starts, dof], self._predicted[:, dof]
-        turned = np.linspace(before, after, simulator.quick_steps, endpoint=False)
-        force = np.mean([by_angle(angles, values) for angles in turned], axis=0)
+        force, steps = np.zeros((len(before), len(values))), simulator.quick_steps
+        for step in range(steps):
+            force += by_angle(before + step / steps * (after - before), values) / steps
         return self._fit.layout.fold(self.to_forces[dof][:, :, None] * force[:, None])
 
     @cached_property
     def to_forces(self) -> list[Matrix]:
-        """(N, m) response to a unit of force on each degree of freedom; zero where it diverges."""
-        fit = self._fit
-        known = (fit.parameters, fit.effects, fit.states)
-        return [np.nan_to_num(each) for each in self._simulator.responses_to_forces(*known)]
+        return responses_to_forces(self._fit)
 
     def _to_command(self, actuator: int) -> Matrix:
         """(N, m) response to one unit of command, simulated once for all effects on it."""

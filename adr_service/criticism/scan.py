@@ -21,7 +21,7 @@ from adr_service.criticism.responses import Responses
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import LATE, Effect
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
-from adr_service.effects.models import element_of, prior_precision, typical_of
+from adr_service.effects.models import element_of, prior_precision, shapes_of, typical_of
 
 _ABSORBED = 1e2  # most that fitted parameters may divide the information on a strength by
 _AT_ONCE = 2e7  # numbers of responses that are whitened at a time
@@ -54,12 +54,11 @@ class Candidate:
 def scan(fit: Fit, responses: Responses) -> list[Candidate]:
     """A candidate for every kind at every location, and for every group; the best first."""
     known = {(effect.kind, effect.location) for effect in fit.effects}
-    waves = waves_in_turn(fit, responses.to_forces)
-    tried = [
-        _tried_at(fit.simulator, *place, waves)
-        for place in places(fit.simulator)
-        if place not in known
-    ]
+    asked = [place for place in places(fit.simulator) if place not in known]
+    hinges = [location for kind, location in asked if get_mechanism(kind).by_angle is not None]
+    waves = waves_in_turn(fit, responses.to_forces, hinges) if hinges else {}
+    each = (_tried_at(fit.simulator, kind, location, waves) for kind, location in asked)
+    tried = [sizes for sizes in each if sizes]
     look = Scan(fit, responses, [effect for sizes in tried for effect in sizes])
     candidates = [look.alone(sizes) for sizes in tried]
     groups: dict[str, list[Candidate]] = {}
@@ -73,11 +72,15 @@ def scan(fit: Fit, responses: Responses) -> list[Candidate]:
 def _tried_at(
     simulator: Simulator, kind: str, location: str, waves: Mapping[str, float]
 ) -> list[Effect]:
-    """An effect at a place, in all sizes where its response may differ; one that repeats with a
-    joint's angle as often as the `waves` in a turn say."""
+    """An effect at a place, in all sizes where its response may differ.
+
+    One that repeats with a joint's angle has so many `waves` in a turn, and is not tried at others.
+    """
     typical, mechanism = typical_of(simulator.base, kind, location), get_mechanism(kind)
     if mechanism.by_angle is not None:
-        typical[-1] = waves.get(location, typical[-1])
+        if location not in waves:
+            return []
+        typical = np.where(shapes_of(kind), waves[location], typical)
     sizes = [size * typical for size in mechanism.sizes]
     if mechanism.is_late:
         sizes += [np.array([steps * simulator.period]) for steps in LATE]
@@ -173,9 +176,7 @@ class Scan:
         mechanism = get_mechanism(tried[0].kind)
         if mechanism.needs_first and not seen[0]:
             strengths[0] = sizes[0]  # any, for the others' sake
-        if len(tried) == 1:
-            is_shape = np.array([strength.is_shape for strength in mechanism.strengths])
-            strengths = np.where(is_shape, sizes, strengths)
+        strengths = np.where(shapes_of(mechanism.kind), sizes, strengths)
         gains = normal.left_out() - self._without
         split = np.split(strengths, len(tried))
         effects = tuple(

@@ -24,7 +24,7 @@ from adr_service.criticism.evidence import (
 from adr_service.criticism.scan import Candidate
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
-from adr_service.effects.models import sensible
+from adr_service.effects.models import sensible, shapes_of
 
 _PROMISING = THRESHOLD / 4  # [nats] by the scan; refining adds little more
 _CLOSE, _MOST_REFINED = 0.9, 10  # of the best gain; candidates
@@ -145,7 +145,8 @@ def from_elsewhere(current: Fit, best: Fit) -> Fit:
     """The best of a fit with newer effects, and of fits from other strengths of those."""
     newest = best.effects[len(current.effects) :]
     starts = [
-        [sensible(e, factor * np.array(e.values)) for e in newest] for factor in _OTHER_STARTS
+        [sensible(e, np.where(shapes_of(e.kind), 1.0, factor) * e.values) for e in newest]
+        for factor in _OTHER_STARTS
     ]
     others = (refine(current, [*current.effects, *start]) for start in starts)
     fits = [best, *(other for other in others if other is not None)]

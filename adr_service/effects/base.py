@@ -99,7 +99,8 @@ class Strength:
     name: str
     unit: str  # on a hinge, "of the sensor" for its own
     low: float = -np.inf  # smallest value that makes sense
-    is_shape: bool = False  # True if it says how the others act, and not how much
+    # True if it says how the others act, and not how much: only all of these at zero are nothing
+    is_shape: bool = False
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ class Commands:
 
 
 Command = Callable[[Commands, Vector], Matrix]
-# angles (n,) of a joint and strengths (k,): the force on it (n, k) that each strength adds
+# (n, k) forces that each of k strengths adds on a joint at n angles; nothing for a shape
 ByAngle = Callable[[Vector, Vector], Matrix]
 
 
@@ -171,8 +172,8 @@ class Mechanism:
     has_sides: bool = False  # True if more and less of it are effects of their own
     needs_first: bool = False  # True if its other strengths do nothing while the first is zero
     includes: str = ""  # kind that it equals while its last strengths are zero
-    # of a force on a hinge that repeats with its angle: scans need no simulation, and take its last
-    # strength, the number of waves in a turn, from the data
+    # of a force on a hinge that repeats with its angle: scans need no simulation, and take its
+    # shape, the number of waves in a turn, from the data
     by_angle: ByAngle | None = None
 
     def __post_init__(self) -> None:
@@ -181,6 +182,12 @@ class Mechanism:
             raise InvalidInput(
                 f"mechanism {self.kind} has {' and '.join(ways) or 'nothing'}; give it exactly "
                 "one of change, command and sensing"
+            )
+        shapes = sum(strength.is_shape for strength in self.strengths)
+        if shapes != (self.by_angle is not None) or (shapes and self.place != "joint"):
+            raise InvalidInput(
+                f"mechanism {self.kind} at a {self.place} has {shapes} shapes; a shape is the "
+                "number of waves in a turn of a force by_angle on a joint, which has one"
             )
 
     @property

@@ -203,7 +203,7 @@ CUBIC_SPRING = Mechanism(
 
 
 def _add_ripple(spec: mujoco.MjSpec, joint: str) -> None:
-    """Add an actuator that does nothing yet, as MuJoCo's direct-current motors that only cog."""
+    """Add a passive actuator with the bias of a motor that cogs, by nothing yet."""
     name = next(
         name
         for number in count(1)
@@ -217,14 +217,18 @@ def _add_ripple(spec: mujoco.MjSpec, joint: str) -> None:
 
 
 def _ripple(model: mujoco.MjModel, joint: int, values: Vector) -> None:
-    """A model that is extended already keeps its own, which may repeat otherwise."""
+    """Cog by sine sin(n q) + cosine cos(n q) at an angle q with n waves in a turn.
+
+    It is beside what an extended model has already, in an actuator that preparation added to this
+    model: apply it once.
+    """
     sine, cosine, waves = values
     names = (RIPPLE.format(number) + model.joint(joint).name for number in count(1))
     free = next(name for name in names if model.actuator(name).biasprm[0] == 0)
     model.actuator(free).biasprm[:3] = np.hypot(sine, cosine), waves, np.arctan2(cosine, sine)
 
 
-def _by_angle(angles: Vector, values: Vector) -> Matrix:
+def _ripple_by_angle(angles: Vector, values: Vector) -> Matrix:
     sine, cosine, waves = values
     turned = waves * angles
     return np.column_stack([sine * np.sin(turned), cosine * np.cos(turned), 0 * angles])
@@ -239,15 +243,15 @@ TORQUE_RIPPLE = Mechanism(
     "joint_torque_ripple",
     "joint",
     (
-        Strength("sine", "N m"),
-        Strength("cosine", "N m"),
+        Strength("sine amplitude", "N m"),
+        Strength("cosine amplitude", "N m"),
         Strength("waves in a turn", "1", low=0.0, is_shape=True),
     ),
     typical=lambda model, joint: (_torque(model, joint), _torque(model, joint), 2.0),
     change=_ripple,
     prepare=_add_ripple,
     applies=_may_ripple,
-    by_angle=_by_angle,
+    by_angle=_ripple_by_angle,
 )
 
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from adr_service.arrays import Vector
+from adr_service.arrays import Mask, Vector
 from adr_service.effects.base import Effect, sensors
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
 from adr_service.errors import InvalidInput, UnknownName
@@ -160,6 +160,17 @@ def prior_precision(model: mujoco.MjModel, effects: Sequence[Effect]) -> Vector:
     """Precisions (k,) of the priors of all strengths, each as a multiple of the effect's own."""
     sizes = [np.array(effect.values) / plausible_of(model, effect) for effect in effects]
     return np.concatenate([*sizes, np.empty(0)]) ** 2
+
+
+def amounts(effect: Effect) -> Vector:
+    """(k,) strengths of an effect, with zeros for those that are shapes: its whole response is the
+    sum of the derivatives by its strengths, times these."""
+    return np.where(shapes_of(effect.kind), 0.0, effect.values)
+
+
+def shapes_of(kind: str) -> Mask:
+    """(k,) true for strengths of a mechanism that say how the others act, and not how much."""
+    return np.array([strength.is_shape for strength in get_mechanism(kind).strengths])
 
 
 def sensible(effect: Effect, values: Vector) -> Effect:

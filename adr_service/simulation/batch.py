@@ -166,8 +166,8 @@ class _Effects:
         apply(self.base, source.effects)
         if self.base.nu > compiled(task.xml).nu and "qfrc_actuator" in task.derived:
             raise InvalidInput(
-                f"{task.name} observes its actuators' forces, among which asymmetric friction and "
-                "external forces would stand: they are not possible there"
+                f"{task.name} observes its actuators' forces, among which effects that "
+                "are actuators of their own would stand: they are not possible there"
             )
         if min(self.base.body_mass.min(), self.base.body_inertia.min()) < 0:
             raise InvalidInput(f"effects {source.effects} leave a body with a negative mass")

@@ -25,7 +25,7 @@ from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
-from adr_service.effects.models import typical_of
+from adr_service.effects.models import shapes_of, typical_of
 from adr_service.errors import InvalidInput
 
 _WIDE = 100.0  # bound of a strength, in multiples of its typical size
@@ -182,8 +182,11 @@ class Fits:
     def step(self, known: Fitted, effect: Effect) -> Step:
         """The Gauss-Newton step that adds an effect and moves everything else.
 
-        An effect that is not in proportion to its strength is tried at all its sizes.
+        An effect that is not in proportion to its strength is tried at all its sizes. One with a
+        shape is not tried: without its number of waves it is a constant.
         """
+        if shapes_of(effect.kind).any():
+            return Step(effect, -np.inf)
         sizes = get_mechanism(effect.kind).sizes
         tried = [self._step(known, effect, s) for s in (sizes if len(sizes) > 1 else (_SMALL,))]
         return max(tried, key=lambda step: step.fall)

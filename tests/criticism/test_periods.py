@@ -7,11 +7,15 @@ import pytest
 
 from adr_service.blind_test.planting import hide
 from adr_service.criticism.evidence import fit
+from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.periods import waves_in_turn
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
+from adr_service.effects.catalogue import MECHANISMS
+from adr_service.parameters import ParameterSpace
 from tests.hidden import arm
 
 
@@ -24,7 +28,8 @@ def rippling(waves, *others):
 def waves_of(nominal, data):
     with Simulator(nominal, data, threads=1, finer=3) as simulator:
         start = fit(simulator, data.sensor_variance())
-        return waves_in_turn(start, Responses(start).to_forces)
+        hinges = MECHANISMS["joint_torque_ripple"].locations(simulator.base)
+        return waves_in_turn(start, Responses(start).to_forces, hinges)
 
 
 @pytest.mark.parametrize("waves", [7.5, 60.0])
@@ -40,13 +45,33 @@ def test_what_repeats_once_in_a_turn_is_left_to_weights():
     assert waves_of(arm()[1], data)["joint:elbow"] >= 2
 
 
-@pytest.mark.parametrize(("reach", "count"), [(1.0, 1), (0.01, 0)])
-def test_waves_repeat_within_the_motion_of_the_joint(swinging, reach, count):
-    """Twice within it at least, and 400 times in a turn at most."""
-    nominal, data = swinging
-    found = waves_of(nominal, replace(data, qpos=reach * data.qpos))
-    assert len(found) == count
-    assert all(2 <= waves * reach / (2 * np.pi) <= 400 / (2 * np.pi) for waves in found.values())
+def test_a_joint_that_turns_very_far_is_asked_for_slower_waves():
+    """As many as the angles' bins resolve, and no joint for none."""
+    data = rippling(17.3).episodes(range(12))
+    turned = [replace(data, qpos=data.qpos * [1.0, factor]) for factor in (5e3, 1e5)]
+    far, farther = (waves_of(arm()[1], each) for each in turned)
+    assert 2 <= far["joint:elbow"] < 5
+    assert "joint:elbow" not in farther
+
+
+def test_a_joint_that_hardly_moves_has_no_waves():
+    """A hundredth of a radian is less than two waves of 400 in a turn."""
+    xml = (
+        '<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="a"/><geom size=".1"/>'
+        '</body></worldbody><actuator><motor joint="a"/></actuator></mujoco>'
+    )
+    angles = 0.01 * np.sin(np.arange(60) / 10)
+    still = Measurement(
+        time=0.002 * np.arange(60),
+        qpos=angles[:, None],
+        qvel=np.gradient(angles, 0.002)[:, None],
+        ctrl=np.zeros((60, 1)),
+        episode=np.arange(60) // 20,
+    )
+    nominal = Nominal.of_model(xml, ParameterSpace(()))
+    assert waves_of(nominal, still) == {}
+    moved = replace(still, qpos=100 * still.qpos, qvel=100 * still.qvel)
+    assert 2 * 2 * np.pi / np.ptp(moved.qpos) <= waves_of(nominal, moved)["joint:a"] <= 400
 
 
 def test_a_ripple_is_named_beside_friction_with_how_often_it_repeats():
