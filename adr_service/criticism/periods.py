@@ -10,7 +10,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.fft import next_fast_len
 
 from adr_service.arrays import Indices, Matrix
 from adr_service.criticism.evidence import Fit
@@ -55,7 +54,7 @@ def waves_in_turn(fit: Fit, responses: Sequence[Matrix], hinges: Sequence[str]) 
         angles = (fit.states[fit.simulator.starts, dof] + fit.predicted[:, dof])[kept] / 2
         width = max(2 * np.pi / (_BINS * _MOST), float(np.ptp(angles)) / _MOST_BINS)
         where = ((angles - angles.min()) / width).astype(np.int64)
-        size = next_fast_len(PADDED * (int(where.max()) + 1), real=True)
+        size = 1 << (PADDED * (int(where.max()) + 1)).bit_length()  # a power of two: fast
         power = power_of(pull[dof : dof + 1, kept], where, size)[0]
         waves = 2 * np.pi / width * np.arange(len(power)) / size
         resolved = _FEWEST * 2 * np.pi / (width * (int(where.max()) + 1))
