@@ -18,7 +18,7 @@ from adr_service.effects.models import element_of
 
 PADDED = 4  # times as many frequencies as a record resolves
 _FEWEST = 2  # waves in a joint's motion and in a turn; fewer are a spring, or a weight
-_MOST = 400.0  # waves in a turn: twice a drive's two hundred teeth; faster ones look like noise
+_MOST = 400.0  # waves in a turn: a harmonic drive of 100:1 has 200, and their second harmonic
 _BINS = 8  # of angles, in the shortest wave
 _MOST_BINS = 2**18  # in a joint's motion; one that turns further is asked for fewer waves
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from adr_service.blind_test.cases import Hidden
 from adr_service.blind_test.outside import OUTSIDE
 from adr_service.blind_test.planting import EPISODES, STEPS, draw_case, hide
 from adr_service.effects.base import Effect
@@ -24,6 +25,12 @@ def test_a_case_without_effects_has_none_and_a_case_outside_has_no_known_one():
     assert (nothing.effects, nothing.outside) == ((), None)
     assert outside.effects == ()
     assert outside.outside in OUTSIDE
+
+
+def test_a_key_that_was_made_before_the_catalogue_had_torque_ripple_is_read():
+    given = {"kind": "outside", "ratio": 0.3, "effects": [], "outside": "torque_ripple"}
+    assert Hidden.model_validate({"task": "arm", **given}).outside == "torque_ripple"
+    assert "torque_ripple" not in OUTSIDE
 
 
 def test_two_effects_of_a_case_are_at_two_places():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import hide
-from adr_service.criticism.evidence import fit
+from adr_service.criticism.evidence import fit, gained, held_out_without, refine, smoothed
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.periods import waves_in_turn
@@ -85,3 +85,15 @@ def test_a_ripple_is_named_beside_friction_with_how_often_it_repeats():
     assert cosine.low < 0.025 < cosine.high
     assert waves.low < 17.3 < waves.high
     assert waves.value == pytest.approx(17.3, rel=0.01)
+
+
+def test_the_linearised_loss_without_a_ripple_is_about_the_true_one():
+    """It decides whether a ripple is superfluous; its waves are no amount that could be lost."""
+    data, ripple = rippling(17.3).episodes(range(12)), (0.05, 0.025, 17.3)
+    with Simulator(arm()[1], data, threads=1, finer=3) as simulator:
+        start = smoothed(fit(simulator, data.sensor_variance()))
+        effect = Effect("joint_torque_ripple", "joint:elbow", ripple)
+        final = smoothed(refine(start, [effect]))
+        linearised = (held_out_without(final, []) - held_out_without(final, [0])).sum()
+        exact = gained(final.settled, refine(final, [])).sum()
+    assert linearised == pytest.approx(exact, rel=0.2)
