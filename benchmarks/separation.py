@@ -29,6 +29,7 @@ from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import Criticism, criticise
 from adr_service.criticism.plans import Plan
 from adr_service.criticism.verdict import Conclusion
+from adr_service.effects.base import Effect
 from adr_service.tasks.catalogue import get_task, source_of
 
 EPISODES, ROWS, RATIO = 10, 30, 0.3
@@ -58,7 +59,13 @@ def tried(seed: int) -> dict[str, Any] | None:
     """The row of one seed; None without a tie that has the hidden effect."""
     task, rng = get_task("arm"), np.random.default_rng([_SEED, seed])
     nominal = Nominal.of_task(task, source_of("arm", "vanilla"))
-    hidden = sized_effect(task, nominal, rng, RATIO)
+    return separated(sized_effect(task, nominal, rng, RATIO), rng)
+
+
+def separated(hidden: Effect, rng: np.random.Generator) -> dict[str, Any] | None:
+    """The row of one hidden effect."""
+    task = get_task("arm")
+    nominal = Nominal.of_task(task, source_of("arm", "vanilla"))
     name = f"{hidden.kind} {hidden.location}"
     first = hide(task, nominal, rng, [hidden], commands=held(rng))
     criticism = criticise(nominal, first, rng, threads=1)
