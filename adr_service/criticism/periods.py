@@ -1,10 +1,10 @@
 """Forces that repeat, in time or with the angle of a joint, as residuals ask for them.
 
-    pull = pulls(fit, responses)                        # (nv, N)
-    power = power_of(pull, rows, size)                  # squared Fourier sums
-    waves_in_turn(fit, responses, ["joint:elbow"])      # {"joint:elbow": 12.1}
+    pulls(baseline, responses.to_forces)                              # (nv, N)
+    waves_in_turn(baseline, responses.to_forces, ["joint:elbow"])     # {"joint:elbow": 12.1}
 
-`responses` are what a unit of force on each degree of freedom changes of a prediction, (N, m) each.
+The responses are what a unit of force on each degree of freedom changes of a prediction, (N, m)
+each.
 """
 
 from collections.abc import Sequence
