@@ -48,7 +48,7 @@ def test_a_response_is_the_change_that_a_simulation_shows(baseline, responses, e
 
 
 def test_a_response_to_a_ripple_is_what_its_sine_and_its_cosine_change(baseline, responses):
-    """Where the fastest step of the recording moves through a fifth of a wave."""
+    """At most a fifth of a wave passes in one control step of this recording."""
     ripple = Effect("joint_torque_ripple", "joint:elbow", (0.01, 0.02, 5.0))
     simulator, known = baseline.simulator, (baseline.parameters, baseline.states)
     without, with_sine, with_both = (
