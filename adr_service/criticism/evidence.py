@@ -125,7 +125,18 @@ def fit(simulator: Simulator, sensor: Vector, effects: Sequence[Effect] = ()) ->
 
 
 def smoothed(fit: Fit) -> Fit:
-    """A fit anew, around the states that are the most probable under it."""
+    """A fit anew, around the states that are the most probable under it.
+
+    And again where its strengths have come far, because its derivatives are those of before.
+    """
+    for _ in range(_ROUNDS):
+        before, fit = fit.effects, _smoothed_once(fit)
+        if _are_near(fit.simulator, before, fit.effects):
+            break
+    return fit
+
+
+def _smoothed_once(fit: Fit) -> Fit:
     simulator, layout = fit.simulator, fit.layout
     whitener = Whitener.of(fit.linear.chain, fit.noise)
     errors, covariance = whitener.sensor_errors(fit.left)

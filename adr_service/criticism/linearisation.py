@@ -14,13 +14,12 @@ from adr_service.arrays import Array3, Mask, Matrix, Vector
 from adr_service.criticism.layout import Layout
 from adr_service.criticism.linear import Linear
 from adr_service.criticism.noise import Chain
-from adr_service.criticism.simulator import Simulator, other_integrator
+from adr_service.criticism.simulator import FINER, Simulator, other_integrator
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import element_of, shapes_of, typical_of
 from adr_service.errors import InvalidInput
 
-FINER = 3  # how much smaller a step shows what numerical integration adds
 # how much of what a finer step changes is really there, and of what another integrator changes at
 # that step: prior means and deviations. Nothing, where the data were simulated alike; 4/3 of the
 # first, where they are real and the integrator is of first order

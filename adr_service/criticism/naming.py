@@ -21,6 +21,7 @@ from adr_service.criticism.inverse import Group
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.revision import narrowed, pruned, reconsidered
 from adr_service.criticism.scan import Candidate, scan
+from adr_service.criticism.steps import in_finer_steps
 from adr_service.criticism.weighing import (
     Alike,
     Weighed,
@@ -97,6 +98,7 @@ def name_effects(
             break
         named.append(alike)
         current = smoothed(from_elsewhere(current, alike[0].fit))
+        current = in_finer_steps(current, len(alike[0].effects), rng)
         asked_again = range(together, count)
         named, current = reconsidered(named, current, asked_again, responses, rng, alive)
     alive = partial(progress, 0.8, causes=len(named), doing="weighing the causes together")

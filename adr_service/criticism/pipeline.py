@@ -27,7 +27,6 @@ from adr_service.criticism.flexible_force import Unexplained, unexplained
 from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.identifiability import indistinguishable
 from adr_service.criticism.inverse import Group, needed_effects
-from adr_service.criticism.linearisation import FINER
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.naming import Block, block_of, name_effects
 from adr_service.criticism.nominal import Nominal
@@ -44,6 +43,7 @@ from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import Candidate, scan
 from adr_service.criticism.sensor_spread import spread_causes
 from adr_service.criticism.simulator import Simulator, is_first_order
+from adr_service.criticism.steps import in_steps_of, part_of
 from adr_service.criticism.summary import INTERVAL, alternative, named_cause, residual_of
 from adr_service.criticism.verdict import Conclusion, Gain, NamedCause, Verdict
 from adr_service.criticism.weighing import Alike, slots
@@ -51,7 +51,6 @@ from adr_service.effects.base import Effect
 from adr_service.progress import Progress, silent
 
 _SEALED = 4  # every fourth episode
-_ENOUGH, _FEWEST = 1000, 8  # transitions and episodes to choose the simulator's step by
 
 
 @dataclass(frozen=True)
@@ -113,6 +112,8 @@ def criticise(
         responses = Responses(baseline)
         first = scan(baseline, responses)
         named, final, chance = name_effects(baseline, first, responses, block, rng, progress)
+        if final.simulator is not baseline.simulator:
+            baseline = in_steps_of(baseline, final.simulator)
         progress(0.9, causes=len(named), doing="judging what is left, and the sealed episodes")
         base = baseline.simulator.base
         remarks = (*on_commands(base, data), *on_untried(base))
@@ -166,26 +167,14 @@ def _best_step(
     groups = needed_effects(first)
     if not is_first_order(nominal.model(nominal.start)):
         return _begun(first, groups)
-    part = _part(data, rng)
+    part = part_of(data, rng)
     coarse = first if part is data else simulators.enter_context(Simulator(nominal, part, threads))
-    fine = simulators.enter_context(Simulator(nominal, part, threads, FINER))
-    start, block = max((_begun(each, groups) for each in (coarse, fine)), key=_likelihood)
+    both = (coarse, coarse.in_finer_steps)
+    start, block = max((_begun(each, groups) for each in both), key=_likelihood)
     if part is data:
         return start, block
-    whole = first
-    if start.simulator is fine:
-        whole = simulators.enter_context(Simulator(nominal, data, threads, FINER))
+    whole = first if start.simulator is coarse else first.in_finer_steps
     return _begun(whole, groups if block is None else block.groups)
-
-
-def _part(data: Measurement, rng: np.random.Generator) -> Measurement:
-    """All episodes, or some of them if half would be too many to choose a step by."""
-    episodes = len(data.spans())
-    transitions = len(data.time) - episodes
-    count = max(episodes * _ENOUGH // transitions, _FEWEST)
-    if 2 * count > episodes:
-        return data
-    return data.episodes(np.sort(rng.choice(episodes, count, replace=False)).tolist())
 
 
 def _begun(simulator: Simulator, groups: Sequence[Group]) -> tuple[Fit, Block | None]:

@@ -14,7 +14,7 @@ import os
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import mujoco
 import numpy as np
@@ -29,6 +29,7 @@ from adr_service.effects.base import Effect, Past, is_added
 from adr_service.effects.models import elements_of
 from adr_service.effects.signals import acts_on_commands, behind, obeyed, shown, uses_rates
 
+FINER = 3  # how much smaller a step shows what numerical integration adds
 _KEPT = 32  # compiled models
 _REMEMBERED = 32  # rows that an effect in a sensor may know of the past
 _MISSED = 0.1  # most of a force's response that coarser steps may miss
@@ -54,6 +55,7 @@ class Simulator:
     ):
         """`finer`: number of steps that it takes for one of the model's."""
         self.nominal, self.data, self.finer = nominal, data, finer
+        self.threads = threads
         self.base = nominal.model(nominal.start)
         self._bare = lru_cache(_KEPT)(nominal.bare)  # most predictions share them
         check_columns(self.base, data)
@@ -66,7 +68,7 @@ class Simulator:
         self.simulated_steps = 0  # control steps, of all predictions
         self._past: dict[int, Matrix] = {}  # by position
         self._rough = finer  # steps that `predict_quickly` takes for one of the model's
-        self._take_own_step_if_enough()
+        self._take_larger_steps_if_enough()
 
     def __enter__(self) -> "Simulator":
         return self
@@ -74,6 +76,13 @@ class Simulator:
     def __exit__(self, *_: object) -> None:
         """End its threads; it predicts nothing more."""
         self._pool.close()
+        if "in_finer_steps" in vars(self):
+            self.in_finer_steps.__exit__()
+
+    @cached_property
+    def in_finer_steps(self) -> "Simulator":
+        """The same with steps that are `FINER` times smaller; it ends with this one."""
+        return Simulator(self.nominal, self.data, self.threads, FINER * self.finer)
 
     def predict(self, values: Vector, effects: Sequence[Effect], states: Matrix) -> Matrix:
         """Measured states (N, 2 nv) one control step after `states` (rows, 2 nv).
@@ -116,12 +125,12 @@ class Simulator:
         return self.steps // self.finer * self._rough
 
     def predict_quickly(self, values: Vector, effects: Sequence[Effect], states: Matrix) -> Matrix:
-        """`predict` with the model's own step and an integrator of first order, to be compared
-        with other predictions of this kind.
+        """`predict` in larger steps with an integrator of first order, to be compared with other
+        predictions of this kind.
 
         Where steps are `finer`, or the model's own integrator is of fourth order, it takes a
-        fraction of the time. If forces move joints otherwise in the model's own step, as where
-        contacts are stiff, it takes the `finer` ones.
+        fraction of the time. Steps are `FINER` times as large, or the model's own, unless forces
+        move joints otherwise in these, as where contacts are stiff.
         """
         return self._predict(effects, states, self._quick(values, effects))
 
@@ -245,13 +254,13 @@ class Simulator:
         model.opt.timestep /= self.finer
         return model
 
-    def _take_own_step_if_enough(self) -> None:
-        """Predict quickly in the model's own step, if forces move their joints in it about as in
-        the finer ones."""
+    def _take_larger_steps_if_enough(self) -> None:
+        """Predict quickly in larger steps, if forces move their joints in these about as in the
+        finer ones."""
         if self.finer == 1:
             return
         fine = self._own_velocities()
-        self._rough = 1
+        self._rough = max(1, self.finer // FINER)
         missed = np.linalg.norm(self._own_velocities() - fine, axis=0)
         if not np.all(missed <= _MISSED * np.linalg.norm(fine, axis=0)):
             self._rough = self.finer

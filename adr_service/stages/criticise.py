@@ -56,8 +56,9 @@ class Criticise(Stage[Criticised]):
     # fast joints and long delays, strengths of one effect that do not absorb each other, detection
     # limits with the others known, and forces of servos, 13: deadband and fading of force commands
     # alone, a remark on effects that joints' limits rule out, and changes of unnamed elements, 14:
-    # torque ripple
-    version: ClassVar = 14
+    # torque ripple, 15: a step chosen again once causes are in, and fits smoothed again where
+    # their strengths have come far
+    version: ClassVar = 15
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 

@@ -5,7 +5,14 @@ import pytest
 
 from adr_service.blind_test.cases import Hidden
 from adr_service.blind_test.outside import OUTSIDE
-from adr_service.blind_test.planting import EPISODES, STEPS, draw_case, hide
+from adr_service.blind_test.planting import (
+    EPISODES,
+    STEPS,
+    draw_case,
+    hide,
+    plantable,
+    sized_effect,
+)
 from adr_service.effects.base import Effect
 from tests.hidden import arm
 
@@ -31,6 +38,23 @@ def test_a_key_that_was_made_before_the_catalogue_had_torque_ripple_is_read():
     given = {"kind": "outside", "ratio": 0.3, "effects": [], "outside": "torque_ripple"}
     assert Hidden.model_validate({"task": "arm", **given}).outside == "torque_ripple"
     assert "torque_ripple" not in OUTSIDE
+
+
+def test_a_drawn_ripple_is_sized_by_its_amplitudes_and_keeps_its_waves():
+    task, nominal = arm()
+    places = plantable(nominal.model(nominal.start))
+    drawn = (
+        seed
+        for seed in range(1000)
+        if places[np.random.default_rng(seed).integers(len(places))][0] == "joint_torque_ripple"
+    )
+    seed = next(drawn)
+    weak, strong = (
+        sized_effect(task, nominal, np.random.default_rng(seed), ratio) for ratio in (0.1, 0.3)
+    )
+    assert weak.kind == strong.kind == "joint_torque_ripple"
+    assert 8 <= weak.values[2] == strong.values[2] <= 24
+    np.testing.assert_allclose(np.divide(strong.values, weak.values)[:2], 3.0, rtol=0.15)
 
 
 def test_two_effects_of_a_case_are_at_two_places():

@@ -1,0 +1,77 @@
+"""The simulator's step, chosen again once causes are in."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adr_service.blind_test.planting import hide
+from adr_service.criticism.evidence import fit, refine, smoothed
+from adr_service.criticism.pipeline import criticise
+from adr_service.criticism.simulator import Simulator
+from adr_service.criticism.steps import in_finer_steps, in_steps_of
+from adr_service.effects.base import Effect
+from tests.hidden import arm
+
+STRONG = Effect("joint_stribeck_friction", "joint:elbow", (0.6, 0.8))
+
+
+@pytest.fixture(scope="module")
+def sticking():
+    """An arm whose elbow sticks and then lets go."""
+    return hide(*arm(), np.random.default_rng(405), [STRONG])
+
+
+@pytest.fixture(scope="module")
+def in_thirds(sticking):
+    """A fit with the friction, in a third of the model's step."""
+    data = sticking.episodes(range(12))
+    with Simulator(arm()[1], data, threads=1, finer=3) as simulator:
+        baseline = smoothed(fit(simulator, data.sensor_variance()))
+        yield smoothed(refine(baseline, [STRONG]))
+
+
+def test_a_friction_that_sticks_asks_for_finer_steps_which_bring_it_nearer_to_the_truth(in_thirds):
+    finer = in_finer_steps(in_thirds, 1, np.random.default_rng(0))
+    assert finer.simulator.finer == 9
+    fall, finer_fall = (each.effects[0].values[1] for each in (in_thirds, finer))
+    assert abs(finer_fall - STRONG.values[1]) < 0.5 * abs(fall - STRONG.values[1])
+    np.testing.assert_allclose(finer.effects[0].values, STRONG.values, rtol=0.03)
+
+
+def test_finer_steps_are_not_tried_again_where_they_are_fine_enough(in_thirds):
+    finer = in_steps_of(in_thirds, in_thirds.simulator.in_finer_steps)
+    assert in_finer_steps(finer, 1, np.random.default_rng(0)) is finer
+
+
+def test_a_fit_whose_strengths_come_far_is_smoothed_with_derivatives_anew(in_thirds):
+    """One round alone, with the derivatives of a friction half as strong, ends before the best."""
+    weak = replace(STRONG, values=(0.3, 0.4))
+    begun = replace(in_thirds, effects=(weak,))
+    finer = in_steps_of(begun, in_thirds.simulator.in_finer_steps)
+    np.testing.assert_allclose(finer.effects[0].values, STRONG.values, rtol=0.03)
+
+
+def test_steps_stay_where_finer_ones_change_nothing_of_what_a_cause_does(baseline):
+    """A force on a command acts alike in any step."""
+    pushed = Effect("actuator_bias", "actuator:elbow", (0.1,))
+    fitted = smoothed(refine(baseline, [pushed]))
+    assert in_finer_steps(fitted, 1, np.random.default_rng(0)) is fitted
+    assert vars(baseline.simulator).get("in_finer_steps") is None  # nor were any tried
+
+
+def test_a_simulator_in_finer_steps_predicts_quickly_in_the_larger_ones(in_thirds):
+    simulator = in_thirds.simulator
+    known = (in_thirds.parameters, in_thirds.effects, in_thirds.states)
+    quickly = simulator.in_finer_steps.predict_quickly(*known)
+    np.testing.assert_allclose(quickly, simulator.predict(*known), rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_friction_that_sticks_is_named_alone_with_the_true_strengths(sticking):
+    """In a third of the step it came out a sixth too small, beside a rotor that is not there."""
+    found = criticise(arm()[1], sticking, np.random.default_rng(0), threads=1).verdict
+    (cause,) = found.causes
+    assert (cause.kind, cause.location) == (STRONG.kind, STRONG.location)
+    for strength, true in zip(cause.strengths, STRONG.values, strict=True):
+        assert strength.value == pytest.approx(true, rel=0.05)
