@@ -106,10 +106,10 @@ def simulated(folder: Path) -> Names:
 
 
 def fitted(folder: Path) -> Names:
-    from adr_service.criticism.evidence import fit, smoothed
+    from adr_service.criticism import evidence
 
-    names = simulated(folder)
-    baseline = smoothed(fit(names["simulator"], names["sensor"]))
+    names = {**vars(evidence), **simulated(folder)}
+    baseline = evidence.smoothed(evidence.fit(names["simulator"], names["sensor"]))
     effect = Effect("joint_coulomb_friction", "joint:elbow", (0.15,))
     return {**names, "baseline": baseline, "effect": effect}
 

@@ -1,6 +1,7 @@
 """The simulator's step, once causes are in.
 
-    current = in_finer_steps(current, 1, rng)       # the last effect of its effects is new
+    refined = refine(baseline, [effect])
+    current = in_finer_steps(refined, 1, rng)       # one effect is new
 
 A strong friction may need a smaller step than the model without it. What a coarse step gets wrong
 of it would look like a second cause, and pull its own strength.
