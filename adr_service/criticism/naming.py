@@ -98,7 +98,7 @@ def name_effects(
             break
         named.append(alike)
         current = smoothed(from_elsewhere(current, alike[0].fit))
-        current = in_finer_steps(current, len(alike[0].effects), rng)
+        current = in_finer_steps(current, len(alike[0].effects))
         asked_again = range(together, count)
         named, current = reconsidered(named, current, asked_again, responses, rng, alive)
     alive = partial(progress, 0.8, causes=len(named), doing="weighing the causes together")

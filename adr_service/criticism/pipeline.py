@@ -43,7 +43,7 @@ from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import Candidate, scan
 from adr_service.criticism.sensor_spread import spread_causes
 from adr_service.criticism.simulator import Simulator, is_first_order
-from adr_service.criticism.steps import in_steps_of, part_of
+from adr_service.criticism.steps import in_steps_of
 from adr_service.criticism.summary import INTERVAL, alternative, named_cause, residual_of
 from adr_service.criticism.verdict import Conclusion, Gain, NamedCause, Verdict
 from adr_service.criticism.weighing import Alike, slots
@@ -51,6 +51,7 @@ from adr_service.effects.base import Effect
 from adr_service.progress import Progress, silent
 
 _SEALED = 4  # every fourth episode
+_ENOUGH, _FEWEST = 1000, 8  # transitions and episodes to choose the simulator's step by
 
 
 @dataclass(frozen=True)
@@ -167,7 +168,7 @@ def _best_step(
     groups = needed_effects(first)
     if not is_first_order(nominal.model(nominal.start)):
         return _begun(first, groups)
-    part = part_of(data, rng)
+    part = _part(data, rng)
     coarse = first if part is data else simulators.enter_context(Simulator(nominal, part, threads))
     both = (coarse, coarse.in_finer_steps)
     start, block = max((_begun(each, groups) for each in both), key=_likelihood)
@@ -175,6 +176,16 @@ def _best_step(
         return start, block
     whole = first if start.simulator is coarse else first.in_finer_steps
     return _begun(whole, groups if block is None else block.groups)
+
+
+def _part(data: Measurement, rng: np.random.Generator) -> Measurement:
+    """All episodes, or some of them if half would be too many to choose a step by."""
+    episodes = len(data.spans())
+    transitions = len(data.time) - episodes
+    count = max(episodes * _ENOUGH // transitions, _FEWEST)
+    if 2 * count > episodes:
+        return data
+    return data.episodes(np.sort(rng.choice(episodes, count, replace=False)).tolist())
 
 
 def _begun(simulator: Simulator, groups: Sequence[Group]) -> tuple[Fit, Block | None]:

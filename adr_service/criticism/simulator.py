@@ -55,7 +55,7 @@ class Simulator:
     ):
         """`finer`: number of steps that it takes for one of the model's."""
         self.nominal, self.data, self.finer = nominal, data, finer
-        self.threads = threads
+        self._asked_threads = threads
         self.base = nominal.model(nominal.start)
         self._bare = lru_cache(_KEPT)(nominal.bare)  # most predictions share them
         check_columns(self.base, data)
@@ -82,7 +82,7 @@ class Simulator:
     @cached_property
     def in_finer_steps(self) -> "Simulator":
         """The same with steps that are `FINER` times smaller; it ends with this one."""
-        return Simulator(self.nominal, self.data, self.threads, FINER * self.finer)
+        return Simulator(self.nominal, self.data, self._asked_threads, FINER * self.finer)
 
     def predict(self, values: Vector, effects: Sequence[Effect], states: Matrix) -> Matrix:
         """Measured states (N, 2 nv) one control step after `states` (rows, 2 nv).

@@ -32,7 +32,7 @@ def in_thirds(sticking):
 
 
 def test_a_friction_that_sticks_asks_for_finer_steps_which_bring_it_nearer_to_the_truth(in_thirds):
-    finer = in_finer_steps(in_thirds, 1, np.random.default_rng(0))
+    finer = in_finer_steps(in_thirds, 1)
     assert finer.simulator.finer == 9
     fall, finer_fall = (each.effects[0].values[1] for each in (in_thirds, finer))
     assert abs(finer_fall - STRONG.values[1]) < 0.5 * abs(fall - STRONG.values[1])
@@ -41,7 +41,7 @@ def test_a_friction_that_sticks_asks_for_finer_steps_which_bring_it_nearer_to_th
 
 def test_finer_steps_are_not_tried_again_where_they_are_fine_enough(in_thirds):
     finer = in_steps_of(in_thirds, in_thirds.simulator.in_finer_steps)
-    assert in_finer_steps(finer, 1, np.random.default_rng(0)) is finer
+    assert in_finer_steps(finer, 1) is finer
 
 
 def test_a_fit_whose_strengths_come_far_is_smoothed_with_derivatives_anew(in_thirds):
@@ -56,7 +56,7 @@ def test_steps_stay_where_finer_ones_change_nothing_of_what_a_cause_does(baselin
     """A force on a command acts alike in any step."""
     pushed = Effect("actuator_bias", "actuator:elbow", (0.1,))
     fitted = smoothed(refine(baseline, [pushed]))
-    assert in_finer_steps(fitted, 1, np.random.default_rng(0)) is fitted
+    assert in_finer_steps(fitted, 1) is fitted
     assert vars(baseline.simulator).get("in_finer_steps") is None  # nor were any tried
 
 
