@@ -45,16 +45,12 @@ def in_steps_of(current: Fit, simulator: Simulator) -> Fit:
 
 def _nats_of_finer_steps(current: Fit, newest: int) -> float:
     """Evidence that would be in what finer steps change of the newest effects' doing."""
-    simulator, states = current.simulator, current.states
+    simulator, chain = current.simulator, current.linear.chain
     finely = partial(simulator.predict_finer, finer=FINER, integrator=simulator.base.opt.integrator)
-    without = current.effects[: len(current.effects) - newest]
-    finer, coarse = (
-        predict(current.parameters, current.effects, states)
-        - predict(current.parameters, without, states)
-        for predict in (finely, simulator.predict)
-    )
-    chain = current.linear.chain
-    change = current.layout.fold(np.nan_to_num(finer - coarse))
+    own = (current.parameters, current.effects, current.states)
+    rest = (current.parameters, current.effects[: len(current.effects) - newest], current.states)
+    beside = finely(*rest) - simulator.predict(*rest)
+    change = current.layout.fold(np.nan_to_num(finely(*own) - current.predicted - beside))
     change[~chain.mask] = 0.0
     white = Whitener.of(chain, current.noise).whiten(change[..., None])
     return float(0.5 * np.sum(white**2))

@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import hide
+from adr_service.criticism import steps
 from adr_service.criticism.evidence import fit, refine, smoothed
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.simulator import Simulator
@@ -42,6 +44,18 @@ def test_a_friction_that_sticks_asks_for_finer_steps_which_bring_it_nearer_to_th
 def test_finer_steps_are_not_tried_again_where_they_are_fine_enough(in_thirds):
     finer = in_steps_of(in_thirds, in_thirds.simulator.in_finer_steps)
     assert in_finer_steps(finer, 1) is finer
+    assert "in_finer_steps" not in vars(finer.simulator)
+
+
+def test_finer_steps_that_are_no_evidence_are_refused(in_thirds, monkeypatch):
+    monkeypatch.setattr(steps, "is_evidence", lambda gains: bool(gains.sum() > 1e9))
+    assert in_finer_steps(in_thirds, 1) is in_thirds
+
+
+def test_an_integrator_of_fourth_order_keeps_its_steps(in_thirds, monkeypatch):
+    fourth = mujoco.mjtIntegrator.mjINT_RK4
+    monkeypatch.setattr(in_thirds.simulator.base.opt, "integrator", fourth)
+    assert in_finer_steps(in_thirds, 1) is in_thirds
 
 
 def test_a_fit_whose_strengths_come_far_is_smoothed_with_derivatives_anew(in_thirds):
@@ -70,8 +84,11 @@ def test_a_simulator_in_finer_steps_predicts_quickly_in_the_larger_ones(in_third
 @pytest.mark.slow
 def test_a_friction_that_sticks_is_named_alone_with_the_true_strengths(sticking):
     """In a third of the step it came out a sixth too small, beside a rotor that is not there."""
-    found = criticise(arm()[1], sticking, np.random.default_rng(0), threads=1).verdict
-    (cause,) = found.causes
+    found = criticise(arm()[1], sticking, np.random.default_rng(0), threads=1)
+    assert (
+        found.baseline.simulator is found.final.simulator
+    )  # what is compared takes the same steps
+    (cause,) = found.verdict.causes
     assert (cause.kind, cause.location) == (STRONG.kind, STRONG.location)
     for strength, true in zip(cause.strengths, STRONG.values, strict=True):
         assert strength.value == pytest.approx(true, rel=0.05)
