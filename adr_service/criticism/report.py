@@ -205,7 +205,9 @@ def _gain(gain: Gain, residual: Residual) -> str:
         finer = (
             f" Both were simulated with steps of {1000 * residual.step:.3g} ms instead of the "
             f"model's {1000 * residual.own_step:.3g}, whose own error of integration is larger "
-            "than what these data leave; the extended model keeps the model's step."
+            "than what these data leave. The extended model keeps the model's step: for what was "
+            f"fitted, give it the smaller one, and {residual.own_step / residual.step:.0f} times "
+            "as many steps for each command."
         )
     return (
         f"<p>On episodes that nothing was fitted to, the extended simulator removes "
