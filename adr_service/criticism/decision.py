@@ -56,6 +56,15 @@ def is_evidence(gains: Vector) -> bool:
     return bool(gains.sum() > THRESHOLD and (gains.sum() > _chance(gains) or rest > THRESHOLD))
 
 
+def least_evident(information: Vector) -> float:
+    """The smallest strength that is evidence, if it gains half of its square times the information
+    on it in each episode (E,); inf if that hangs on few episodes."""
+    total = information.sum()
+    if total <= _chance(information):
+        total = np.sort(information)[:-_FEW].sum()
+    return float(np.sqrt(2 * THRESHOLD / total)) if total > 0 else np.inf
+
+
 def beats(difference: Vector, gain: float) -> bool:
     """True if a cause with a total `gain` explains more than another, by a `difference` (E,) that
     is beyond chance and the errors of either's simulation."""

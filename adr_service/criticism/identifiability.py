@@ -35,7 +35,7 @@ def indistinguishable(
     as well.
     """
     single = [candidate for candidate in candidates if len(candidate.tried) == 1]
-    asked = [each.tried[0] for each in single if np.isfinite(each.deviations).any()]
+    asked = [each.tried[0] for each in single if np.isfinite(each.limits).any()]
     look = Scan(fit, responses, asked)
     named = [
         (effect, number, column)

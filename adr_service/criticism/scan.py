@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adr_service.arrays import Matrix, Vector
+from adr_service.arrays import Mask, Matrix, Vector
+from adr_service.criticism.decision import least_evident
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.linear import Linear, Normal, inverse
 from adr_service.criticism.noise import Whitener
@@ -35,8 +36,9 @@ class Candidate:
     tried: tuple[Effect, ...]  # at the sizes whose responses were simulated
     effects: tuple[Effect, ...]
     gains: Vector  # (E,) nats by episode, each left out of the fit
-    # of each strength, were all others that were tried known; inf: not identifiable
-    deviations: Vector
+    # of each strength, the smallest that would be evidence, were all others that were tried known;
+    # inf: none, as where it is not identifiable
+    limits: Vector
 
     @property
     def gain(self) -> float:
@@ -135,7 +137,7 @@ class Scan:
             candidate = self._at([effect])
             if candidate is None or (candidate.gain <= best.gain and best.gain > 0):
                 continue
-            if candidate.gain <= 0:  # no evidence, but its deviations set the detection limit
+            if candidate.gain <= 0:  # no evidence, but its detection limit
                 candidate = replace(candidate, effects=best.effects, gains=best.gains)
             best = candidate
         return best
@@ -169,7 +171,7 @@ class Scan:
         sizes = np.concatenate([effect.values for effect in tried])
         normal = self.normal.only([*self.own, *new])
         change, covariance = normal.change()
-        seen, deviations = _identifiable(normal, covariance, tried)
+        seen = _identifiable(normal, covariance, tried)
         if not seen.any():
             return None
         strengths = np.where(seen, change[-len(sizes) :] * sizes, 0.0)
@@ -182,9 +184,10 @@ class Scan:
         effects = tuple(
             replace(e, values=tuple(v.tolist())) for e, v in zip(tried, split, strict=True)
         )
+        limits = np.where(seen, np.abs(sizes) * _limits(normal, len(sizes)), np.inf)
         if len(tried) == 1 and not _makes_sense(effects[0], tried[0]):
-            return replace(self._nothing(tried), deviations=deviations)
-        return Candidate(tuple(tried), effects, gains, deviations)
+            return replace(self._nothing(tried), limits=limits)
+        return Candidate(tuple(tried), effects, gains, limits)
 
 
 def _beside(fit: Fit, responses: Sequence[np.ndarray], precision: Vector) -> Normal:
@@ -206,11 +209,19 @@ def _beside(fit: Fit, responses: Sequence[np.ndarray], precision: Vector) -> Nor
     return Normal.joined(parts)
 
 
-def _identifiable(
-    normal: Normal, covariance: Matrix, tried: Sequence[Effect]
-) -> tuple[np.ndarray, Vector]:
-    """Mask (k,) of the last strengths that the data determine without their priors, and the
-    deviation of each by the data alone, were the others that are tried known; inf elsewhere.
+def _limits(normal: Normal, count: int) -> Vector:
+    """(count,) the smallest amount of each of the last columns that would be evidence beside the
+    columns before them."""
+    own = len(normal.mean) - count
+    information = normal.information.sum(axis=0)
+    beside = inverse(information[:own, :own] + np.diag(normal.precision[:own]))
+    direction = np.concatenate([-beside @ information[:own, own:], np.eye(count)])  # (p, count)
+    each = np.sum(direction * (normal.information @ direction), axis=1)  # (E, count)
+    return np.array([least_evident(column) for column in each.T])
+
+
+def _identifiable(normal: Normal, covariance: Matrix, tried: Sequence[Effect]) -> Mask:
+    """(k,) of the last strengths: whether the data determine them without their priors.
 
     Strengths of one effect do not absorb each other: two that do much the same are one question.
     """
@@ -221,9 +232,7 @@ def _identifiable(
     alone = np.where(is_own, normal.information[:, new, new].sum(axis=0), 0.0)
     by_data = inverse(covariance[new, new]) - np.diag(normal.precision[new])
     least, variance = np.diagonal(inverse(alone)), np.diagonal(inverse(by_data))
-    seen = (variance > 0) & (variance < _ABSORBED * least) & (variance < _UNSEEN)
-    certain = np.where(seen, np.diagonal(by_data), 1.0)
-    return seen, np.where(seen, np.abs(sizes) / np.sqrt(certain), np.inf)
+    return (variance > 0) & (variance < _ABSORBED * least) & (variance < _UNSEEN)
 
 
 def _makes_sense(estimated: Effect, tried: Effect) -> bool:

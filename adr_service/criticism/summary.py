@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from adr_service.criticism.decision import THRESHOLD, is_evidence
+from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.flexible_force import Unexplained
 from adr_service.criticism.scan import Candidate, location_of
@@ -94,16 +94,15 @@ def residual_of(
 def _detectable(final: Fit, first: Sequence[Candidate]) -> dict[str, tuple[float, str]]:
     """Smallest strength of each effect that would have been evidence, and its unit: its first, or
     else the first that is identifiable, under its name."""
-    reach = np.sqrt(2 * THRESHOLD)  # standard deviations that gain as much
     limits: dict[str, tuple[float, str]] = {}
     for candidate in first:
-        seen = np.flatnonzero(np.isfinite(candidate.deviations))
+        seen = np.flatnonzero(np.isfinite(candidate.limits))
         if len(candidate.effects) > 1 or not seen.size:
             continue
         strength = get_mechanism(candidate.kind).strengths[seen[0]]
         name = f"{candidate.kind} {candidate.location}"
         limits[f"{name} {strength.name}" if seen[0] else name] = (
-            float(reach * candidate.deviations[seen[0]]),
+            float(candidate.limits[seen[0]]),
             unit_of(final.simulator.base, candidate.location, strength.unit),
         )
     return limits

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from adr_service.criticism.decision import ALIKE, THRESHOLD, beats, decide, is_evidence, is_unknown
+from adr_service.criticism.decision import (
+    ALIKE,
+    THRESHOLD,
+    beats,
+    decide,
+    is_evidence,
+    is_unknown,
+    least_evident,
+)
 
 NOTHING = np.zeros(20)
 
@@ -98,3 +106,20 @@ def test_the_cause_is_unknown_where_a_flexible_force_adds_more_than_a_fifth():
     flexible = np.full(20, 5.0)  # 100 nats
     assert is_unknown(flexible, named=490.0)
     assert not is_unknown(flexible, named=510.0)
+
+
+@pytest.mark.parametrize(
+    "information",
+    [
+        np.full(20, 3.0),
+        np.array([100.0, 80.0, *np.full(18, 0.1)]),  # two are much, but the rest suffices
+    ],
+)
+def test_the_least_evident_strength_is_just_evidence(information):
+    least = least_evident(information)
+    assert is_evidence(0.5 * (1.01 * least) ** 2 * information)
+    assert not is_evidence(0.5 * (0.99 * least) ** 2 * information)
+
+
+def test_no_strength_is_evidence_where_only_two_episodes_would_show_it():
+    assert np.isinf(least_evident(np.array([50.0, 40.0, *np.zeros(18)])))

@@ -51,7 +51,7 @@ def test_two_strengths_of_one_effect_do_not_hide_each_other():
         baseline = smoothed(fit(simulator, sensor))
         candidates = scan(baseline, Responses(baseline))
     found = next(c for c in candidates if (c.kind, c.location) == (hidden.kind, hidden.location))
-    assert np.isfinite(found.deviations).all()
+    assert np.isfinite(found.limits).all()
     assert found.gain > max(c.gain for c in candidates if c.location != hidden.location)
 
 
@@ -62,7 +62,27 @@ def test_a_detection_limit_takes_the_other_strengths_of_an_effect_for_known(base
         next(c for c in candidates if (c.kind, c.location) == (kind, "joint:elbow"))
         for kind in ("joint_coulomb_friction", "joint_stribeck_friction")
     )
-    assert other.deviations[0] == pytest.approx(one.deviations[0], rel=1e-6)
+    assert other.limits[0] == pytest.approx(one.limits[0], rel=1e-6)
+
+
+def test_a_detection_limit_does_not_hang_on_two_episodes():
+    """No evidence may. By all information, the limits would differ by a factor of 2.4."""
+    limits = [limit_of_gain(moved) for moved in (12, 2)]
+    assert limits[1] > 5 * limits[0]
+
+
+def limit_of_gain(moved):
+    """Detection limit of the shoulder's gain, where it is commanded in so many of 12 episodes."""
+    (task, nominal), rng = arm(), np.random.default_rng(407)
+    commands = np.repeat(rng.uniform(-1.0, 1.0, (12, 19, 2)), 4, axis=1)
+    commands[moved:, :, 0] = 0.0
+    data = hide(task, nominal, rng, [], commands=commands)
+    known = replace(nominal, space=ParameterSpace(()), start=np.empty(0))
+    with Simulator(known, data, threads=1, finer=3) as simulator:
+        baseline = smoothed(fit(simulator, data.sensor_variance()))
+        candidates = scan(baseline, Responses(baseline))
+    place = ("actuator_gain", "actuator:shoulder")
+    return next(c.limits[0] for c in candidates if (c.kind, c.location) == place)
 
 
 def test_a_load_whose_mass_nothing_shows_keeps_the_one_that_was_tried():
@@ -75,7 +95,7 @@ def test_a_load_whose_mass_nothing_shows_keeps_the_one_that_was_tried():
         baseline = smoothed(fit(simulator, sensor))
         candidates = scan(baseline, Responses(baseline))
     load = next(c for c in candidates if (c.kind, c.location) == (hidden.kind, hidden.location))
-    assert np.isinf(load.deviations[0])
+    assert np.isinf(load.limits[0])
     assert load.gain > THRESHOLD
     assert load.effects[0].values[0] == load.tried[0].values[0]
     assert load.effects[0].values[1] == pytest.approx(0.04, rel=0.3)
