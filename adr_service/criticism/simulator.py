@@ -21,6 +21,7 @@ import numpy as np
 from mujoco import rollout
 
 from adr_service.arrays import Array3, Indices, Matrix, Vector
+from adr_service.criticism import past
 from adr_service.criticism.compatibility import check_columns, steps_between
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
@@ -31,7 +32,6 @@ from adr_service.effects.signals import acts_on_commands, behind, obeyed, shown,
 
 FINER = 3  # how much smaller a step shows what numerical integration adds
 _KEPT = 32  # compiled models
-_REMEMBERED = 32  # rows that an effect in a sensor may know of the past
 _MISSED = 0.1  # most of a force's response that coarser steps may miss
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
@@ -110,7 +110,7 @@ class Simulator:
             ends = _finite(after[0, self.steps - 1 :: self.steps, 1:])
             path = np.concatenate([true[first][None], ends])
             followed[first + 1 : last] = shown(
-                self.base, effects, ends, np.diff(path, axis=0) / self.period, _past_along(path)
+                self.base, effects, ends, np.diff(path, axis=0) / self.period, past.along(path)
             )
         return followed
 
@@ -226,7 +226,7 @@ class Simulator:
             come = np.zeros(len(self.measured))
             come[self.starts + 1] = moved
             first = np.concatenate([np.full(b - a, a) for a, b in self.data.spans()])
-            self._past[column] = _since(np.cumsum(come), first)
+            self._past[column] = past.since(np.cumsum(come), first)
         return self._past[column]
 
     def past_after(self, moved: Matrix) -> Past:
@@ -364,18 +364,6 @@ def other_integrator(integrator: int) -> int:
     kinds = mujoco.mjtIntegrator
     implicit = kinds.mjINT_IMPLICITFAST
     return int(kinds.mjINT_RK4 if integrator == implicit else implicit)
-
-
-def _past_along(path: Matrix) -> Past:
-    """`Simulator.past` at all states of a path (rows, 2 nv) but the first."""
-    return lambda column: _since(path[:, column], np.zeros(len(path), dtype=np.int64))[1:]
-
-
-def _since(come: Vector, first: Indices) -> Matrix:
-    """(rows, k) how far each row of a path (rows,) is from each of those before it, as far back as
-    the row `first` (rows,)."""
-    before = np.arange(len(come))[:, None] - np.arange(1, _REMEMBERED + 1)
-    return come[:, None] - come[np.maximum(before, first[:, None])]
 
 
 def _bodies(model: mujoco.MjModel) -> list[int]:

@@ -128,6 +128,15 @@ def test_whole_episodes_are_followed_as_step_after_step(good):
         np.testing.assert_allclose(whole[begin : begin + 4], states[begin : begin + 4], rtol=1e-9)
 
 
+def test_a_simulator_that_ends_ends_the_one_in_finer_steps(good):
+    nominal, data = arm()[1], Measurement(**good)
+    with Simulator(nominal, data, threads=1) as simulator:
+        finer = simulator.in_finer_steps
+        finer.predict(nominal.start, (), finer.measured)
+    with pytest.raises(RuntimeError, match="after thread pool shutdown"):
+        finer.predict(nominal.start, (), finer.measured)
+
+
 def test_a_model_without_actuators_is_followed_as_step_after_step(swinging):
     nominal, data = swinging
     with Simulator(nominal, data, threads=1) as simulator:
