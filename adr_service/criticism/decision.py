@@ -57,8 +57,8 @@ def is_evidence(gains: Vector) -> bool:
 
 
 def least_evident(information: Vector) -> float:
-    """The smallest strength that is evidence, if it gains half of its square times the information
-    on it in each episode (E,); inf if that hangs on few episodes."""
+    """The smallest strength that `is_evidence`, where a strength s gains s^2 / 2 times the
+    `information` (E,) in each episode; inf if there is none."""
     total = information.sum()
     if total <= _chance(information):
         total = np.sort(information)[:-_FEW].sum()

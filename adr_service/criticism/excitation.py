@@ -4,7 +4,8 @@ Each effect of the catalogue, at a size that a sensible simulator might lack, ch
 of every control step. The change is compared with the error that the sensors' noise makes in a
 difference of neighbouring rows. An effect that changes N predictions by s errors each gains about
 N s²/2 nats, if no free parameter and no other effect can do the same, and if noise is all that is
-left. So this is the best case: what it does not show, a criticism will hardly show.
+left. So this is the best case: what it does not show, a criticism will hardly show. It counts what
+hangs on few episodes, too, which is no evidence for a criticism.
 """
 
 from collections.abc import Iterator

@@ -16,7 +16,7 @@ from scipy.spatial.distance import squareform
 from adr_service.arrays import Matrix
 from adr_service.criticism.decision import ALIKE
 from adr_service.criticism.evidence import Fit
-from adr_service.criticism.linear import Normal, inverse
+from adr_service.criticism.linear import Normal
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import Candidate, Scan
 from adr_service.effects.base import Effect
@@ -31,8 +31,8 @@ def indistinguishable(
     """Groups of strengths, as "kind location strength". Each does 99 % of what any other of its
     group does, at the sizes that a scan tried.
 
-    `candidates`: of the scan. Groups of places are left out, and what the fitted parameters can do
-    as well.
+    `candidates`: of the scan. Left out are groups of places, what could be no evidence, and what
+    the fitted parameters can do as well.
     """
     single = [candidate for candidate in candidates if len(candidate.tried) == 1]
     asked = [each.tried[0] for each in single if np.isfinite(each.limits).any()]
@@ -57,10 +57,8 @@ def _unlikeness(normal: Normal, own: Sequence[int], asked: Sequence[int]) -> Mat
     """(k, k) share of what one column does that another cannot do, beside a fit's own columns;
     infinite on the diagonal for columns that the fit's own can replace."""
     information = normal.information.sum(axis=0)
-    known = information[np.ix_(own, own)] + np.diag(normal.precision[own])
-    beside = information[np.ix_(own, asked)]
     whole = information[np.ix_(asked, asked)]
-    left = whole - beside.T @ inverse(known) @ beside
+    left = whole - information[np.ix_(asked, own)] @ normal.absorbed(own, asked)
     is_seen = np.diagonal(left) > _ABSORBED * np.diagonal(whole)
     scale = np.sqrt(np.where(is_seen, np.diagonal(left), 1.0))
     apart = np.clip(1 - (left / np.outer(scale, scale)) ** 2, 0.0, 1.0)

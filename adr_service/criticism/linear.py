@@ -81,6 +81,13 @@ class Normal:
             self.precision[which],
         )
 
+    def absorbed(self, own: Sequence[int], others: Sequence[int]) -> Matrix:
+        """(own, others) how much of their `own` columns does as much as possible of what each of
+        the others does."""
+        information = self.information.sum(axis=0)
+        known = information[np.ix_(own, own)] + np.diag(self.precision[own])
+        return inverse(known) @ information[np.ix_(own, others)]
+
     def change(self) -> tuple[Vector, Matrix]:
         """The most probable change (p,), and its covariance (p, p)."""
         covariance = inverse(self.information.sum(axis=0) + np.diag(self.precision))

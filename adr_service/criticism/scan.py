@@ -9,11 +9,12 @@ evidence. A group is one mechanism at all its places at once, each with a streng
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector
-from adr_service.criticism.decision import least_evident
+from adr_service.criticism.decision import THRESHOLD, least_evident
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.linear import Linear, Normal, inverse
 from adr_service.criticism.noise import Whitener
@@ -37,7 +38,7 @@ class Candidate:
     effects: tuple[Effect, ...]
     gains: Vector  # (E,) nats by episode, each left out of the fit
     # of each strength, the smallest that would be evidence, were all others that were tried known;
-    # inf: none, as where it is not identifiable
+    # inf: no strength would be, or it is not identifiable
     limits: Vector
 
     @property
@@ -137,8 +138,11 @@ class Scan:
             candidate = self._at([effect])
             if candidate is None or (candidate.gain <= best.gain and best.gain > 0):
                 continue
-            if candidate.gain <= 0:  # no evidence, but its detection limit
-                candidate = replace(candidate, effects=best.effects, gains=best.gains)
+            if candidate.gain <= 0:  # no evidence, but a detection limit
+                limits = np.minimum(best.limits, candidate.limits)
+                candidate = replace(
+                    candidate, effects=best.effects, gains=best.gains, limits=limits
+                )
             best = candidate
         return best
 
@@ -154,6 +158,19 @@ class Scan:
                 return group
             left = [effect for effect, is_so in zip(left, sensible, strict=True) if is_so]
         return self._nothing(everywhere)
+
+    @cached_property
+    def _limits(self) -> Vector:
+        """(k,) the least of each tried column, in the size that was tried, that would be evidence
+        beside the fit's own columns; inf if no sensible robot has so much."""
+        own, tried = slice(len(self.own)), slice(len(self.own), None)
+        absorbed = self.normal.absorbed(self.own, range(len(self.own), len(self.normal.mean)))
+        information = self.normal.information
+        each = np.diagonal(information[:, tried, tried], axis1=1, axis2=2)
+        each = each - 2 * np.sum(absorbed * information[:, own, tried], axis=1)
+        each = each + np.sum(absorbed * (information[:, own, own] @ absorbed), axis=1)  # (E, k)
+        limits = np.array([least_evident(column) for column in each.T])
+        return np.where(limits**2 < 2 * THRESHOLD * _UNSEEN, limits, np.inf)
 
     def _nothing(self, effects: Sequence[Effect]) -> Candidate:
         nothing = tuple(replace(e, values=(0.0,) * len(e.values)) for e in effects)
@@ -184,7 +201,7 @@ class Scan:
         effects = tuple(
             replace(e, values=tuple(v.tolist())) for e, v in zip(tried, split, strict=True)
         )
-        limits = np.where(seen, np.abs(sizes) * _limits(normal, len(sizes)), np.inf)
+        limits = np.where(seen, np.abs(sizes) * self._limits[np.array(new) - len(self.own)], np.inf)
         if len(tried) == 1 and not _makes_sense(effects[0], tried[0]):
             return replace(self._nothing(tried), limits=limits)
         return Candidate(tuple(tried), effects, gains, limits)
@@ -207,17 +224,6 @@ def _beside(fit: Fit, responses: Sequence[np.ndarray], precision: Vector) -> Nor
         some = Linear(part.chain, linear.residual[which], columns, mean, precision)
         parts.append(Normal.of(part, some))
     return Normal.joined(parts)
-
-
-def _limits(normal: Normal, count: int) -> Vector:
-    """(count,) the smallest amount of each of the last columns that would be evidence beside the
-    columns before them."""
-    own = len(normal.mean) - count
-    information = normal.information.sum(axis=0)
-    beside = inverse(information[:own, :own] + np.diag(normal.precision[:own]))
-    direction = np.concatenate([-beside @ information[:own, own:], np.eye(count)])  # (p, count)
-    each = np.sum(direction * (normal.information @ direction), axis=1)  # (E, count)
-    return np.array([least_evident(column) for column in each.T])
 
 
 def _identifiable(normal: Normal, covariance: Matrix, tried: Sequence[Effect]) -> Mask:

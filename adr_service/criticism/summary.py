@@ -93,7 +93,7 @@ def residual_of(
 
 def _detectable(final: Fit, first: Sequence[Candidate]) -> dict[str, tuple[float, str]]:
     """Smallest strength of each effect that would have been evidence, and its unit: its first, or
-    else the first that is identifiable, under its name."""
+    else the first that could be, under its name."""
     limits: dict[str, tuple[float, str]] = {}
     for candidate in first:
         seen = np.flatnonzero(np.isfinite(candidate.limits))

@@ -109,7 +109,7 @@ def test_detection_limits_are_those_of_single_effects_that_can_be_seen(baseline,
     assert limits == {"joint_coulomb_friction joint:elbow": (0.002, "N m")}
 
 
-def test_a_detection_limit_is_that_of_the_first_strength_that_is_identifiable(baseline):
+def test_a_detection_limit_is_that_of_the_first_strength_that_could_be_evidence(baseline):
     tilt = Effect("gravity_tilt", "global", (0.1, 0.1))
     rolls = Candidate((tilt,), (tilt,), np.zeros(12), np.array([np.inf, 0.002]))
     limits = residual_of(baseline, baseline, [rolls], (), left(0.0)).detectable
