@@ -21,10 +21,10 @@ import numpy as np
 from mujoco import rollout
 
 from adr_service.arrays import Array3, Indices, Matrix, Vector
-from adr_service.criticism import past
 from adr_service.criticism.compatibility import check_columns, steps_between
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.past import displacements, past_along
 from adr_service.effects.actuators import obeys_limits
 from adr_service.effects.base import Effect, Past, is_added
 from adr_service.effects.models import elements_of
@@ -110,7 +110,7 @@ class Simulator:
             ends = _finite(after[0, self.steps - 1 :: self.steps, 1:])
             path = np.concatenate([true[first][None], ends])
             followed[first + 1 : last] = shown(
-                self.base, effects, ends, np.diff(path, axis=0) / self.period, past.along(path)
+                self.base, effects, ends, np.diff(path, axis=0) / self.period, past_along(path)
             )
         return followed
 
@@ -226,7 +226,7 @@ class Simulator:
             come = np.zeros(len(self.measured))
             come[self.starts + 1] = moved
             first = np.concatenate([np.full(b - a, a) for a, b in self.data.spans()])
-            self._past[column] = past.since(np.cumsum(come), first)
+            self._past[column] = displacements(np.cumsum(come), first)
         return self._past[column]
 
     def past_after(self, moved: Matrix) -> Past:
