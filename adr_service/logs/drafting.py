@@ -1,13 +1,13 @@
 """A draft of the map from a log's columns to a model: what names and ranges of columns suggest."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
 
 from adr_service.criticism.compatibility import commanded_actuators, joints_of
-from adr_service.logs.base import SECONDS, Log
+from adr_service.logs.base import SECONDS, UNKNOWN, Log
 from adr_service.logs.mapping import ANGLES, LENGTHS, is_slide
 
 _TIMES = ("time", "timestamp", "stamp", "t")
@@ -32,22 +32,24 @@ def draft(logs: Sequence[Log], model: mujoco.MjModel) -> str:
     names = list(dict.fromkeys(name for log in logs for name in log.names))
     lines = ["# columns: name, readings, smallest and largest", *_listing(logs[0])]
     if any(stream.stamps is None for stream in logs[0].streams):
-        time = next((name for name in names if _kind(name) is _TIMES), "?")
+        time = next((name for name in names if _kind(name) is _TIMES), UNKNOWN)
         lines += ["", "[time]", f"column = {_text(time)}", _time_unit(logs[0], time)]
     lines += ["", "[rows]", "seconds = 1.0  # length of an episode"]
     lines.append("# period = 0.01  # seconds between rows; about the readings' own, if left out")
     joints, drives = joints_of(model), commanded_actuators(model)
     positions = _matched(names, joints, _POSITIONS)
+    positions |= _called(names, positions, drives)
     velocities = _matched(names, joints, _VELOCITIES)
     for joint in joints:
         lines += ["", f"[joints.{_key(joint)}]", _line("position", *positions[joint])]
         lines.append(_position_unit(logs[0], positions[joint][0], is_slide(model, joint)))
         lines.append("# scale = -1.0  # if it turns the other way than the model's")
-        known = velocities[joint][0] != "?"
+        known = velocities[joint][0] != UNKNOWN
         lines.append(
             _line("velocity", *velocities[joint]) if known else "# no velocity: not measured"
         )
     commands = _matched(names, drives, _COMMANDS)
+    commands |= _called(names, commands, joints)
     for drive in drives:
         lines += ["", f"[actuators.{_key(drive)}]", _line("command", *commands[drive])]
         lines.append("scale = 1.0  # of a reading in the model's command; negative if reversed")
@@ -69,6 +71,20 @@ def _listing(log: Log) -> list[str]:
 def _plain(name: str) -> str:
     """A name that stays within the line of a comment."""
     return name if name.isprintable() else _text(name)
+
+
+def _called(
+    names: Sequence[str], found: Mapping[str, tuple[str, str]], others: Sequence[str]
+) -> dict[str, tuple[str, str]]:
+    """Columns of elements that have none by its word, but one with their own name alone, which none
+    of the `others` has."""
+    plain = {name.lower(): name for name in names if _kind(name) is None}
+    taken = {other.lower() for other in others}
+    return {
+        element: (plain[own], "")
+        for element, (column, _) in found.items()
+        if column == UNKNOWN and (own := element.lower()) in plain and own not in taken
+    }
 
 
 def _matched(
@@ -94,7 +110,7 @@ def _matched(
     if not found and len(having) == len(elements):
         comment = _BY_ORDER if len(elements) > 1 else ""
         return {each: (name, comment) for each, name in zip(elements, having, strict=True)}
-    return {each: found.get(each, ("?", "")) for each in elements}
+    return {each: found.get(each, (UNKNOWN, "")) for each in elements}
 
 
 def _contains(column: str, element: str) -> bool:

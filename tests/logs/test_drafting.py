@@ -31,6 +31,29 @@ def test_a_draft_finds_columns_by_the_joint_and_marks_what_it_does_not_know(robo
     assert found.actuators["motor"].command == "?"
 
 
+def test_a_column_that_is_called_as_a_drive_alone_is_its_command(robot):
+    columns = {name: np.zeros(3) for name in ("time", "q1", "Slider", "Motor")}
+    found = LogMap.from_toml(draft([log(columns)], robot))
+    assert found.actuators["motor"].command == "Motor"
+    assert found.joints["slider"].position == "Slider"
+
+
+def test_a_column_with_a_word_goes_before_one_with_the_name_alone(robot):
+    names = ("time", "shoulder", "slider", "pos_shoulder", "pos_slider", "Motor", "u")
+    found = LogMap.from_toml(draft([log({name: np.zeros(3) for name in names})], robot))
+    assert found.joints["shoulder"].position == "pos_shoulder"
+    assert found.joints["slider"].position == "pos_slider"
+    assert found.actuators["motor"].command == "u"
+
+
+def test_a_column_that_is_called_as_a_joint_and_a_drive_may_be_either():
+    xml = """<mujoco><worldbody><body><joint name="hip"/><geom size="1"/></body></worldbody>
+    <actuator><motor name="hip" joint="hip"/></actuator></mujoco>"""
+    columns = {"time": np.arange(3.0), "hip": np.zeros(3)}
+    found = LogMap.from_toml(draft([log(columns)], mujoco.MjModel.from_xml_string(xml)))
+    assert (found.joints["hip"].position, found.actuators["hip"].command) == ("?", "?")
+
+
 def test_names_that_toml_cannot_bear_are_quoted():
     xml = """<mujoco><worldbody><body><joint name="left arm/1"/><geom size="1"/></body></worldbody>
     </mujoco>"""
