@@ -17,6 +17,7 @@ import numpy as np
 from adr_service.arrays import Indices, Vector
 from adr_service.errors import InvalidInput, UnknownName
 
+UNKNOWN = "?"  # of a drafted map, for a column that nobody named yet
 MOST_NUMBERS = 2**25  # in all columns of a log: 256 MB
 MOST_COLUMNS = 4096
 MOST_BYTES = 2**30  # of a file, and of what it unpacks to
@@ -164,6 +165,11 @@ class Log:
         if column in self.unread:
             return InvalidInput(
                 f"{self.source}: column {column!r} has no numbers to read: {self.unread[column]}"
+            )
+        if column == UNKNOWN:
+            return InvalidInput(
+                f"{UNKNOWN!r} is what a draft has where it did not know the column; give one of "
+                f"those in {self.source}: {', '.join(names)}"
             )
         unknown = UnknownName(f"column in {self.source}", column, names)
         if parents := [n for n in self.unread if column.startswith((f"{n}.", f"{n}_"))]:

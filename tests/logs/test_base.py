@@ -85,6 +85,8 @@ def test_infinite_readings_and_times_are_refused_with_their_number_and_first_row
 
 def test_an_unknown_column_and_an_unknown_clock_list_those_there_are():
     columns = {"time": np.arange(3.0), "shoulder": np.arange(3.0)}
+    with pytest.raises(InvalidInput, match=r"'\?' is what a draft has.*in log.csv: time, shoulder"):
+        log(columns).signal("?", SECONDS)
     with pytest.raises(UnknownName, match="did you mean 'shoulder'"):
         log(columns).signal("sholder", SECONDS)
     with pytest.raises(UnknownName, match=r"column in log.csv 'stamp'.*accepted: time, shoulder"):
