@@ -92,10 +92,17 @@ def check_columns(model: mujoco.MjModel, data: Measurement) -> None:
                 f"ctrl_within has {parts} parts in a row, which are no whole number of the model's "
                 f"{steps} steps between rows; accepted are {_divisors(steps)}"
             )
-    widths = {"qpos": model.nq, "qvel": model.nv, "ctrl": len(commanded_actuators(model))}
-    for name, width in widths.items():
-        if (given := getattr(data, name).shape[1]) != width:
-            raise InvalidInput(f"{name} has {given} columns; the model has {width}")
+    joints, drives = joints_of(model), commanded_actuators(model)
+    for name, expected in {"qpos": joints, "qvel": joints, "ctrl": drives}.items():
+        if (given := getattr(data, name).shape[1]) != len(expected):
+            raise InvalidInput(
+                f"{name} has {_columns(given)}; the model needs {_columns(len(expected))}"
+                + (f", for {', '.join(expected)}" if expected else "")
+            )
+
+
+def _columns(count: int) -> str:
+    return "1 column" if count == 1 else f"{count} columns"
 
 
 def _divisors(steps: int) -> str:

@@ -18,7 +18,11 @@ from tests.hidden import arm
         ("time", lambda a: np.where(np.arange(len(a)) == 7, a - 0.01, a), "from row 6 to 7"),
         ("time", lambda a: 1000 * a, "2000 of the model's steps; accepted are 500 at most"),
         ("time", lambda a: 1.3 * a, "no multiple of the model's step of 0.01"),
-        ("ctrl", lambda a: a[:, :1], "ctrl has 1 columns; the model has 2"),
+        (
+            "ctrl",
+            lambda a: a[:, :1],
+            "ctrl has 1 column; the model needs 2 columns, for shoulder, elbow",
+        ),
     ],
 )
 def test_a_measurement_that_no_simulation_can_follow_is_refused(good, name, change, message):

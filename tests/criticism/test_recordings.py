@@ -91,7 +91,10 @@ def test_a_robot_that_no_sensor_shows_whole_still_has_a_recording(hopped):
             r"lacks what sensors of arm show: the velocity of \w+",
         ),
         ({"ctrl": 100 + MEASUREMENT.ctrl}, "actions lie outside the bounds of arm"),
-        ({"qvel": MEASUREMENT.qvel[:, :1]}, "qvel has 1 columns; the model has 2"),
+        (
+            {"qvel": MEASUREMENT.qvel[:, :1]},
+            "qvel has 1 column; the model needs 2 columns, for shoulder, elbow",
+        ),
     ],
 )
 def test_a_measurement_that_methods_cannot_use_is_refused(changes, message):

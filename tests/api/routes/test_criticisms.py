@@ -94,7 +94,7 @@ def test_a_criticism_is_listed_among_runs(service, criticised):
     ("spec", "message"),
     [
         ({"task": "arm", "dataset": "data_0"}, "no dataset 'data_0'"),
-        ({"task": "hopper"}, "qpos has 2 columns; the model has 6"),
+        ({"task": "hopper"}, "qpos has 2 columns; the model needs 6 columns, for rootx"),
         ({"task": "leg"}, "no task 'leg'"),
     ],
 )
@@ -114,7 +114,7 @@ def test_the_list_of_criticisms_and_that_of_datasets_name_the_file(http, critici
 def test_data_that_do_not_fit_are_refused_with_the_reason(service, uploaded):
     learn = {"task": "hopper", "method": "dropo", "preset": "smoke"}
     target = {"kind": "recorded", "dataset": uploaded["id"]}
-    with pytest.raises(Refused, match="qpos has 2 columns; the model has 6"):
+    with pytest.raises(Refused, match="qpos has 2 columns; the model needs 6 columns, for rootx"):
         service.client.submit_run({**learn, "target": target})
     other = service.client.upload(recording("arm", 40).to_npz())["id"]
     with pytest.raises(Refused, match="40 transitions in 1 episodes are too few"):
