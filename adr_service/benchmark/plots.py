@@ -242,7 +242,11 @@ def _label_returns(figure: Figure, axes: np.ndarray, rows: Sequence[Row]) -> Non
         row_axes[0].set_ylabel("target return / reward threshold")
     _legend(axes[0, -1], axes.ravel().tolist())
     seeds = "–".join(map(str, sorted({row.seeds for row in rows})))
-    figure.supxlabel(f"bars, bands: 95 % intervals over seeds (here {seeds})", fontsize=7)
+    has_intervals = any(row.low is not None for row in rows)
+    drawn = (
+        "bars, bands: 95 % intervals over seeds" if has_intervals else "no intervals: too few seeds"
+    )
+    figure.supxlabel(f"{drawn} (here {seeds})", fontsize=7)
 
 
 def _grid(rows: int, columns: int, **options: Any) -> tuple[Figure, np.ndarray]:

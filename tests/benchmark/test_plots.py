@@ -86,6 +86,11 @@ def test_bars_and_bands_are_intervals_and_the_note_names_the_numbers_of_seeds():
     assert "seeds (here 3–5)" in figure.get_supxlabel()
 
 
+def test_the_note_says_where_too_few_seeds_have_no_intervals():
+    figure = plot_returns([row(seeds=2, low=None, high=None)])
+    assert figure.get_supxlabel() == "no intervals: too few seeds (here 2)"
+
+
 def test_the_collection_has_a_line_per_collector():
     rows = [
         row(method="droid", collector=c, iteration=i)
