@@ -51,7 +51,8 @@ def _gain(verdict: Json) -> list[str]:
     if step and step["judged_with"] < step["of_the_model"]:
         lines.append(
             f"judged at steps of {1000 * step['judged_with']:.3g} ms; extended.xml keeps the "
-            f"model's {1000 * step['of_the_model']:.3g} ms, so give it the smaller one, and "
-            f"{step['of_the_model'] / step['judged_with']:.0f} times as many for each command"
+            f"model's {1000 * step['of_the_model']:.3g} ms; for what was fitted, take "
+            f"{step['of_the_model'] / step['judged_with']:.0f} of the smaller steps for one of "
+            "these"
         )
     return lines

@@ -41,7 +41,8 @@ def report_page(criticism: Criticism, name: str, origin: str) -> str:
     if verdict.gain is not None:
         parts.append(_gain(verdict.gain, verdict.residual))
     parts.append("<h2>Where the error is</h2>" + pictures["where"])
-    parts.append("<h2>What would explain it</h2>" + _EVIDENCE + pictures["ranking"])
+    explained = _EVIDENCE.format(_REFINED if verdict.causes else "")
+    parts.append("<h2>What would explain it</h2>" + explained + pictures["ranking"])
     if "residual" in pictures:
         parts.append("<h2>The cause in the data</h2>" + pictures["residual"])
         parts.append("<h2>What the extended simulator is worth</h2>" + pictures["horizons"])
@@ -67,9 +68,9 @@ _EVIDENCE = (
     "<p>Evidence is how much better episodes are predicted that the fit has not seen, as the "
     "logarithm of a probability: 4.6 nats mean a hundred times more probable. Below "
     f"{THRESHOLD:g} nats we call it chance. Bars are a first look, to first order and with the "
-    "noise that the simulator had without a cause. Diamonds are the refined evidence of the "
-    "causes in the table above.</p>"
+    "noise that the simulator had without a cause.{}</p>"
 )
+_REFINED = " Diamonds are the refined evidence of the causes in the table above."
 
 
 def _finding(verdict: Verdict) -> str:
@@ -206,8 +207,8 @@ def _gain(gain: Gain, residual: Residual) -> str:
             f" Both were simulated with steps of {1000 * residual.step:.3g} ms instead of the "
             f"model's {1000 * residual.own_step:.3g}, whose own error of integration is larger "
             "than what these data leave. The extended model keeps the model's step: for what was "
-            f"fitted, give it the smaller one, and {residual.own_step / residual.step:.0f} times "
-            "as many steps for each command."
+            f"fitted, take {residual.own_step / residual.step:.0f} of the smaller steps for one of "
+            "these."
         )
     return (
         f"<p>On episodes that nothing was fitted to, the extended simulator removes "

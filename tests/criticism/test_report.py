@@ -88,6 +88,15 @@ def test_the_page_says_where_something_unknown_is_left(criticism):
     assert "a force at joint:elbow that depends on time, at 2.7 Hz predicts 30 nats better" in page
 
 
+def test_only_a_page_with_causes_speaks_of_their_refined_evidence(criticism):
+    nothing = replace(criticism.verdict, conclusion=Conclusion.NONE, causes=(), tied=())
+    pages = (
+        report_page(each, "arm", ORIGIN)
+        for each in (criticism, replace(criticism, verdict=nothing, named=(), extension=None))
+    )
+    assert ["Diamonds" in page for page in pages] == [True, False]
+
+
 def test_the_page_does_not_claim_that_data_cannot_show_what_was_not_tried(criticism):
     """Steps and noise of sensors have no detection limit, and joints' limits rule effects out."""
     page = report_page(criticism, "arm", ORIGIN)
