@@ -160,10 +160,10 @@ def _found(model: mujoco.MjModel, address: str) -> tuple[Quantity, list[int], li
         raise UnknownName("address", f"{kind}:….{attribute}", accepted)
     quantity = FIELDS[kind, attribute]
     names = _names(model, kind)
-    if name != "*" and name not in names:
-        raise UnknownName(kind, name, names)
     # by number, because elements need no name
     every = range(1 if kind == "body" else 0, len(names))  # the world is no body
+    if name != "*" and name not in names:
+        raise UnknownName(kind, name, [names[number] for number in every])
     objects = list(every) if name == "*" else [names.index(name)]
     able = [number for number in objects if _has(model, quantity, number)]
     if not able:

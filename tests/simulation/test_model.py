@@ -161,6 +161,7 @@ def test_names_of_elements_may_have_any_characters():
     ("address", "message"),
     [
         ("body:toso.mass", "did you mean 'torso'"),
+        ("body:arm.mass", "accepted: torso, thigh"),  # and not the world, which has no mass
         ("body:torso.colour", "accepted: body:….mass"),
         ("torso mass", "kind:name.attribute"),
     ],
