@@ -85,9 +85,8 @@ def test_a_simulator_in_finer_steps_predicts_quickly_in_the_larger_ones(in_third
 def test_a_friction_that_sticks_is_named_alone_with_the_true_strengths(sticking):
     """In a third of the step it came out a sixth too small, beside a rotor that is not there."""
     found = criticise(arm()[1], sticking, np.random.default_rng(0), threads=1)
-    assert (
-        found.baseline.simulator is found.final.simulator
-    )  # what is compared takes the same steps
+    # what is compared takes the same steps
+    assert found.baseline.simulator is found.final.simulator
     (cause,) = found.verdict.causes
     assert (cause.kind, cause.location) == (STRONG.kind, STRONG.location)
     for strength, true in zip(cause.strengths, STRONG.values, strict=True):
