@@ -9,13 +9,8 @@ import numpy as np
 Outside = Literal[
     "torque_ripple", "cross_coupling", "position_dependent_friction", "gain_drift", "disturbance"
 ]
-# keys that were made before the catalogue had torque ripple have that too
-OUTSIDE: tuple[Outside, ...] = (
-    "cross_coupling",
-    "position_dependent_friction",
-    "gain_drift",
-    "disturbance",
-)
+# keys that were made before the catalogue had the other two have these as well
+OUTSIDE: tuple[Outside, ...] = ("cross_coupling", "gain_drift", "disturbance")
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,9 @@ from adr_service.blind_test.outside import OUTSIDE, Force, Outside
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator, other_integrator
-from adr_service.effects.base import Effect
+from adr_service.effects.base import Effect, Turning
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
+from adr_service.effects.friction import friction_losses, varies
 from adr_service.effects.models import shapes_of, typical_of
 from adr_service.effects.signals import obeyed, recorded
 from adr_service.errors import InvalidInput
@@ -37,6 +38,7 @@ _TOLD_APART = 0.05  # of an effect, that no free parameter may absorb
 # planted on whole arms (benchmarks/arms.py); here its mass is often not identifiable, and then it
 # is a shifted centre of mass by another name
 _ELSEWHERE = ("body_load",)
+_ANGLES = 1000  # in a turn, at which a friction may not be negative
 _SHAPED = (4.0, 12.0)  # times typical: strengths that say how the others act
 _OFF = 0.1  # relative error of the parameters that the diagnosis starts from
 
@@ -158,6 +160,10 @@ class _Robot:
 
     def _is_physical(self, effect: Effect) -> bool:
         """True if no physical quantity is negative, and delays are shorter than a step."""
+        friction = get_mechanism(effect.kind).friction
+        if friction is not None:
+            turn = Turning(np.linspace(0, 2 * np.pi, _ANGLES), np.zeros(_ANGLES))
+            return bool(np.all(friction(turn, np.array(effect.values)) >= 0))
         model = self._nominal.model(self._nominal.start, [effect])
         fields = (model.dof_damping, model.dof_armature, model.jnt_stiffness, model.body_mass)
         sensible = all(np.all(field >= 0) for field in fields) and np.all(model.geom_margin >= 0)
@@ -268,6 +274,7 @@ class _Robot:
         applied = obeyed(self._base, effects, finer, model.opt.timestep)
         length = episodes * rows * self._period
         data, states = mujoco.MjData(model), np.empty((episodes, rows, 2 * model.nv))
+        own, has_friction = model.dof_frictionloss.copy(), varies(effects)
         for episode in range(episodes):
             _place(model, data, initial, episode, rng)
             for row in range(rows):
@@ -278,6 +285,9 @@ class _Robot:
                         now = (episode * rows + row) * self._period
                         seconds = now + (step % skip) * model.opt.timestep
                         data.qfrc_applied[force.dof] = force.at(data, seconds, length)
+                    if has_friction:
+                        moment = (each[None] for each in (data.qpos, data.qvel, data.ctrl))
+                        model.dof_frictionloss[:] = friction_losses(model, effects, own, *moment)[0]
                     mujoco.mj_step(model, data)
         if not np.all(np.abs(states) < 1e6):
             raise InvalidInput("the hidden robot diverged; draw another")

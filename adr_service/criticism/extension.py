@@ -2,7 +2,7 @@
 
 extension = extend(nominal, parameters, effects)
 extension.xml          # compiles to the fitted model, to the last digit, with its own step
-extension.to_json()    # all effects; this package replays those on commands and in sensors
+extension.to_json()    # all effects; this package replays those that MJCF cannot express
 """
 
 import ctypes

@@ -1,13 +1,13 @@
 """Forces that repeat, in time or with the angle of a joint, as residuals ask for them.
 
-    pulls(baseline, responses.to_forces)                              # (nv, N)
-    waves_in_turn(baseline, responses.to_forces, ["joint:elbow"])     # {"joint:elbow": 12.1}
+    pulls(baseline, responses)                             # (d, N)
+    waves_in_turn(baseline, {"joint:elbow": response})     # {"joint:elbow": 12.1}
 
-The responses are what a unit of force on each degree of freedom changes of a prediction, (N, m)
+The responses are what a unit of each of d forces, or frictions, changes of a prediction, (N, m)
 each.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -24,8 +24,8 @@ _MOST_BINS = 2**18  # in a joint's motion; one that turns further is asked for f
 
 
 def pulls(fit: Fit, responses: Sequence[Matrix]) -> Matrix:
-    """Derivatives (nv, N) of the log-likelihood by a force on each degree of freedom during each
-    transition, scaled so that their sum over transitions has a deviation of one by noise alone."""
+    """Derivatives (d, N) of the log-likelihood by each force during each transition, scaled so that
+    their sum over transitions has a deviation of one by noise alone."""
     layout, chain = fit.layout, fit.linear.chain
     whitener = Whitener.of(chain, fit.noise)
     adjoint = whitener.adjoint(whitener.whiten(fit.left[..., None])[..., 0])
@@ -43,19 +43,19 @@ def power_of(pull: Matrix, where: Indices, size: int) -> Matrix:
     return np.abs(np.fft.rfft(rows)) ** 2
 
 
-def waves_in_turn(fit: Fit, responses: Sequence[Matrix], hinges: Sequence[str]) -> dict[str, float]:
+def waves_in_turn(fit: Fit, responses: Mapping[str, Matrix]) -> dict[str, float]:
     """Number of waves in a turn, by hinge, of the periodic force that explains most of what the fit
     leaves; no entry for a hinge that moves by less than two of the shortest waves."""
-    base, pull = fit.simulator.base, pulls(fit, responses)
+    base, pull = fit.simulator.base, pulls(fit, list(responses.values()))
     kept = fit.linear.chain.mask[fit.layout.mask]  # (N,) those that do not diverge
     found: dict[str, float] = {}
-    for hinge in hinges:
+    for number, hinge in enumerate(responses):
         dof = int(base.jnt_dofadr[element_of(base, hinge)])
         angles = (fit.states[fit.simulator.starts, dof] + fit.predicted[:, dof])[kept] / 2
         width = max(2 * np.pi / (_BINS * _MOST), float(np.ptp(angles)) / _MOST_BINS)
         where = ((angles - angles.min()) / width).astype(np.int64)
         size = 1 << (PADDED * (int(where.max()) + 1)).bit_length()  # a power of two: fast
-        power = power_of(pull[dof : dof + 1, kept], where, size)[0]
+        power = power_of(pull[number : number + 1, kept], where, size)[0]
         waves = 2 * np.pi / width * np.arange(len(power)) / size
         resolved = _FEWEST * 2 * np.pi / (width * (int(where.max()) + 1))
         most = min(_MOST, 2 * np.pi / (_BINS * width))

@@ -14,7 +14,8 @@ from adr_service.arrays import Matrix
 from adr_service.criticism.evidence import Fit
 from adr_service.effects.base import ByAngle, Effect
 from adr_service.effects.catalogue import get_mechanism
-from adr_service.effects.models import element_of
+from adr_service.effects.joints import COULOMB_FRICTION
+from adr_service.effects.models import element_of, typical_of
 from adr_service.effects.signals import offset_of
 
 
@@ -28,8 +29,8 @@ class Responses:
     """Changes of a fit's predictions by effect.
 
     An effect in a sensor, on a command for a whole control step, or by a joint's angle is a
-    combination of what is known of states, commands and forces already; any other effect is
-    simulated once for each strength.
+    combination of what is known of states, commands, forces and frictions already; any other effect
+    is simulated once for each strength.
     """
 
     def __init__(self, fit: Fit):
@@ -46,7 +47,7 @@ class Responses:
         """(E, T, m, strengths) change by each strength, one after the other."""
         mechanism = get_mechanism(effect.kind)
         if mechanism.by_angle is not None:  # it repeats otherwise in each scan
-            response = self._on_joint(effect, mechanism.by_angle)
+            response = self._by_angle(effect, mechanism.by_angle)
             response[~self._fit.linear.chain.mask] = 0.0
             return response
         if effect not in self._by_effect:
@@ -90,18 +91,29 @@ class Responses:
         change = changed[:, :, actuator].mean(axis=1)
         return fit.layout.fold(self._to_command(actuator) * change[:, None])[..., None]
 
-    def _on_joint(self, effect: Effect, by_angle: ByAngle) -> np.ndarray:
-        """A force that follows a joint's angle, as it is at the start of each simulator step."""
+    def to_one(self, kind: str, hinge: str) -> Matrix:
+        """(N, m) response to a constant unit of what effects of a kind add by the angle of a hinge:
+        a force, or a friction; zero where it diverges."""
+        base, layout = self._simulator.base, self._fit.layout
+        if get_mechanism(kind).friction is None:
+            return self._to_forces[int(base.jnt_dofadr[element_of(base, hinge)])]
+        typical = typical_of(base, COULOMB_FRICTION.kind, hinge)
+        friction = self.of(Effect(COULOMB_FRICTION.kind, hinge, tuple(typical.tolist())))
+        return np.nan_to_num(friction[layout.mask][..., 0] / typical)
+
+    def _by_angle(self, effect: Effect, by_angle: ByAngle) -> np.ndarray:
+        """What follows a joint's angle, as it is at the start of each simulator step."""
         simulator, values = self._simulator, np.array(effect.values)
         dof = int(simulator.base.jnt_dofadr[element_of(simulator.base, effect.location)])
         before, after = self._fit.states[simulator.starts, dof], self._predicted[:, dof]
-        force, steps = np.zeros((len(before), len(values))), simulator.quick_steps
+        added, steps = np.zeros((len(before), len(values))), simulator.quick_steps
         for step in range(steps):
-            force += by_angle(before + step / steps * (after - before), values) / steps
-        return self._fit.layout.fold(self.to_forces[dof][:, :, None] * force[:, None])
+            added += by_angle(before + step / steps * (after - before), values) / steps
+        to_one = self.to_one(effect.kind, effect.location)
+        return self._fit.layout.fold(to_one[:, :, None] * added[:, None])
 
     @cached_property
-    def to_forces(self) -> list[Matrix]:
+    def _to_forces(self) -> list[Matrix]:
         return responses_to_forces(self._fit)
 
     def _to_command(self, actuator: int) -> Matrix:

@@ -58,8 +58,11 @@ def scan(fit: Fit, responses: Responses) -> list[Candidate]:
     """A candidate for every kind at every location, and for every group; the best first."""
     known = {(effect.kind, effect.location) for effect in fit.effects}
     asked = [place for place in places(fit.simulator) if place not in known]
-    hinges = [location for kind, location in asked if get_mechanism(kind).by_angle is not None]
-    waves = waves_in_turn(fit, responses.to_forces, hinges) if hinges else {}
+    waves: dict[str, dict[str, float]] = {}
+    for kind in dict.fromkeys(k for k, _ in asked if get_mechanism(k).by_angle is not None):
+        hinges = [location for each, location in asked if each == kind]
+        to_one = {hinge: responses.to_one(kind, hinge) for hinge in hinges}
+        waves[kind] = waves_in_turn(fit, to_one)
     each = (_tried_at(fit.simulator, kind, location, waves) for kind, location in asked)
     tried = [sizes for sizes in each if sizes]
     look = Scan(fit, responses, [effect for sizes in tried for effect in sizes])
@@ -73,7 +76,7 @@ def scan(fit: Fit, responses: Responses) -> list[Candidate]:
 
 
 def _tried_at(
-    simulator: Simulator, kind: str, location: str, waves: Mapping[str, float]
+    simulator: Simulator, kind: str, location: str, waves: Mapping[str, Mapping[str, float]]
 ) -> list[Effect]:
     """An effect at a place, in all sizes where its response may differ.
 
@@ -81,9 +84,9 @@ def _tried_at(
     """
     typical, mechanism = typical_of(simulator.base, kind, location), get_mechanism(kind)
     if mechanism.by_angle is not None:
-        if location not in waves:
+        if location not in waves[kind]:
             return []
-        typical = np.where(shapes_of(kind), waves[location], typical)
+        typical = np.where(shapes_of(kind), waves[kind][location], typical)
     sizes = [size * typical for size in mechanism.sizes]
     if mechanism.is_late:
         sizes += [np.array([steps * simulator.period]) for steps in LATE]

@@ -5,26 +5,21 @@
 
 States are in the sensors' coordinates, positions then velocities. An effect in a sensor is undone
 before the simulation and applied again after it.
-
-The engine is `mujoco.rollout`: one model, and for each prediction a state and a row of commands of
-its own. `mujoco.batch`, on which policies train, is for many models under one command each.
 """
 
-import os
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import mujoco
 import numpy as np
-from mujoco import rollout
 
 from adr_service.arrays import Array3, Indices, Matrix, Vector
 from adr_service.criticism.compatibility import check_columns, steps_between
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.past import displacements, past_along
+from adr_service.criticism.stepping import Stepping, quiet
 from adr_service.effects.actuators import obeys_limits
 from adr_service.effects.base import Effect, Past, is_added
 from adr_service.effects.models import elements_of
@@ -33,7 +28,6 @@ from adr_service.effects.signals import acts_on_commands, behind, obeyed, shown,
 FINER = 3  # how much smaller a step shows what numerical integration adds
 _KEPT = 32  # compiled models
 _MISSED = 0.1  # most of a force's response that coarser steps may miss
-_CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
 
 @dataclass(frozen=True)
@@ -63,8 +57,7 @@ class Simulator:
         self.steps = finer * steps_between(self.period, self.base.opt.timestep)
         self.starts: Indices = np.flatnonzero(np.diff(data.episode) == 0)  # (N,) of transitions
         self.measured = np.concatenate([data.qpos, data.qvel], axis=1)  # (rows, 2 nv)
-        self._pool = rollout.Rollout(nthread=_threads(threads))
-        self._scratch = [mujoco.MjData(self.base) for _ in range(max(1, _threads(threads)))]
+        self._stepping = Stepping(self.base, threads)
         self.simulated_steps = 0  # control steps, of all predictions
         self._past: dict[int, Matrix] = {}  # by position
         self._rough = finer  # steps that `predict_quickly` takes for one of the model's
@@ -75,7 +68,7 @@ class Simulator:
 
     def __exit__(self, *_: object) -> None:
         """End its threads; it predicts nothing more."""
-        self._pool.close()
+        self._stepping.close()
         if "in_finer_steps" in vars(self):
             self.in_finer_steps.__exit__()
 
@@ -97,17 +90,15 @@ class Simulator:
         NaN where the simulation diverged.
         """
         model = self._model(values, effects)
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         commands = self.commands(effects, self.steps)
         true = self._true(effects, self.measured, model)
         followed = self.measured.copy()
         for (first, last), (begin, end) in zip(self.data.spans(), self.transitions(), strict=True):
-            control = np.zeros((1, (end - begin) * self.steps, model.nu))
+            control = np.zeros((1, (end - begin) * self.steps, model.nu + model.nv))
             given = control[..., : commands.shape[2]]
             given[:] = commands[begin:end].reshape(given.shape)
-            start = np.concatenate([[0.0], true[first]])[None]
-            after = self._rollout(model, start, control, mujoco.mjtState.mjSTATE_CTRL)
-            ends = _finite(after[0, self.steps - 1 :: self.steps, 1:])
+            after = self._stepping.run(model, effects, true[first][None], control)
+            ends = after[0, self.steps - 1 :: self.steps]
             path = np.concatenate([true[first][None], ends])
             followed[first + 1 : last] = shown(
                 self.base, effects, ends, np.diff(path, axis=0) / self.period, past_along(path)
@@ -248,7 +239,7 @@ class Simulator:
 
     def _model(self, values: Vector, effects: Sequence[Effect]) -> mujoco.MjModel:
         nominal = self.nominal
-        with _quiet():
+        with quiet():
             bare = self._bare(nominal.lengths(values), elements_of(effects))
             model = nominal.completed(bare, values, effects)
         model.opt.timestep /= self.finer
@@ -297,35 +288,17 @@ class Simulator:
         added: _Added | None = None,
     ) -> Matrix:
         """The robot's states (N, 2 nv) one control step after its states (rows, 2 nv)."""
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must show
         steps, n = round(self.period / model.opt.timestep), len(self.starts)
         self.simulated_steps += n
         if not self._is_possible(model):
             return np.full((n, self.measured.shape[1]), np.nan)
         added = added or _Added()
         commands = self.commands(effects, steps)
-        full = np.zeros((n, 1 + model.nq + model.nv))
-        full[:, 1:] = true[self.starts]
         control = np.zeros((n, steps, model.nu + model.nv))
         control[..., : commands.shape[2]] = commands
         control[..., added.actuator] += added.command
         control[..., model.nu + added.dof] = added.force
-        return _finite(self._rollout(model, full, control, _CONTROL)[:, -1, 1:])
-
-    def _rollout(
-        self, model: mujoco.MjModel, full: Matrix, control: Array3, kinds: mujoco.mjtState
-    ) -> Array3:
-        """(n, steps, 1 + nq + nv) time and states after each step from full states (n, …)."""
-        with _quiet():
-            after, _ = self._pool.rollout(
-                model, self._data(model), full, control, control_spec=int(kinds)
-            )
-        return after
-
-    def _data(self, model: mujoco.MjModel) -> list[mujoco.MjData]:
-        if model.nbuffer == self.base.nbuffer and model.names == self.base.names:
-            return self._scratch  # no mechanism has added anything
-        return [mujoco.MjData(model) for _ in self._scratch]
+        return self._stepping.run(model, effects, true[self.starts], control)[:, -1]
 
     def _is_possible(self, model: mujoco.MjModel) -> bool:
         """True if every body that has a mass and inertias in the base model still has them."""
@@ -369,26 +342,3 @@ def other_integrator(integrator: int) -> int:
 def _bodies(model: mujoco.MjModel) -> list[int]:
     """Numbers of the bodies that no mechanism added."""
     return [i for i in range(model.nbody) if not is_added(model.body(i).name)]
-
-
-def _finite(states: Array3) -> Array3:
-    """States (n, 2 nv) with NaN in the rows that diverged."""
-    ends = states.copy()
-    ends[~np.all(np.abs(ends) < mujoco.mjMAXVAL, axis=1)] = np.nan
-    return ends
-
-
-@contextmanager
-def _quiet() -> Generator[None]:
-    """Drop MuJoCo's warnings of divergence, which would go to the terminal and to a file; we see
-    a divergence as NaN."""
-    mujoco.set_mju_user_warning(lambda text: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(None)
-
-
-def _threads(asked: int | None) -> int:
-    cores = len(os.sched_getaffinity(0)) if asked is None else asked
-    return 0 if cores == 1 else cores

@@ -4,13 +4,46 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector
-from adr_service.effects.base import Commands, Mechanism, Strength
+from adr_service.effects.base import Commands, Mechanism, Strength, is_added
 
 
 def drives(model: mujoco.MjModel, joint: int) -> list[int]:
     """Actuators on a joint."""
     on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     return np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == joint)).tolist()
+
+
+def has_plain_drives(model: mujoco.MjModel, joint: int) -> bool:
+    """True if a joint has drives, and `torques` knows the force of each."""
+    on_joint = drives(model, joint)
+    is_direct = model.actuator_dyntype[on_joint] == mujoco.mjtDyn.mjDYN_NONE
+    return bool(on_joint) and all(is_direct) and all(is_affine(model, i) for i in on_joint)
+
+
+def torques(
+    model: mujoco.MjModel, joint: int, position: Vector, velocity: Vector, commands: Matrix
+) -> Vector:
+    """(n,) what a joint's drives exert [N m or N] at n positions and velocities under commands
+    (n, nu), for drives without a state of their own whose force `is_affine`."""
+    total = np.zeros(len(position))
+    for drive in drives(model, joint):
+        if is_added(model.actuator(drive).name):
+            continue
+        gear, command = model.actuator_gear[drive, 0], commands[:, drive]
+        if obeys_limits(model)[drive]:
+            command = np.clip(command, *model.actuator_ctrlrange[drive])
+        motion = np.stack([np.ones(len(position)), gear * position, gear * velocity])
+        gain, bias = model.actuator_gainprm[drive, :3], model.actuator_biasprm[drive, :3]
+        by_state = model.actuator_gaintype[drive] == mujoco.mjtGain.mjGAIN_AFFINE
+        force = command * (gain @ motion if by_state else gain[0])
+        if model.actuator_biastype[drive] == mujoco.mjtBias.mjBIAS_AFFINE:
+            force = force + bias @ motion
+        if model.actuator_forcelimited[drive]:
+            force = np.clip(force, *model.actuator_forcerange[drive])
+        total += gear * force
+    if model.jnt_actfrclimited[joint]:
+        return np.clip(total, *model.jnt_actfrcrange[joint])
+    return total
 
 
 def obeys_limits(model: mujoco.MjModel) -> Mask:

@@ -113,7 +113,8 @@ class Commands:
 
 
 Command = Callable[[Commands, Vector], Matrix]
-# (n, k) forces that each of k strengths adds on a joint at n angles; nothing for a shape
+# (n, k) forces, or frictions, that each of k strengths adds on a joint at n angles; nothing for a
+# shape
 ByAngle = Callable[[Vector, Vector], Matrix]
 
 
@@ -129,6 +130,15 @@ class Motion:
     past: Matrix
 
 
+@dataclass(frozen=True)
+class Turning:
+    """One joint at n moments."""
+
+    positions: Vector  # (n,)
+    torques: Vector  # (n,) of its drives [N m or N]
+
+
+Friction = Callable[[Turning, Vector], Vector]  # (n,) [N m or N] Coulomb friction that is added
 Offset = Callable[[Motion, Vector], Vector]
 Past = Callable[[int], Matrix]  # `Motion.past` of a column
 Record = Callable[[Matrix, Vector, float], Matrix]
@@ -154,7 +164,8 @@ class Sensing:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """A kind of effect; exactly one of `change`, `command` and `sensing` says how it acts."""
+    """A kind of effect; exactly one of `change`, `command`, `sensing` and `friction` says how it
+    acts."""
 
     kind: str
     place: Place
@@ -165,6 +176,7 @@ class Mechanism:
     command: Command | None = None  # what the actuator obeys instead
     is_late: bool = False  # True if a command that holds is obeyed differently at first
     sensing: Sensing | None = None
+    friction: Friction | None = None  # of its joint; with the model's own, it is never negative
     applies: Applies = lambda model, element: True  # True if it makes sense at a place
     sizes: tuple[float, ...] = (1.0,)  # times typical, for effects that are not in proportion
     in_force: bool = False  # True if joint forces are in proportion to its strength
@@ -172,16 +184,21 @@ class Mechanism:
     has_sides: bool = False  # True if more and less of it are effects of their own
     needs_first: bool = False  # True if its other strengths do nothing while the first is zero
     includes: str = ""  # kind that it equals while its last strengths are zero
-    # of a force on a hinge that repeats with its angle: scans need no simulation, and take its
-    # shape, the number of waves in a turn, from the data
+    # of a force or a friction on a hinge that repeats with its angle: scans need no simulation, and
+    # take its shape, the number of waves in a turn, from the data
     by_angle: ByAngle | None = None
 
     def __post_init__(self) -> None:
-        ways = [name for name in ("change", "command", "sensing") if getattr(self, name)]
+        known = ("change", "command", "sensing", "friction")
+        ways = [name for name in known if getattr(self, name)]
         if len(ways) != 1:
             raise InvalidInput(
                 f"mechanism {self.kind} has {' and '.join(ways) or 'nothing'}; give it exactly "
-                "one of change, command and sensing"
+                "one of change, command, sensing and friction"
+            )
+        if self.friction is not None and self.place != "joint":
+            raise InvalidInput(
+                f"mechanism {self.kind} is a friction at a {self.place}; accepted: at a joint"
             )
         shapes = sum(strength.is_shape for strength in self.strengths)
         if shapes != (self.by_angle is not None) or (shapes and self.place != "joint"):

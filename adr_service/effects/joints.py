@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.effects.actuators import add_passive, drives, largest_force
+from adr_service.effects.actuators import add_passive, drives, has_plain_drives, largest_force
 from adr_service.effects.base import (
     ADDED,
     SENSOR_SIZE,
@@ -14,6 +14,7 @@ from adr_service.effects.base import (
     Motion,
     Sensing,
     Strength,
+    Turning,
 )
 from adr_service.effects.bodies import weight
 
@@ -173,6 +174,20 @@ STRIBECK_FRICTION = Mechanism(
 )
 
 
+def _by_load(turning: Turning, values: Vector) -> Vector:
+    return values[0] * np.abs(turning.torques)
+
+
+LOAD_DEPENDENT_FRICTION = Mechanism(
+    "joint_load_dependent_friction",
+    "joint",
+    (Strength("share of the drive's torque", "1", low=0.0),),
+    typical=lambda model, joint: (0.02,),
+    friction=_by_load,
+    applies=has_plain_drives,
+)
+
+
 def _spring(model: mujoco.MjModel, joint: int, values: Vector) -> None:
     model.jnt_stiffness[joint] += values[0]
 
@@ -234,9 +249,13 @@ def _ripple_by_angle(angles: Vector, values: Vector) -> Matrix:
     return np.column_stack([sine * np.sin(turned), cosine * np.cos(turned), 0 * angles])
 
 
-def _may_ripple(model: mujoco.MjModel, joint: int) -> bool:
+def _turns_and_is_driven(model: mujoco.MjModel, joint: int) -> bool:
     is_hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
-    return bool(is_hinge and _is_driven(model, joint) and _is_free(model, joint))
+    return bool(is_hinge and _is_driven(model, joint))
+
+
+def _may_ripple(model: mujoco.MjModel, joint: int) -> bool:
+    return _turns_and_is_driven(model, joint) and _is_free(model, joint)
 
 
 TORQUE_RIPPLE = Mechanism(
@@ -252,6 +271,38 @@ TORQUE_RIPPLE = Mechanism(
     prepare=_add_ripple,
     applies=_may_ripple,
     by_angle=_ripple_by_angle,
+)
+
+
+def _friction_by_angle(angles: Vector, values: Vector) -> Matrix:
+    mean, *wave = values
+    return np.column_stack([mean + 0 * angles, _ripple_by_angle(angles, np.array(wave))])
+
+
+def _typical_friction(model: mujoco.MjModel, joint: int) -> tuple[float, ...]:
+    """Waves that leave some friction everywhere."""
+    mean = _torque(model, joint)
+    return mean, mean / 2, mean / 2, 2.0
+
+
+def _by_position(turning: Turning, values: Vector) -> Vector:
+    return _friction_by_angle(turning.positions, values).sum(axis=1)
+
+
+POSITION_DEPENDENT_FRICTION = Mechanism(
+    "joint_position_dependent_friction",
+    "joint",
+    (
+        Strength("mean friction", "N m", low=0.0),
+        Strength("sine amplitude", "N m"),
+        Strength("cosine amplitude", "N m"),
+        Strength("waves in a turn", "1", low=0.0, is_shape=True),
+    ),
+    typical=_typical_friction,
+    friction=_by_position,
+    applies=_turns_and_is_driven,
+    includes="joint_coulomb_friction",
+    by_angle=_friction_by_angle,
 )
 
 

@@ -103,13 +103,15 @@ def make_inertias_explicit(spec: mujoco.MjSpec) -> None:
 
 
 def check_simulated(model: mujoco.MjModel, effects: Sequence[Effect]) -> None:
-    """Raises InvalidInput unless each effect changes the model itself, at a place that it has."""
+    """Raises InvalidInput unless each effect is in the robot itself, at a place that it has."""
     for number, effect in enumerate(effects):
         if (effect.kind, effect.location) in [(e.kind, e.location) for e in effects[:number]]:
             raise InvalidInput(f"{effect.kind} at {effect.location} is given twice; give it once")
         mechanism = get_mechanism(effect.kind)
-        if mechanism.change is None:
-            possible = [kind for kind, each in MECHANISMS.items() if each.change is not None]
+        if mechanism.command or mechanism.sensing:
+            possible = [
+                kind for kind, each in MECHANISMS.items() if not (each.command or each.sensing)
+            ]
             raise InvalidInput(
                 f"{effect.kind} acts on commands or in sensors, which simulations that train "
                 f"policies do not replay; accepted: {', '.join(possible)}"

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from adr_service.arrays import Indices, Mask, Matrix, frozen
 from adr_service.effects.base import is_added
+from adr_service.effects.friction import VaryingFriction, varies
 from adr_service.effects.models import apply, check_simulated, make_inertias_explicit, prepared
 from adr_service.errors import InvalidInput
 from adr_service.simulation.links import LinkLengths
@@ -56,6 +57,9 @@ class Simulations:
         model = compiled(task.xml) if changed is None else changed.base
         _check(task, model)
         self._batch = Batch(model, n, threads)
+        self._friction = (
+            VaryingFriction(self._batch, model, source.effects) if varies(source.effects) else None
+        )
         self._rows = np.arange(n)
         if self._lengths:
             self._lengths.expand(self._batch)
@@ -106,12 +110,16 @@ class Simulations:
         if given.shape != (count, width) or not np.all(np.isfinite(given)):
             raise InvalidInput(f"dynamics must be finite and ({count}, {width}); given {given}")
         chosen = self._rows if rows is None else rows
+        if self._friction is not None:
+            self._friction.reset(chosen)
         if self._lengths is not None:
             self._lengths.write(given, chosen)  # may overwrite fixed values
             self._fixed.write(self._fixed_values[chosen], chosen)
         self._writer.write(given, chosen)
         if self._effects is not None:
             self._effects.write(given, chosen)
+        if self._friction is not None:
+            self._friction.keep(chosen)
         self._batch.set_const(rows)
         self.dynamics[chosen] = given
 
@@ -120,6 +128,8 @@ class Simulations:
         chosen = slice(None) if rows is None else rows
         self._qpos[chosen] = state.qpos
         self._qvel[chosen] = state.qvel
+        if self._friction is not None:
+            self._friction.reset(chosen)
         self._stale[chosen] = True
         self._diverged[chosen] = False
 
@@ -130,7 +140,10 @@ class Simulations:
         if actions.shape not in shapes or not np.isfinite(actions.sum()):
             raise InvalidInput(f"actions must be finite, of shape {shapes[0]}; given {actions}")
         self._ctrl[:] = actions
-        self._batch.step(nstep=self._task.frame_skip)
+        if self._friction is None:
+            self._batch.step(nstep=self._task.frame_skip)
+        else:
+            self._friction.step(self._task.frame_skip)
         self._stale[:] = False
         # nearly always none has, and one maximum is the fastest test
         if not (np.abs(self._qpos).max() < _LARGEST and np.abs(self._qvel).max() < _LARGEST):
@@ -157,6 +170,13 @@ class _Effects:
             raise InvalidInput(
                 f"{task.name} with the lengths of {', '.join(links)} as parameters cannot be "
                 "extended by effects: its shape is compiled anew for every draw"
+            )
+        drives = [a for a in addresses_of(source) if a.startswith("actuator:")]
+        if drives and varies(source.effects):
+            raise InvalidInput(
+                f"{task.name} has {', '.join(drives)} among its parameters or fixed values; a "
+                "friction that depends on what a joint does knows the drives of the file alone. "
+                "Leave out either"
             )
         self._added = source.effects
         spec = mujoco.MjSpec.from_string(task.xml)

@@ -1,5 +1,7 @@
 """Planted cases: repeatable, hidden from the diagnosis, and as strong as asked for."""
 
+from itertools import islice
+
 import numpy as np
 import pytest
 
@@ -34,27 +36,58 @@ def test_a_case_without_effects_has_none_and_a_case_outside_has_no_known_one():
     assert outside.outside in OUTSIDE
 
 
-def test_a_key_that_was_made_before_the_catalogue_had_torque_ripple_is_read():
-    given = {"kind": "outside", "ratio": 0.3, "effects": [], "outside": "torque_ripple"}
-    assert Hidden.model_validate({"task": "arm", **given}).outside == "torque_ripple"
-    assert "torque_ripple" not in OUTSIDE
+@pytest.mark.parametrize("outside", ["torque_ripple", "position_dependent_friction"])
+def test_a_key_that_was_made_before_the_catalogue_had_an_effect_is_read(outside):
+    given = {"kind": "outside", "ratio": 0.3, "effects": [], "outside": outside}
+    assert Hidden.model_validate({"task": "arm", **given}).outside == outside
+    assert outside not in OUTSIDE
+
+
+def seeds_that_draw(kind):
+    """Seeds by which the arm's first effect is of this kind."""
+    nominal = arm()[1]
+    places = plantable(nominal.model(nominal.start))
+    return (
+        seed
+        for seed in range(1000)
+        if places[np.random.default_rng(seed).integers(len(places))][0] == kind
+    )
 
 
 def test_a_drawn_ripple_is_sized_by_its_amplitudes_and_keeps_its_waves():
-    task, nominal = arm()
-    places = plantable(nominal.model(nominal.start))
-    drawn = (
-        seed
-        for seed in range(1000)
-        if places[np.random.default_rng(seed).integers(len(places))][0] == "joint_torque_ripple"
-    )
-    seed = next(drawn)
+    seed = next(seeds_that_draw("joint_torque_ripple"))
     weak, strong = (
-        sized_effect(task, nominal, np.random.default_rng(seed), ratio) for ratio in (0.1, 0.3)
+        sized_effect(*arm(), np.random.default_rng(seed), ratio) for ratio in (0.1, 0.3)
     )
     assert weak.kind == strong.kind == "joint_torque_ripple"
     assert 8 <= weak.values[2] == strong.values[2] <= 24
     np.testing.assert_allclose(np.divide(strong.values, weak.values)[:2], 3.0, rtol=0.15)
+
+
+def test_a_drawn_friction_is_nowhere_negative():
+    """Of the frictions that differ from place to place, those that would be are not planted."""
+    kind = "joint_position_dependent_friction"
+    drawn = [
+        sized_effect(*arm(), np.random.default_rng(seed), 0.3)
+        for seed in islice(seeds_that_draw(kind), 12)
+    ]
+    mean, sine, cosine, waves = np.transpose([e.values for e in drawn if e.kind == kind])
+    assert 0 < len(mean) < 12
+    assert np.all(np.hypot(sine, cosine) < 1.01 * mean)
+    assert np.all((waves >= 8) & (waves <= 24))
+
+
+def test_a_hidden_robot_has_friction_that_varies():
+    """By its load alone: without commands there is none."""
+    task, nominal = arm()
+    effects = [Effect("joint_load_dependent_friction", "joint:elbow", (0.3,))]
+    still, moved = np.zeros((2, 10, 2)), np.ones((2, 10, 2))
+    for commands, is_same in ((still, True), (moved, False)):
+        free, braked = (
+            hide(task, nominal, np.random.default_rng(1), each, commands=commands)
+            for each in ([], effects)
+        )
+        assert np.array_equal(free.qpos, braked.qpos) is is_same
 
 
 def test_two_effects_of_a_case_are_at_two_places():

@@ -1,4 +1,4 @@
-"""Forces that repeat with the angle of a joint, found among residuals."""
+"""Forces and frictions that repeat with the angle of a joint, found among residuals."""
 
 from dataclasses import replace
 
@@ -28,8 +28,9 @@ def rippling(waves, *others):
 def waves_of(nominal, data):
     with Simulator(nominal, data, threads=1, finer=3) as simulator:
         start = fit(simulator, data.sensor_variance())
-        hinges = MECHANISMS["joint_torque_ripple"].locations(simulator.base)
-        return waves_in_turn(start, Responses(start).to_forces, hinges)
+        kind, responses = "joint_torque_ripple", Responses(start)
+        hinges = MECHANISMS[kind].locations(simulator.base)
+        return waves_in_turn(start, {hinge: responses.to_one(kind, hinge) for hinge in hinges})
 
 
 @pytest.mark.parametrize("waves", [7.5, 60.0])
@@ -85,6 +86,23 @@ def test_a_ripple_is_named_beside_friction_with_how_often_it_repeats():
     assert cosine.low < 0.025 < cosine.high
     assert waves.low < 17.3 < waves.high
     assert waves.value == pytest.approx(17.3, rel=0.01)
+
+
+def test_friction_that_varies_with_load_or_position_is_named_as_that():
+    truth = [
+        Effect("joint_load_dependent_friction", "joint:elbow", (0.1,)),
+        Effect("joint_position_dependent_friction", "joint:shoulder", (0.1, 0.04, 0.03, 9.0)),
+    ]
+    data = hide(*arm(), np.random.default_rng(1), truth).episodes(range(12))
+    criticism = criticise(arm()[1], data, np.random.default_rng(0), threads=1)
+    found = {(c.kind, c.location): c.strengths for c in criticism.verdict.causes}
+    assert set(found) == {(effect.kind, effect.location) for effect in truth}
+    for effect in truth:
+        for strength, value in zip(found[effect.kind, effect.location], effect.values, strict=True):
+            assert strength.low < value < strength.high
+            assert strength.value == pytest.approx(value, rel=0.2)
+    assert criticism.verdict.residual.rest == "none"
+    assert {effect.kind for effect in criticism.extension.beside} == {c.kind for c in truth}
 
 
 def test_the_linearised_loss_without_a_ripple_is_about_the_true_one():

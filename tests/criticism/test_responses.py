@@ -60,6 +60,19 @@ def test_a_response_to_a_ripple_is_what_its_sine_and_its_cosine_change(baseline,
     assert np.all(error <= 0.05**2 * np.sum(expected**2, axis=(0, 1, 2)))
 
 
+def test_a_response_to_friction_by_position_is_coulombs_where_the_joint_is(baseline, responses):
+    friction = Effect("joint_position_dependent_friction", "joint:elbow", (0.02, 0.01, 0.005, 5.0))
+    simulator, known = baseline.simulator, (baseline.parameters, baseline.states)
+    without, with_it = (
+        baseline.layout.fold(simulator.predict_quickly(known[0], effects, known[1]))
+        for effects in ((), (friction,))
+    )
+    expected, found = with_it - without, responses.of(friction)
+    assert not found[..., 3].any()  # waves in a turn are no amount
+    error = np.sum((found.sum(axis=-1) - expected) ** 2, axis=(0, 1))
+    assert np.all(error <= 0.05**2 * np.sum(expected**2, axis=(0, 1)))
+
+
 def test_strengths_of_one_effect_add_up_to_the_whole(baseline, responses):
     tilt = Effect("gravity_tilt", "global", (0.01, 0.01))
     response = responses.of(tilt)

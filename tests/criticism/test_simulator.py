@@ -92,24 +92,14 @@ def test_a_model_that_does_not_cut_commands_obeys_them_all(good):
         assert np.abs(simulator.commands([], simulator.steps)).max() == 3.0
 
 
-def test_a_model_with_more_elements_has_a_state_of_its_own(good):
-    """MuJoCo would write beyond the memory of a smaller one."""
-    with Simulator(arm()[1], Measurement(**good), threads=1) as simulator:
-        spec = arm()[1].spec(arm()[1].start)
-        assert simulator._data(spec.compile()) is simulator._scratch
-        tendon = spec.add_tendon(name="strap")
-        tendon.wrap_joint("elbow", 1.0)
-        own = simulator._data(spec.compile())
-        assert own is not simulator._scratch
-        assert own[0].ten_length.shape == (1,)
-
-
 def test_whole_episodes_are_followed_as_step_after_step(good):
-    """Open loop, with an effect on commands, one in a sensor and one in the model."""
+    """Open loop, with effects on commands, in a sensor and in the model, and a friction that varies
+    from step to step."""
     causes = [
         Effect("actuator_delay", "actuator:elbow", (0.004,)),
         Effect("sensor_bias", "sensor:elbow.position", (0.02,)),
         Effect("joint_coulomb_friction", "joint:shoulder", (0.2,)),
+        Effect("joint_load_dependent_friction", "joint:elbow", (0.3,)),
     ]
     nominal = arm()[1]
     with Simulator(nominal, Measurement(**good), threads=1) as simulator:

@@ -97,6 +97,17 @@ def test_a_mechanism_acts_in_exactly_one_way():
         )
 
 
+def test_a_friction_is_at_a_joint():
+    with pytest.raises(InvalidInput, match="rust is a friction at a body; accepted: at a joint"):
+        Mechanism(
+            "rust",
+            "body",
+            (Strength("depth", "m"),),
+            typical=lambda model, body: (1.0,),
+            friction=lambda turning, values: values[0] * turning.torques,
+        )
+
+
 def test_elements_that_mechanisms_add_have_names_of_their_own():
     assert is_added("adr_brake_elbow")
     assert not is_added("elbow")
