@@ -16,7 +16,7 @@ from adr_service.effects.base import ByAngle, Effect
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.joints import COULOMB_FRICTION
 from adr_service.effects.models import element_of, typical_of
-from adr_service.effects.signals import offset_of
+from adr_service.effects.signals import offsets_of
 
 
 def responses_to_forces(fit: Fit) -> list[Matrix]:
@@ -73,14 +73,17 @@ class Responses:
         """The sensor shows something else before the step, and after it."""
         simulator, fit = self._simulator, self._fit
         known = (simulator.base, effect)
-        column, before = offset_of(*known, fit.states, self._rates, simulator.past)
+        before = offsets_of(*known, fit.states, self._rates, simulator.past)
         starts = fit.states[simulator.starts]
         moved = self._predicted - starts
         past = simulator.past_after(moved)
-        _, after = offset_of(*known, self._predicted, moved / simulator.period, past)
-        folded = fit.layout.fold(np.column_stack([before[simulator.starts], after]))
-        response = -fit.linear.chain.transition[..., column] * folded[..., :1]
-        response[..., column] += folded[..., 1]
+        after = offsets_of(*known, self._predicted, moved / simulator.period, past)
+        transition = fit.linear.chain.transition
+        response = np.zeros(transition.shape[:3])
+        for column, offset in before.items():
+            folded = fit.layout.fold(np.column_stack([offset[simulator.starts], after[column]]))
+            response -= transition[..., column] * folded[..., :1]
+            response[..., column] += folded[..., 1]
         return response[..., None]
 
     def _on_command(self, effect: Effect) -> np.ndarray:

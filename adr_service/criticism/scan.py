@@ -109,7 +109,7 @@ def places(simulator: Simulator) -> list[tuple[str, str]]:
         if not mechanism.only_spreads
         for location in mechanism.locations(base)
         if (sensing := mechanism.sensing) is None
-        or is_measured[sensing.column(base, element_of(base, location))]
+        or is_measured[sensing.columns(base, element_of(base, location))].all()
         if typical_of(base, mechanism.kind, location).any()
     ]
 

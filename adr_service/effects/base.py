@@ -89,7 +89,7 @@ Change: TypeAlias = "Callable[[mujoco.MjModel, int, Vector], None]"
 Prepare: TypeAlias = "Callable[[mujoco.MjSpec, str], None]"
 Typical: TypeAlias = "Callable[[mujoco.MjModel, int], tuple[float, ...]]"
 Applies: TypeAlias = "Callable[[mujoco.MjModel, int], bool]"
-Column: TypeAlias = "Callable[[mujoco.MjModel, int], int]"
+Columns: TypeAlias = "Callable[[mujoco.MjModel, int], list[int]]"
 
 
 @dataclass(frozen=True)
@@ -144,20 +144,20 @@ Past = Callable[[int], Matrix]  # `Motion.past` of a column
 Record = Callable[[Matrix, Vector, float], Matrix]
 
 
-def _own_column(model: mujoco.MjModel, sensor: int) -> int:
-    return sensor
+def _own_column(model: mujoco.MjModel, sensor: int) -> list[int]:
+    return [sensor]
 
 
 @dataclass(frozen=True)
 class Sensing:
-    """Difference between the readings of one sensor and the truth."""
+    """Difference between the readings of one sensor, or of several alike, and the truth."""
 
     offset: Offset  # (n,) reading minus truth, by the true motion
     # readings (episodes, rows) of whole true episodes at a period [s], without approximation;
     # None: readings spread, but none moves on average
     record: Record | None
     offset_shown: Offset | None = None  # `offset` by the motion as sensors show it, if it differs
-    column: Column = _own_column  # of the states, by the element at the effect's place
+    columns: Columns = _own_column  # of the states, by the element at the effect's place
     uses_rates: bool = False  # `Motion.rates` are needed
     uses_past: bool = False  # `Motion.past` is needed
 

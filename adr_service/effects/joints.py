@@ -29,6 +29,10 @@ def _dof(model: mujoco.MjModel, joint: int) -> int:
     return int(model.jnt_dofadr[joint])
 
 
+def _position(model: mujoco.MjModel, joint: int) -> list[int]:
+    return [_dof(model, joint)]
+
+
 def _is_driven(model: mujoco.MjModel, joint: int) -> bool:
     return bool(drives(model, joint))
 
@@ -363,6 +367,6 @@ BACKLASH = Mechanism(
     "joint",
     (Strength("gap", "rad", low=0.0),),
     typical=lambda model, joint: (SENSOR_SIZE,),
-    sensing=Sensing(_behind, _play, column=_dof, uses_past=True),
+    sensing=Sensing(_behind, _play, columns=_position, uses_past=True),
     applies=_is_driven,
 )

@@ -4,6 +4,7 @@ A criticism judges single steps, so `offset` may approximate (a delay by the rat
 hidden robot shares no such approximation: its readings come from `record`.
 """
 
+import mujoco
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
@@ -46,6 +47,20 @@ SCALE = Mechanism(
     (Strength("relative change", "1", low=-1.0),),
     typical=lambda model, sensor: (0.01,),
     sensing=Sensing(_scale, _scaled, offset_shown=_scale_shown),
+)
+
+
+def _position_and_velocity(model: mujoco.MjModel, joint: int) -> list[int]:
+    dof = int(model.jnt_dofadr[joint])
+    return [dof, model.nv + dof]
+
+
+ENCODER_SCALE = Mechanism(
+    "joint_encoder_scale",
+    "joint",
+    (Strength("relative change", "1", low=-1.0),),
+    typical=lambda model, joint: (0.01,),
+    sensing=Sensing(_scale, _scaled, offset_shown=_scale_shown, columns=_position_and_velocity),
 )
 
 

@@ -57,8 +57,8 @@ def shown(
     position, that `past` gives."""
     readings = states.copy()
     for effect, _ in _in_sensors(effects):
-        column, offset = offset_of(model, effect, states, rates, past)
-        readings[:, column] += offset
+        for column, offset in offsets_of(model, effect, states, rates, past).items():
+            readings[:, column] += offset
     return readings
 
 
@@ -68,23 +68,25 @@ def behind(
     """True states (n, 2 nv) behind readings that change by `rates` [1/s], with a `past`."""
     true = states.copy()
     for effect, sensing in reversed(_in_sensors(effects)):
-        column = sensing.column(model, element_of(model, effect.location))
         offset = sensing.offset_shown or sensing.offset
-        motion = _motion(sensing, states, rates, column, past)
-        true[:, column] -= offset(motion, np.array(effect.values))
+        for column in sensing.columns(model, element_of(model, effect.location)):
+            motion = _motion(sensing, states, rates, column, past)
+            true[:, column] -= offset(motion, np.array(effect.values))
     return true
 
 
-def offset_of(
+def offsets_of(
     model: mujoco.MjModel, effect: Effect, states: Matrix, rates: Matrix, past: Past
-) -> tuple[int, Vector]:
-    """Column of an effect in a sensor, and what it adds to the readings (n,) of true states."""
+) -> dict[int, Vector]:
+    """What an effect in a sensor adds to the readings (n,) of true states, by column."""
     sensing = get_mechanism(effect.kind).sensing
     if sensing is None:
         raise InvalidInput(f"{effect.kind} is not in a sensor")
-    column = sensing.column(model, element_of(model, effect.location))
-    motion = _motion(sensing, states, rates, column, past)
-    return column, sensing.offset(motion, np.array(effect.values))
+    values = np.array(effect.values)
+    return {
+        column: sensing.offset(_motion(sensing, states, rates, column, past), values)
+        for column in sensing.columns(model, element_of(model, effect.location))
+    }
 
 
 def _motion(sensing: Sensing, states: Matrix, rates: Matrix, column: int, past: Past) -> Motion:
@@ -103,9 +105,9 @@ def recorded(
                 f"{effect.kind} is not in what a sensor shows on average; round the readings, or "
                 "add noise"
             )
-        column = sensing.column(model, element_of(model, effect.location))
         values = np.array(effect.values)
-        readings[:, :, column] = sensing.record(readings[:, :, column], values, period)
+        for column in sensing.columns(model, element_of(model, effect.location)):
+            readings[:, :, column] = sensing.record(readings[:, :, column], values, period)
     return readings
 
 

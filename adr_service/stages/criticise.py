@@ -58,7 +58,7 @@ class Criticise(Stage[Criticised]):
     # alone, a remark on effects that joints' limits rule out, and changes of unnamed elements, 14:
     # torque ripple, 15: a step chosen again once causes are in, and fits smoothed again where
     # their strengths have come far, 16: detection limits that do not hang on two episodes, 17:
-    # friction that depends on the drive's load or on the joint's position
+    # friction that depends on the drive's load or on the joint's position, scales of encoders
     version: ClassVar = 17
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised

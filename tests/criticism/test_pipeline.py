@@ -112,7 +112,7 @@ def test_where_data_have_no_noise_errors_of_computing_them_are_no_evidence():
 
 
 @pytest.mark.parametrize(
-    ("seed", "ratio", "effect"), [(300, 1.0, "gain_drift"), (312, 0.3, "disturbance")]
+    ("seed", "ratio", "effect"), [(300, 1.0, "gain_drift"), (302, 0.3, "disturbance")]
 )
 def test_an_effect_that_is_not_in_the_catalogue_is_called_unknown(seed, ratio, effect):
     hidden = case(seed, ratio=ratio, outside=True)
@@ -129,6 +129,16 @@ def test_the_least_that_is_accepted_is_enough(good):
     found = criticise(arm()[1], data, np.random.default_rng(0), threads=1)
     assert found.verdict.gain is not None
     assert found.verdict.residual.used == 6 * 75
+
+
+def test_an_encoders_scale_is_one_cause_in_position_and_velocity():
+    hidden = Effect("joint_encoder_scale", "joint:elbow", (0.005,))
+    task, nominal = arm()
+    data = hide(task, nominal, np.random.default_rng(2), [hidden]).episodes(range(12))
+    found = criticise(nominal, data, np.random.default_rng(0), threads=1).verdict
+    (cause,) = found.causes
+    assert (cause.kind, cause.location) == (hidden.kind, hidden.location)
+    assert cause.strengths[0].low < 0.005 < cause.strengths[0].high
 
 
 def test_a_second_cause_is_named_beside_the_first():

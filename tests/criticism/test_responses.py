@@ -34,6 +34,7 @@ def responses(baseline):
         Effect("actuator_lag", "actuator:shoulder", (1e-4,)),
         Effect("sensor_bias", "sensor:elbow.position", (1e-4,)),
         Effect("sensor_scale", "sensor:elbow.velocity", (1e-4,)),
+        Effect("joint_encoder_scale", "joint:elbow", (1e-4,)),
         Effect("sensor_delay", "sensor:shoulder.position", (1e-5,)),
     ],
 )

@@ -170,7 +170,8 @@ def test_sensors_without_readings_are_no_places():
         Simulator(nominal, unread, threads=1) as one,
     ):
         missing = set(places(all_read)) - set(places(one))
-    places_of_it = {("joint_backlash", "joint:shoulder")}
+    kinds = ("joint_backlash", "joint_encoder_scale")
+    places_of_it = {(kind, "joint:shoulder") for kind in kinds}
     assert {e for e in missing if e[1] != "sensor:shoulder.position"} == places_of_it
 
 

@@ -15,7 +15,7 @@ actuator_fade
 body_mass body_com body_inertia payload body_load gravity_compensation
 gravity_tilt gravity_magnitude fluid_drag wind external_force
 contact_friction contact_softness contact_margin
-sensor_bias sensor_scale sensor_delay sensor_quantisation sensor_noise
+sensor_bias sensor_scale joint_encoder_scale sensor_delay sensor_quantisation sensor_noise
 """
 
 

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from adr_service.effects.base import Effect
-from adr_service.effects.signals import behind, obeyed, offset_of, recorded, shown, uses_rates
+from adr_service.effects.signals import behind, obeyed, offsets_of, recorded, shown, uses_rates
 from adr_service.errors import InvalidInput
 
 BIAS = Effect("sensor_bias", "sensor:x.position", (0.5,))
 SCALE = Effect("sensor_scale", "sensor:x.position", (0.1,))
+ENCODER = Effect("joint_encoder_scale", "joint:x", (0.1,))
 STATES, RATES = np.array([[1.0, 2.0], [3.0, -1.0]]), np.zeros((2, 2))
 
 
@@ -22,8 +23,14 @@ def test_effects_in_sensors_leave_other_columns_alone(cart):
     np.testing.assert_array_equal(readings[:, 1], STATES[:, 1])
 
 
+def test_an_encoders_scale_is_in_position_and_velocity(cart):
+    readings = shown(cart(), [ENCODER], STATES, RATES, no_past)
+    np.testing.assert_allclose(readings, 1.1 * STATES)
+    np.testing.assert_allclose(recorded(cart(), [ENCODER], STATES[None], 0.1)[0], readings)
+
+
 def test_each_effect_is_undone(cart):
-    for effect in (BIAS, SCALE):
+    for effect in (BIAS, SCALE, ENCODER):
         readings = shown(cart(), [effect], STATES, RATES, no_past)
         np.testing.assert_allclose(behind(cart(), [effect], readings, RATES, no_past), STATES)
 
@@ -57,7 +64,7 @@ def test_what_only_spreads_has_no_record(cart):
 
 def test_an_effect_in_the_model_is_no_effect_in_a_sensor(cart):
     with pytest.raises(InvalidInput, match="joint_spring is not in a sensor"):
-        offset_of(cart(), Effect("joint_spring", "joint:x", (1.0,)), STATES, RATES, no_past)
+        offsets_of(cart(), Effect("joint_spring", "joint:x", (1.0,)), STATES, RATES, no_past)
 
 
 def test_an_effect_that_uses_the_past_is_given_that_of_its_column(cart):
