@@ -1,7 +1,7 @@
 """A criticism's verdict in sentences, for the terminal and the page."""
 
 from adr_service.client import Json
-from adr_service.criticism.verdict import Rest, share_text, sure
+from adr_service.criticism.verdict import Rest, in_smaller_steps, share_text, sure
 
 
 def told(verdict: Json) -> list[str]:
@@ -49,10 +49,5 @@ def _gain(verdict: Json) -> list[str]:
         "one step ahead is gone (of a filter that knows the sensors' noise)"
     ]
     if step and step["judged_with"] < step["of_the_model"]:
-        lines.append(
-            f"judged at steps of {1000 * step['judged_with']:.3g} ms; extended.xml keeps the "
-            f"model's {1000 * step['of_the_model']:.3g} ms; for what was fitted, take "
-            f"{step['of_the_model'] / step['judged_with']:.0f} of the smaller steps for one of "
-            "these"
-        )
+        lines.append(in_smaller_steps(step["judged_with"], step["of_the_model"]))
     return lines

@@ -11,6 +11,7 @@ import gymnasium
 import mujoco
 import numpy as np
 from fastapi import FastAPI
+from mujoco.batch import Batch
 from sqlalchemy import create_engine
 
 from adr_service.benchmark.comparison import Outcome
@@ -112,6 +113,21 @@ def fitted(folder: Path) -> Names:
     baseline = evidence.smoothed(evidence.fit(names["simulator"], names["sensor"]))
     effect = Effect("joint_coulomb_friction", "joint:elbow", (0.15,))
     return {**names, "baseline": baseline, "effect": effect}
+
+
+def robots(folder: Path) -> Names:
+    """Many arms with a friction that varies."""
+    base = mujoco.MjModel.from_xml_string(get_task("arm").xml)
+    effect = Effect("joint_load_dependent_friction", "joint:elbow", (0.1,))
+    return {
+        "base": base,
+        "model": base,
+        "threads": 1,
+        "effects": [effect],
+        "starts": np.zeros((5, 4)),
+        "control": np.ones((5, 3, 4)),
+        "batch": Batch(base, 5, 1),
+    }
 
 
 def scanned(folder: Path) -> Names:

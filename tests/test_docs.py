@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adr_service.effects.catalogue import MECHANISMS
 from adr_service.logs.mapping import ActuatorMap, JointMap, LogMap, RowsMap
 from adr_service.methods.catalogue import methods
 from adr_service.simulation.batch import control_period
@@ -173,6 +174,10 @@ def test_the_loader_of_the_docs_acts_as_the_policy_does(tmp_path):
 @pytest.mark.parametrize("file", sorted((ROOT / "docs/examples").glob("*.json")), ids=str)
 def test_the_examples_are_valid_benchmarks(file):
     assert list(BenchmarkSpec.model_validate_json(file.read_text()).runs())
+
+
+def test_the_readme_counts_the_kinds_of_effects():
+    assert f"one of {len(MECHANISMS)} kinds" in (ROOT / "README.md").read_text()
 
 
 def test_every_method_stands_in_the_page_that_compares_them():

@@ -9,7 +9,7 @@ import numpy as np
 Outside = Literal[
     "torque_ripple", "cross_coupling", "position_dependent_friction", "gain_drift", "disturbance"
 ]
-# keys that were made before the catalogue had the other two have these as well
+# older keys may also have torque ripple and friction by position, which are in the catalogue now
 OUTSIDE: tuple[Outside, ...] = ("cross_coupling", "gain_drift", "disturbance")
 
 

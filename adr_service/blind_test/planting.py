@@ -22,10 +22,10 @@ from adr_service.blind_test.outside import OUTSIDE, Force, Outside
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator, other_integrator
-from adr_service.effects.base import Effect, Turning
+from adr_service.effects.base import Effect, JointState
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
-from adr_service.effects.friction import friction_losses, varies
-from adr_service.effects.models import shapes_of, typical_of
+from adr_service.effects.friction import Losses, varies
+from adr_service.effects.models import element_of, shapes_of, typical_of
 from adr_service.effects.signals import obeyed, recorded
 from adr_service.errors import InvalidInput
 from adr_service.tasks.base import State, Task
@@ -162,8 +162,10 @@ class _Robot:
         """True if no physical quantity is negative, and delays are shorter than a step."""
         friction = get_mechanism(effect.kind).friction
         if friction is not None:
-            turn = Turning(np.linspace(0, 2 * np.pi, _ANGLES), np.zeros(_ANGLES))
-            return bool(np.all(friction(turn, np.array(effect.values)) >= 0))
+            turn = JointState(np.linspace(0, 2 * np.pi, _ANGLES), np.zeros(_ANGLES))
+            dof = self._base.jnt_dofadr[element_of(self._base, effect.location)]
+            added = friction.added(turn, np.array(effect.values))
+            return bool(np.all(added + self._base.dof_frictionloss[dof] >= 0))
         model = self._nominal.model(self._nominal.start, [effect])
         fields = (model.dof_damping, model.dof_armature, model.jnt_stiffness, model.body_mass)
         sensible = all(np.all(field >= 0) for field in fields) and np.all(model.geom_margin >= 0)
@@ -274,7 +276,7 @@ class _Robot:
         applied = obeyed(self._base, effects, finer, model.opt.timestep)
         length = episodes * rows * self._period
         data, states = mujoco.MjData(model), np.empty((episodes, rows, 2 * model.nv))
-        own, has_friction = model.dof_frictionloss.copy(), varies(effects)
+        losses, has_friction = Losses(model, effects), varies(effects)
         for episode in range(episodes):
             _place(model, data, initial, episode, rng)
             for row in range(rows):
@@ -286,8 +288,8 @@ class _Robot:
                         seconds = now + (step % skip) * model.opt.timestep
                         data.qfrc_applied[force.dof] = force.at(data, seconds, length)
                     if has_friction:
-                        moment = (each[None] for each in (data.qpos, data.qvel, data.ctrl))
-                        model.dof_frictionloss[:] = friction_losses(model, effects, own, *moment)[0]
+                        now = (each[None] for each in (data.qpos, data.qvel, data.ctrl))
+                        model.dof_frictionloss[:] = losses.at(*now)[0]
                     mujoco.mj_step(model, data)
         if not np.all(np.abs(states) < 1e6):
             raise InvalidInput("the hidden robot diverged; draw another")

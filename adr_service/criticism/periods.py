@@ -1,6 +1,7 @@
 """Forces that repeat, in time or with the angle of a joint, as residuals ask for them.
 
-    pulls(baseline, responses)                             # (d, N)
+    response = responses.to_unit("joint_torque_ripple", "joint:elbow")
+    pulls(baseline, [response])                            # (1, N)
     waves_in_turn(baseline, {"joint:elbow": response})     # {"joint:elbow": 12.1}
 
 The responses are what a unit of each of d forces, or frictions, changes of a prediction, (N, m)

@@ -18,6 +18,7 @@ from adr_service.criticism.verdict import (
     NamedCause,
     Residual,
     Verdict,
+    in_smaller_steps,
     share_text,
     sure,
 )
@@ -203,13 +204,7 @@ def _gain(gain: Gain, residual: Residual) -> str:
         rest = f": {share_text(share, *gain.explainable_interval)} of what is not noise"
     finer = ""
     if residual.step < residual.own_step:
-        finer = (
-            f" Both were simulated with steps of {1000 * residual.step:.3g} ms instead of the "
-            f"model's {1000 * residual.own_step:.3g}, whose own error of integration is larger "
-            "than what these data leave. The extended model keeps the model's step: for what was "
-            f"fitted, take {residual.own_step / residual.step:.0f} of the smaller steps for one of "
-            "these."
-        )
+        finer = f" Both were {in_smaller_steps(residual.step, residual.own_step)}."
     return (
         f"<p>On episodes that nothing was fitted to, the extended simulator removes "
         f"{share_text(gain.sse_removed, gain.low, gain.high)} of the "

@@ -94,7 +94,7 @@ class Responses:
         change = changed[:, :, actuator].mean(axis=1)
         return fit.layout.fold(self._to_command(actuator) * change[:, None])[..., None]
 
-    def to_one(self, kind: str, hinge: str) -> Matrix:
+    def to_unit(self, kind: str, hinge: str) -> Matrix:
         """(N, m) response to a constant unit of what effects of a kind add by the angle of a hinge:
         a force, or a friction; zero where it diverges."""
         base, layout = self._simulator.base, self._fit.layout
@@ -112,8 +112,8 @@ class Responses:
         added, steps = np.zeros((len(before), len(values))), simulator.quick_steps
         for step in range(steps):
             added += by_angle(before + step / steps * (after - before), values) / steps
-        to_one = self.to_one(effect.kind, effect.location)
-        return self._fit.layout.fold(to_one[:, :, None] * added[:, None])
+        to_unit = self.to_unit(effect.kind, effect.location)
+        return self._fit.layout.fold(to_unit[:, :, None] * added[:, None])
 
     @cached_property
     def _to_forces(self) -> list[Matrix]:

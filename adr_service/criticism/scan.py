@@ -61,8 +61,8 @@ def scan(fit: Fit, responses: Responses) -> list[Candidate]:
     waves: dict[str, dict[str, float]] = {}
     for kind in dict.fromkeys(k for k, _ in asked if get_mechanism(k).by_angle is not None):
         hinges = [location for each, location in asked if each == kind]
-        to_one = {hinge: responses.to_one(kind, hinge) for hinge in hinges}
-        waves[kind] = waves_in_turn(fit, to_one)
+        to_unit = {hinge: responses.to_unit(kind, hinge) for hinge in hinges}
+        waves[kind] = waves_in_turn(fit, to_unit)
     each = (_tried_at(fit.simulator, kind, location, waves) for kind, location in asked)
     tried = [sizes for sizes in each if sizes]
     look = Scan(fit, responses, [effect for sizes in tried for effect in sizes])

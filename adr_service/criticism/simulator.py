@@ -16,10 +16,10 @@ import numpy as np
 
 from adr_service.arrays import Array3, Indices, Matrix, Vector
 from adr_service.criticism.compatibility import check_columns, steps_between
+from adr_service.criticism.engine import Engine, quiet
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.past import displacements, past_along
-from adr_service.criticism.stepping import Stepping, quiet
 from adr_service.effects.actuators import obeys_limits
 from adr_service.effects.base import Effect, Past, is_added
 from adr_service.effects.models import elements_of
@@ -57,7 +57,7 @@ class Simulator:
         self.steps = finer * steps_between(self.period, self.base.opt.timestep)
         self.starts: Indices = np.flatnonzero(np.diff(data.episode) == 0)  # (N,) of transitions
         self.measured = np.concatenate([data.qpos, data.qvel], axis=1)  # (rows, 2 nv)
-        self._stepping = Stepping(self.base, threads)
+        self._engine = Engine(self.base, threads)
         self.simulated_steps = 0  # control steps, of all predictions
         self._past: dict[int, Matrix] = {}  # by position
         self._rough = finer  # steps that `predict_quickly` takes for one of the model's
@@ -68,7 +68,7 @@ class Simulator:
 
     def __exit__(self, *_: object) -> None:
         """End its threads; it predicts nothing more."""
-        self._stepping.close()
+        self._engine.close()
         if "in_finer_steps" in vars(self):
             self.in_finer_steps.__exit__()
 
@@ -92,14 +92,17 @@ class Simulator:
         model = self._model(values, effects)
         commands = self.commands(effects, self.steps)
         true = self._true(effects, self.measured, model)
-        followed = self.measured.copy()
-        for (first, last), (begin, end) in zip(self.data.spans(), self.transitions(), strict=True):
-            control = np.zeros((1, (end - begin) * self.steps, model.nu + model.nv))
-            given = control[..., : commands.shape[2]]
-            given[:] = commands[begin:end].reshape(given.shape)
-            after = self._stepping.run(model, effects, true[first][None], control)
-            ends = after[0, self.steps - 1 :: self.steps]
-            path = np.concatenate([true[first][None], ends])
+        followed, spans = self.measured.copy(), self.data.spans()
+        longest = max(last - first for first, last in spans) - 1
+        control = np.zeros((len(spans), longest * self.steps, model.nu + model.nv))
+        for given, (begin, end) in zip(control, self.transitions(), strict=True):
+            of_episode = np.concatenate(commands[begin:end])
+            given[: len(of_episode), : of_episode.shape[1]] = of_episode
+        starts = true[[first for first, _ in spans]]
+        after = self._engine.run(model, effects, starts, control)[:, self.steps - 1 :: self.steps]
+        for (first, last), start, states in zip(spans, starts, after, strict=True):
+            ends = states[: last - first - 1]
+            path = np.concatenate([start[None], ends])
             followed[first + 1 : last] = shown(
                 self.base, effects, ends, np.diff(path, axis=0) / self.period, past_along(path)
             )
@@ -298,7 +301,7 @@ class Simulator:
         control[..., : commands.shape[2]] = commands
         control[..., added.actuator] += added.command
         control[..., model.nu + added.dof] = added.force
-        return self._stepping.run(model, effects, true[self.starts], control)[:, -1]
+        return self._engine.run(model, effects, true[self.starts], control)[:, -1]
 
     def _is_possible(self, model: mujoco.MjModel) -> bool:
         """True if every body that has a mass and inertias in the base model still has them."""

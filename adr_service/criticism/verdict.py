@@ -261,6 +261,15 @@ def _all(causes: Sequence[NamedCause]) -> list[dict[str, Any]]:
     return [cause.to_json() for cause in causes]
 
 
+def in_smaller_steps(step: float, own: float) -> str:
+    """Text for a criticism in steps [s] that are smaller than the model's own, and what to do."""
+    return (
+        f"judged in steps of {1000 * step:.3g} ms, because the model's own of {1000 * own:.3g} "
+        "err by more than these data leave; extended.xml keeps those: for what was fitted, take "
+        f"{own / step:.0f} of the smaller steps for each"
+    )
+
+
 def sure(probability: float) -> str:
     """Text for the confidence of a verdict, which is never complete."""
     return f"{'more than 99.9' if probability > 0.999 else f'{100 * probability:.1f}'} % sure"

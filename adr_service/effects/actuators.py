@@ -1,49 +1,67 @@
 """Effects at actuators: on their force, and on commands on their way to them."""
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import mujoco
 import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector
 from adr_service.effects.base import Commands, Mechanism, Strength, is_added
 
+# (n,) at n positions and velocities (n,) of a joint, under commands (n, nu)
+Torque: TypeAlias = Callable[[Vector, Vector, Matrix], Vector]
+
 
 def drives(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Actuators on a joint."""
+    """Actuators on a joint, without those that a mechanism added."""
     on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
-    return np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == joint)).tolist()
+    found = np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == joint)).tolist()
+    return [number for number in found if not is_added(model.actuator(number).name)]
 
 
 def has_plain_drives(model: mujoco.MjModel, joint: int) -> bool:
-    """True if a joint has drives, and `torques` knows the force of each."""
-    on_joint = drives(model, joint)
-    is_direct = model.actuator_dyntype[on_joint] == mujoco.mjtDyn.mjDYN_NONE
-    return bool(on_joint) and all(is_direct) and all(is_affine(model, i) for i in on_joint)
+    """True if a hinge or a slide has drives, and `torque_of` knows the force of each."""
+    on_joint, kinds = drives(model, joint), mujoco.mjtJoint
+    moves = int(model.jnt_type[joint]) in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE))
+    disabled = mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    is_on = not (model.opt.disableflags & disabled or model.jnt_actgravcomp[joint])
+    return moves and bool(on_joint) and is_on and all(_is_plain(model, i) for i in on_joint)
 
 
-def torques(
-    model: mujoco.MjModel, joint: int, position: Vector, velocity: Vector, commands: Matrix
-) -> Vector:
-    """(n,) what a joint's drives exert [N m or N] at n positions and velocities under commands
-    (n, nu), for drives without a state of their own whose force `is_affine`."""
-    total = np.zeros(len(position))
-    for drive in drives(model, joint):
-        if is_added(model.actuator(drive).name):
-            continue
-        gear, command = model.actuator_gear[drive, 0], commands[:, drive]
-        if obeys_limits(model)[drive]:
-            command = np.clip(command, *model.actuator_ctrlrange[drive])
-        motion = np.stack([np.ones(len(position)), gear * position, gear * velocity])
-        gain, bias = model.actuator_gainprm[drive, :3], model.actuator_biasprm[drive, :3]
-        by_state = model.actuator_gaintype[drive] == mujoco.mjtGain.mjGAIN_AFFINE
-        force = command * (gain @ motion if by_state else gain[0])
-        if model.actuator_biastype[drive] == mujoco.mjtBias.mjBIAS_AFFINE:
-            force = force + bias @ motion
-        if model.actuator_forcelimited[drive]:
-            force = np.clip(force, *model.actuator_forcerange[drive])
-        total += gear * force
-    if model.jnt_actfrclimited[joint]:
-        return np.clip(total, *model.jnt_actfrcrange[joint])
-    return total
+def _is_plain(model: mujoco.MjModel, actuator: int) -> bool:
+    is_direct = model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE
+    is_off = model.opt.disableactuator >> int(model.actuator_group[actuator]) & 1
+    return bool(is_direct and not is_off and is_affine(model, actuator))
+
+
+def torque_of(model: mujoco.MjModel, joint: int) -> Torque:
+    """What the drives of a joint that `has_plain_drives` exert [N m or N]."""
+    numbers = drives(model, joint)
+    gear = model.actuator_gear[numbers, 0].copy()
+    by_motion = np.stack([np.ones(len(gear)), gear, gear], axis=1)  # constant, position, velocity
+    gains, biases = mujoco.mjtGain.mjGAIN_AFFINE, mujoco.mjtBias.mjBIAS_AFFINE
+    gain = model.actuator_gainprm[numbers, :3] * by_motion
+    gain[model.actuator_gaintype[numbers] != gains, 1:] = 0.0
+    bias = model.actuator_biasprm[numbers, :3] * by_motion
+    bias[model.actuator_biastype[numbers] != biases] = 0.0
+    commanded = _bounds(model.actuator_ctrlrange[numbers], obeys_limits(model)[numbers])
+    pulled = _bounds(model.actuator_forcerange[numbers], model.actuator_forcelimited[numbers])
+    whole = _bounds(model.jnt_actfrcrange[[joint]], model.jnt_actfrclimited[[joint]])
+
+    def torque(position: Vector, velocity: Vector, commands: Matrix) -> Vector:
+        motion = np.column_stack([np.ones(len(position)), position, velocity])
+        command = np.clip(commands[:, numbers], *commanded)
+        force = np.clip(command * (motion @ gain.T) + motion @ bias.T, *pulled)
+        return np.clip(force @ gear, *whole)
+
+    return torque
+
+
+def _bounds(ranges: Matrix, is_limited: Mask) -> tuple[Vector, Vector]:
+    """Lower and upper bounds (k,), infinite where there is no limit."""
+    low, high = np.where(np.asarray(is_limited, dtype=bool), ranges.T, [[-np.inf], [np.inf]])
+    return low, high
 
 
 def obeys_limits(model: mujoco.MjModel) -> Mask:

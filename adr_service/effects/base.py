@@ -131,14 +131,22 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Turning:
+class JointState:
     """One joint at n moments."""
 
     positions: Vector  # (n,)
-    torques: Vector  # (n,) of its drives [N m or N]
+    torques: Vector  # (n,) of its drives [N m or N]; zero unless they are used
 
 
-Friction = Callable[[Turning, Vector], Vector]  # (n,) [N m or N] Coulomb friction that is added
+@dataclass(frozen=True)
+class Friction:
+    """Coulomb friction of a joint that depends on its state."""
+
+    # (n,) [N m or N]; with the model's own it is never less than none
+    added: Callable[[JointState, Vector], Vector]
+    uses_torques: bool = False  # `JointState.torques` are needed
+
+
 Offset = Callable[[Motion, Vector], Vector]
 Past = Callable[[int], Matrix]  # `Motion.past` of a column
 Record = Callable[[Matrix, Vector, float], Matrix]
@@ -176,7 +184,7 @@ class Mechanism:
     command: Command | None = None  # what the actuator obeys instead
     is_late: bool = False  # True if a command that holds is obeyed differently at first
     sensing: Sensing | None = None
-    friction: Friction | None = None  # of its joint; with the model's own, it is never negative
+    friction: Friction | None = None  # of its joint
     applies: Applies = lambda model, element: True  # True if it makes sense at a place
     sizes: tuple[float, ...] = (1.0,)  # times typical, for effects that are not in proportion
     in_force: bool = False  # True if joint forces are in proportion to its strength

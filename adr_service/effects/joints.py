@@ -10,11 +10,12 @@ from adr_service.effects.actuators import add_passive, drives, has_plain_drives,
 from adr_service.effects.base import (
     ADDED,
     SENSOR_SIZE,
+    Friction,
+    JointState,
     Mechanism,
     Motion,
     Sensing,
     Strength,
-    Turning,
 )
 from adr_service.effects.bodies import weight
 
@@ -178,8 +179,8 @@ STRIBECK_FRICTION = Mechanism(
 )
 
 
-def _by_load(turning: Turning, values: Vector) -> Vector:
-    return values[0] * np.abs(turning.torques)
+def _by_load(state: JointState, values: Vector) -> Vector:
+    return values[0] * np.abs(state.torques)
 
 
 LOAD_DEPENDENT_FRICTION = Mechanism(
@@ -187,7 +188,7 @@ LOAD_DEPENDENT_FRICTION = Mechanism(
     "joint",
     (Strength("share of the drive's torque", "1", low=0.0),),
     typical=lambda model, joint: (0.02,),
-    friction=_by_load,
+    friction=Friction(_by_load, uses_torques=True),
     applies=has_plain_drives,
 )
 
@@ -289,21 +290,21 @@ def _typical_friction(model: mujoco.MjModel, joint: int) -> tuple[float, ...]:
     return mean, mean / 2, mean / 2, 2.0
 
 
-def _by_position(turning: Turning, values: Vector) -> Vector:
-    return _friction_by_angle(turning.positions, values).sum(axis=1)
+def _by_position(state: JointState, values: Vector) -> Vector:
+    return _friction_by_angle(state.positions, values).sum(axis=1)
 
 
 POSITION_DEPENDENT_FRICTION = Mechanism(
     "joint_position_dependent_friction",
     "joint",
     (
-        Strength("mean friction", "N m", low=0.0),
+        Strength("mean friction", "N m"),  # may be less than the model's
         Strength("sine amplitude", "N m"),
         Strength("cosine amplitude", "N m"),
         Strength("waves in a turn", "1", low=0.0, is_shape=True),
     ),
     typical=_typical_friction,
-    friction=_by_position,
+    friction=Friction(_by_position),
     applies=_turns_and_is_driven,
     includes="joint_coulomb_friction",
     by_angle=_friction_by_angle,

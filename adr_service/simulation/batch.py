@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from adr_service.arrays import Indices, Mask, Matrix, frozen
 from adr_service.effects.base import is_added
-from adr_service.effects.friction import VaryingFriction, varies
+from adr_service.effects.friction import VaryingFriction, uses_torques, varies
 from adr_service.effects.models import apply, check_simulated, make_inertias_explicit, prepared
 from adr_service.errors import InvalidInput
 from adr_service.simulation.links import LinkLengths
@@ -110,8 +110,6 @@ class Simulations:
         if given.shape != (count, width) or not np.all(np.isfinite(given)):
             raise InvalidInput(f"dynamics must be finite and ({count}, {width}); given {given}")
         chosen = self._rows if rows is None else rows
-        if self._friction is not None:
-            self._friction.reset(chosen)
         if self._lengths is not None:
             self._lengths.write(given, chosen)  # may overwrite fixed values
             self._fixed.write(self._fixed_values[chosen], chosen)
@@ -119,7 +117,7 @@ class Simulations:
         if self._effects is not None:
             self._effects.write(given, chosen)
         if self._friction is not None:
-            self._friction.keep(chosen)
+            self._friction.reset(chosen)
         self._batch.set_const(rows)
         self.dynamics[chosen] = given
 
@@ -172,11 +170,11 @@ class _Effects:
                 "extended by effects: its shape is compiled anew for every draw"
             )
         drives = [a for a in addresses_of(source) if a.startswith("actuator:")]
-        if drives and varies(source.effects):
+        if drives and uses_torques(source.effects):
             raise InvalidInput(
                 f"{task.name} has {', '.join(drives)} among its parameters or fixed values; a "
-                "friction that depends on what a joint does knows the drives of the file alone. "
-                "Leave out either"
+                "friction that depends on load knows the drives of the file alone. Remove the "
+                "effect, or these addresses"
             )
         self._added = source.effects
         spec = mujoco.MjSpec.from_string(task.xml)

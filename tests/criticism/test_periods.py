@@ -12,6 +12,7 @@ from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.periods import waves_in_turn
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.responses import Responses
+from adr_service.criticism.scan import scan
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import MECHANISMS
@@ -30,7 +31,7 @@ def waves_of(nominal, data):
         start = fit(simulator, data.sensor_variance())
         kind, responses = "joint_torque_ripple", Responses(start)
         hinges = MECHANISMS[kind].locations(simulator.base)
-        return waves_in_turn(start, {hinge: responses.to_one(kind, hinge) for hinge in hinges})
+        return waves_in_turn(start, {hinge: responses.to_unit(kind, hinge) for hinge in hinges})
 
 
 @pytest.mark.parametrize("waves", [7.5, 60.0])
@@ -103,6 +104,28 @@ def test_friction_that_varies_with_load_or_position_is_named_as_that():
             assert strength.value == pytest.approx(value, rel=0.2)
     assert criticism.verdict.residual.rest == "none"
     assert {effect.kind for effect in criticism.extension.beside} == {c.kind for c in truth}
+
+
+def test_friction_that_varies_about_the_models_own_is_a_candidate():
+    """Its mean is nothing then, and an estimate of it may be negative."""
+    kind, place = "joint_position_dependent_friction", "joint:elbow"
+    task, nominal = arm()
+    rough = replace(
+        nominal,
+        xml=nominal.xml.replace('name="elbow" damping', 'name="elbow" frictionloss=".1" damping'),
+    )
+    assert rough.model(rough.start).joint("elbow").frictionloss[0] == 0.1
+    means = []
+    for seed in range(4):
+        wave = Effect(kind, place, (0.0, 0.05, 0.03, 9.0))
+        data = hide(task, rough, np.random.default_rng(seed), [wave]).episodes(range(12))
+        with Simulator(rough, data, threads=1, finer=3) as simulator:
+            start = fit(simulator, data.sensor_variance())
+            best = scan(start, Responses(start))[0]
+        assert (best.kind, best.location) == (kind, place)
+        assert best.effects[0].values[1:] == pytest.approx((0.05, 0.03, 9.0), rel=0.5)
+        means.append(best.effects[0].values[0])
+    assert min(means) < 0 < max(means)
 
 
 def test_the_linearised_loss_without_a_ripple_is_about_the_true_one():

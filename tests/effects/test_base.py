@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from adr_service.effects.base import (
     Effect,
+    Friction,
     Mechanism,
     Sensing,
     Strength,
@@ -104,7 +105,7 @@ def test_a_friction_is_at_a_joint():
             "body",
             (Strength("depth", "m"),),
             typical=lambda model, body: (1.0,),
-            friction=lambda turning, values: values[0] * turning.torques,
+            friction=Friction(lambda state, values: values[0] * state.torques),
         )
 
 

@@ -79,10 +79,11 @@ def test_new_dynamics_of_one_simulation_leave_the_others_their_friction():
     np.testing.assert_array_equal(moved(one), moved(other))
 
 
-def test_drives_among_the_parameters_are_refused():
+def test_drives_among_the_parameters_are_refused_where_their_torque_matters():
     source = replace(
         source_of("arm", "vanilla"), effects=(LOAD,), fixed={"actuator:elbow.gear": 3.0}
     )
     with pytest.raises(InvalidInput, match=r"arm has actuator:elbow\.gear among its parameters"):
         check_effects(TASK, source)
-    check_effects(TASK, replace(source, effects=(SLIPPERY,)))
+    place = Effect("joint_position_dependent_friction", "joint:elbow", (0.1, 0.05, 0.0, 9.0))
+    check_effects(TASK, replace(source, effects=(SLIPPERY, place)))

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from adr_service.criticism.stepping import Stepping
+from adr_service.criticism.engine import Engine
 from adr_service.effects.base import Effect
 
 LOAD = [Effect("joint_load_dependent_friction", "joint:x", (0.3,))]
@@ -41,45 +41,45 @@ def test_friction_is_worked_out_anew_at_every_step(servo):
             mujoco.mj_step(servo, data)
         expected.append([data.qpos[0], data.qvel[0]])
     servo.dof_frictionloss[0] = 1
-    found = Stepping(servo, 1).run(servo, LOAD, starts(5), control)
+    found = Engine(servo, 1).run(servo, LOAD, starts(5), control)
     np.testing.assert_allclose(found[:, -1], expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("integrator", ["EULER", "RK4", "IMPLICITFAST"])
 def test_one_step_after_the_other_is_what_a_rollout_does_to_the_last_bit(servo, integrator):
     servo.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
-    stepping = Stepping(servo, 1)
+    engine = Engine(servo, 1)
     known = starts(50), commands(50, 20)
-    one, other = (stepping.run(servo, effects, *known) for effects in ([], NOTHING))
+    one, other = (engine.run(servo, effects, *known) for effects in ([], NOTHING))
     np.testing.assert_array_equal(one, other)
     assert one.shape == (50, 20, 2)
 
 
 def test_frictions_that_vary_are_the_same_at_any_number_of_threads(servo):
     known = servo, LOAD, starts(50), commands(50, 20)
-    np.testing.assert_array_equal(Stepping(servo, 1).run(*known), Stepping(servo, 3).run(*known))
+    np.testing.assert_array_equal(Engine(servo, 1).run(*known), Engine(servo, 3).run(*known))
 
 
 def test_a_model_with_more_elements_has_a_state_of_its_own(servo):
     """MuJoCo would write beyond the memory of a smaller one."""
-    stepping = Stepping(servo, 1)
-    assert stepping._data(servo) is stepping._scratch
+    engine = Engine(servo, 1)
+    assert engine._data(servo) is engine._scratch
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body()
     body.add_joint(name="x")
     body.add_geom(size=[0.1, 0, 0])
     spec.add_tendon(name="strap").wrap_joint("x", 1.0)
-    own = stepping._data(spec.compile())
-    assert own is not stepping._scratch
+    own = engine._data(spec.compile())
+    assert own is not engine._scratch
     assert own[0].ten_length.shape == (1,)
 
 
 @pytest.mark.parametrize("effects", [[], LOAD])
 def test_what_diverges_is_not_a_number_and_leaves_the_others_alone(servo, effects):
-    stepping, given = Stepping(servo, 1), starts(3)
-    alone = stepping.run(servo, effects, given[:1], commands(1, 20))
+    engine, given = Engine(servo, 1), starts(3)
+    alone = engine.run(servo, effects, given[:1], commands(1, 20))
     given[1, 1] = 1e13
-    found = stepping.run(servo, effects, given, np.repeat(commands(1, 20), 3, axis=0))
+    found = engine.run(servo, effects, given, np.repeat(commands(1, 20), 3, axis=0))
     assert np.isnan(found[1]).all()
     np.testing.assert_array_equal(found[0], alone[0])
     assert np.isfinite(found[2]).all()

@@ -1,11 +1,10 @@
 """Many simulations at once, each from a state of its own under commands of its own.
 
-    stepping = Stepping(base, threads)
-    states = stepping.run(model, effects, starts, control)      # (n, steps, 2 nv)
+    engine = Engine(base, threads)
+    states = engine.run(model, effects, starts, control)      # (n, steps, 2 nv)
 
-The engine is `mujoco.rollout`: one model for all, in one call. Where a friction differs from
-simulation to simulation, and from step to step, it is `mujoco.batch`, which does the same to the
-last bit.
+It is `mujoco.rollout`: one model for all, in one call. Where a friction differs from simulation to
+simulation, and from step to step, it is `mujoco.batch`, which does the same to the last bit.
 """
 
 import os
@@ -24,7 +23,7 @@ from adr_service.effects.friction import VaryingFriction, varies
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
 
-class Stepping:
+class Engine:
     """Threads that simulate a model, its variants, and extensions of it."""
 
     def __init__(self, base: mujoco.MjModel, threads: int | None):
@@ -45,8 +44,8 @@ class Stepping:
         """States (n, steps, 2 nv) after each step from `starts` (n, 2 nv), NaN once a simulation
         diverges.
 
-        `control` (n, steps, nu + nv): commands, then generalised forces. Of the effects, those are
-        simulated that are in the `model` already, and frictions that differ from step to step.
+        `control` (n, steps, nu + nv): commands, then generalised forces. Simulates the effects that
+        the `model` has already, and frictions that vary.
         """
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must show
         with quiet():
