@@ -105,7 +105,7 @@ class Responses:
         return np.nan_to_num(friction[layout.mask][..., 0] / typical)
 
     def _by_angle(self, effect: Effect, by_angle: ByAngle) -> np.ndarray:
-        """What follows a joint's angle, as it is at the start of each simulator step."""
+        """The joint's angle is that at the start of each simulator step."""
         simulator, values = self._simulator, np.array(effect.values)
         dof = int(simulator.base.jnt_dofadr[element_of(simulator.base, effect.location)])
         before, after = self._fit.states[simulator.starts, dof], self._predicted[:, dof]

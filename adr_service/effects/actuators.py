@@ -36,7 +36,7 @@ def _is_plain(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def torque_of(model: mujoco.MjModel, joint: int) -> Torque:
-    """What the drives of a joint that `has_plain_drives` exert [N m or N]."""
+    """The function that works out the torque [N m or N] of a joint that `has_plain_drives`."""
     numbers = drives(model, joint)
     gear = model.actuator_gear[numbers, 0].copy()
     by_motion = np.stack([np.ones(len(gear)), gear, gear], axis=1)  # constant, position, velocity

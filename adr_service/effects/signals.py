@@ -78,7 +78,7 @@ def behind(
 def offsets_of(
     model: mujoco.MjModel, effect: Effect, states: Matrix, rates: Matrix, past: Past
 ) -> dict[int, Vector]:
-    """What an effect in a sensor adds to the readings (n,) of true states, by column."""
+    """Offsets (n,) that an effect in a sensor adds to the readings of true states, by column."""
     sensing = get_mechanism(effect.kind).sensing
     if sensing is None:
         raise InvalidInput(f"{effect.kind} is not in a sensor")

@@ -65,7 +65,7 @@ def test_a_drawn_ripple_is_sized_by_its_amplitudes_and_keeps_its_waves():
 
 
 def test_a_drawn_friction_is_nowhere_negative():
-    """Of the frictions that differ from place to place, those that would be are not planted."""
+    """Effects that would make it so are not planted."""
     kind = "joint_position_dependent_friction"
     drawn = [
         sized_effect(*arm(), np.random.default_rng(seed), 0.3)

@@ -61,7 +61,7 @@ def test_no_strength_changes_no_bit():
 
 
 def test_a_friction_is_forgotten_with_the_state_and_the_dynamics():
-    """What simulations did before changes nothing of what they do, nor their models."""
+    """Earlier steps change neither later ones nor the models."""
     used, new = simulations(LOAD), simulations(LOAD)
     moved(used)
     used.set_dynamics(new.dynamics)
