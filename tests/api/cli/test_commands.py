@@ -1,7 +1,9 @@
 """The command line as a whole."""
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from typer.main import get_command
@@ -17,11 +19,19 @@ COMMANDS = {
     *("claims", "upload", "datasets", "criticise", "tune", "render", "robot", "demo", "doctor"),
     *("cite", "report", "archive", "db", "measure", "criticise-bench", "export"),
 }
+ROOT = Path(__file__).parents[3]
 SLOW_TO_IMPORT = ("ray", "torch", "sqlalchemy", "fastapi", "uvicorn")
 
 
 def test_the_commands_are_those_of_the_docs():
     assert set(get_command(app).commands) == COMMANDS
+
+
+def test_the_docs_name_commands_that_exist():
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    named = {c for page in pages for c in re.findall(r"`adr ([a-z-]+)", page.read_text())}
+    assert len(named) > 10
+    assert named <= COMMANDS
 
 
 def test_help_imports_nothing_that_takes_seconds():
