@@ -1,10 +1,24 @@
-"""Parameters in the query of a request."""
+"""Parameters of requests, as the API's page describes them, and the refusal of unknown ones."""
 
-from fastapi import Request
+from typing import Annotated, Literal, TypeAlias
+
+from fastapi import Path, Query, Request, params
 from fastapi.dependencies.utils import get_flat_params
 from fastapi.exceptions import RequestValidationError
-from fastapi.params import Cookie, Header, Path
 from fastapi.routing import APIRoute
+
+from adr_service.benchmark.figures import Format
+
+RunId: TypeAlias = Annotated[str, Path(description="of a run, as `run_…`")]
+BenchmarkId: TypeAlias = Annotated[str, Path(description="of a benchmark, as `bench_…`")]
+TargetTaskId: TypeAlias = Annotated[str, Path(description="of a target task, as `task_…`")]
+DatasetId: TypeAlias = Annotated[str, Path(description="of a recording, as `data_…`")]
+Digest: TypeAlias = Annotated[str, Path(description="of what is stored, as results name it")]
+FigureName: TypeAlias = Annotated[str, Path(description="one of the list of figures")]
+FileName: TypeAlias = Annotated[str, Path(description="one of the criticism's files")]
+FileFormat: TypeAlias = Annotated[Format, Path(description="of an image, or its numbers")]
+TableFormat: TypeAlias = Annotated[Literal["json", "csv"], Query(description="of the answer")]
+ValidateOnly: TypeAlias = Annotated[bool, Query(description="tell the cost, and store nothing")]
 
 
 async def check_parameters(request: Request) -> None:
@@ -13,7 +27,11 @@ async def check_parameters(request: Request) -> None:
     route = request.scope["route"]
     assert isinstance(route, APIRoute)
     fields = get_flat_params(route.dependant)
-    elsewhere = (Path, Header, Cookie)  # a model's fields are pydantic's, and no `Query`
+    elsewhere = (
+        params.Path,
+        params.Header,
+        params.Cookie,
+    )  # a model's fields are pydantic's, and no `Query`
     known = {field.alias for field in fields if not isinstance(field.field_info, elsewhere)}
     accepted = f"accepted: {', '.join(sorted(known))}" if known else "there are none here"
     unknown = [(name, value) for name, value in request.query_params.items() if name not in known]

@@ -11,6 +11,7 @@ from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import StreamingResponse
 
 from adr_service.specs import BenchmarkPart
+from api.parameters import BenchmarkId
 from api.routes.downloads import attachment
 from api.service import Service, ServiceDependency
 from api.uploads import OCTETS, octets
@@ -31,7 +32,7 @@ class ImportView(Imported):
 
 @router.get("/benchmarks/{benchmark_id}/archive", response_class=StreamingResponse)
 def export(
-    benchmark_id: str, part: Annotated[BenchmarkPart, Query()], service: ServiceDependency
+    benchmark_id: BenchmarkId, part: Annotated[BenchmarkPart, Query()], service: ServiceDependency
 ) -> StreamingResponse:
     """The benchmark, or a part of it, as one file, finished or not.
 

@@ -1,13 +1,14 @@
 """/v1/benchmarks/{id}/results and its claims, figures and cost."""
 
 from dataclasses import asdict
-from typing import Any, Literal
+from typing import Any
 
 from fastapi import APIRouter, Response
 
 from adr_service.benchmark.claims import reports
 from adr_service.benchmark.comparison import Outcome
-from adr_service.benchmark.figures import Format, drawable
+from adr_service.benchmark.figures import drawable
+from api.parameters import BenchmarkId, FigureName, FileFormat, TableFormat
 from api.results import CostView, ResultsView, cost_of, outcomes_of, results_json
 from api.routes.downloads import CSV, bibtex_response, csv_response, figure_response
 from api.service import Service, ServiceDependency
@@ -18,7 +19,7 @@ router = APIRouter(prefix="/v1/benchmarks", tags=["benchmarks"])
 
 @router.get("/{benchmark_id}/results", response_model=ResultsView, responses=CSV)
 def results(
-    benchmark_id: str, service: ServiceDependency, format: Literal["json", "csv"] = "json"
+    benchmark_id: BenchmarkId, service: ServiceDependency, format: TableFormat = "json"
 ) -> Response:
     """Result table of all methods after every iteration, comparisons, estimates and costs."""
     if format == "csv":
@@ -28,32 +29,32 @@ def results(
 
 
 @router.get("/{benchmark_id}/claims")
-def claims(benchmark_id: str, service: ServiceDependency) -> list[dict[str, Any]]:
+def claims(benchmark_id: BenchmarkId, service: ServiceDependency) -> list[dict[str, Any]]:
     """The paper's claims, compared with this benchmark alone."""
     return [asdict(report) for report in reports(_outcomes(service, benchmark_id))]
 
 
 @router.get("/{benchmark_id}/cost")
-def cost(benchmark_id: str, service: ServiceDependency) -> CostView:
+def cost(benchmark_id: BenchmarkId, service: ServiceDependency) -> CostView:
     """Cost of the stages, and utilisation of the cores."""
     return cost_of(service, benchmark_store.runs_of(service.database, benchmark_id))
 
 
 @router.get("/{benchmark_id}/citations", response_class=Response)
-def citations(benchmark_id: str, service: ServiceDependency) -> Response:
+def citations(benchmark_id: BenchmarkId, service: ServiceDependency) -> Response:
     """The papers of what was run, as BibTeX."""
     return bibtex_response(benchmark_store.runs_of(service.database, benchmark_id))
 
 
 @router.get("/{benchmark_id}/figures")
-def figures(benchmark_id: str, service: ServiceDependency) -> list[str]:
+def figures(benchmark_id: BenchmarkId, service: ServiceDependency) -> list[str]:
     """Names of the figures that can be drawn by now."""
     return drawable(_outcomes(service, benchmark_id))
 
 
 @router.get("/{benchmark_id}/figures/{name}.{file_format}", response_class=Response)
 def figure(
-    benchmark_id: str, name: str, file_format: Format, service: ServiceDependency
+    benchmark_id: BenchmarkId, name: FigureName, file_format: FileFormat, service: ServiceDependency
 ) -> Response:
     """A figure, or its numbers as CSV."""
     return figure_response(name, _outcomes(service, benchmark_id), file_format)

@@ -8,6 +8,7 @@ from pydantic import BaseModel, SkipValidation
 from adr_service.benchmark.plan import Plan
 from adr_service.specs import BenchmarkSpec, RunSpec
 from api.bodies import BenchmarkBody, ExtensionBody
+from api.parameters import BenchmarkId, ValidateOnly
 from api.routes.paging import Page, PageSize, PageToken, page_of
 from api.routes.submissions import IdempotencyKey, check_methods, plan_here, start_benchmark
 from api.service import ServiceDependency
@@ -35,7 +36,7 @@ def submit(
     spec: BenchmarkBody,
     service: ServiceDependency,
     response: Response,
-    validate_only: bool = False,
+    validate_only: ValidateOnly = False,
     idempotency_key: IdempotencyKey = None,
 ) -> BenchmarkView | PlannedBenchmark:
     """Store a benchmark and start its runs; with `validate_only`, return the expected cost."""
@@ -62,20 +63,20 @@ def list_benchmarks(
 
 
 @router.get("/{benchmark_id}")
-def get_benchmark(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
+def get_benchmark(benchmark_id: BenchmarkId, service: ServiceDependency) -> BenchmarkView:
     """State of a benchmark and of all its runs."""
     return benchmark_view(service, benchmark_store.get_benchmark(service.database, benchmark_id))
 
 
 @router.post("/{benchmark_id}/cancel", status_code=status.HTTP_202_ACCEPTED)
-def cancel(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
+def cancel(benchmark_id: BenchmarkId, service: ServiceDependency) -> BenchmarkView:
     """Ask every live run to stop."""
     service.orchestrator.cancel(*benchmark_store.request_cancel_all(service.database, benchmark_id))
     return get_benchmark(benchmark_id, service)
 
 
 @router.post("/{benchmark_id}/resume", status_code=status.HTTP_202_ACCEPTED)
-def resume(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
+def resume(benchmark_id: BenchmarkId, service: ServiceDependency) -> BenchmarkView:
     """Continue every failed or cancelled run."""
     for run in benchmark_store.resubmit_all(service.database, benchmark_id, service.check_queue):
         service.orchestrator.submit(run)
@@ -84,11 +85,11 @@ def resume(benchmark_id: str, service: ServiceDependency) -> BenchmarkView:
 
 @router.post("/{benchmark_id}/extend", status_code=status.HTTP_202_ACCEPTED, responses=_PLANNED)
 def extend(
-    benchmark_id: str,
+    benchmark_id: BenchmarkId,
     extension: ExtensionBody,
     service: ServiceDependency,
     response: Response,
-    validate_only: bool = False,
+    validate_only: ValidateOnly = False,
 ) -> BenchmarkView | PlannedBenchmark:
     """Add seeds, methods, tasks, variants or collectors; nothing is computed twice.
 
@@ -108,6 +109,6 @@ def extend(
 
 
 @router.delete("/{benchmark_id}", status_code=status.HTTP_204_NO_CONTENT)
-def delete(benchmark_id: str, service: ServiceDependency) -> None:
+def delete(benchmark_id: BenchmarkId, service: ServiceDependency) -> None:
     """Delete a finished benchmark with its runs and everything that only they refer to."""
     benchmark_store.delete_benchmark(service.database, benchmark_id)

@@ -11,6 +11,7 @@ from adr_service.methods.catalogue import AnyMethod
 from adr_service.presets import PRESETS
 from adr_service.tasks.catalogue import catalogue
 from api.metrics import CONTENT_TYPE, exposition
+from api.parameters import Digest
 from api.routes.downloads import artifact_response
 from api.service import ServiceDependency
 from workers.cluster import ClusterUnavailable
@@ -52,7 +53,7 @@ def presets() -> dict[str, dict[str, Any]]:
 
 
 @router.get("/v1/artifacts/{digest}", response_class=Response)
-def artifact(digest: str, service: ServiceDependency) -> Response:
+def artifact(digest: Digest, service: ServiceDependency) -> Response:
     """Stored bytes, by their SHA-256."""
     return artifact_response(service, digest, digest)
 

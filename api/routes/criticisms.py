@@ -14,6 +14,7 @@ from adr_service.errors import UnknownName
 from adr_service.events import CriticismFinished
 from adr_service.specs import CriticismSpec
 from api.bodies import CriticismBody
+from api.parameters import FileName, RunId
 from api.routes.downloads import artifact_response
 from api.routes.submissions import IdempotencyKey, start_run
 from api.service import Service, ServiceDependency
@@ -68,14 +69,14 @@ def submit(
 
 
 @router.get("/{run_id}")
-def get_criticism(run_id: str, service: ServiceDependency) -> CriticismView:
+def get_criticism(run_id: RunId, service: ServiceDependency) -> CriticismView:
     """State of a criticism, and its verdict once there is one."""
     (view,) = criticism_views(service, [_criticism(service, run_id)])
     return view
 
 
 @router.get("/{run_id}/{name}", response_class=Response)
-def file(run_id: str, name: str, service: ServiceDependency) -> Response:
+def file(run_id: RunId, name: FileName, service: ServiceDependency) -> Response:
     """A file: `report.html`, `verdict.json`; with causes also `extended.xml`, `effects.json`."""
     if name not in FILES:
         raise UnknownName("file of a criticism", name, FILES)

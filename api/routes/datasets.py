@@ -4,6 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Response, status
 
+from api.parameters import DatasetId
 from api.routes.downloads import bytes_response
 from api.routes.paging import Page, PageSize, PageToken, page_of
 from api.service import ServiceDependency
@@ -63,19 +64,19 @@ def list_datasets(
 
 
 @router.get("/{dataset_id}")
-def get_dataset(dataset_id: str, service: ServiceDependency) -> DatasetView:
+def get_dataset(dataset_id: DatasetId, service: ServiceDependency) -> DatasetView:
     """Description of a dataset."""
     return dataset_view(store.describe_dataset(service.database, dataset_id))
 
 
 @router.get("/{dataset_id}/content", response_class=Response)
-def content(dataset_id: str, service: ServiceDependency) -> Response:
+def content(dataset_id: DatasetId, service: ServiceDependency) -> Response:
     """The uploaded bytes."""
     record, stored = store.load_dataset(service.database, dataset_id)
     return bytes_response(stored, f"{record.id}.npz")
 
 
 @router.delete("/{dataset_id}", status_code=status.HTTP_204_NO_CONTENT)
-def delete(dataset_id: str, service: ServiceDependency) -> None:
+def delete(dataset_id: DatasetId, service: ServiceDependency) -> None:
     """Delete a dataset from which no run learns."""
     store.delete_dataset(service.database, dataset_id)

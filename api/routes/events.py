@@ -7,6 +7,7 @@ import anyio
 from fastapi import APIRouter, Depends, Header, Query
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
+from api.parameters import RunId
 from api.routes.paging import Page, PageSize, page_of
 from api.routes.polling import EVERY_S
 from api.service import ServiceDependency
@@ -21,7 +22,7 @@ router = APIRouter(prefix="/v1/runs", tags=["runs"])
 _STREAMED = 500  # events at once
 
 
-def _existing(run_id: str, service: ServiceDependency) -> str:
+def _existing(run_id: RunId, service: ServiceDependency) -> str:
     """Refuse an unknown run before a stream begins."""
     return run_store.get_run(service.database, run_id).id
 
@@ -36,9 +37,9 @@ def _last_seen(
 
 @router.get("/{run_id}/events")
 def events(
-    run_id: str,
+    run_id: RunId,
     service: ServiceDependency,
-    after: Annotated[int, Query(ge=0, lt=2**63)] = 0,
+    after: Annotated[int, Query(ge=0, lt=2**63, description="only events above this number")] = 0,
     limit: PageSize = 100,
 ) -> Page[EventRecord]:
     """Events with a sequence number above `after`."""

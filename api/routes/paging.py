@@ -8,8 +8,10 @@ from pydantic import BaseModel
 
 Item = TypeVar("Item")
 Record = TypeVar("Record")
-PageSize = Annotated[int, Query(ge=1, le=1000)]
-PageToken = Annotated[int, Query(ge=0, lt=2**63)]
+PageSize = Annotated[int, Query(ge=1, le=1000, description="most items of the answer")]
+PageToken = Annotated[
+    int, Query(ge=0, lt=2**63, description="`next_page_token` of the answer before")
+]
 
 
 class Page(BaseModel, Generic[Item]):

@@ -1,12 +1,13 @@
 """/v1/runs/{id}/results and its figures, cost, distribution and policy."""
 
-from typing import Any, Literal
+from typing import Any
 
 from fastapi import APIRouter, Response
 from pydantic import BaseModel
 
 from adr_service.benchmark.comparison import Outcome, decode
-from adr_service.benchmark.figures import Format, drawable
+from adr_service.benchmark.figures import drawable
+from api.parameters import FigureName, FileFormat, RunId, TableFormat
 from api.results import CostView, ResultsView, cost_of, outcomes_of, results_json
 from api.routes.downloads import (
     CSV,
@@ -67,9 +68,7 @@ def distribution_view(outcome: Outcome) -> DistributionView:
 
 
 @router.get("/{run_id}/results", response_model=ResultsView, responses=CSV)
-def results(
-    run_id: str, service: ServiceDependency, format: Literal["json", "csv"] = "json"
-) -> Response:
+def results(run_id: RunId, service: ServiceDependency, format: TableFormat = "json") -> Response:
     """Result table after every iteration, comparisons, estimates and costs."""
     record = run_store.get_run(service.database, run_id)
     if format == "csv":
@@ -78,44 +77,46 @@ def results(
 
 
 @router.get("/{run_id}/cost")
-def cost(run_id: str, service: ServiceDependency) -> CostView:
+def cost(run_id: RunId, service: ServiceDependency) -> CostView:
     """Cost of the stages, and utilisation of the cores."""
     return cost_of(service, [run_store.get_run(service.database, run_id)])
 
 
 @router.get("/{run_id}/citations", response_class=Response)
-def citations(run_id: str, service: ServiceDependency) -> Response:
+def citations(run_id: RunId, service: ServiceDependency) -> Response:
     """The papers of what was run, as BibTeX."""
     return bibtex_response([run_store.get_run(service.database, run_id)])
 
 
 @router.get("/{run_id}/figures")
-def figures(run_id: str, service: ServiceDependency) -> list[str]:
+def figures(run_id: RunId, service: ServiceDependency) -> list[str]:
     """Names of the figures that can be drawn by now."""
     return drawable(_outcomes(service, run_id))
 
 
 @router.get("/{run_id}/figures/{name}.{file_format}", response_class=Response)
-def figure(run_id: str, name: str, file_format: Format, service: ServiceDependency) -> Response:
+def figure(
+    run_id: RunId, name: FigureName, file_format: FileFormat, service: ServiceDependency
+) -> Response:
     """A figure, or its numbers as CSV."""
     return figure_response(name, _outcomes(service, run_id), file_format)
 
 
 @router.get("/{run_id}/distribution")
-def distribution(run_id: str, service: ServiceDependency) -> DistributionView:
+def distribution(run_id: RunId, service: ServiceDependency) -> DistributionView:
     """Training distribution of the latest policy: the method's estimate of each parameter."""
     return distribution_view(_latest(service, run_id, "finished iteration"))
 
 
 @router.get("/{run_id}/policy", response_class=Response)
-def policy(run_id: str, service: ServiceDependency) -> Response:
+def policy(run_id: RunId, service: ServiceDependency) -> Response:
     """The latest evaluated policy, as safetensors; the first if there are several."""
     digest = _latest(service, run_id, "evaluated policy").iteration.policies[0]
     return artifact_response(service, digest, f"{run_id}.safetensors")
 
 
 @router.get("/{run_id}/film.mp4", response_class=Response)
-def film(run_id: str, service: ServiceDependency) -> Response:
+def film(run_id: RunId, service: ServiceDependency) -> Response:
     """An episode of the latest policy in the mean of its training distribution.
 
     Beside it is one on the target, where that is simulated. It takes seconds to a minute.

@@ -11,6 +11,7 @@ from adr_service.benchmark.plan import Plan
 from adr_service.events import RunState
 from adr_service.specs import RunSpec
 from api.bodies import RunBody
+from api.parameters import RunId, ValidateOnly
 from api.routes.paging import Page, PageSize, PageToken, page_of
 from api.routes.polling import looks
 from api.routes.submissions import IdempotencyKey, plan_here, start_run
@@ -37,7 +38,7 @@ def submit(
     spec: RunBody,
     service: ServiceDependency,
     response: Response,
-    validate_only: bool = False,
+    validate_only: ValidateOnly = False,
     idempotency_key: IdempotencyKey = None,
 ) -> RunView | PlannedRun:
     """Store a run and start it; with `validate_only`, return the expected cost."""
@@ -53,10 +54,10 @@ def submit(
 @router.get("")
 def list_runs(
     service: ServiceDependency,
-    state: RunState | None = None,
-    method: str | None = None,
-    task: str | None = None,
-    benchmark_id: str | None = None,
+    state: Annotated[RunState | None, Query(description="only runs in this state")] = None,
+    method: Annotated[str | None, Query(description="only runs of this method")] = None,
+    task: Annotated[str | None, Query(description="only runs on this task")] = None,
+    benchmark_id: Annotated[str | None, Query(description="only runs of this benchmark")] = None,
     page_size: PageSize = 100,
     page_token: PageToken = 0,
 ) -> Page[RunView]:
@@ -75,7 +76,7 @@ def list_runs(
 
 @router.get("/{run_id}")
 async def get_run(
-    run_id: str,
+    run_id: RunId,
     service: ServiceDependency,
     wait: Annotated[
         float, Query(ge=0, le=20, description="seconds to wait for another state")
@@ -92,7 +93,7 @@ async def get_run(
 
 
 @router.post("/{run_id}/cancel", status_code=status.HTTP_202_ACCEPTED)
-def cancel(run_id: str, service: ServiceDependency) -> RunView:
+def cancel(run_id: RunId, service: ServiceDependency) -> RunView:
     """Ask a run to stop; the results of finished stages stay."""
     record = run_store.request_cancel(service.database, run_id)
     service.orchestrator.cancel(record)
@@ -100,7 +101,7 @@ def cancel(run_id: str, service: ServiceDependency) -> RunView:
 
 
 @router.post("/{run_id}/resume", status_code=status.HTTP_202_ACCEPTED)
-def resume(run_id: str, service: ServiceDependency) -> RunView:
+def resume(run_id: RunId, service: ServiceDependency) -> RunView:
     """Continue a failed or cancelled run from its last finished stage."""
     record = run_store.resubmit(service.database, run_id, service.check_queue)
     service.orchestrator.submit(record)
@@ -108,6 +109,6 @@ def resume(run_id: str, service: ServiceDependency) -> RunView:
 
 
 @router.delete("/{run_id}", status_code=status.HTTP_204_NO_CONTENT)
-def delete(run_id: str, service: ServiceDependency) -> None:
+def delete(run_id: RunId, service: ServiceDependency) -> None:
     """Delete a finished run and everything that only it refers to."""
     run_store.delete_run(service.database, run_id)

@@ -16,6 +16,7 @@ from adr_service.errors import UnknownName
 from adr_service.json_values import Line, Paragraphs, Wire
 from adr_service.specs.names import TaskName
 from adr_service.tasks import catalogue
+from api.parameters import TargetTaskId
 from api.routes.downloads import bytes_response
 from api.routes.paging import Page, PageSize, PageToken, page_of
 from api.routes.polling import looks
@@ -162,8 +163,8 @@ async def claim(
 @router.get("")
 def list_tasks(
     service: ServiceDependency,
-    state: VisitState | None = None,
-    run_id: str | None = None,
+    state: Annotated[VisitState | None, Query(description="only tasks in this state")] = None,
+    run_id: Annotated[str | None, Query(description="only tasks of this run")] = None,
     external: Annotated[bool | None, Query(description="for robots, not simulated")] = None,
     page_size: PageSize = 100,
     page_token: PageToken = 0,
@@ -181,13 +182,13 @@ def list_tasks(
 
 
 @router.get("/{task_id}")
-def get_task(task_id: str, service: ServiceDependency) -> TaskView:
+def get_task(task_id: TargetTaskId, service: ServiceDependency) -> TaskView:
     """State, claimant and progress of a task."""
     return task_view(visit_store.get_visit(service.database, task_id))
 
 
 @router.get("/{task_id}/policy", response_class=Response)
-def policy(task_id: str, service: ServiceDependency) -> Response:
+def policy(task_id: TargetTaskId, service: ServiceDependency) -> Response:
     """Policy to act with, as safetensors; 404 if the task asks for random actions."""
     return bytes_response(
         visit_store.policy_of(service.database, task_id), f"{task_id}.safetensors"
@@ -196,7 +197,7 @@ def policy(task_id: str, service: ServiceDependency) -> Response:
 
 @router.post("/{task_id}/heartbeat")
 def heartbeat(
-    task_id: str, body: Annotated[Heartbeat, Body()], service: ServiceDependency
+    task_id: TargetTaskId, body: Annotated[Heartbeat, Body()], service: ServiceDependency
 ) -> HeartbeatView:
     """Renew the lease; the answer has its new end, and whether to stop."""
     now, lease_s = service.orchestrator.clock.now(), service.settings.lease_s
@@ -207,9 +208,9 @@ def heartbeat(
 
 @router.put("/{task_id}/trajectory", max_body_size=LARGEST, openapi_extra=content_described())
 def upload(
-    task_id: str,
+    task_id: TargetTaskId,
     content: Content,
-    lease: Annotated[_Lease, Header()],
+    lease: Annotated[_Lease, Header(description="that the claim gave")],
     service: ServiceDependency,
 ) -> TaskView:
     """Upload the trajectory, an `.npz` like a recording, with `rewards`; accepted once."""
@@ -217,12 +218,16 @@ def upload(
 
 
 @router.post("/{task_id}/release")
-def release(task_id: str, body: Annotated[Release, Body()], service: ServiceDependency) -> TaskView:
+def release(
+    task_id: TargetTaskId, body: Annotated[Release, Body()], service: ServiceDependency
+) -> TaskView:
     """Give the task back for another claim."""
     return task_view(visit_store.release(service.database, task_id, body.lease))
 
 
 @router.post("/{task_id}/fail")
-def fail(task_id: str, body: Annotated[Failure, Body()], service: ServiceDependency) -> TaskView:
+def fail(
+    task_id: TargetTaskId, body: Annotated[Failure, Body()], service: ServiceDependency
+) -> TaskView:
     """Report that no robot can do the task: its run fails with the message, and can be resumed."""
     return task_view(service.orchestrator.fail_task(task_id, body.lease, body.message))

@@ -8,6 +8,7 @@ from pydantic import BaseModel, Field
 
 from adr_service.events import StageFinished, TrainingEvaluated
 from adr_service.training.curve import Evaluation
+from api.parameters import Digest, RunId
 from api.routes.downloads import bytes_response
 from api.service import ServiceDependency
 from db import events as event_store
@@ -71,14 +72,14 @@ def training_views(
 
 
 @router.get("/{run_id}/trainings")
-def trainings(run_id: str, service: ServiceDependency) -> list[TrainingView]:
+def trainings(run_id: RunId, service: ServiceDependency) -> list[TrainingView]:
     """Learning curves of the policies, also of those in training."""
     records = event_store.events_of(service.database, run_id)
     return training_views(service.database, run_id, records)
 
 
 @router.get("/{run_id}/trainings/{digest}/policy", response_class=Response)
-def policy_of_training(run_id: str, digest: str, service: ServiceDependency) -> Response:
+def policy_of_training(run_id: RunId, digest: Digest, service: ServiceDependency) -> Response:
     """Policy of a training; while it goes on, the best so far."""
     content = stage_store.policy_of_training(service.database, digest)
     events = (each.event for each in event_store.events_of(service.database, run_id))

@@ -53,6 +53,13 @@ def test_every_route_has_a_description_and_a_problem(described):
             assert list(refused) == ["application/problem+json"]
 
 
+def test_every_parameter_has_a_description(described):
+    for path, methods in described["paths"].items():
+        for method, route in methods.items():
+            for parameter in route.get("parameters", []):
+                assert parameter.get("description"), f"{method} {path}: {parameter['name']}"
+
+
 @pytest.mark.ray
 @pytest.mark.parametrize(
     ("phases", "examples", "least"),
