@@ -264,9 +264,9 @@ def _all(causes: Sequence[NamedCause]) -> list[dict[str, Any]]:
 def in_smaller_steps(step: float, own: float) -> str:
     """Text for a criticism in steps [s] that are smaller than the model's own, and what to do."""
     return (
-        f"judged in steps of {1000 * step:.3g} ms, because the model's own of {1000 * own:.3g} "
-        "err by more than these data leave; extended.xml keeps those: for what was fitted, take "
-        f"{own / step:.0f} of the smaller steps for each"
+        f"judged in steps of {1000 * step:.3g} ms, because the model's steps of {1000 * own:.3g} "
+        "ms make larger errors than these data leave; extended.xml keeps the model's, so take "
+        f"{own / step:.0f} smaller steps for each of them to get what was fitted"
     )
 
 

@@ -60,8 +60,8 @@ def test_the_gain_is_shown_with_its_interval_and_time_step():
     residual = {**VERDICT["residual"], "timestep": step}
     text = shown({**VERDICT, "gain": gain, "residual": residual}, 200)
     assert "60.0 % [50.0, 70.0]" in text
-    assert "judged in steps of 1 ms, because the model's own of 2 err by more" in text
-    assert "take 2 of the smaller steps for each" in text
+    assert "judged in steps of 1 ms, because the model's steps of 2 ms make larger errors" in text
+    assert "take 2 smaller steps for each of them" in text
 
 
 def test_an_unbounded_interval_is_shown_as_such():
