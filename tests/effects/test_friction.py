@@ -20,6 +20,7 @@ DRIVES = {
     "velocity servo": '<velocity joint="x" kv="4" gear="-2"/>',
     "variable gain": '<general joint="x" gaintype="affine" gainprm="1 2 3" biastype="affine" '
     'biasprm=".1 -.2 -.3"/>',
+    "unused numbers": '<general joint="x" gainprm="2 5 7" biasprm="1 3 4"/>',
     "two": '<motor joint="x" gear="3"/><velocity joint="x" kv="1"/>',
 }
 
