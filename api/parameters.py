@@ -27,11 +27,8 @@ async def check_parameters(request: Request) -> None:
     route = request.scope["route"]
     assert isinstance(route, APIRoute)
     fields = get_flat_params(route.dependant)
-    elsewhere = (
-        params.Path,
-        params.Header,
-        params.Cookie,
-    )  # a model's fields are pydantic's, and no `Query`
+    # a model's fields are pydantic's, and no `Query`
+    elsewhere = (params.Path, params.Header, params.Cookie)
     known = {field.alias for field in fields if not isinstance(field.field_info, elsewhere)}
     accepted = f"accepted: {', '.join(sorted(known))}" if known else "there are none here"
     unknown = [(name, value) for name, value in request.query_params.items() if name not in known]

@@ -20,7 +20,7 @@ from adr_service.arrays import Array3, Matrix
 from adr_service.effects.base import Effect
 from adr_service.effects.friction import VaryingFriction, varies
 
-_CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
+_CONTROL = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 
 
 class Engine:
@@ -53,9 +53,11 @@ class Engine:
                 after = self._step_by_step(model, effects, starts, control)
             else:
                 full = np.column_stack([np.zeros(len(starts)), starts])
-                spec = int(_CONTROL)
-                known = (model, self._data(model), full, control)
-                after = self._pool.rollout(*known, control_spec=spec)[0][..., 1:]
+                data = self._data(model)
+                times_and_states, _ = self._pool.rollout(
+                    model, data, full, control, control_spec=_CONTROL
+                )
+                after = times_and_states[..., 1:]
         is_sane = np.all(np.abs(after) < mujoco.mjMAXVAL, axis=2)
         return np.where(is_sane[..., None], after, np.nan)
 
