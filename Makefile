@@ -53,7 +53,7 @@ bench-threshold: setup
 	$(BIN)/python benchmarks/threshold.py
 
 bench-dropo: setup
-	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/dropo.py
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.dropo
 
 # hours on two cores, most of them for policies of the prior
 bench-recovery: setup

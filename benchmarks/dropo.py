@@ -1,6 +1,6 @@
 """DROPO on its authors' Hopper data: the trust-region search against CMA-ES, side by side.
 
-    python benchmarks/dropo.py [budget of CMA-ES, 500]
+    python -m benchmarks.dropo [budget of CMA-ES, 500]
 
 One trajectory of 500 noise-free transitions, 40 draws, epsilon 1e-5, one thread. Needs
 ADR_DATASETS (docs/datasets.md). Writes build/bench/dropo.json, for both searches:
@@ -14,7 +14,6 @@ ADR_DATASETS (docs/datasets.md). Writes build/bench/dropo.json, for both searche
 """
 
 import json
-import os
 import sys
 import time
 from pathlib import Path
@@ -29,6 +28,7 @@ from adr_service.progress import silent
 from adr_service.simulation.replay import Replay
 from adr_service.tasks.catalogue import get_task, hidden_of, source_of
 from adr_service.transitions import TransitionDataset
+from benchmarks import sources
 
 Search = Literal["trust_region", "cma_es"]
 EPSILON, DRAWS, FRESH = 1e-5, 40, 8
@@ -50,7 +50,7 @@ def main() -> None:
 
 def recorded() -> TransitionDataset:
     """The first trajectory of `hopper10000` (gabrieletiboni/dropo)."""
-    prefix = Path(os.environ["ADR_DATASETS"]) / "dropo_hopper/hopper10000/hoppermass_n10000"
+    prefix = sources.folder() / "dropo_hopper/hopper10000/hoppermass_n10000"
     columns = get_task("hopper").columns
     return TransitionDataset.from_npy(prefix, dt=0.008, columns=columns, origin="dropo").first(500)
 

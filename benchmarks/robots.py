@@ -6,7 +6,6 @@ Reads the recordings in ADR_DATASETS (docs/datasets.md), prints a line for each 
 the report of each to build/bench/robots.
 """
 
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -19,7 +18,8 @@ from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.report import files_of
 from adr_service.criticism.verdict import NamedCause, Verdict
-from adr_service.errors import InvalidInput, UnknownName
+from adr_service.errors import UnknownName
+from benchmarks import sources
 from benchmarks.sources import feetech, pendulums
 from benchmarks.sources.pendulums import COMMANDED, PLAIN, PLAIN_SHORT, SINGLE, Format, Link
 
@@ -71,9 +71,7 @@ ROBOTS: dict[str, Robot] = {
 def main(names: list[str]) -> None:
     if others := [name for name in names if name not in ROBOTS]:
         raise UnknownName("robot", others[0], ROBOTS)
-    if "ADR_DATASETS" not in os.environ:
-        raise InvalidInput("ADR_DATASETS names no folder with the recordings (docs/datasets.md)")
-    data = Path(os.environ["ADR_DATASETS"])
+    data = sources.folder()
     print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
     for name in names or ROBOTS:
         started = time.process_time()
