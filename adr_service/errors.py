@@ -48,7 +48,7 @@ class FailureCode(StrEnum):
         "The run's spec, dataset or a robot's recording cannot be used.",
         "Submit a new run with the input that the message accepts. If your own method or task is "
         "wrong: correct it, raise its version, install it, start the service again, and resume the "
-        "run, or submit it anew if it has finished an iteration.",
+        "run, or submit it anew if a stage of the former version has finished.",
     )
     UNKNOWN_NAME = (
         "unknown_name",
@@ -87,7 +87,7 @@ class FailureCode(StrEnum):
         "A defect of the service, or of a user's own task or method.",
         "Read the traceback in the service's log. Report a defect of the service. Correct one of "
         "your own method or task, raise its version, install it, start the service again, and "
-        "resume the run, or submit it anew if it has finished an iteration.",
+        "resume the run, or submit it anew if a stage of the former version has finished.",
     )
 
 
