@@ -36,7 +36,7 @@ from db.errors import DatabaseUnavailable
 from db.runs import RunRecord
 
 log = logging.getLogger(__name__)
-_TABLES = 5  # counts the times that tables of the same outcomes changed
+_TABLES = 6  # counts the times that tables of the same outcomes changed
 _COST_NOTE = (
     "the use of the cores counts all that the service computed while there was work for all of "
     "them, other runs' stages too, and no more; useful = computing / (computing + waiting + "

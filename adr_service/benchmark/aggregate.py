@@ -4,31 +4,44 @@
         print(each.method, each.interquartile_mean, each.low, each.high)
 
 After Agarwal et al., arXiv 2108.13264, Sec. 4: the scores of all cells together, with a bootstrap
-that draws seeds within each cell. A cell is a task's variant. Only cells that all methods have
-count, after the iteration of `final_outcomes`, and with SimOpt's data. A method that lacks a cell
-that most others have is left out, so that one which has just begun does not empty the tables.
+that draws seeds within each cell. A cell is a task's variant. Policies that were trained for one
+variant and evaluated on others as well are drawn alike in all of these. Only cells that all methods
+have count, after the iteration of `final_outcomes`, and with SimOpt's data. A method that lacks a
+cell that most others have is left out, so that one which has just begun does not empty the tables.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.benchmark.comparison import Outcome, final_outcomes, returns_of
+from adr_service.benchmark.comparison import (
+    Outcome,
+    Policies,
+    final_outcomes,
+    policies_of,
+    returns_of,
+)
 from adr_service.benchmark.statistics import (
     Interval,
     interquartile_mean,
-    stratified_interval,
     stratified_intervals,
 )
 from adr_service.methods.catalogue import methods
 from adr_service.randomness import stream
 
 _LEVELS = np.linspace(0.0, 1.5, 61)  # of normalised returns
-_Cells = list[list[Matrix]]  # returns (policies, episodes) of each seed of each cell
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """A method's seeds on a task's variant."""
+
+    returns: list[Matrix]  # (policies, episodes) of each seed
+    policies: Policies
 
 
 @dataclass(frozen=True)
@@ -41,7 +54,7 @@ class Aggregate:
     low: float | None  # of the stratified bootstrap; None: a cell has too few seeds
     high: float | None
     seeds: int  # fewest of a cell
-    policies: int
+    policies: int  # different ones
 
 
 @dataclass(frozen=True)
@@ -74,17 +87,26 @@ def has_common_cells(outcomes: Sequence[Outcome]) -> bool:
     return bool(_common(outcomes))
 
 
-def _shares(cells: _Cells) -> list[Interval]:
+def _shares(cells: Sequence[_Cell]) -> list[Interval]:
     """The shares of policies that earn more than each of `_LEVELS`."""
     above = [partial(_share_above, level=float(level)) for level in _LEVELS]
-    return stratified_intervals(cells, above, stream("profile"))
+    return _intervals(cells, above, stream("profile"))
+
+
+def _intervals(
+    cells: Sequence[_Cell],
+    aggregates: Sequence[Callable[[Matrix], Vector]],
+    rng: np.random.Generator,
+) -> list[Interval]:
+    returns = [cell.returns for cell in cells]
+    return stratified_intervals(returns, aggregates, rng, policies=[c.policies for c in cells])
 
 
 def _share_above(scores: Matrix, level: float) -> Vector:
     return (scores > level).mean(axis=-1)
 
 
-def _common(outcomes: Sequence[Outcome]) -> dict[str, _Cells]:
+def _common(outcomes: Sequence[Outcome]) -> dict[str, list[_Cell]]:
     """Returns by method, in the cells that all these methods have; see the module."""
     cells = dict(sorted(final_outcomes(outcomes).items()))
     having = {name: {c for c in cells if name in cells[c]} for name in methods()}
@@ -95,17 +117,22 @@ def _common(outcomes: Sequence[Outcome]) -> dict[str, _Cells]:
     shared = [columns for columns in cells.values() if all(name in columns for name in names)]
     if not shared:
         return {}
-    return {name: [returns_of(columns[name]) for columns in shared] for name in names}
+    return {name: [_cell(columns[name]) for columns in shared] for name in names}
 
 
-def _aggregate(method: str, cells: _Cells) -> Aggregate:
-    middle = stratified_interval(cells, interquartile_mean, stream("aggregate"))
+def _cell(outcomes: Sequence[Outcome]) -> _Cell:
+    ordered = sorted(outcomes, key=lambda outcome: outcome.spec.seed)
+    return _Cell(returns_of(ordered), policies_of(ordered))
+
+
+def _aggregate(method: str, cells: Sequence[_Cell]) -> Aggregate:
+    (middle,) = _intervals(cells, [interquartile_mean], stream("aggregate"))
     return Aggregate(
         method=method,
         cells=len(cells),
         interquartile_mean=middle.value,
         low=middle.low,
         high=middle.high,
-        seeds=min(map(len, cells)),
-        policies=sum(len(returns) for seeds in cells for returns in seeds),
+        seeds=min(len(cell.returns) for cell in cells),
+        policies=len({policy for cell in cells for own in cell.policies for policy in own}),
     )

@@ -160,17 +160,19 @@ def comparisons(outcomes: Sequence[Outcome]) -> list[Comparison]:
             sides = [{o.spec.seed: o for o in columns[name]} for name in (one, other)]
             seeds = sorted(sides[0].keys() & sides[1].keys())
             if seeds:
-                a, b = (returns_of([side[seed] for seed in seeds]) for side in sides)
+                a, b = ([side[seed] for seed in seeds] for side in sides)
                 compared.append(Comparison(task, variant, one, other, *_compared(a, b)))
     return compared
 
 
 def _compared(
-    one: Sequence[Matrix], other: Sequence[Matrix]
+    one: Sequence[Outcome], other: Sequence[Outcome]
 ) -> tuple[float, float | None, float | None, float, float | None, float | None, int]:
-    """The numbers of a Comparison, from the returns of the same seeds."""
-    chance = improvement(one, other, stream("improvement"))
-    gaps = [a.mean() - b.mean() for a, b in zip(one, other, strict=True)]
+    """The numbers of a Comparison, from outcomes of the same seeds."""
+    returns = returns_of(one), returns_of(other)
+    policies = policies_of(one), policies_of(other)
+    chance = improvement(*returns, stream("improvement"), policies)
+    gaps = [a.mean() - b.mean() for a, b in zip(*returns, strict=True)]
     gap = seed_interval(np.array(gaps))
     return chance.value, chance.low, chance.high, gap.value, gap.low, gap.high, len(gaps)
 
@@ -297,6 +299,14 @@ def returns_of(outcomes: Sequence[Outcome]) -> list[Matrix]:
     return [
         np.array(o.iteration.returns) / get_task(o.spec.task).reward_threshold for o in outcomes
     ]
+
+
+Policies = tuple[tuple[str, ...], ...]  # SHA-256 of the policies of each seed
+
+
+def policies_of(outcomes: Sequence[Outcome]) -> Policies:
+    """The policies that were evaluated, per outcome."""
+    return tuple(tuple(outcome.iteration.policies) for outcome in outcomes)
 
 
 _Key = tuple[str, str, str, str, int]  # task, variant, method, collector, iteration

@@ -2,16 +2,18 @@
 
 A mean has Student's interval over the means of seeds, because a bootstrap of few seeds is too
 short: `benchmarks/coverage.py` measures how often either covers the truth (docs/statistics.md).
-Aggregates that are no means have a bootstrap over seeds, policies and episodes. Fewer than three
-seeds have no interval: with two, Student's is 18 standard deviations of seeds long, and the
-bootstrap covers half of the truths.
+Aggregates that are no means have a bootstrap over seeds, policies and episodes. Samples of the same
+policies (trained for one variant of a task, and evaluated on another as well) are not independent:
+they get the same draws. Fewer than three seeds have no interval: with two, Student's is 18 standard
+deviations of seeds long, and the bootstrap covers half of the truths.
 
 The interquartile mean and the probability of improvement are those of Agarwal et al., "Deep
 Reinforcement Learning at the Edge of the Statistical Precipice", arXiv 2108.13264, Sec. 4. We
 compute them ourselves, because their library rliable does not import beside current pandas.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,32 +81,34 @@ def bootstrap_interval(
     return stratified_intervals([seeds], [aggregate], rng, fewest)[0]
 
 
-def stratified_interval(
-    cells: Sequence[Sequence[Matrix]],
-    aggregate: Callable[[Matrix], Vector],
-    rng: np.random.Generator,
-) -> Interval:
-    """An aggregate over all cells' policies; each cell's seeds are resampled by themselves."""
-    return stratified_intervals(cells, [aggregate], rng)[0]
-
-
 def stratified_intervals(
     cells: Sequence[Sequence[Matrix]],
     aggregates: Sequence[Callable[[Matrix], Vector]],
     rng: np.random.Generator,
     fewest: int = FEWEST_SEEDS,
+    policies: Sequence[Hashable] | None = None,
 ) -> list[Interval]:
-    """Several aggregates from the same resamples."""
-    parts = [_resampled(seeds, rng).reshape(_RESAMPLES, -1) for seeds in cells]
-    means, resampled = np.concatenate([_policy_means(s) for s in cells]), np.hstack(parts)
+    """Several aggregates over all cells' policies, from the same resamples.
+
+    Each cell's seeds are resampled by themselves, or as those of another cell with equal
+    `policies`, if these are given, one for each cell.
+    """
+    resampled = np.hstack(_resampled_cells(cells, rng, policies))
+    means = np.concatenate([_policy_means(seeds) for seeds in cells])
     has_one = min(map(len, cells)) >= fewest
     return [_percentile_interval(float(a(means)), a(resampled), has_one) for a in aggregates]
 
 
 def improvement(
-    one: Sequence[Matrix], other: Sequence[Matrix], rng: np.random.Generator
+    one: Sequence[Matrix],
+    other: Sequence[Matrix],
+    rng: np.random.Generator,
+    policies: tuple[Hashable, Hashable] | None = None,
 ) -> Interval:
-    """The probability that a policy of `one` earns more than one of `other`, ties counted half."""
+    """The probability that a policy of `one` earns more than one of `other`, ties counted half.
+
+    Both are resampled alike if the `policies` of both are given and equal.
+    """
 
     def wins(a: Matrix, b: Matrix) -> Vector:
         # Agarwal et al., Sec. 4.3: P(X > Y) = mean of S(x, y), S = 1, 1/2, 0 for x >, =, < y, which
@@ -114,7 +118,7 @@ def improvement(
         return (ranks.sum(axis=-1) - n * (n + 1) / 2) / (n * m)
 
     means = [_policy_means(seeds) for seeds in (one, other)]
-    resampled = [_resampled(seeds, rng).reshape(_RESAMPLES, -1) for seeds in (one, other)]
+    resampled = _resampled_cells([one, other], rng, policies)
     has_one = min(len(one), len(other)) >= FEWEST_SEEDS
     return _percentile_interval(float(wins(*means)), wins(*resampled), has_one)
 
@@ -122,6 +126,22 @@ def improvement(
 def _policy_means(seeds: Sequence[Matrix]) -> Vector:
     """The mean return of every policy of all seeds, (seeds * policies,)."""
     return np.concatenate([returns.mean(axis=1) for returns in seeds])
+
+
+def _resampled_cells(
+    cells: Sequence[Sequence[Matrix]],
+    rng: np.random.Generator,
+    policies: Sequence[Hashable] | None,
+) -> list[Matrix]:
+    """Mean returns of policies by cell, (resamples, seeds * policies)."""
+    known: dict[Hashable, np.random.Generator] = {}  # as it was before the first cell's draws
+    parts: list[Matrix] = []
+    for number, seeds in enumerate(cells):
+        key = number if policies is None else policies[number]
+        own = deepcopy(known[key]) if key in known else rng
+        known.setdefault(key, deepcopy(rng))
+        parts.append(_resampled(seeds, own).reshape(_RESAMPLES, -1))
+    return parts
 
 
 def _resampled(seeds: Sequence[Matrix], rng: np.random.Generator) -> Matrix:

@@ -35,6 +35,22 @@ def test_the_aggregate_is_over_all_cells_policies():
     assert (simopt.low, simopt.high) == pytest.approx((0.75, 0.75))
 
 
+def test_policies_that_are_evaluated_on_two_variants_count_once():
+    """And their seeds are not taken for six."""
+
+    def oracle(trained_on):
+        return [
+            outcome(level, method="oracle", variant=variant, seed=seed, trained_on=trained_on)
+            for variant in ("vanilla", "noisy")
+            for seed, level in enumerate((0.5, 0.8, 1.0))
+        ]
+
+    (shared,), (apart,) = aggregates(oracle("vanilla")), aggregates(oracle(None))
+    assert (shared.cells, shared.seeds, shared.policies, apart.policies) == (2, 3, 3, 6)
+    assert shared.interquartile_mean == apart.interquartile_mean
+    assert shared.high - shared.low > 1.2 * (apart.high - apart.low)
+
+
 def test_only_cells_that_all_methods_have_count():
     more = {**TWO, ("simopt", "unmodeled"): (9.0,) * 3}
     assert aggregates(world(more)) == aggregates(world(TWO))

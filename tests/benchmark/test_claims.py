@@ -28,6 +28,7 @@ def outcome(
 ):
     """A run's iteration whose normalised returns are about `level`."""
     settings = {"name": method, **given.pop("settings", {})}
+    trained_on = given.pop("trained_on", None)  # a variant, if its policies are evaluated here
     given = {"task": "hopper", "variant": "vanilla", **given}
     spec = RunSpec.model_validate({"preset": "demo", "seed": seed, "method": settings, **given})
     domain = "vanilla" if method == "oracle" else spec.variant
@@ -35,13 +36,14 @@ def outcome(
     belief = Gaussian(space, np.full(len(space), 2.0), std**2 * np.eye(len(space)))
     noise = np.random.default_rng([seed, iteration, [*ALL, "prior", "oracle"].index(method)])
     returns = noise.normal(level, spread, 10)
+    policy = f"{method} {spec.task} {trained_on or spec.variant} {seed} {iteration}"
     event = IterationFinished(
         iteration=iteration,
         target_rollouts=iteration,
         target_transitions=200 * iteration,
         evaluation_episodes=10,
         distributions=[belief.to_json()],
-        policies=["p"],
+        policies=[policy],
         source_returns=[1.0],
         reached_threshold=[True],
         training_steps=[1],

@@ -13,6 +13,7 @@ from adr_service.benchmark.statistics import (
     interquartile_mean,
     mean_interval,
     seed_interval,
+    stratified_intervals,
 )
 from adr_service.errors import InvalidInput
 from adr_service.randomness import stream
@@ -92,6 +93,31 @@ def test_the_probability_of_improvement_counts_pairs_and_half_of_ties():
     better = [returns + 10 for returns in one * 2]
     certain = improvement(better, one * 2, stream("a"))
     assert (certain.low, certain.value, certain.high) == (1, 1, 1)
+
+
+def test_two_methods_with_the_same_policies_are_equal_for_certain():
+    returns = [np.random.default_rng(seed).normal(seed, size=(1, 9)) for seed in range(3)]
+    apart = improvement(returns, returns, stream("a"))
+    assert (apart.low, apart.value, apart.high) == (0, 0.5, 1)
+    same = improvement(returns, returns, stream("a"), policies=("a b c", "a b c"))
+    assert (same.low, same.value, same.high) == (0.5, 0.5, 0.5)
+    assert improvement(returns, returns, stream("a"), policies=("a b c", "d e f")) == apart
+
+
+def test_cells_of_the_same_policies_are_drawn_alike():
+    """Twice the same numbers say no more than once."""
+    returns = [np.random.default_rng(seed).normal(seed, size=(2, 9)) for seed in range(3)]
+
+    def interval(cells, **policies):
+        aggregates = [lambda scores: scores.mean(axis=-1)]
+        return stratified_intervals(cells, aggregates, stream("a"), **policies)[0]
+
+    once = interval([returns])
+    twice = interval([returns, returns], policies=["a", "a"])
+    assert (twice.low, twice.high) == pytest.approx((once.low, once.high))
+    apart = interval([returns, returns], policies=["a", "b"])
+    assert apart == interval([returns, returns])
+    assert apart.high - apart.low < 0.8 * (once.high - once.low)
 
 
 def test_seeds_with_different_numbers_of_policies_are_refused():
