@@ -13,6 +13,7 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 from adr_service.events import RunState
+from adr_service.stages.train_policy import TrainPolicy
 from api.service import Service
 from db import counts as store
 from db.counts import Counts
@@ -74,11 +75,11 @@ def _working(activities: Sequence[Activity]) -> Iterator[Metric]:
     """Yield metrics of the stages that wait or run."""
     states = Counter((activity.kind, activity.state) for activity in activities)
     yield _gauge("adr_stages", "Stages that wait or run, by kind.", ["kind", "state"], states)
-    steps = [(float(a.facts["steps"]), a.seconds) for a in activities if "steps" in a.facts]
+    trainings = [a for a in activities if a.kind == TrainPolicy.kind and "steps" in a.facts]
     yield GaugeMetricFamily(
         "adr_environment_steps_per_second",
         "Of the trainings that go on, each since it began.",
-        sum(done / seconds for done, seconds in steps if seconds > 0),
+        sum(a.facts["steps"] / a.seconds for a in trainings if a.seconds > 0),
     )
 
 

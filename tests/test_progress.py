@@ -2,7 +2,8 @@
 
 import pytest
 
-from adr_service.progress import Checkpoint, part_of, silent
+from adr_service.errors import InvalidInput
+from adr_service.progress import Checkpoint, finite, part_of, silent
 
 
 class Recorder:
@@ -37,3 +38,9 @@ def test_checkpoints_and_facts_pass_through_unchanged():
 
 def test_silence_takes_the_same_arguments():
     assert silent(0.5, steps=3) is None
+
+
+@pytest.mark.parametrize("fraction", [float("nan"), float("inf")])
+def test_a_fraction_that_is_not_finite_is_refused(fraction):
+    with pytest.raises(InvalidInput, match=f"the fraction that is done; given {fraction}"):
+        finite(fraction)

@@ -47,8 +47,8 @@ def _progress(seen: Json) -> RenderableType:
     for run, stage in stages_of(runs_of(seen)):
         if stage["state"] != "running":
             continue
-        spec, facts = run["spec"], stage["facts"]
-        score = facts.get("source_return")
+        spec, is_training = run["spec"], stage["kind"] == "train_policy"
+        score = stage["facts"].get("source_return") if is_training else None
         table.add_row(
             f"{label(spec)} seed {spec['seed']}",
             stage["kind"],

@@ -1,9 +1,12 @@
 """A process that computes stages: each ending is a value, and signs of life go to the board."""
 
+import json
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import numpy as np
 import pytest
 import ray
 
@@ -11,6 +14,7 @@ from adr_service.progress import Checkpoint
 from adr_service.stages.base import Cost, Result, Stage, compute
 from tests.db.rows import UNMEASURED
 from tests.planted import waving_policy
+from tests.service import until
 from tests.stages.examples import evaluation
 from tests.workers.marks import RAY
 from workers.actors import Failed, Finished, StageActor, Stopped
@@ -50,6 +54,20 @@ class Wait(Stage[Nothing]):
 
     def stand_in(self):
         return Nothing()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tell(Wait):
+    """Report what a user's method may, until it is stopped."""
+
+    kind: ClassVar = "tell"
+    divides: bool = False
+
+    def compute(self, rng, progress):
+        loss, guess = np.float32(0.5), np.array([1.0, 2.0])
+        while True:
+            progress(0.25, loss=loss, guess=guess, worst=np.nan, tried=np.int64(3), at="x")
+            time.sleep(0.01)
 
 
 @pytest.fixture
@@ -121,3 +139,15 @@ def test_signs_of_life_have_the_progress_and_the_last_checkpoint(actor, board):
     assert (sign.digest, sign.attempt) == (stage.digest, PLACED.attempt)
     assert 0 <= sign.fraction <= 0.75
     assert set(checkpoints) <= {stage.digest}
+
+
+def test_signs_of_life_say_in_json_what_a_method_tells(actor, board):
+    stage = Tell(task="arm")
+
+    with ThreadPoolExecutor() as pool:
+        ending = pool.submit(actor.compute, stage, PLACED, board)
+        told = until(lambda: [s.facts for s in ray.get(board.news.remote(set()))[0] if s.facts])
+        ray.get(board.news.remote({stage.digest}))
+        assert ending.result() == Stopped()
+    shown = {"loss": 0.5, "guess": "[1. 2.]", "worst": "nan", "tried": 3, "at": "x"}
+    assert [json.loads(json.dumps(facts, allow_nan=False)) for facts in told] == [shown]
