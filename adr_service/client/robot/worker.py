@@ -2,7 +2,7 @@
 
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from functools import partial
 from typing import Any
@@ -29,6 +29,7 @@ _RETRY_S = 2.0
 _REQUEST_S = 60.0  # longest request, but for heartbeats
 _LOST, _UNUSABLE = 409, 422  # statuses of an episode that is not ours any more, or no good
 _FINAL = (_LOST, _UNUSABLE)
+_DELETED = 404  # a task of an earlier client
 _LEEWAY = 1.2  # of an episode's time, for steps that take longer than they should
 _WAIT_S = 5.0  # for a task, by one request
 _LONGEST_MESSAGE = 2000  # characters
@@ -185,13 +186,16 @@ class Robot:
         self._report_episode(task, episode)
         return True
 
-    def _send(self, unsent: UnsentEpisode) -> None:
-        """Upload an episode, whose file stays until the service has it."""
+    def _send(self, unsent: UnsentEpisode, final: Sequence[int] = _FINAL) -> None:
+        """Upload an episode, whose file stays until the service has it.
+
+        After an answer with a `final` status it has a name of its own.
+        """
         task_id, lease, content = unsent.task_id, unsent.lease, unsent.content
         try:
             self._patiently(partial(self._client.complete_task, task_id, lease, content))
         except BaseException as error:  # also its owner, who stops it while the service is away
-            if isinstance(error, Refused) and error.status in _FINAL:
+            if isinstance(error, Refused) and error.status in final:
                 unsent = unsent.set_aside()
             where = unsent.file or "no file, because none could be written"
             self._report(f"{task_id}: the service does not have the episode; it is in {where}")
@@ -199,11 +203,16 @@ class Robot:
         unsent.discard()
 
     def _send_again(self, unsent: UnsentEpisode) -> None:
-        """Upload an episode that an earlier client left."""
-        left = f"{unsent.task_id}, left by an earlier client"
+        """Upload an episode that an earlier client left; raises Refused if it is still refused.
+
+        Otherwise the robot would do the task again, and overwrite the episode.
+        """
+        left, final = f"{unsent.task_id}, left by an earlier client", (*_FINAL, _DELETED)
         try:
-            self._send(unsent)
+            self._send(unsent, final)
         except Refused as error:
+            if error.status not in final:
+                raise
             self._report(f"{left}: not accepted, {error}")
         else:
             self._report(f"{left}: the service has its episode now")

@@ -143,6 +143,29 @@ def test_an_episode_that_the_service_does_not_take_is_sent_by_the_next_client(st
     assert not list(folder.iterdir())
 
 
+@pytest.mark.parametrize("status", [401, 403, 413, 500])
+def test_the_robot_does_nothing_while_an_earlier_episode_is_refused(status, folder):
+    """It would get the same task, and overwrite the episode."""
+    service = Service(refusal=Refused(status, "a defect"))
+    with pytest.raises(Refused, match="a defect"):
+        robot(service).work(1)
+    content = (folder / "task_a.npz").read_bytes()
+    service.claim_task = None
+    with pytest.raises(Refused, match="a defect"):
+        robot(service).work(1)
+    assert (folder / "task_a.npz").read_bytes() == content
+    assert (folder / "task_a.lease").exists()
+
+
+def test_an_episode_of_a_deleted_task_is_set_aside(folder):
+    with pytest.raises(Refused):
+        robot(Service(refusal=Refused(500, "a defect"))).work(1)
+    service, reports = Service(refusal=Refused(404, "no such task")), []
+    stopping(robot(service, reports=reports), service).work()
+    assert "task_a, left by an earlier client: not accepted, no such task" in reports
+    assert [file.name for file in folder.iterdir()] == ["task_a.lease_a.npz"]
+
+
 def stopping(worker, service):
     """A robot that claims nothing."""
     service.claim_task = lambda *_: worker.stop()
