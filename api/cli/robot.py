@@ -3,7 +3,6 @@
 import os
 import signal
 from collections import Counter
-from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -80,7 +79,11 @@ def robot(
 
 
 def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
-    from adr_service.client.robot.environment import check_environment, load_environment
+    from adr_service.client.robot.environment import (
+        check_environment,
+        closing_in_time,
+        load_environment,
+    )
     from adr_service.client.robot.playback import Player, about, check_commands
     from adr_service.criticism.plans import read_plan
     from adr_service.simulation.batch import control_period
@@ -92,7 +95,8 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
         commands, start = read_plan(content, len(known.action_low), control_period(known))
     check_commands(known, commands)
     check_writable(out)  # before anything moves
-    with closing(load_environment(env)) as robot:
+    robot = load_environment(env)
+    with closing_in_time(robot, limits.reset_seconds, _abandon):
         check_environment(robot, about(known), limits)
 
         def keep(played: "Playback") -> None:
@@ -105,17 +109,23 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
             _tell(player.played, len(commands), out)
 
         def give_up(why: str) -> None:
-            """End the process: nothing else ends the call that hangs."""
             try:
-                console.print(f"{why}; see to the robot")
                 tell()
             finally:
-                os._exit(1)
+                _abandon(why)
 
         try:
             player.play(commands, give_up, start)
         finally:  # whatever ended it
             tell()
+
+
+def _abandon(why: str) -> None:
+    """End the process: nothing else ends the call that hangs."""
+    try:
+        console.print(f"{why}; see to the robot")
+    finally:
+        os._exit(1)
 
 
 def _tell(played: "Playback | None", planned: int, out: Path) -> None:

@@ -1,13 +1,15 @@
-"""The Gymnasium environment that is the robot: how it is loaded and checked."""
+"""The Gymnasium environment that is the robot: how it is loaded, checked and closed."""
 
 import importlib
 import sys
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from typing import Any, Protocol
 
 import gymnasium
 import numpy as np
 
+from adr_service.client.robot.heart import Watch
 from adr_service.client.robot.limits import Limits
 from adr_service.errors import InvalidInput
 
@@ -30,6 +32,23 @@ def load_environment(path: str) -> Env:
     if not isinstance(env, gymnasium.Env):
         raise InvalidInput(f"{path} makes a {type(env).__name__}; needed is a gymnasium.Env")
     return env
+
+
+class Closable(Protocol):
+    def close(self) -> None: ...
+
+
+@contextmanager
+def closing_in_time(
+    robot: Closable, seconds: float, hangs: Callable[[str], None]
+) -> Generator[None]:
+    """Close an environment, or what has one, after a block: if that takes longer than so many
+    seconds, `hangs(reason)` is called from another thread."""
+    try:
+        yield
+    finally:
+        with Watch(hangs).running() as watch, watch.watching("close", seconds):
+            robot.close()
 
 
 def check_environment(env: Env, about: Mapping[str, Any], limits: Limits) -> None:

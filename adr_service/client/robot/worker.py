@@ -3,13 +3,17 @@
 import os
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import closing, suppress
+from contextlib import AbstractContextManager, suppress
 from functools import partial
 from typing import Any
 
 from adr_service.arrays import Matrix
 from adr_service.client.connection import AdrClient, Json, Refused, Unreachable
-from adr_service.client.robot.environment import check_environment, load_environment
+from adr_service.client.robot.environment import (
+    check_environment,
+    closing_in_time,
+    load_environment,
+)
 from adr_service.client.robot.episode import (
     Episode,
     Machine,
@@ -68,8 +72,8 @@ class Robot:
         try:
             check_environment(self._env, self._about, limits)
         except BaseException:
-            self.close()
-            raise
+            with self._closing():
+                raise
 
     def work(self, episodes: int | None = None) -> None:
         """Run tasks as they come: `episodes` of them, or without an end.
@@ -80,7 +84,7 @@ class Robot:
         if self._is_closed:
             raise InvalidInput("this robot is closed; make another Robot")
         done, name = 0, self._about["name"]
-        with closing(self), self._connect(_REQUEST_S) as self._client, suppress(_Stopped):
+        with self._closing(), self._connect(_REQUEST_S) as self._client, suppress(_Stopped):
             self._report(f"{self._name} waits for episodes of {name}")
             for left in UnsentEpisode.all_here():
                 self._send_again(left)
@@ -99,6 +103,15 @@ class Robot:
         if not self._is_closed:
             self._is_closed = True
             self._env.close()
+
+    def _closing(self) -> AbstractContextManager[None]:
+        def hangs(why: str) -> None:
+            try:
+                self._report(f"{why}; see to the robot")
+            finally:
+                self._abandon()
+
+        return closing_in_time(self, self._limits.reset_seconds, hangs)
 
     def _serve(self, claimed: Json, asked: float) -> bool:
         """Run one task; True if the service accepted its episode."""

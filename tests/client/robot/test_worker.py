@@ -1,6 +1,7 @@
 """The loop of a robot's client, with a service whose answers the test gives."""
 
 import re
+import threading
 from pathlib import Path
 
 import pytest
@@ -64,10 +65,12 @@ class Service:
         self.released.append(task_id)
 
 
-def robot(service, environment="fast_arm", task="arm", limits=None, reports=None):
+def robot(
+    service, environment="fast_arm", task="arm", limits=None, reports=None, abandon=pytest.fail
+):
     report = (reports if reports is not None else []).append
     path = f"tests.robots:{environment}"
-    return Robot(lambda _: service, task, path, "bench", limits or Limits(), report, pytest.fail)
+    return Robot(lambda _: service, task, path, "bench", limits or Limits(), report, abandon)
 
 
 def test_it_runs_as_many_episodes_as_asked_and_the_service_can_read_them():
@@ -248,6 +251,17 @@ def test_a_robot_works_once_because_its_end_closes_the_environment():
     with pytest.raises(InvalidInput, match="this robot is closed; make another Robot"):
         closed.work(1)
     assert BreakingArm.last.closed == 1
+
+
+def test_a_robot_that_hangs_while_it_is_closed_is_abandoned():
+    abandoned, reports = threading.Event(), []
+    limits = Limits(reset_seconds=0.1)
+    worker = robot(Service(), limits=limits, reports=reports, abandon=abandoned.set)
+    worker._env.close = lambda: abandoned.wait(60)
+    worker.stop()
+    worker.work(1)
+    assert abandoned.is_set()
+    assert reports[-1] == "the environment's close did not return within 0.1 s; see to the robot"
 
 
 def test_a_robot_that_does_not_fit_is_closed():
