@@ -1,7 +1,6 @@
 """`adr robot`: the client of a robot."""
 
 import os
-import signal
 from collections import Counter
 from functools import partial
 from pathlib import Path
@@ -14,6 +13,7 @@ from adr_service.errors import InvalidInput
 from adr_service.whole_files import written_whole
 from api.cli.files import check_writable, naming, read
 from api.cli.options import Url
+from api.cli.signals import end_as_by_ctrl_c
 from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console
 
@@ -60,9 +60,7 @@ def robot(
     """
     from adr_service.client.robot import Limits, Robot  # imports Gymnasium
 
-    for number in (signal.SIGTERM, signal.SIGHUP):  # what ends it, ends it as Ctrl-C does
-        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup's
-            signal.signal(number, signal.default_int_handler)
+    end_as_by_ctrl_c()
     limits = Limits(max_seconds, max_reset_seconds, tuple(max_action or ()))
     if (play is None) != (out is None):
         raise InvalidInput("--play goes with --out")
