@@ -173,11 +173,14 @@ def _opened(path: Path) -> sqlite3.Connection:
     address = f"{path.absolute().as_uri()}?mode=ro"
     log_file = path.with_name(f"{path.name}-wal")
     has_log = log_file.exists() and log_file.stat().st_size > 0
-    connection = sqlite3.connect(address, uri=True)
     try:
-        connection.execute("pragma schema_version")
+        connection = sqlite3.connect(address, uri=True)
+        try:
+            connection.execute("pragma schema_version")
+        except sqlite3.DatabaseError:
+            connection.close()
+            raise
     except sqlite3.DatabaseError as error:
-        connection.close()
         if getattr(error, "sqlite_errorname", "").startswith("SQLITE_READONLY") and not has_log:
             return sqlite3.connect(f"{address}&immutable=1", uri=True)
         raise InvalidInput(f"{path} cannot be read as a database: {error}") from error

@@ -321,9 +321,11 @@ class AdrClient:
 
     @contextmanager
     def _answering(self) -> Generator[None]:
-        """Raise Unreachable if the service does not answer."""
+        """Raise Unreachable if the service does not answer, InvalidInput if it cannot be asked."""
         try:
             yield
+        except httpx2.InvalidURL as error:
+            raise InvalidInput(f"an id or a name does not fit into an address: {error}") from error
         except httpx2.TimeoutException as error:
             raise Unreachable(
                 f"the service at {self.url} did not answer in time ({type(error).__name__}); "

@@ -32,7 +32,7 @@ _STORY = (
 @app.command()
 def demo(
     data_dir: Annotated[Path, typer.Option(help="Folder for results.")] = Path("data/demo"),
-    port: Annotated[int, typer.Option(help="0: any free port.")] = 0,
+    port: Annotated[int, typer.Option(help="0: any free port.", min=0, max=65535)] = 0,
     as_json: AsJson = False,
 ) -> None:
     """Run a small benchmark from nothing to its figures, in minutes."""

@@ -209,3 +209,9 @@ def test_values_of_numpy_and_ranges_are_sent_as_numbers_and_lists():
 def test_a_spec_with_what_json_does_not_have_is_refused(value, message):
     with AdrClient() as client, pytest.raises(InvalidInput, match=message):
         client.submit_run({"seed": value})
+
+
+def test_an_id_with_a_line_end_is_refused():
+    """As from a file of another system."""
+    with AdrClient() as client, pytest.raises(InvalidInput, match=r"does not fit.*'\\r'"):
+        client.get("run_1\r")

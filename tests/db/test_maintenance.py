@@ -153,3 +153,15 @@ def test_a_file_that_is_no_database_is_refused(tmp_path):
     (tmp_path / "adr.sqlite").write_text("a letter, and not a short one at all" * 20)
     with pytest.raises(InvalidInput, match="cannot be read as a database"):
         maintenance.check(tmp_path / "adr.sqlite")
+
+
+def test_a_file_that_cannot_be_opened_is_refused_by_name(tmp_path, monkeypatch):
+    """As one of another user; the tests may run as root, who can open all."""
+
+    def connect(*_, **__):
+        raise sqlite3.OperationalError("unable to open database file")
+
+    (tmp_path / "copy.sqlite").touch()
+    monkeypatch.setattr(sqlite3, "connect", connect)
+    with pytest.raises(InvalidInput, match=r"copy.sqlite cannot be read as a database: unable to"):
+        maintenance.restore(tmp_path / "adr.sqlite", tmp_path / "copy.sqlite")
