@@ -17,7 +17,7 @@ No other file writes `target_tasks`. Its states, and the functions that lead fro
 
 import json
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
@@ -274,21 +274,20 @@ def get_visit(database: Database, id: str) -> Visit:
 def list_visits(
     database: Database,
     *,
-    state: str | None = None,
+    states: Collection[str] | None = None,
     run_id: str | None = None,
     external: bool | None = None,
     after: int = 0,
     limit: int = 100,
     newest_first: bool = False,
 ) -> list[Visit]:
-    """Visits in order of publication, or the newest first; those numbered above `after`."""
+    """Visits in one of the states (None: in any), in order of publication, or the newest first;
+    those numbered above `after`."""
     order = TargetTaskRow.number.desc() if newest_first else TargetTaskRow.number
     query = select(TargetTaskRow).where(TargetTaskRow.number > after)
-    filters = (
-        (TargetTaskRow.state, state),
-        (TargetTaskRow.run_id, run_id),
-        (TargetTaskRow.external, external),
-    )
+    if states is not None:
+        query = query.where(TargetTaskRow.state.in_(states))
+    filters = ((TargetTaskRow.run_id, run_id), (TargetTaskRow.external, external))
     query = query.where(*(column == value for column, value in filters if value is not None))
     with database.read() as session:
         rows = session.scalars(query.order_by(order).limit(limit))

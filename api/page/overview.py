@@ -31,7 +31,7 @@ def overview(request: Request, service: ServiceDependency) -> Response:
     benchmarks = benchmark_summaries(service, records)
     activities, leaders = service.orchestrator.activities(), _leaders(service, benchmarks)
     waiting = visit_store.list_visits(
-        service.database, state=VisitState.PENDING, external=True, limit=1000
+        service.database, states=[VisitState.PENDING], external=True, limit=1000
     )
     return show(
         request,

@@ -48,6 +48,7 @@ from db.models import OPEN_VISIT
 
 router = APIRouter(include_in_schema=False)
 _MOST_BARS = 80
+_VISITS = 10  # that wait for a robot and are shown
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,9 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
     record = run_store.get_run(service.database, run_id)
     shown, outcomes = run_view(service, record), outcomes_of(service, [record])
     events = event_store.events_of(service.database, run_id)
-    visits = visit_store.list_visits(service.database, run_id=run_id, external=True, limit=1000)
+    visits = visit_store.list_visits(
+        service.database, states=OPEN_VISIT, run_id=run_id, external=True, limit=_VISITS + 1
+    )
     trainings = training_views(service.database, run_id, events)
     finished = [e.event for e in events if isinstance(e.event, CriticismFinished)]
     criticism = criticism_view(shown, finished[-1]) if finished else None
@@ -94,7 +97,8 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
         run=shown,
         remedy=None if record.error_code is None else remedy_of(record.error_code),
         now=service.orchestrator.clock.now(),
-        waiting=[task_view(visit) for visit in visits if visit.state in OPEN_VISIT],
+        waiting=[task_view(visit) for visit in visits[:_VISITS]],
+        more_wait=len(visits) > _VISITS,
         verdict=criticism.verdict if criticism else None,
         told=told(criticism.verdict) if criticism and criticism.verdict else [],
         interval_text=interval_text,

@@ -172,7 +172,7 @@ def list_tasks(
     """Visits to targets, in order."""
     tasks = visit_store.list_visits(
         service.database,
-        state=state,
+        states=None if state is None else [state],
         run_id=run_id,
         external=external,
         after=page_token,

@@ -24,6 +24,7 @@ from adr_service.events import FINISHED, RunStarted, RunStopped, RunSucceeded, s
 from db import events, runs, visits
 from db.clock import SteadyClock
 from db.errors import NotFound, NotPossible
+from db.models import OPEN_VISIT
 from db.session import open_database
 from db.visits import LeaseLost
 from tests.db.leases import LEASE_S, SPEC, START, claim, complete, episode, publish
@@ -43,6 +44,14 @@ class TestLeases:
         assert (first.id, first.state, first.worker, first.attempt) == (id, "claimed", "a", 1)
         assert claim(database, "b") is None
         assert claim(database, "b", START + timedelta(seconds=LEASE_S - 1)) is None
+
+    def test_open_visits_are_found_among_those_that_are_done(self, database, run_id):
+        publish(database, run_id)
+        done = complete(database, claim(database))
+        assert visits.list_visits(database, limit=1) == [done]
+        later = publish(database, run_id, 1)
+        [found] = visits.list_visits(database, states=OPEN_VISIT, limit=1)
+        assert (found.id, found.state) == (later, "pending")
 
     def test_after_the_lease_another_may_have_it_and_the_first_is_refused(self, database, run_id):
         publish(database, run_id)

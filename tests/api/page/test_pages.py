@@ -192,6 +192,16 @@ def test_a_running_stage_links_to_its_actor_in_rays_dashboard(service, http):
     http.post(f"/v1/runs/{run}/cancel")
 
 
+def test_a_run_that_waits_for_a_robot_says_so(service, http):
+    spec = {**SMOKE, "target": {"kind": "external"}, "evaluation_episodes": 12, "seed": 81}
+    run = service.client.submit_run(spec)["id"]
+    wait = r'It waits for a <a href="/robots">robot</a>: (.*), and more\.</p>'
+    found = until(lambda: re.search(wait, http.get(f"/runs/{run}").text))
+    http.post(f"/v1/runs/{run}/cancel")
+    waiting = [f"evaluation {number} is pending" for number in range(10)]
+    assert found[1] == ", ".join(waiting)
+
+
 def test_a_leaderboard_has_what_is_compared():
     def row(found):
         spec = found.spec
