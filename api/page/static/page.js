@@ -4,6 +4,7 @@
 
 // Okabe and Ito's colours, in the order of the figures
 const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f"];
+const RETRY_MS = 5000;
 const sorted = new Map(); // id of a table -> [column, ascending], to survive a refresh
 const opened = new Set(); // ids of details that are open, likewise
 
@@ -134,6 +135,10 @@ function follow(place) {
     events.addEventListener("end", () => {
       hasEnded = true;
       events.close();
+    });
+    // after an answer that is no stream, as while the service starts, a browser does not ask again
+    events.addEventListener("error", (error) => {
+      if (error.target.readyState === EventSource.CLOSED) setTimeout(connect, RETRY_MS);
     });
   }
   document.addEventListener("visibilitychange", connect);

@@ -2,9 +2,12 @@
 
 import pytest
 
+from adr_service.events import RunFailed
 from adr_service.specs import BenchmarkSpec
 from api.page import benchmarks as page
 from api.routes.submissions import start_benchmark
+from db.benchmarks import runs_of
+from db.events import append_event
 from tests.api.standins import Service
 
 NEEDS_SBI = {"tasks": ["arm"], "methods": ["npdr"], "seeds": [0], "preset": "smoke"}
@@ -22,6 +25,19 @@ def test_the_work_left_is_priced_where_a_methods_extra_is_not_installed(service,
     answer = service.client(page.router).get(f"/benchmarks/{id}/left")
     assert answer.status_code == 200
     assert "left on 2 cores" in answer.text
+
+
+def test_ten_failures_are_told_and_the_others_counted(service):
+    """A method with a defect fails every run of a benchmark."""
+    many = {"tasks": ["arm"], "methods": ["udr"], "seeds": list(range(12)), "preset": "smoke"}
+    spec = BenchmarkSpec.model_validate({**many, "references": False})
+    id = start_benchmark(service, spec, None).id
+    failed = RunFailed(submission=1, code="internal", message="a defect")
+    for run in runs_of(service.database, id):
+        append_event(service.database, run.id, failed)
+    shown = service.client(page.router).get(f"/benchmarks/{id}").text
+    assert shown.count("</strong> a defect</p>") == 10
+    assert '2 more failed: the page of <a href="#runs">each run</a> says why.' in shown
 
 
 @pytest.mark.parametrize("separator", ["&id=", "%20"])
