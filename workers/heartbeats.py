@@ -79,6 +79,7 @@ class Heartbeats:
         self.board: Any = board.remote()
         self._reply: Any = None  # to a call of `news` that goes on
         self._asked_at = self._answered_at = time.monotonic()
+        self._is_started = False  # its process answers
 
     def news(self, unwanted: Set[str]) -> News:
         """The board's news; empty until it has answered. Replaces a board that hangs.
@@ -94,9 +95,10 @@ class Heartbeats:
         done, _ = ray.wait([self._reply], timeout=0)
         if done:
             return self._read()
-        if since > UNWANTED_SILENT_S:  # before the stages that report there seem silent
+        # before the stages that report there seem silent, unless it starts on a busy machine
+        if since > (UNWANTED_SILENT_S if self._is_started else FIRST_SIGN_S):
             log.warning("the board: no answer for %.0f s", since)
-            self._reply = None
+            self._reply, self._is_started = None, False
             ray.kill(self.board, no_restart=False)
         return [], {}
 
@@ -108,13 +110,13 @@ class Heartbeats:
         return self._answered_at - since
 
     def _read(self) -> News:
-        reply, self._reply = self._reply, None
+        reply, self._reply, self._is_started = self._reply, None, False
         try:
             news = cast(News, ray.get(reply))
         except RayError as error:  # its process was lost; Ray starts another
             log.warning("the board was lost: %s", error)
             return [], {}
-        self._answered_at = self._asked_at
+        self._answered_at, self._is_started = self._asked_at, True
         return news
 
 
