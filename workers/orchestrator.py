@@ -47,6 +47,7 @@ from workers.results import DatabaseResults, outages
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 RUNS_AT_ONCE = 64  # threads that mostly wait; the cores are shared out by the dispatcher
+_LONGEST_CODE = 80  # of an error on a run's record
 _EXTERNAL_AT_ONCE = 1000  # they wait for robots, for days if need be
 
 
@@ -288,6 +289,8 @@ def _key(record: RunRecord) -> tuple[str, int]:
 
 
 def _failure(submission: int, code: str, message: str) -> RunFailed:
+    if len(code) > _LONGEST_CODE:
+        code, message = FailureCode.INTERNAL, f"{code}: {message}"
     text = message.replace("\0", "\\0")  # PostgreSQL cannot store a NUL, nor JSON half a letter
     text = text.encode("utf-8", "backslashreplace").decode()
     return RunFailed(submission=submission, code=code, message=text)

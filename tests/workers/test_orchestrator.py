@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from adr_service.errors import FailureCode, InvalidInput, StageFailed
+from adr_service.errors import AdrError, FailureCode, InvalidInput, StageFailed
 from adr_service.events import RunFailed
 from adr_service.specs import BenchmarkSpec, RunSpec
 from db import benchmarks, events, runs, visits
@@ -104,6 +104,10 @@ def test_an_upload_is_not_read_before_its_lease(database):
         orchestrator.complete_task(task.id, task.lease, b"not an npz")
 
 
+class LongWinded(AdrError):
+    code = "an_error" * 11
+
+
 @pytest.mark.parametrize(
     ("error", "code"),
     [
@@ -112,6 +116,7 @@ def test_an_upload_is_not_read_before_its_lease(database):
         (ZeroDivisionError("a defect"), "internal"),
         (RuntimeError("a NUL \0, which PostgreSQL cannot store"), "internal"),
         (RuntimeError("a name \udcff that is no UTF-8"), "internal"),
+        (LongWinded("of a user"), "internal"),  # PostgreSQL has 80 characters for a code
     ],
 )
 def test_an_error_of_the_program_is_on_the_runs_record(database, error, code, caplog):
