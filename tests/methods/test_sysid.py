@@ -106,6 +106,28 @@ def test_laplaces_mean_is_the_priors_where_data_say_nothing():
     np.testing.assert_allclose(SPACE.normalise(mean), 2.0)
 
 
+def test_laplaces_mean_is_the_mode_within_the_search_box():
+    """Two parameters whose sum is known: where one would lie beyond its bound, the other makes up
+    for it."""
+    jacobian = np.zeros((40, 4))
+    jacobian[:20, :2] = 1.0
+    jacobian[20:, :] = 0.02 * np.eye(4).repeat(5, axis=0)
+    residuals = np.tile([0.01, -0.01], 20)
+    residuals[20:25] -= 0.03  # wants the first parameter larger
+    end = OptimizeResult(x=np.array([3.9, 1.0, 2.0, 2.0]), jac=jacobian, fun=residuals)
+    found = SysidLaplaceSettings().distribution(SPACE, end, 1)
+    assert found.location[0] == 4
+    assert found.location[:2].sum() == pytest.approx(4.9, abs=0.01)
+
+    def loss(point):
+        deviation = np.sqrt(np.mean(residuals**2))
+        step = (residuals + jacobian @ (point - end.x)) / deviation
+        return step @ step + np.sum((point - 2) ** 2)
+
+    for nearby in np.vstack([np.eye(4), -np.eye(4)]) * 1e-3:
+        assert loss((found.location + nearby).clip(0, 4)) >= loss(found.location)
+
+
 def test_laplaces_deviations_are_the_priors_where_data_say_nothing():
     rng = np.random.default_rng(0)
     end = OptimizeResult(x=np.full(4, 2.0), jac=np.zeros((30, 4)), fun=rng.standard_normal(30))
