@@ -78,6 +78,19 @@ class TestReps:
         variances = np.linalg.eigvalsh(covariance)
         np.testing.assert_allclose(variances[:2] / variances[-1], 1e-12, rtol=1e-3)
 
+    @pytest.mark.parametrize("damping", [0.0, 1.0])
+    def test_a_distribution_that_has_become_a_point_stays_one(self, damping):
+        """After hundreds of updates without noise, whose samples would be equal."""
+        rng, settings = np.random.default_rng(0), SimOptSettings(covariance_damping=damping)
+        belief = Gaussian.prior(SPACE)
+        for _ in range(120):
+            samples = SPACE.normalise(belief.sample(200, rng).values)
+            costs = np.sum((samples - 2.5) ** 2, axis=1)
+            mean, covariance, _ = reps(samples, costs, belief.covariance, settings)
+            belief = Gaussian(SPACE, mean, covariance)
+        np.testing.assert_allclose(mean, 2.5, atol=1e-6)
+        assert np.all(np.linalg.eigvalsh(covariance) > 0.9e-24)
+
     @pytest.mark.parametrize(("scale", "shift"), [(1000.0, 0.0), (1.0, 50.0), (0.01, -3.0)])
     def test_the_unit_of_costs_does_not_matter(self, scale, shift):
         samples = np.random.default_rng(0).normal(size=(500, 3))
