@@ -4,7 +4,8 @@
     used.useful          # 0.93: CPU seconds of computing per core second that could be had
 
 The window holds the moments when at least as many stages were asked for and not finished as there
-are cores: only then could all cores have been busy.
+were cores: only then could all cores have been busy. Nodes may come and go: the cores of a moment
+are those that the cluster had when the stage before was placed.
 """
 
 from collections.abc import Sequence
@@ -55,12 +56,12 @@ class Execution:
 
 
 class Utilisation(Wire):
-    """Core seconds of a window by their use; the uses add up to cores x seconds.
+    """Core seconds of a window by their use; the uses add up to all that could be had.
 
     See the glossary.
     """
 
-    cores: int
+    cores: int  # most at a time
     seconds: float  # of the window
     computing: float  # CPU seconds of stages
     starting: float  # of processes
@@ -79,27 +80,34 @@ class Utilisation(Wire):
     @property
     def overhead(self) -> float:
         """Share of all core seconds that went to orchestration."""
-        return self.orchestration / (self.cores * self.seconds)
+        uses = (self.computing, self.starting, self.preparing, self.waiting, self.orchestration)
+        return self.orchestration / sum(uses)
 
 
 def utilisation(executions: Sequence[Execution]) -> Utilisation | None:
     """Return the use of the cores; None if there was never enough work for all of them."""
     measured = [execution for execution in executions if execution.is_measured]
-    cores = max((execution.cores or 1 for execution in measured), default=1)
-    window = _window(measured, cores)
-    total = sum(end - start for start, end in window)
-    if total == 0:
+    window = _window(measured)
+    if not window:
         return None
     # a core that is free, or waits for its stage to begin, is left over: orchestration
     uses = {"starting": 0.0, "computing": 0.0, "preparing": 0.0, "waiting": 0.0}
     for execution in measured:
         for use, seconds in _uses(execution, window).items():
             uses[use] += seconds
-    left = cores * total - sum(uses.values())
-    return Utilisation(cores=cores, seconds=total, orchestration=left, **uses)
+    had = sum(cores * (end - start) for start, end, cores in window)
+    return Utilisation(
+        cores=max(cores for _, _, cores in window),
+        seconds=sum(end - start for start, end, _ in window),
+        orchestration=had - sum(uses.values()),
+        **uses,
+    )
 
 
-def _uses(execution: Execution, window: Sequence[tuple[float, float]]) -> dict[str, float]:
+_Span = tuple[float, float, int]  # start, end, cores
+
+
+def _uses(execution: Execution, window: Sequence[_Span]) -> dict[str, float]:
     """Seconds of the window that one execution took of a core, by their use."""
     uses: dict[str, float] = {}
     if execution.is_first:
@@ -114,19 +122,22 @@ def _uses(execution: Execution, window: Sequence[tuple[float, float]]) -> dict[s
     return uses
 
 
-def _window(executions: Sequence[Execution], cores: int) -> list[tuple[float, float]]:
-    """Spans of time in which at least `cores` stages were asked for and not finished."""
-    changes = sorted([(e.asked, 1) for e in executions] + [(e.ended, -1) for e in executions])
-    spans: list[tuple[float, float]] = []
-    present, since = 0, 0.0
-    for moment, change in changes:
-        if present < cores <= present + change:
+def _window(executions: Sequence[Execution]) -> list[_Span]:
+    """Spans of time in which at least as many stages as cores were asked for and not finished."""
+    placed = sorted((e.placed, 0, e.cores or 1) for e in executions)
+    changes = [(e.asked, 1, None) for e in executions] + [(e.ended, -1, None) for e in executions]
+    spans: list[_Span] = []
+    present, since, cores = 0, 0.0, placed[0][2] if placed else 1
+    for moment, change, seen in sorted([*changes, *placed], key=lambda each: each[:2]):
+        was_busy, is_busy = present >= cores, present + change >= (seen or cores)
+        has_changed = is_busy != was_busy or seen not in (None, cores)
+        if was_busy and has_changed and moment > since:
+            spans.append((since, moment, cores))
+        if has_changed:
             since = moment
-        elif present + change < cores <= present:
-            spans.append((since, moment))
-        present += change
+        present, cores = present + change, seen or cores
     return spans
 
 
-def _overlap(spans: Sequence[tuple[float, float]], start: float, end: float) -> float:
-    return sum(max(0.0, min(end, last) - max(start, first)) for first, last in spans)
+def _overlap(spans: Sequence[_Span], start: float, end: float) -> float:
+    return sum(max(0.0, min(end, last) - max(start, first)) for first, last, _ in spans)

@@ -34,6 +34,7 @@ from adr_service.stages.base import AnyStage, StageResult, compute
 from adr_service.stages.evaluate import Evaluate
 from adr_service.stages.infer import Infer
 
+_OF_SEARCHES = (".diagnostics.path", ".diagnostics.stopped_by")  # DROPO's and DROID's
 TOLERANCE, OF_INFERENCES = 1e-3, 1e-2  # of a number, relative to it or to 1 if that is more
 Agreement = Literal["identical", "close", "different"]
 
@@ -107,8 +108,13 @@ def _deviation(kind: str, stored: StageResult, computed: StageResult) -> float:
 def _compared(kind: str, values: Mapping[str, Any]) -> dict[str, Any]:
     """The leaves by their paths, without what an inference's search took: rounding ends it."""
     leaves = _plain(_reported(kind, values))
-    is_search = kind == Infer.kind
-    return {k: v for k, v in leaves.items() if not (is_search and isinstance(v, int))}
+    if kind != Infer.kind:
+        return leaves
+    return {
+        name: value
+        for name, value in leaves.items()
+        if not isinstance(value, int) and not name.startswith(_OF_SEARCHES)
+    }
 
 
 def _reported(kind: str, values: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -65,6 +65,18 @@ def test_everything_adds_up():
     assert sum(parts) == pytest.approx(used.cores * used.seconds)
 
 
+def test_cores_that_join_later_were_not_free_before():
+    """Two stages at a time for ten seconds, then four: nothing is left over."""
+    first = [execution(0, 0, 0, 10), execution(0, 0, 0, 10)]
+    then = [execution(0, 10, 10, 20, cores=4) for _ in range(4)]
+    used = utilisation([*first, *then])
+    assert (used.cores, used.seconds, used.computing) == (4, 20, 60)
+    assert (used.useful, used.overhead) == (1, 0)
+    last = [execution(0, 20, 20, 30, cores=1), execution(0, 30, 30, 40, cores=1)]
+    again = utilisation([*first, *then, *last])
+    assert (again.cores, again.seconds, again.computing, again.orchestration) == (4, 40, 80, 0)
+
+
 def test_a_robots_episode_takes_no_core():
     episode = execution(0, 0, 0, 50, cpu=None, preparing=None, is_first=None, cores=None)
     assert not episode.is_measured

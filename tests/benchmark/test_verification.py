@@ -87,6 +87,9 @@ def test_what_a_search_took_is_not_compared():
     stored = StageResult({**values, "diagnostics": {"replays": 198}})
     other = StageResult({**values, "simulated_steps": 39_000, "diagnostics": {"replays": 195}})
     assert _deviation("infer", stored, other) == 0.0
+    ends = {"path": [{"radius": 0.1}], "stopped_by": "converged"}, {"path": [], "stopped_by": "x"}
+    searches = [StageResult({**values, "diagnostics": each}) for each in ends]
+    assert _deviation("infer", *searches) == 0.0
     assert _deviation("target_rollout", stored, other) > TOLERANCE
     moved = StageResult({**stored.values, "distribution": {"low": [4.09]}})
     assert _deviation("infer", stored, moved) > OF_INFERENCES
