@@ -4,7 +4,7 @@ Batch renormalisation stands before every layer. An actor that acts uses its run
 so that the renormalisation is part of the layer behind it, in which the exported policy has it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from adr_service.training.libraries import (
     flax_layer,
     jax_activation,
     normalised,
+    of_what_varied,
     torch_activation,
     torch_layer,
 )
@@ -45,10 +46,18 @@ def _hyperparameters(settings: CrossQSettings, activation: Any, seed: int) -> di
     }
 
 
-def _renormalised(layer: Layer, mean: Any, variance: Any, factor: Any, shift: Any) -> Layer:
-    """A layer with the batch renormalisation that stands before it."""
-    scale = np.asarray(factor) / np.sqrt(np.asarray(variance) + _EPSILON)
-    return normalised(layer, np.asarray(mean), scale, np.asarray(shift))
+def _renormalised(
+    layers: Sequence[Layer], renormalisations: Sequence[tuple[Any, Any, Any, Any]]
+) -> tuple[Layer, ...]:
+    """Layers with the batch renormalisations before them: mean, variance, factor and shift."""
+    found: list[Layer] = []
+    for layer, numbers in zip(layers, renormalisations, strict=True):
+        mean, variance, factor, shift = map(np.asarray, numbers)
+        scale = factor / np.sqrt(variance + _EPSILON)
+        if not found:  # of observations
+            scale = of_what_varied(scale, mean, variance)
+        found.append(normalised(layer, mean, scale, shift))
+    return tuple(found)
 
 
 class _Sb3(OffPolicyTorch):
@@ -68,13 +77,11 @@ class _Sb3(OffPolicyTorch):
         found = model.policy.actor
         linear = [m for m in found.latent_pi if isinstance(m, torch.nn.Linear)] + [found.mu]
         before = [m for m in found.latent_pi if isinstance(m, BatchRenorm1d)]
-        layers = tuple(
-            _renormalised(
-                torch_layer(layer),
-                *(x.detach().numpy() for x in (norm.ra_mean, norm.ra_var, norm.scale, norm.bias)),
-            )
-            for layer, norm in zip(linear, before, strict=True)
-        )
+        numbers = [
+            tuple(x.detach().numpy() for x in (norm.ra_mean, norm.ra_var, norm.scale, norm.bias))
+            for norm in before
+        ]
+        layers = _renormalised([torch_layer(layer) for layer in linear], numbers)
         return actor(task, settings.activation, layers)
 
 
@@ -90,22 +97,17 @@ class _Sbx(OffPolicyFlax):
     def policy(self, model: Any, task: Task, settings: CrossQSettings) -> Policy:
         model.publish()
         state = model.policy.actor_state
-        layers: list[Layer] = []
         # the last Dense, the log deviation, follows the same renormalisation as the mean
-        for i in range(len(settings.hidden) + 1):
-            norm, statistics = (
-                tree[f"BatchRenorm_{i}"] for tree in (state.params, state.batch_stats)
+        count = range(len(settings.hidden) + 1)
+        numbers = [
+            (seen["mean"], seen["var"], norm["scale"], norm["bias"])
+            for norm, seen in (
+                (state.params[f"BatchRenorm_{i}"], state.batch_stats[f"BatchRenorm_{i}"])
+                for i in count
             )
-            layers.append(
-                _renormalised(
-                    flax_layer(state.params[f"Dense_{i}"]),
-                    statistics["mean"],
-                    statistics["var"],
-                    norm["scale"],
-                    norm["bias"],
-                )
-            )
-        return actor(task, settings.activation, tuple(layers))
+        ]
+        layers = _renormalised([flax_layer(state.params[f"Dense_{i}"]) for i in count], numbers)
+        return actor(task, settings.activation, layers)
 
 
 LIBRARIES: Mapping[str, Library] = {"sbx": _Sbx(), "sb3": _Sb3()}

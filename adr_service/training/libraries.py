@@ -15,6 +15,8 @@ from adr_service.tasks.base import Task
 from adr_service.training.networks import Networks
 from adr_service.training.policy import Layer, Policy, Squash
 
+_CONSTANT = 1e-6  # variance, relative to the squared mean, of a column that rounding alone varies
+
 
 class Library(Protocol):
     """A library's implementation of an algorithm, with the interface of SB3."""
@@ -83,6 +85,15 @@ def normalised(layer: Layer, mean: np.ndarray, scale: np.ndarray, shift: Any = 0
     weight, bias = layer
     moved = bias + weight @ (shift - mean * scale)
     return (weight * scale).astype(np.float32), moved.astype(np.float32)
+
+
+def of_what_varied(scale: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """The scale (s,) of observations, zero in columns that were constant in the whole training.
+
+    Nothing was learned of such a column, but divided by next to no deviation it would shout on a
+    target that has another constant: Humanoid observes masses, which the unmodeled variant freezes.
+    """
+    return np.where(variance > _CONSTANT * mean**2, scale, 0.0)
 
 
 def actor(

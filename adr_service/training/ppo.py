@@ -25,6 +25,7 @@ from adr_service.training.libraries import (
     flax_layer,
     jax_activation,
     normalised,
+    of_what_varied,
     torch_activation,
     torch_layer,
 )
@@ -114,8 +115,9 @@ class _Sb3:
         inner = found.mlp_extractor.policy_net
         linear = [m for m in inner if isinstance(m, torch.nn.Linear)] + [found.action_net]
         first, *others = (torch_layer(layer) for layer in linear)
-        scale = 1 / np.sqrt(normal.obs_rms.var + normal.epsilon)
-        layers = (normalised(first, normal.obs_rms.mean, scale), *others)
+        seen = normal.obs_rms
+        scale = of_what_varied(1 / np.sqrt(seen.var + normal.epsilon), seen.mean, seen.var)
+        layers = (normalised(first, seen.mean, scale), *others)
         return actor(task, settings.activation, layers, _squash(settings))
 
     def networks(self, model: Any) -> Networks:
@@ -144,7 +146,9 @@ class _Sbx:
         dense = model.policy.actor_state.params["params"]
         count = len(settings.hidden) + 1
         first, *others = (flax_layer(dense[f"Dense_{i}"]) for i in range(count))
-        layers = (normalised(first, *model.normalisation), *others)
+        mean, scale = model.normalisation
+        scale = of_what_varied(scale, mean, model.statistics["observations"].var)
+        layers = (normalised(first, mean, scale), *others)
         return actor(task, settings.activation, layers, _squash(settings))
 
     def networks(self, model: Any) -> Networks:

@@ -52,6 +52,21 @@ def test_ppos_first_mean_actions_are_near_zero_with_orthogonal_layers(backend):
     assert sizes[0] < 0.1 < sizes[1]
 
 
+@pytest.mark.parametrize("backend", ["sb3", pytest.param("sbx", marks=SBX)])
+def test_ppo_learns_nothing_of_masses_that_no_training_changes(backend):
+    """Humanoid observes the masses of its bodies, and the unmodeled variant freezes four."""
+    task, source = get_task("humanoid"), variants_of("humanoid")["unmodeled"].source
+    env = RandomizedVecEnv(task, source, Gaussian.prior(source.space), 12, np.random.default_rng(0))
+    given, library = settings("ppo", backend), LIBRARIES["ppo"][backend]
+    model = library.build(env, task, given, seed=1)
+    model.learn(480)
+    (weight, _), *_ = library.policy(model, task, given).layers
+    masses = [i for i, name in enumerate(task.columns) if name.endswith("inertia_m [SI]")]
+    silent = [task.columns[i] for i in masses if not weight[:, i].any()]
+    frozen = ("torso", "lwaist", "pelvis", "right_thigh")
+    assert silent == [f"{body}_inertia_m [SI]" for body in frozen]
+
+
 def test_an_error_of_a_training_that_has_not_diverged_stays_what_it_is():
     def fail(fraction, **facts):
         raise OSError("no space left")
