@@ -47,7 +47,7 @@ def _hyperparameters(settings: CrossQSettings, activation: Any, seed: int) -> di
 
 
 def _renormalised(
-    layers: Sequence[Layer], renormalisations: Sequence[tuple[Any, Any, Any, Any]]
+    layers: Sequence[Layer], renormalisations: Sequence[Sequence[Any]]
 ) -> tuple[Layer, ...]:
     """Layers with the batch renormalisations before them: mean, variance, factor and shift."""
     found: list[Layer] = []
@@ -78,7 +78,7 @@ class _Sb3(OffPolicyTorch):
         linear = [m for m in found.latent_pi if isinstance(m, torch.nn.Linear)] + [found.mu]
         before = [m for m in found.latent_pi if isinstance(m, BatchRenorm1d)]
         numbers = [
-            tuple(x.detach().numpy() for x in (norm.ra_mean, norm.ra_var, norm.scale, norm.bias))
+            [x.detach().numpy() for x in (norm.ra_mean, norm.ra_var, norm.scale, norm.bias)]
             for norm in before
         ]
         layers = _renormalised([torch_layer(layer) for layer in linear], numbers)
