@@ -17,15 +17,18 @@ from adr_service.training.libraries import (
     flax_layer,
     jax_activation,
     normalised,
-    of_what_varied,
     torch_activation,
     torch_layer,
+    without_constants,
 )
 from adr_service.training.networks import OffPolicyFlax, OffPolicyTorch
 from adr_service.training.policy import Layer, Policy
 from adr_service.training.settings import CrossQSettings
 
 _EPSILON = 0.001  # of both libraries, added to variances
+# Variances of observations that were constant: they start at 1 and fall by a hundredth per update,
+# and SBX subtracts the squared mean in float32
+_LEAST, _LEAST_SHARE = 1e-9, 1e-6
 
 
 def _hyperparameters(settings: CrossQSettings, activation: Any, seed: int) -> dict[str, Any]:
@@ -55,7 +58,7 @@ def _renormalised(
         mean, variance, factor, shift = map(np.asarray, numbers)
         scale = factor / np.sqrt(variance + _EPSILON)
         if not found:  # of observations
-            scale = of_what_varied(scale, mean, variance)
+            scale = without_constants(scale, variance, _LEAST + _LEAST_SHARE * mean**2)
         found.append(normalised(layer, mean, scale, shift))
     return tuple(found)
 

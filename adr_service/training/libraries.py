@@ -15,8 +15,6 @@ from adr_service.tasks.base import Task
 from adr_service.training.networks import Networks
 from adr_service.training.policy import Layer, Policy, Squash
 
-_CONSTANT = 1e-6  # variance, relative to the squared mean, of a column that rounding alone varies
-
 
 class Library(Protocol):
     """A library's implementation of an algorithm, with the interface of SB3."""
@@ -87,13 +85,14 @@ def normalised(layer: Layer, mean: np.ndarray, scale: np.ndarray, shift: Any = 0
     return (weight * scale).astype(np.float32), moved.astype(np.float32)
 
 
-def of_what_varied(scale: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """The scale (s,) of observations, zero in columns that were constant in the whole training.
+def without_constants(scale: np.ndarray, variance: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """The scale (s,) of observations, set to zero where the variance is not above the least.
 
-    Nothing was learned of such a column, but divided by next to no deviation it would shout on a
-    target that has another constant: Humanoid observes masses, which the unmodeled variant freezes.
+    A policy cannot learn from a column that is constant in its whole training. Divided by almost no
+    deviation, another constant on the target would drown all other observations. Humanoid observes
+    masses, for example, and the unmodeled variant freezes four of them (docs/decisions.md).
     """
-    return np.where(variance > _CONSTANT * mean**2, scale, 0.0)
+    return np.where(variance > least, scale, 0.0)
 
 
 def actor(

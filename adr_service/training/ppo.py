@@ -25,9 +25,9 @@ from adr_service.training.libraries import (
     flax_layer,
     jax_activation,
     normalised,
-    of_what_varied,
     torch_activation,
     torch_layer,
+    without_constants,
 )
 from adr_service.training.networks import (
     Networks,
@@ -40,6 +40,9 @@ from adr_service.training.networks import (
 )
 from adr_service.training.policy import Policy, Squash
 from adr_service.training.settings import PpoSettings
+
+_START = 1e-4  # weight with which SB3's running statistics start, in observations
+_ROUNDING = 1e-12  # of a variance, relative to the squared mean
 
 
 class _UnitActions(VecEnvWrapper):
@@ -92,6 +95,12 @@ def _squash(settings: PpoSettings) -> Squash:
     return "clip" if settings.action_bins is None else "bins"
 
 
+def _least(seen: RunningMeanStd) -> np.ndarray:
+    """The variances (s,) of constant columns: what is left of the start at mean 0, variance 1."""
+    start = _START * (1 + seen.mean**2) / seen.count
+    return 1.001 * start + _ROUNDING * seen.mean**2
+
+
 class _Sb3:
     """Stable-Baselines3 (PyTorch): the reference, with its `VecNormalize`."""
 
@@ -116,7 +125,7 @@ class _Sb3:
         linear = [m for m in inner if isinstance(m, torch.nn.Linear)] + [found.action_net]
         first, *others = (torch_layer(layer) for layer in linear)
         seen = normal.obs_rms
-        scale = of_what_varied(1 / np.sqrt(seen.var + normal.epsilon), seen.mean, seen.var)
+        scale = without_constants(1 / np.sqrt(seen.var + normal.epsilon), seen.var, _least(seen))
         layers = (normalised(first, seen.mean, scale), *others)
         return actor(task, settings.activation, layers, _squash(settings))
 
@@ -147,7 +156,8 @@ class _Sbx:
         count = len(settings.hidden) + 1
         first, *others = (flax_layer(dense[f"Dense_{i}"]) for i in range(count))
         mean, scale = model.normalisation
-        scale = of_what_varied(scale, mean, model.statistics["observations"].var)
+        seen = model.statistics["observations"]
+        scale = without_constants(scale, seen.var, _least(seen))
         layers = (normalised(first, mean, scale), *others)
         return actor(task, settings.activation, layers, _squash(settings))
 

@@ -53,8 +53,11 @@ def test_ppos_first_mean_actions_are_near_zero_with_orthogonal_layers(backend):
 
 
 @pytest.mark.parametrize("backend", ["sb3", pytest.param("sbx", marks=SBX)])
-def test_ppo_learns_nothing_of_masses_that_no_training_changes(backend):
-    """Humanoid observes the masses of its bodies, and the unmodeled variant freezes four."""
+def test_policies_of_ppo_ignore_masses_that_are_constant_in_training(backend):
+    """Humanoid observes the masses of its bodies, and the unmodeled variant freezes four.
+
+    That of the world is always 0.
+    """
     task, source = get_task("humanoid"), variants_of("humanoid")["unmodeled"].source
     env = RandomizedVecEnv(task, source, Gaussian.prior(source.space), 12, np.random.default_rng(0))
     given, library = settings("ppo", backend), LIBRARIES["ppo"][backend]
@@ -62,9 +65,9 @@ def test_ppo_learns_nothing_of_masses_that_no_training_changes(backend):
     model.learn(480)
     (weight, _), *_ = library.policy(model, task, given).layers
     masses = [i for i, name in enumerate(task.columns) if name.endswith("inertia_m [SI]")]
-    silent = [task.columns[i] for i in masses if not weight[:, i].any()]
-    frozen = ("torso", "lwaist", "pelvis", "right_thigh")
-    assert silent == [f"{body}_inertia_m [SI]" for body in frozen]
+    ignored = [task.columns[i] for i in masses if not weight[:, i].any()]
+    frozen = ("world", "torso", "lwaist", "pelvis", "right_thigh")
+    assert ignored == [f"{body}_inertia_m [SI]" for body in frozen]
 
 
 def test_an_error_of_a_training_that_has_not_diverged_stays_what_it_is():
