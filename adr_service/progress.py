@@ -1,12 +1,13 @@
 """Progress of computations, and the cancelling of those that no run waits for any more."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from adr_service.errors import InvalidInput
 from adr_service.events import RunEvent
+
+_LONGEST = 200  # characters of a fact
 
 
 @dataclass(frozen=True)
@@ -23,10 +24,7 @@ class StageCancelled(Exception):
 
 
 class Progress(Protocol):
-    """Called often from inside a stage; must be cheap. May raise `StageCancelled`.
-
-    Raises InvalidInput for a fraction that is not finite.
-    """
+    """Called often from inside a stage; must be cheap. May raise `StageCancelled`."""
 
     def __call__(
         self, fraction: float, checkpoint: Checkpoint | None = None, **facts: Any
@@ -42,23 +40,30 @@ def part_of(progress: Progress, done: int, parts: int) -> Progress:
     return report
 
 
-def finite(fraction: float) -> float:
-    """The fraction, for which NaN and infinity are refused."""
-    if not math.isfinite(fraction):
-        raise InvalidInput(f"progress takes the fraction that is done; given {fraction}")
-    return float(fraction)
+def checked(progress: Progress) -> Progress:
+    """Progress whose facts are JSON, for people: arrays and NaN become text, and long text is cut.
+
+    It raises InvalidInput for a fraction that is not finite.
+    """
+
+    def report(fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
+        if not math.isfinite(fraction):
+            raise InvalidInput(f"progress takes the fraction that is done; given {fraction}")
+        shown = {name: _shown(value) for name, value in facts.items()}
+        progress(float(fraction), checkpoint=checkpoint, **shown)
+
+    return report
 
 
-def readable(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Facts for people as JSON has them: arrays and what is not finite become text."""
-    return {name: _readable(value) for name, value in facts.items()}
-
-
-def _readable(value: Any) -> Any:
+def _shown(value: Any) -> Any:
     if getattr(value, "ndim", None) == 0:  # NumPy's and JAX's numbers
         value = value.item()
-    is_json = value is None or isinstance(value, str | int)
-    return value if is_json or (isinstance(value, float) and math.isfinite(value)) else str(value)
+    if value is None or isinstance(value, int):
+        return value
+    if isinstance(value, float) and math.isfinite(value):
+        return value
+    text = str(value).encode("utf-8", "backslashreplace").decode()
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
 
 
 def silent(fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:

@@ -42,6 +42,7 @@ class VisitState(StrEnum):
         return self not in OPEN_VISIT
 
 
+LONGEST_CODE = 80  # of an error
 OPEN_VISIT = (VisitState.PENDING, VisitState.CLAIMED)
 
 
@@ -119,7 +120,7 @@ class RunRow(Base):
     state: Mapped[str] = mapped_column(String(20))
     submission: Mapped[int]  # times it was submitted: 1 + resumes
     cancel_requested: Mapped[bool]
-    error_code: Mapped[str | None] = mapped_column(String(80))
+    error_code: Mapped[str | None] = mapped_column(String(LONGEST_CODE))
     error_message: Mapped[str | None] = mapped_column(Text)
 
 

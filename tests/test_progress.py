@@ -3,7 +3,7 @@
 import pytest
 
 from adr_service.errors import InvalidInput
-from adr_service.progress import Checkpoint, finite, part_of, silent
+from adr_service.progress import Checkpoint, checked, part_of, silent
 
 
 class Recorder:
@@ -43,4 +43,12 @@ def test_silence_takes_the_same_arguments():
 @pytest.mark.parametrize("fraction", [float("nan"), float("inf")])
 def test_a_fraction_that_is_not_finite_is_refused(fraction):
     with pytest.raises(InvalidInput, match=f"the fraction that is done; given {fraction}"):
-        finite(fraction)
+        checked(silent)(fraction)
+
+
+def test_facts_are_text_that_can_be_sent():
+    recorder = Recorder()
+    checked(recorder)(0.5, file="a\udcff", found=list(range(1000)))
+    [(_, _, facts)] = recorder.calls
+    assert facts["file"] == "a\\udcff"
+    assert (len(facts["found"]), facts["found"][:7]) == (201, "[0, 1, ")

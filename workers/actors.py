@@ -16,7 +16,7 @@ from ray.exceptions import RayError
 
 from adr_service.benchmark.cost import Execution
 from adr_service.errors import AdrError, FailureCode
-from adr_service.progress import Checkpoint, StageCancelled, finite, readable
+from adr_service.progress import Checkpoint, StageCancelled
 from adr_service.provenance import provenance
 from adr_service.stages.base import AnyStage, StageResult, compute
 from adr_service.startup_time import preparation_seconds
@@ -118,7 +118,7 @@ class _Reporter:
     def progress(self, fraction: float, checkpoint: Checkpoint | None = None, **facts: Any) -> None:
         if self._unwanted.is_set():
             raise StageCancelled
-        self._latest = (finite(fraction), readable(facts))
+        self._latest = (fraction, facts)
         if checkpoint is not None:
             self._checkpoint = checkpoint
 

@@ -95,7 +95,8 @@ class Heartbeats:
         done, _ = ray.wait([self._reply], timeout=0)
         if done:
             return self._read()
-        # before the stages that report there seem silent, unless it starts on a busy machine
+        # one that has answered is replaced before the stages that report there seem silent, and one
+        # that starts gets as long as a stage does
         if since > (UNWANTED_SILENT_S if self._is_started else FIRST_SIGN_S):
             log.warning("the board: no answer for %.0f s", since)
             self._reply, self._is_started = None, False

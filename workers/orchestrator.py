@@ -35,6 +35,7 @@ from db import runs as run_store
 from db import visits as visit_store
 from db.clock import SteadyClock
 from db.errors import DatabaseUnavailable
+from db.models import LONGEST_CODE
 from db.runs import RunRecord
 from db.session import RETRY_S, Database
 from db.visits import Visit
@@ -47,7 +48,6 @@ from workers.results import DatabaseResults, outages
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 RUNS_AT_ONCE = 64  # threads that mostly wait; the cores are shared out by the dispatcher
-_LONGEST_CODE = 80  # of an error on a run's record
 _EXTERNAL_AT_ONCE = 1000  # they wait for robots, for days if need be
 
 
@@ -289,7 +289,7 @@ def _key(record: RunRecord) -> tuple[str, int]:
 
 
 def _failure(submission: int, code: str, message: str) -> RunFailed:
-    if len(code) > _LONGEST_CODE:
+    if len(code) > LONGEST_CODE:
         code, message = FailureCode.INTERNAL, f"{code}: {message}"
     text = message.replace("\0", "\\0")  # PostgreSQL cannot store a NUL, nor JSON half a letter
     text = text.encode("utf-8", "backslashreplace").decode()

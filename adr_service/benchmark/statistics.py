@@ -4,8 +4,8 @@ A mean has Student's interval over the means of seeds, because a bootstrap of fe
 short: `benchmarks/coverage.py` measures how often either covers the truth (docs/statistics.md).
 Aggregates that are no means have a bootstrap over seeds, policies and episodes. Samples of the same
 policies (trained for one variant of a task, and evaluated on another as well) are not independent:
-they get the same draws. Fewer than three seeds have no interval: with two, Student's is 18 standard
-deviations of seeds long, and the bootstrap covers half of the truths.
+they get the same draws, if they have the same seeds. Fewer than three seeds have no interval: with
+two, Student's is 18 standard deviations of seeds long, and the bootstrap covers half of the truths.
 
 The interquartile mean and the probability of improvement are those of Agarwal et al., "Deep
 Reinforcement Learning at the Edge of the Statistical Precipice", arXiv 2108.13264, Sec. 4. We

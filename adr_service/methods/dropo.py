@@ -91,8 +91,8 @@ class _Settings(OfflineSettings):
     steps: int = Field(1, ge=1, le=10_000, description="control steps per replayed window (lambda)")
 
     # Sec. IV-A, `MSE_trajectories`: the error of predictions by the estimate's mean. Theirs are of
-    # one step, ours of `steps`, as the likelihood's; and theirs are compared with the next row's
-    # observation, ours with `next_observations`: with noise, their published ones have another.
+    # one step, ours of `steps`, as the likelihood's. Theirs are compared with the next row's
+    # observation, ours with `next_observations`, which have other noise in their recordings.
     grid: ClassVar[Grid | None] = Grid("epsilon", criterion="mean_squared_error")
     papers: ClassVar[tuple[Paper, ...]] = (PAPER,)
 

@@ -19,7 +19,7 @@ Where we differ, and why:
 - The new covariance is that of the weighted samples, as in REPS. Guided policy search damps it by
   default, so that it keeps its shape; the setting `covariance_damping` does (docs/decisions.md).
 - No variance of it is below 1e-12 of the largest, so that a parameter on which the data do not
-  depend leaves it regular, nor below 1e-24, where samples would differ by rounding alone.
+  depend leaves it regular, nor below 1e-24, far above the variance that rounding has.
 - While the new covariance is singular, the temperature doubles. Their code adds 1e-4, then twice as
   much each time.
 """
@@ -49,7 +49,7 @@ _LEAST_RATIO = 1e-9  # of the new variance to the old, below which the fit is si
 # Of the largest variance. The variance of a parameter that the data leave open shrinks less than
 # the others, until rounding would make the covariance singular.
 _LEAST_SHARE = 1e-12
-_LEAST_VARIANCE = 1e-24  # of coordinates up to 4, whose rounding has deviations of some 1e-16
+_LEAST_VARIANCE = 1e-24  # the rounding of coordinates up to 4 has some 1e-31
 _FIRST_TEMPERATURE = 1.0  # of the search for the best one
 _MOST_TEMPERATURE = 1e12  # beyond which weights are equal
 _SPREAD_PERCENTILE = 90  # of the costs, whose distance from the best is the unit
@@ -280,7 +280,7 @@ def reps(
             return mean, _conditioned(likely), eta
         ratio = ratios.mean()  # tr(S_old^-1 S) / d
         if settings.covariance_damping > 0 and ratio > _LEAST_RATIO:
-            # S_new = (tr(S_old^-1 S) / d)^(1 / damping) S_old: the shape never changes
+            # S_new = (tr(S_old^-1 S) / d)^(1 / damping) S_old: the shape stays
             return mean, _conditioned(ratio ** (1 / settings.covariance_damping) * covariance), eta
         eta *= 2  # too few samples have the weight for a spread in every direction
     raise InvalidInput(

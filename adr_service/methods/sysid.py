@@ -10,9 +10,10 @@ diverges is shortened; a search that starts at such a point, or comes next to on
 
 Standard deviations that follow from the Jacobian and the residuals (White: "A
 Heteroskedasticity-Consistent Covariance Matrix Estimator", Econometrica 48, 1980) are reported as
-`std`, null where the data leave a parameter open. They take the entries of all residuals for
-independent, which a noise of the state in which windows begin and end is not. The policy of
-`sysid` does not train on them, because they are honest only where the model is right.
+`std`, null where the data leave a parameter open. They assume
+independent residuals. Noise in measured states violates that, because one state ends a window and
+begins the next. The policy of `sysid` does not train on them, because they are honest only where
+the model is right.
 
 Two extensions are the ensembles that practitioners train on, and baselines for methods that infer a
 spread. `sysid_wide` is uniform within a share of the point, which is next to no width for a
@@ -43,6 +44,7 @@ _STEP = 1e-4  # of the finite differences, in [0, 4] coordinates
 _POINT_TOLERANCE = 1e-10  # a search ends at a smaller relative change of the point
 _COST_TOLERANCE = 1e-12  # or of the cost
 _GRADIENT_TOLERANCE = 1e-12  # or at a smaller scaled gradient
+_MOST_STEPS = 1000  # to a mode within the search box, each along one bound
 _OUT_OF_EVALUATIONS = 0  # SciPy's status of a search that `iterations` ended
 # Least deviation of residuals, in standard deviations of their column: one-sided differences have
 # errors of their step times a curvature, which without noise would look like information
@@ -137,7 +139,9 @@ class SysidLaplaceSettings(_Settings):
         mode = best.x - axes.T @ ((shares.T @ left) / information)
         if np.any((mode < 0) | (mode > space.WIDTH)):
             # not coordinate by coordinate, because parameters depend on each other
-            mode = lsq_linear(rows, rows @ best.x - left, (0, space.WIDTH), method="bvls").x
+            mode = lsq_linear(
+                rows, rows @ best.x - left, (0, space.WIDTH), method="bvls", max_iter=_MOST_STEPS
+            ).x
         variances = np.maximum(1 / information, _LEAST) ** 2
         return Gaussian(space, mode, (axes.T * variances) @ axes)
 

@@ -28,7 +28,7 @@ from adr_service.events import RunEvent, StageFinished
 from adr_service.json_values import canonical_json, sha256
 from adr_service.parameters import ParameterSpace
 from adr_service.plugins import other_versions
-from adr_service.progress import Progress, silent
+from adr_service.progress import Progress, checked, silent
 from adr_service.randomness import stream
 
 Role = Literal["trainer", "inference", "target", "robot"]  # of the process that computes it
@@ -174,7 +174,7 @@ def compute(stage: AnyStage, progress: Progress = silent) -> StageResult:
             "everywhere, and start the service again"
         )
     with threadpool_limits(1):
-        result = stage.compute(stream("stage", stage.digest), progress).to_stored()
+        result = stage.compute(stream("stage", stage.digest), checked(progress)).to_stored()
     for name, value in result.values.items():
         _check_json(f"{name} of {stage.kind}", value)
     return result

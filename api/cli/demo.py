@@ -11,6 +11,7 @@ from api.cli.options import AsJson
 from api.cli.own_service import own_service
 from api.cli.ports import free_port
 from api.cli.progress import live
+from api.cli.signals import end_as_by_ctrl_c
 from api.cli.single_options import SingleOptionApp
 from api.cli.tables import results_table
 from api.cli.terminal import console, errors
@@ -36,6 +37,7 @@ def demo(
     as_json: AsJson = False,
 ) -> None:
     """Run a small benchmark from nothing to its figures, in minutes."""
+    end_as_by_ctrl_c()  # which ends the service as well
     shown = errors if as_json else console
     results = show(shown, data_dir, port or free_port())
     if as_json and results is not None:

@@ -11,7 +11,6 @@ from pathlib import Path
 from adr_service.client import AdrClient, Unreachable, connect
 from adr_service.errors import AdrError
 from api.cli.ports import check_port
-from api.cli.signals import end_as_by_ctrl_c
 
 _START_TIMEOUT_S, _END_TIMEOUT_S = 120.0, 60.0
 _SHARED = ("DATABASE_URL", "RAY_ADDRESS", "MAX_CORES", "RESOURCE", "HOST")  # of ADR_…
@@ -25,17 +24,13 @@ class ServiceDidNotStart(AdrError):
 
 @contextmanager
 def own_service(data_dir: Path, port: int) -> Generator[AdrClient]:
-    """A client of a service that runs in another process until the block ends.
-
-    SIGTERM and a terminal that closes interrupt the block.
-    """
+    """A client of a service that runs in another process until the block ends."""
     check_port("127.0.0.1", port)
     for folder in (*reversed(data_dir.parents), data_dir):  # each for nobody else to read
         folder.mkdir(exist_ok=True, mode=0o700)
     log_path = data_dir / "service.log"
     command = [sys.executable, "-P", "-m", "api", "serve"]  # -P: not an api of this folder
     command += ["--port", str(port), "--data-dir", str(data_dir)]
-    end_as_by_ctrl_c()
     with log_path.open("w") as log:
         # a Ctrl-C is ours to handle: the service may still be asked for what it has
         process = subprocess.Popen(  # noqa: S603 - our own command
@@ -51,6 +46,7 @@ def own_service(data_dir: Path, port: int) -> Generator[AdrClient]:
             process.wait(_END_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             process.kill()
+            process.wait()
 
 
 def _own() -> dict[str, str]:

@@ -171,7 +171,7 @@ def _utilisation(used: Json | None, note: str) -> list[RenderableType]:
     shares.add_row("all", f"{sum(used[name] for name in USES):.1f}")
     headline = (
         f"useful work {used['useful']:.1%}, orchestration {used['overhead']:.1%} "
-        f"of {used['cores']} cores in {used['seconds']:.0f} s"
+        f"of up to {used['cores']} cores in {used['seconds']:.0f} s"
     )
     return [Text(), shares, Text(headline), Text(note, style="dim")]
 

@@ -5,6 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from api.metrics import _working
+from workers.jobs import Activity
+
 pytestmark = pytest.mark.ray
 
 
@@ -27,3 +30,14 @@ def test_the_dashboard_shows_every_metric(http):
     shown = (Path(__file__).parents[2] / "docs/monitoring/dashboard.json").read_text()
     asked = set(re.findall(r"\badr_\w+", shown))
     assert asked == set(re.findall(r"^# TYPE (adr_\w+)", http.get("/metrics").text, re.M))
+
+
+def test_a_methods_own_steps_are_no_steps_of_a_training():
+    common = {"digest": "d", "state": "running", "attempt": 1, "fraction": 0.5}
+    common |= {"actor": None, "actor_id": None, "pid": None, "started_by": "run_1"}
+    activities = [
+        Activity(kind="infer", seconds=10.0, facts={"steps": "many"}, **common),
+        Activity(kind="train_policy", seconds=10.0, facts={"steps": 50}, **common),
+    ]
+    *_, speed = _working(activities)
+    assert speed.samples[0].value == 5.0

@@ -80,7 +80,7 @@ class TestReps:
 
     @pytest.mark.parametrize("damping", [0.0, 1.0])
     def test_a_distribution_that_has_become_a_point_stays_one(self, damping):
-        """After hundreds of updates without noise, whose samples would be equal."""
+        """After many updates without noise, when all samples would be equal."""
         rng, settings = np.random.default_rng(0), SimOptSettings(covariance_damping=damping)
         belief = Gaussian.prior(SPACE)
         for _ in range(120):

@@ -1,6 +1,7 @@
 """The board of signs of life, in this process; and the patience with silent stages."""
 
 from dataclasses import replace
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -10,6 +11,7 @@ from workers.heartbeats import (
     SILENT_S,
     UNWANTED_SILENT_S,
     Board,
+    Heartbeats,
     SignOfLife,
     patience_s,
 )
@@ -59,3 +61,27 @@ def test_an_unwanted_stage_has_the_least_patience_and_a_starting_one_the_most():
     assert patience_s(SIGN, 1) == SILENT_S
     assert patience_s(None, 0) == patience_s(SIGN, 0) == UNWANTED_SILENT_S
     assert UNWANTED_SILENT_S < SILENT_S < FIRST_SIGN_S
+
+
+def test_a_board_that_starts_may_be_silent_for_longer_than_one_that_has_answered(monkeypatch):
+    ray, clock = MagicMock(), MagicMock()
+    ray.get.return_value = ([], {})
+    monkeypatch.setattr("workers.heartbeats.ray", ray)
+    monkeypatch.setattr("workers.heartbeats.time.monotonic", clock)
+    monkeypatch.setattr("workers.heartbeats.NodeAffinitySchedulingStrategy", MagicMock())
+    clock.return_value = 0.0
+    heartbeats = Heartbeats()
+
+    def look(seconds, answers):
+        """Whether the board is replaced; the first look asks, the second one reads."""
+        ray.kill.reset_mock()
+        ray.wait.return_value = ([heartbeats], []) if answers else ([], [])
+        for later in (1.0, seconds):
+            clock.return_value += later
+            heartbeats.news(set())
+        return ray.kill.called
+
+    assert look(FIRST_SIGN_S + 1, answers=False)
+    assert not look(FIRST_SIGN_S - 1, answers=False)
+    look(0.0, answers=True)
+    assert look(UNWANTED_SILENT_S + 1, answers=False)

@@ -225,6 +225,10 @@ class Robot:
             self._send(unsent, final)
         except Refused as error:
             if error.status not in final:
+                self._report(
+                    f"{left}: this robot does nothing else until the service takes its episode, or "
+                    f"you move {unsent.task_id}.npz and .lease to another folder"
+                )
                 raise
             self._report(f"{left}: not accepted, {error}")
         else:

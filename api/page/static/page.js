@@ -126,9 +126,11 @@ function follow(place) {
 
   let events = null;
   let hasEnded = false;
+  let retry = null;
   // a browser has six connections to a service: a page that nobody sees gives its own back
   function connect() {
     events?.close();
+    clearTimeout(retry);
     if (document.hidden || hasEnded) return;
     events = new EventSource(place.dataset.stream);
     events.addEventListener("training_evaluated", add);
@@ -138,7 +140,7 @@ function follow(place) {
     });
     // after an answer that is no stream, as while the service starts, a browser does not ask again
     events.addEventListener("error", (error) => {
-      if (error.target.readyState === EventSource.CLOSED) setTimeout(connect, RETRY_MS);
+      if (error.target.readyState === EventSource.CLOSED) retry = setTimeout(connect, RETRY_MS);
     });
   }
   document.addEventListener("visibilitychange", connect);

@@ -27,7 +27,7 @@ def test_the_work_left_is_priced_where_a_methods_extra_is_not_installed(service,
     assert "left on 2 cores" in answer.text
 
 
-def test_ten_failures_are_told_and_the_others_counted(service):
+def test_ten_failures_are_shown_and_the_others_counted(service):
     """A method with a defect fails every run of a benchmark."""
     many = {"tasks": ["arm"], "methods": ["udr"], "seeds": list(range(12)), "preset": "smoke"}
     spec = BenchmarkSpec.model_validate({**many, "references": False})
