@@ -116,15 +116,15 @@ def _criticise_here(
     if planned is not None:
         _check_apart(planned.file, out, criticism_files.FILES)
     nominal, name = criticism_files.nominal_of(*given)
-    criticism_files.check_out(out)
     limits, allowed, start = {}, {}, {}
-    if planned is not None:  # wrong ones are refused before the work
-        check_writable(planned.file)
-        limits = criticism_files.limits_of(planned.limit, nominal)
-        allowed = criticism_files.reach_of(planned.reach, nominal)
-        start = criticism_files.start_of(planned.start, nominal)
-    with progress_on(errors) as progress:
-        criticism = criticism_files.criticise_files(nominal, name, data, out, seed, progress)
+    with criticism_files.output_folder(out):
+        if planned is not None:  # wrong ones are refused before the work
+            check_writable(planned.file)
+            limits = criticism_files.limits_of(planned.limit, nominal)
+            allowed = criticism_files.reach_of(planned.reach, nominal)
+            start = criticism_files.start_of(planned.start, nominal)
+        with progress_on(errors) as progress:
+            criticism = criticism_files.criticise_files(nominal, name, data, out, seed, progress)
     verdict, told = criticism.verdict.to_json(), errors if as_json else console
     if as_json:
         console.print_json(data=verdict)
@@ -154,9 +154,8 @@ def _criticise_there(spec: Json, out: Path, url: str | None, as_json: bool) -> N
     """Submit a criticism, follow it to its end, and write its files."""
     from api.cli import criticism_files  # imports the simulator
 
-    criticism_files.check_out(out)
     told = errors if as_json else console
-    with connect(url) as client:
+    with criticism_files.output_folder(out), connect(url) as client:
         id = client.submit_criticism(spec)["run"]["id"]
         told.print(id, highlight=False)
         follow(client, id, as_json)

@@ -4,7 +4,8 @@ import filecmp
 import os
 import re
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
@@ -277,9 +278,21 @@ def _bounds(
     return names.index(name), given
 
 
-def check_out(folder: Path) -> None:
-    """Raise InvalidInput unless all files of a criticism can be written into the folder."""
+@contextmanager
+def output_folder(folder: Path) -> Generator[None]:
+    """A folder for the files of a criticism. After an error a new one is gone, if it is empty.
+
+    Raises InvalidInput unless all files can be written into it.
+    """
+    is_new = not folder.exists()
     check_writable(*(folder / name for name in FILES))
+    try:
+        yield
+    except BaseException:
+        if is_new:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
 
 
 def write(out: Path, files: Mapping[str, bytes]) -> None:

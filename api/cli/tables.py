@@ -161,7 +161,7 @@ def cost_table(cost: Json) -> RenderableType:
 
 def _utilisation(used: Json | None, note: str) -> list[RenderableType]:
     if used is None:
-        text = "utilisation: known once all runs have finished, unless the cores never all had work"
+        text = "no utilisation: not all runs have finished, or there never was work for all cores"
         return [Text(text, style="dim")]
     shares = Table("use of the cores", box=None, padding=(0, 2, 0, 0))
     shares.add_column("core seconds", justify="right")

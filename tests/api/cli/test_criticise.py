@@ -60,3 +60,13 @@ def test_a_plan_in_the_place_of_the_criticism_is_refused_before_the_work(
     assert f"--next {plan} and --out {out} exclude each other" in errors.replace("\n", " ")
     assert not list(tmp_path.iterdir())
     assert "nowhere.npz cannot be read" in adr_here(*judge, "--next", f"{out}/next.npz")[2]
+
+
+@pytest.mark.parametrize("is_there", [False, True])
+def test_a_criticism_that_fails_leaves_no_empty_folder(adr_here, tmp_path, is_there):
+    found = tmp_path / "found"
+    if is_there:
+        found.mkdir()
+    judge = ("criticise", "--task", "arm", "--data", "nowhere.npz", "--out", str(found))
+    assert adr_here(*judge)[0] == 2
+    assert found.exists() == is_there
