@@ -153,7 +153,7 @@ def test_utilisation_is_shown_once_it_is_known():
     used = dict.fromkeys(("computing", "waiting", "orchestration", "starting", "preparing"), 2.0)
     used |= {"useful": 0.9, "overhead": 0.02, "cores": 4, "seconds": 10}
     text = shown(cost_table({**COST, "utilisation": used}))
-    assert "useful work 90.0%, orchestration 2.0% of 4 cores in 10 s" in text
+    assert "useful work 90.0%, orchestration 2.0% of up to 4 cores in 10 s" in text
     assert re.search(r"all +10\.0", text)
 
 
