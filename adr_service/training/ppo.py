@@ -97,6 +97,8 @@ def _squash(settings: PpoSettings) -> Squash:
 
 def _least(seen: RunningMeanStd) -> np.ndarray:
     """The variances (s,) of constant columns: what is left of the start at mean 0, variance 1."""
+    if seen.count <= _START:  # nothing has been seen
+        return np.zeros_like(seen.var)
     start = _START * (1 + seen.mean**2) / seen.count
     return 1.001 * start + _ROUNDING * seen.mean**2
 

@@ -10,8 +10,7 @@ PROGRAM = """
 import signal, sys, time
 from api.cli.signals import end_as_by_ctrl_c
 
-if "ignores" in sys.argv:
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+signal.signal(signal.SIGHUP, signal.SIG_IGN if "ignores" in sys.argv else signal.SIG_DFL)
 end_as_by_ctrl_c()
 try:
     print("ready", flush=True)
