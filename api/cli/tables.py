@@ -98,6 +98,7 @@ def comparisons_table(results: Json) -> RenderableType:
     )
     if results["not_compared"]:
         note += f"; too few seeds of {', '.join(results['not_compared'])} have come so far"
+    note += f"; {results['note']}"
     return Group(*_by_place(results["comparisons"], _pairs), Text(note, style="dim"))
 
 

@@ -106,6 +106,7 @@ def test_a_comparison_has_its_interval():
     some = {**EMPTY, "comparisons": [pair], "not_compared": ["bayrn (arm noisy)"]}
     text = shown(comparisons_table(some))
     assert "bayrn (arm noisy)" in text
+    assert "a note" in text  # that a reader must know, as of the preset smoke
     assert "+0.25" in text
     assert "[-0.10, 0.60]" in text
     assert "0.80" in text
