@@ -1,6 +1,7 @@
 """Checks that a measurement and a model fit together, and that the criticism fits in memory."""
 
 import mujoco
+import numpy as np
 
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
@@ -11,6 +12,7 @@ from adr_service.errors import InvalidInput
 
 _MOST_STEPS = 500  # of the simulator between two rows
 _MOST_NUMBERS = 5e8  # that are kept at a time: 4 GB
+_REMEMBERING = mujoco.mjtEnableBit.mjENBL_SLEEP | mujoco.mjtEnableBit.mjENBL_IPC
 
 
 def check_measurement(nominal: Nominal, data: Measurement) -> None:
@@ -56,10 +58,15 @@ def check_state(model: mujoco.MjModel) -> None:
         )
     if not model.nv:
         raise InvalidInput("the model has no joints; needed is at least one slide or hinge")
-    if model.nu != (actuators := len(model.actuator_trntype)):
+    if np.any(model.actuator_ctrlnum != 1):
         raise InvalidInput(
-            f"the model has {model.nu} commands for {actuators} actuators; accepted are actuators "
-            "of one command each"
+            f"the model's actuators have {model.actuator_ctrlnum.tolist()} commands; accepted are "
+            "actuators of one command each"
+        )
+    if model.opt.enableflags & _REMEMBERING:
+        raise InvalidInput(
+            "the model has the flag 'sleep' or 'ipc', which keep more than positions and "
+            "velocities from step to step; take it out of the model's options"
         )
     beyond = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS) - 1 - 2 * model.nv
     if beyond:

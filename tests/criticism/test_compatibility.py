@@ -66,7 +66,12 @@ def test_parts_of_rows_that_are_no_whole_steps_of_the_model_are_refused(good):
         (
             '<mujoco><worldbody><body><joint name="x"/><geom size="1"/></body></worldbody>'
             '<actuator><pid name="p" joint="x" kp="1"/></actuator></mujoco>',
-            "the model has 2 commands for 1 actuators",
+            r"the model's actuators have \[2\] commands",
+        ),
+        (
+            '<mujoco><option><flag sleep="enable"/></option><worldbody><body>'
+            '<joint name="x"/><geom size="1"/></body></worldbody></mujoco>',
+            "the flag 'sleep' or 'ipc'",
         ),
     ],
 )
