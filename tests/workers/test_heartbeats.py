@@ -73,7 +73,7 @@ def test_a_board_that_starts_may_be_silent_for_longer_than_one_that_has_answered
     heartbeats = Heartbeats()
 
     def look(seconds, answers):
-        """Whether the board is replaced; the first look asks, the second one reads."""
+        """Ask the board and read its answer; true if it is replaced."""
         ray.kill.reset_mock()
         ray.wait.return_value = ([heartbeats], []) if answers else ([], [])
         for later in (1.0, seconds):

@@ -22,7 +22,7 @@ finally:
 
 
 def ended_by(number, *arguments):
-    """What a process prints that gets a signal, and then a line."""
+    """Lines that a process prints after it got a signal and a line of input."""
     with subprocess.Popen(
         [sys.executable, "-c", PROGRAM, *arguments],
         stdin=subprocess.PIPE,
