@@ -36,6 +36,11 @@ def printable(text: str) -> str:
     return _NOT_IN_TEXT.sub(lambda match: ascii(match[0])[1:-1], text)
 
 
+def encodable(text: str) -> str:
+    """The text with halves of letters, as names of files may have, escaped: UTF-8 has none."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
 class Wire(BaseModel):
     """A value with a JSON form that refuses unknown fields, wrong types, NaN and infinity."""
 

@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 from adr_service.errors import InvalidInput
 from adr_service.events import RunEvent
+from adr_service.json_values import encodable
 
 _LONGEST = 200  # characters of a fact
 
@@ -62,7 +63,7 @@ def _shown(value: Any) -> Any:
         return value
     if isinstance(value, float) and math.isfinite(value):
         return value
-    text = str(value).encode("utf-8", "backslashreplace").decode()
+    text = encodable(str(value))
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
 
 

@@ -174,14 +174,19 @@ def _opened(path: Path) -> sqlite3.Connection:
     log_file = path.with_name(f"{path.name}-wal")
     has_log = log_file.exists() and log_file.stat().st_size > 0
     try:
-        connection = sqlite3.connect(address, uri=True)
-        try:
-            connection.execute("pragma schema_version")
-        except sqlite3.DatabaseError:
-            connection.close()
-            raise
+        return _readable(address)
     except sqlite3.DatabaseError as error:
         if getattr(error, "sqlite_errorname", "").startswith("SQLITE_READONLY") and not has_log:
             return sqlite3.connect(f"{address}&immutable=1", uri=True)
         raise InvalidInput(f"{path} cannot be read as a database: {error}") from error
+
+
+def _readable(address: str) -> sqlite3.Connection:
+    """A connection that has read something; raises sqlite3.DatabaseError."""
+    connection = sqlite3.connect(address, uri=True)
+    try:
+        connection.execute("pragma schema_version")
+    except sqlite3.DatabaseError:
+        connection.close()
+        raise
     return connection

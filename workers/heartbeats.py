@@ -111,11 +111,12 @@ class Heartbeats:
         return self._answered_at - since
 
     def _read(self) -> News:
-        reply, self._reply, self._is_started = self._reply, None, False
+        reply, self._reply = self._reply, None
         try:
             news = cast(News, ray.get(reply))
         except RayError as error:  # its process was lost; Ray starts another
             log.warning("the board was lost: %s", error)
+            self._is_started = False
             return [], {}
         self._answered_at, self._is_started = self._asked_at, True
         return news

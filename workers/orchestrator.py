@@ -25,6 +25,7 @@ from adr_service.events import (
     RunSucceeded,
     StageFinished,
 )
+from adr_service.json_values import encodable
 from adr_service.programs import run
 from adr_service.specs import AnyRun, LostRun, RunSpec
 from adr_service.stages.base import Stages
@@ -292,5 +293,4 @@ def _failure(submission: int, code: str, message: str) -> RunFailed:
     if len(code) > LONGEST_CODE:
         code, message = FailureCode.INTERNAL, f"{code}: {message}"
     text = message.replace("\0", "\\0")  # PostgreSQL cannot store a NUL, nor JSON half a letter
-    text = text.encode("utf-8", "backslashreplace").decode()
-    return RunFailed(submission=submission, code=code, message=text)
+    return RunFailed(submission=submission, code=code, message=encodable(text))
