@@ -9,10 +9,13 @@ import pytest
 from adr_service.criticism.nominal import Nominal
 from adr_service.effects.base import Effect, domain_of
 from adr_service.errors import InvalidInput
+from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.programs import run
 from adr_service.simulation.batch import Simulations
 from adr_service.specs import RunSpec
 from adr_service.stages.local import LocalStages
+from adr_service.tasks.arm import Arm
+from adr_service.tasks.base import Source
 from adr_service.tasks.catalogue import get_task, source_of
 from tests.hidden import named_effects
 
@@ -36,8 +39,11 @@ HEAVIER = (Effect("body_mass", "body:upper", (0.5,)),)  # alone: its inertia is 
 
 @pytest.mark.parametrize(("name", "effects"), [*EFFECTS.items(), ("arm", HEAVIER)])
 def test_extended_simulations_equal_mujoco_with_the_extended_model(name, effects):
-    task, rng, n = get_task(name), np.random.default_rng(0), 3
-    source = source_of(name, domain_of("vanilla", effects))
+    check_against_mujoco(get_task(name), source_of(name, domain_of("vanilla", effects)))
+
+
+def check_against_mujoco(task, source):
+    effects, rng, n = source.effects, np.random.default_rng(0), 3
     simulations = Simulations(task, source, n)
     draws = np.array([[rng.uniform(p.high / 2, p.high) for p in source.space.parameters]] * n)
     draws[1:] *= rng.uniform(0.8, 1.0, (n - 1, draws.shape[1]))
@@ -57,6 +63,25 @@ def test_extended_simulations_equal_mujoco_with_the_extended_model(name, effects
             mujoco.mj_step(model, data, task.frame_skip)
         np.testing.assert_array_equal(simulations.state.qpos[i], data.qpos)
         np.testing.assert_array_equal(simulations.state.qvel[i], data.qvel)
+
+
+class Drives(Arm):
+    """The arm with a drive that has a bias, zero in the file, and one that has no name."""
+
+    @property
+    def xml(self):
+        affine = '<general name="shoulder" joint="shoulder" gear="35" biastype="affine"/>'
+        return (
+            super()
+            .xml.replace('<motor name="shoulder" joint="shoulder" gear="35"/>', affine)
+            .replace('<motor name="elbow"', "<motor")
+        )
+
+
+def test_effects_in_drives_act_on_drawn_biases_and_where_a_file_gives_no_name():
+    weak = [Effect("actuator_gain", f"actuator:{a}", (-0.5,)) for a in ("shoulder", "unnamed_1")]
+    bias = Parameter("bias", "actuator:shoulder.bias", "", 0.0, 0.2, 0.0)
+    check_against_mujoco(Drives(), Source(ParameterSpace((bias,)), effects=tuple(weak)))
 
 
 @pytest.mark.parametrize(

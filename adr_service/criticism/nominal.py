@@ -7,7 +7,6 @@ model = nominal.model(nominal.start, effects)       # a compiled MjModel
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from adr_service.effects.base import Effect
 from adr_service.effects.models import (
     elements_of,
     make_inertias_explicit,
+    name_all,
     prepared,
     write_all,
 )
@@ -108,8 +108,7 @@ class Nominal:
 
     def _spec(self, lengths: Lengths) -> mujoco.MjSpec:
         spec = self._read()
-        for kind in ("bodies", "joints", "geoms", "actuators"):
-            _name_all(getattr(spec, kind))
+        name_all(spec)
         spec.compiler.fusestatic = False  # bodies without a joint are places of effects
         make_inertias_explicit(spec)
         if spec.compiler.settotalmass > 0:
@@ -163,12 +162,3 @@ def _start_of(parameter: Parameter, model: mujoco.MjModel) -> float:
             f"{low:g} to {parameter.high:g}"
         )
     return value
-
-
-def _name_all(elements: Sequence[Any]) -> None:
-    """Give elements of one kind that have no name a free one, because an effect needs a place."""
-    taken = {element.name for element in elements}
-    for number, element in enumerate(elements):
-        if not element.name:
-            element.name = next(n for k in count(number) if (n := f"unnamed_{k}") not in taken)
-            taken.add(element.name)

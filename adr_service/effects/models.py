@@ -10,6 +10,7 @@ the effects on commands and in sensors.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import count
 
 import mujoco
 import numpy as np
@@ -79,6 +80,16 @@ def apply(model: mujoco.MjModel, effects: Sequence[Effect]) -> None:
         mechanism = get_mechanism(effect.kind)
         if mechanism.change is not None:
             mechanism.change(model, element_of(model, effect.location), np.array(effect.values))
+
+
+def name_all(spec: mujoco.MjSpec) -> None:
+    """Give elements that have no name a free one, because an effect needs a place."""
+    for elements in (spec.bodies, spec.joints, spec.geoms, spec.actuators):
+        taken = {element.name for element in elements}
+        for number, element in enumerate(elements):
+            if not element.name:
+                element.name = next(n for k in count(number) if (n := f"unnamed_{k}") not in taken)
+                taken.add(element.name)
 
 
 def make_inertias_explicit(spec: mujoco.MjSpec) -> None:

@@ -26,7 +26,13 @@ from numpy.typing import NDArray
 from adr_service.arrays import Indices, Mask, Matrix, frozen
 from adr_service.effects.base import is_added
 from adr_service.effects.friction import VaryingFriction, uses_torques, varies
-from adr_service.effects.models import apply, check_simulated, make_inertias_explicit, prepared
+from adr_service.effects.models import (
+    apply,
+    check_simulated,
+    make_inertias_explicit,
+    name_all,
+    prepared,
+)
 from adr_service.errors import InvalidInput
 from adr_service.simulation.links import LinkLengths
 from adr_service.simulation.model import (
@@ -163,7 +169,6 @@ class _Effects:
     """The models of a task with effects that its file lacks, on top of all parameters."""
 
     def __init__(self, task: Task, source: Source):
-        check_simulated(compiled(task.xml), source.effects)
         if links := links_of(source):
             raise InvalidInput(
                 f"{task.name} with the lengths of {', '.join(links)} as parameters cannot be "
@@ -178,6 +183,8 @@ class _Effects:
             )
         self._added = source.effects
         spec = mujoco.MjSpec.from_string(task.xml)
+        name_all(spec)
+        check_simulated(spec.copy().compile(), source.effects)
         make_inertias_explicit(spec)
         self._bare = prepared(spec, source.effects)
         self.base = copy(self._bare)
@@ -192,8 +199,9 @@ class _Effects:
         self._slots = [resolve(self._bare, address) for address in addresses_of(source)]
         self._fixed = list(source.fixed.values())
         changed = {name for name in MODEL_FIELDS if differs(self._bare, self.base, name)}
-        scaled = {slot.scaled for slot in self._slots if slot.scaled is not None}
-        self._fields = sorted(changed | scaled)
+        # an effect on what a parameter gives may show no difference at the file's own value
+        given = {name for slot in self._slots for name in (slot.field, slot.scaled) if name}
+        self._fields = sorted(changed | given)
         self._expanded: list[NDArray[Any]] = []  # of a batch
 
     def expand(self, batch: Batch) -> None:
