@@ -42,24 +42,33 @@ class Engine:
         self, model: mujoco.MjModel, effects: Sequence[Effect], starts: Matrix, control: Array3
     ) -> Array3:
         """States (n, steps, 2 nv) after each step from `starts` (n, 2 nv), NaN once a simulation
-        diverges.
+        diverges: beyond MuJoCo's bound of states and accelerations.
 
         `control` (n, steps, nu + nv): commands, then generalised forces. Simulates the effects that
         the `model` has already, and frictions that vary.
         """
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # divergence must show
         with quiet():
-            if varies(effects):
-                after = self._step_by_step(model, effects, starts, control)
-            else:
-                full = np.column_stack([np.zeros(len(starts)), starts])
-                data = self._data(model)
-                times_and_states, _ = self._pool.rollout(
-                    model, data, full, control, control_spec=_CONTROL
-                )
-                after = times_and_states[..., 1:]
-        is_sane = np.all(np.abs(after) < mujoco.mjMAXVAL, axis=2)
+            simulate = self._step_by_step if varies(effects) else self._roll_out
+            after = simulate(model, effects, starts, control)
+        speeds = np.concatenate([starts[:, None], after], axis=1)[..., model.nq :]
+        with np.errstate(invalid="ignore"):  # between infinities
+            jumps = np.abs(np.diff(speeds, axis=1)) / model.opt.timestep
+        largest = np.maximum(np.abs(after).max(axis=2), jumps.max(axis=2))  # NaN stays one
+        is_sane = np.logical_and.accumulate(largest < mujoco.mjMAXVAL, axis=1)
         return np.where(is_sane[..., None], after, np.nan)
+
+    def _roll_out(
+        self, model: mujoco.MjModel, effects: Sequence[Effect], starts: Matrix, control: Array3
+    ) -> Array3:
+        full = np.column_stack([np.zeros(len(starts)), starts])
+        times_and_states, _ = self._pool.rollout(
+            model, self._data(model), full, control, control_spec=_CONTROL
+        )
+        after = times_and_states[..., 1:]
+        # at a warning of divergence it stops, and repeats time and state
+        is_stopped = np.diff(times_and_states[..., 0], axis=1, prepend=0.0) <= 0
+        return np.where(is_stopped[..., None], np.nan, after)
 
     def _step_by_step(
         self, model: mujoco.MjModel, effects: Sequence[Effect], starts: Matrix, control: Array3

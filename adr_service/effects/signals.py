@@ -57,7 +57,7 @@ def shown(
     position, that `past` gives."""
     readings = states.copy()
     for effect, _ in _in_sensors(effects):
-        for column, offset in offsets_of(model, effect, states, rates, past).items():
+        for column, offset in offsets_of(model, effect, readings, rates, past).items():
             readings[:, column] += offset
     return readings
 
@@ -70,7 +70,7 @@ def behind(
     for effect, sensing in reversed(_in_sensors(effects)):
         offset = sensing.offset_shown or sensing.offset
         for column in sensing.columns(model, element_of(model, effect.location)):
-            motion = _motion(sensing, states, rates, column, past)
+            motion = _motion(sensing, true, rates, column, past)
             true[:, column] -= offset(motion, np.array(effect.values))
     return true
 
@@ -78,7 +78,8 @@ def behind(
 def offsets_of(
     model: mujoco.MjModel, effect: Effect, states: Matrix, rates: Matrix, past: Past
 ) -> dict[int, Vector]:
-    """Offsets (n,) that an effect in a sensor adds to the readings of true states, by column."""
+    """Offsets (n,) that an effect in a sensor adds to readings of true states, by column; `states`
+    as the effects before it leave them."""
     sensing = get_mechanism(effect.kind).sensing
     if sensing is None:
         raise InvalidInput(f"{effect.kind} is not in a sensor")

@@ -58,8 +58,10 @@ class Criticise(Stage[Criticised]):
     # alone, a remark on effects that joints' limits rule out, and changes of unnamed elements, 14:
     # torque ripple, 15: a step chosen again once causes are in, and fits smoothed again where
     # their strengths have come far, 16: detection limits that do not hang on two episodes, 17:
-    # friction that depends on the drive's load or on the joint's position, scales of encoders
-    version: ClassVar = 17
+    # friction that depends on the drive's load or on the joint's position, scales of encoders, 18:
+    # a simulation that diverges within a control step is not taken for one that stands still, and
+    # effects in one sensor act one after the other
+    version: ClassVar = 18
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 

@@ -83,3 +83,28 @@ def test_what_diverges_is_not_a_number_and_leaves_the_others_alone(servo, effect
     assert np.isnan(found[1]).all()
     np.testing.assert_array_equal(found[0], alone[0])
     assert np.isfinite(found[2]).all()
+
+
+@pytest.mark.parametrize("integrator", ["EULER", "IMPLICITFAST"])
+@pytest.mark.parametrize("effects", [[], LOAD])
+@pytest.mark.parametrize("step", [0, 7, 19])
+def test_what_diverges_in_between_stays_as_it_was_until_then(servo, effects, integrator, step):
+    """MuJoCo stops a rollout at a force of 1e11 N, and repeats the last state."""
+    servo.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
+    engine, control = Engine(servo, 1), commands(3, 20)
+    alone = engine.run(servo, effects, starts(3), control)
+    control[1, step, 1] = 1e11
+    found = engine.run(servo, effects, starts(3), control)
+    assert np.isnan(found[1, step:]).all()
+    np.testing.assert_array_equal(found[1, :step], alone[1, :step])
+    np.testing.assert_array_equal(found[[0, 2]], alone[[0, 2]])
+
+
+def test_a_rollout_that_stops_is_not_taken_for_a_robot_that_stops(servo):
+    """An implicit integrator makes a small step of a huge acceleration, and MuJoCo stops there."""
+    servo.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    servo.dof_damping[:] = 1e11
+    found = Engine(servo, 1).run(servo, [], np.ones((1, 2)), commands(1, 20))
+    np.testing.assert_array_equal(np.isnan(found[0, :, 0]), np.arange(20) > 0)
+    servo.dof_damping[:] = 1e6
+    assert np.isfinite(Engine(servo, 1).run(servo, [], np.ones((1, 2)), commands(1, 20))).all()

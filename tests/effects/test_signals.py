@@ -19,7 +19,7 @@ def no_past(column):
 
 def test_effects_in_sensors_leave_other_columns_alone(cart):
     readings = shown(cart(), [BIAS, SCALE], STATES, RATES, no_past)
-    np.testing.assert_allclose(readings[:, 0], [1.6, 3.8])  # offsets by the true position add up
+    np.testing.assert_allclose(readings[:, 0], [1.65, 3.85])  # first 0.5 more, then 1.1 times that
     np.testing.assert_array_equal(readings[:, 1], STATES[:, 1])
 
 
@@ -29,10 +29,18 @@ def test_an_encoders_scale_is_in_position_and_velocity(cart):
     np.testing.assert_allclose(recorded(cart(), [ENCODER], STATES[None], 0.1)[0], readings)
 
 
-def test_each_effect_is_undone(cart):
-    for effect in (BIAS, SCALE, ENCODER):
-        readings = shown(cart(), [effect], STATES, RATES, no_past)
-        np.testing.assert_allclose(behind(cart(), [effect], readings, RATES, no_past), STATES)
+@pytest.mark.parametrize(
+    "effects", [[BIAS], [SCALE], [ENCODER], [BIAS, SCALE], [SCALE, BIAS], [ENCODER, SCALE, BIAS]]
+)
+def test_effects_are_undone(cart, effects):
+    readings = shown(cart(), effects, STATES, RATES, no_past)
+    np.testing.assert_allclose(behind(cart(), effects, readings, RATES, no_past), STATES)
+
+
+def test_readings_of_moments_are_those_of_a_record(cart):
+    for effects in ([BIAS, SCALE], [SCALE, BIAS], [ENCODER, SCALE, BIAS]):
+        readings = shown(cart(), effects, STATES, RATES, no_past)
+        np.testing.assert_allclose(recorded(cart(), effects, STATES[None], 0.1)[0], readings)
 
 
 def test_without_effects_signals_stay(cart):
