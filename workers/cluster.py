@@ -31,7 +31,7 @@ class RayOptions:
     """Settings with which to start or join a cluster."""
 
     address: str = "local"  # "local" starts one; else an address, or "auto"
-    cpus: int | None = None  # of a local cluster; None: all
+    cpus: int | None = None  # of a local cluster; None: all that this process may use
     dashboard: bool = True
     compile_cache: Path = Path.home() / ".cache" / "adr_service" / "jax"
     # of a local cluster's token and sessions; None: a temporary one, deleted at exit
@@ -39,6 +39,13 @@ class RayOptions:
     keep_idle_s: float = 600.0  # how long a process stays warm for the next stage
     resource: str = "CPU"  # of a node, as Ray counts it: one for each core that computes stages
     max_cores: int | None = None  # at work at once, and asked of an autoscaler; None: all there are
+
+    @property
+    def cpus_to_count(self) -> int | None:
+        """`cpus` or, where this process is kept off some of the machine's (`taskset`, Slurm), the
+        others; None: as Ray counts, which knows a container's limit but not such a set."""
+        usable = len(os.sched_getaffinity(0))
+        return self.cpus or (usable if usable < (os.cpu_count() or 0) else None)
 
 
 class Cluster:
@@ -62,7 +69,7 @@ class Cluster:
         if self._sessions is not None:
             # the mode stays unset: Ray turns it on for a local cluster, and notices
             os.environ["RAY_AUTH_TOKEN_PATH"] = str(self._sessions.token)
-            arguments["num_cpus"] = options.cpus
+            arguments["num_cpus"] = options.cpus_to_count
             arguments["include_dashboard"] = options.dashboard
             arguments["object_store_memory"] = 200_000_000
             arguments["_temp_dir"] = str(self._sessions.path)
