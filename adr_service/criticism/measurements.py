@@ -149,14 +149,16 @@ class Measurement:
         return ~np.isinf(np.concatenate(known))
 
     def completed(self) -> "Measurement":
-        """The measurement with unmeasured columns inferred, where they hold a constant.
+        """The measurement with unmeasured columns inferred, where they hold a constant in each
+        episode.
 
         For a model with as many positions as velocities. Unmeasured columns that change stay: their
         file has inferred them already.
         """
         positions, velocities = np.split(~self.is_measured(), 2)
-        positions &= np.ptp(self.qpos, axis=0) == 0
-        velocities &= np.ptp(self.qvel, axis=0) == 0
+        inside = np.diff(self.episode) == 0
+        positions &= ~np.diff(self.qpos, axis=0)[inside].any(axis=0)
+        velocities &= ~np.diff(self.qvel, axis=0)[inside].any(axis=0)
         return self.inferring(positions, velocities, self.period())
 
     def inferring(self, positions: Mask, velocities: Mask, period: float) -> "Measurement":

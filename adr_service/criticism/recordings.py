@@ -121,10 +121,18 @@ def measurement_of(task: Task, data: TransitionDataset) -> Measurement:
 
 
 def is_measured(task: Task) -> Mask:
-    """(nq + nv,) true for the positions and velocities that depend on what sensors show."""
-    one, other = (task.state(np.full((1, task.measured), value)) for value in (0.1, 0.2))
-    pairs = zip(one[:2], other[:2], strict=True)
-    return np.concatenate([(first != second)[0] for first, second in pairs])
+    """(nq + nv,) true for the positions and velocities that depend on what sensors show.
+
+    Each sensor is moved by itself, from two uneven readings: an angle may be in a sine and a
+    cosine, or in a difference.
+    """
+    count = task.measured
+    ways = [np.linspace(low, 0.5, count) + 0.1 * np.eye(count + 1, count) for low in (0.1, -0.4)]
+    depends: list[Mask] = []
+    for readings in ways:  # the last row is where none has moved
+        states = np.concatenate(task.state(readings)[:2], axis=1)
+        depends.append(np.any(states[:-1] != states[-1], axis=0))
+    return np.any(depends, axis=0)
 
 
 def observed(task: Task, source: Source, states: Matrix) -> Matrix:

@@ -201,7 +201,9 @@ def _gain(gain: Gain, residual: Residual) -> str:
     share = gain.explainable_fraction
     rest = ""
     if share is not None and gain.explainable_interval is not None:
-        rest = f": {share_text(share, *gain.explainable_interval)} of what is not noise"
+        rest = (
+            f": {share_text(share, *gain.explainable_interval)} of what is neither noise nor left"
+        )
     finer = ""
     if residual.step < residual.own_step:
         finer = f" Both were {in_smaller_steps(residual.step, residual.own_step)}."

@@ -205,7 +205,8 @@ class Gain:
     sse_removed: float  # share of the squared innovations
     low: float  # 95 % bootstrap over episodes
     high: float
-    explainable_fraction: float | None  # of what is beyond the final noise; None: nothing is
+    # of what is beyond the final noise, in which is what is left; None: nothing is
+    explainable_fraction: float | None
     explainable_interval: tuple[float, float] | None  # 95 % bootstrap of that
     # control steps -> error without and with, in expected errors of one step
     horizons: dict[int, tuple[float, float]]

@@ -83,6 +83,17 @@ def test_constants_in_unmeasured_columns_give_way_to_what_the_other_column_impli
     np.testing.assert_array_equal(completed.qvel[:, 0], qvel[:, 0])
 
 
+def test_a_constant_may_differ_from_episode_to_episode(good):
+    """Where each begins."""
+    known = {"qpos_std": [np.inf, 0.01], "qvel_std": [0.01, 0.01]}
+    qpos = good["qpos"].copy()
+    qpos[:, 0] = np.where(np.asarray(good["episode"]) % 2, 0.3, -0.2)
+    completed = Measurement(**{**good, "qpos": qpos}, **known).completed()
+    for number, (first, last) in enumerate(completed.spans()):
+        assert completed.qpos[first, 0] == (0.3 if number % 2 else -0.2)
+        assert np.ptp(completed.qpos[first:last, 0]) > 0
+
+
 def test_unmeasured_columns_that_change_are_kept(good):
     measurement = Measurement(**good, qpos_std=[np.inf, 0.1], qvel_std=[0.1, np.inf])
     completed = measurement.completed()

@@ -70,12 +70,20 @@ def test_a_velocity_that_has_nothing_to_do_with_its_position_is_refused(good, ot
     ("name", "spoil"),
     [
         ("qvel", lambda v, rng: v + 10 * rng.normal(scale=v.std(), size=v.shape)),
+        ("qvel", lambda v, rng: v + 1.4 * rng.normal(scale=v.std(), size=v.shape)),
         ("qpos", lambda v, rng: v + 3 * rng.normal(scale=v.std(), size=v.shape)),
         ("qpos", lambda v, rng: np.round(v / np.ptp(v))),
         ("qvel", lambda v, rng: np.where(rng.uniform(size=v.shape) < 0.01, 1e4, v)),
         ("qpos", lambda v, rng: np.where(rng.uniform(size=v.shape) < 0.01, 1e4, v)),
     ],
-    ids=["noisy velocities", "noisy positions", "a coarse encoder", "velocity spikes", "spikes"],
+    ids=[
+        "velocities in noise",
+        "noisy velocities",
+        "noisy positions",
+        "a coarse encoder",
+        "velocity spikes",
+        "spikes",
+    ],
 )
 def test_poor_readings_of_the_right_joint_are_no_wrong_columns(good, name, spoil):
     values = good[name].copy()

@@ -8,6 +8,7 @@ import pytest
 from adr_service.criticism.recordings import (
     as_measurement,
     as_recording,
+    is_measured,
     read_measurement,
     read_recording,
 )
@@ -140,6 +141,26 @@ def test_velocities_that_no_sensor_shows_are_the_rates_of_positions():
     assert np.all(np.isinf(measurement.qvel_std))
     moved = measurement.qpos[2:21] - measurement.qpos[:19]
     np.testing.assert_allclose(measurement.qvel[1:20], moved / 0.04)
+
+
+def test_an_angle_is_measured_that_sensors_show_in_parts():
+    """A sine and a cosine of the first, and the second beside the first."""
+
+    class Parts(type(ARM)):
+        def state(self, observations):
+            sine, cosine, both = observations.T
+            first = np.arctan2(sine, cosine)
+            return State(np.column_stack([first, both - first]), np.zeros((len(both), 2)))
+
+    parts = Parts(columns=("sine", "cosine", "sum"), measured=3)
+    np.testing.assert_array_equal(is_measured(parts), [True, True, False, False])
+
+
+@pytest.mark.parametrize(
+    ("task", "hidden"), [("arm", []), ("hopper", [0]), ("half_cheetah", [0]), ("humanoid", [0, 1])]
+)
+def test_every_state_is_measured_but_where_a_robot_is(task, hidden):
+    np.testing.assert_array_equal(np.flatnonzero(~is_measured(get_task(task))), hidden)
 
 
 def test_either_kind_of_file_is_read():

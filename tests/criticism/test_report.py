@@ -75,7 +75,7 @@ def test_the_page_gives_the_share_of_what_is_not_noise_with_its_interval(critici
     page = report_page(
         replace(criticism, verdict=replace(criticism.verdict, gain=gain)), "arm", ORIGIN
     )
-    assert "80.0 % [60.0, 90.0] of what is not noise" in page
+    assert "80.0 % [60.0, 90.0] of what is neither noise nor left" in page
 
 
 def test_the_page_says_where_something_unknown_is_left(criticism):
