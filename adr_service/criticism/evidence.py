@@ -41,7 +41,10 @@ from adr_service.effects.base import Effect
 from adr_service.effects.models import amounts, plausible_of, sensible, typical_of
 
 _ROUNDS, _CONVERGED = 4, 0.3  # of steps at most; [nats] that a step gains at least
-_NEAR = 0.25  # of a strength or of a typical one: so far, derivatives by it hardly change
+_SMOOTHINGS = 10  # at most
+_NEAR = 0.25  # of a value, or of a typical strength: so far, derivatives by it hardly change
+_FACTOR = 2.0  # logarithm of the factor by which a positive parameter changes at most in a step
+_HELD = 1e-6  # of its range, the deviation of a parameter that goes no further
 
 
 @dataclass(frozen=True)
@@ -127,13 +130,22 @@ def fit(simulator: Simulator, sensor: Vector, effects: Sequence[Effect] = ()) ->
 def smoothed(fit: Fit) -> Fit:
     """A fit anew, around the states that are the most probable under it.
 
-    And again where its strengths have come far, because its derivatives are those of before.
+    And again where its parameters or strengths have come far, because its derivatives are those of
+    before.
     """
-    for _ in range(_ROUNDS):
-        before, fit = fit.effects, _smoothed_once(fit)
-        if _are_near(fit.simulator, before, fit.effects):
+    for _ in range(_SMOOTHINGS):
+        before, fit = fit, _smoothed_once(fit)
+        is_near = _are_near(fit.simulator, before.effects, fit.effects)
+        if is_near and _have_stayed(before.parameters, fit):
             break
     return fit
+
+
+def _have_stayed(before: Vector, fit: Fit) -> bool:
+    """True if all parameters are within a quarter, or a standard deviation, of what they were."""
+    deviation = np.sqrt(np.diagonal(fit.normal.change()[1])[: len(before)])
+    reach = np.maximum(_NEAR * np.abs(before), deviation)
+    return bool(np.all(np.abs(fit.parameters - before) <= reach))
 
 
 def _smoothed_once(fit: Fit) -> Fit:
@@ -227,25 +239,24 @@ def tried(fit: Fit, effects: Sequence[Effect]) -> Fit | None:
 def improved(fit: Fit, first: Fit) -> Fit:
     """A fit that was `tried`, after steps to better strengths.
 
-    A step that makes the data less probable is halved. The derivatives by parameters, and by
-    effects that the fit has already, stay as well, those by new strengths while these stay near.
+    A step that makes the data less probable, under the noise before it, is shortened. The
+    derivatives by parameters, and by effects that the fit has already, stay as well, those by new
+    strengths while these stay near.
     """
     best, about, step = first, first.effects, first.normal.change()[0]
-    reached = best.normal.best_log_likelihood(fit.integration)
     for _ in range(_ROUNDS - 1):
-        parameters = _moved(fit.simulator, best.parameters, step)
+        within = _limited(fit.simulator, best.parameters, step)
+        parameters = _moved(fit.simulator, best.parameters, within)
         moved = _strengthened(best.effects, step[fit.integration.stop :])
         known = best if _are_near(fit.simulator, about, moved) else None
         other = _evaluated(fit, parameters, moved, best.noise, known)
-        more = (
-            -np.inf
-            if other is None
-            else other.normal.best_log_likelihood(fit.integration) - reached
-        )
+        # its own noise would be smaller, and what is still to go would look larger
+        more = -np.inf if other is None else likelihood(other.linear, best.noise, fit.integration)
+        more -= best.normal.best_log_likelihood(fit.integration)
         if other is None or more <= 0:
-            step = step / 2
+            step = _shorter(step, within)
             continue
-        best, step, reached = other, other.normal.change()[0], reached + more
+        best, step = other, other.normal.change()[0]
         about = about if known else moved
         if more < _CONVERGED:
             break
@@ -276,7 +287,7 @@ def _evaluated(
     linear = _supposed(fit, linear, effects)
     try:
         start = _likelier(fit, linear) if noise is None else noise
-        noise, normal = estimate(linear, start, fit.stated)
+        linear, noise, normal = _within_bounds(fit, parameters, linear, start)
     except np.linalg.LinAlgError:  # what it leaves has no finite variance beside exact readings
         return None
     return replace(
@@ -288,6 +299,28 @@ def _evaluated(
         noise=noise,
         normal=normal,
     )
+
+
+def _within_bounds(
+    fit: Fit, parameters: Vector, linear: Linear, start: Noise
+) -> tuple[Linear, Noise, Normal]:
+    """`estimate` for parameters of which those at a bound go no further.
+
+    So misfit that only a parameter beyond its bounds would explain stays, as evidence.
+    """
+    space = fit.simulator.nominal.space
+    low, high = parameters <= space.feasible_low, parameters >= space.high
+    held = np.zeros(len(parameters), dtype=np.bool_)
+    while True:
+        start, normal = estimate(linear, start, fit.stated)
+        change = normal.change()[0][: len(parameters)]
+        leaving = ~held & ((low & (change < 0)) | (high & (change > 0)))
+        if not leaving.any():
+            return linear, start, normal
+        held |= leaving
+        precision = linear.precision.copy()
+        precision[: len(held)][held] = 1 / (_HELD * (space.high - space.low)[held]) ** 2
+        linear = replace(linear, precision=precision)
 
 
 def _sensitivities(fit: Fit, parameters: Vector, effects: Sequence[Effect]) -> np.ndarray:
@@ -370,11 +403,35 @@ def _strengthened(effects: tuple[Effect, ...], change: Vector) -> tuple[Effect, 
     return tuple(moved)
 
 
-def _moved(simulator: Simulator, parameters: Vector, change: Vector) -> Vector:
+def _shorter(step: Vector, within: Vector) -> Vector:
+    """A step of all columns in its direction, as far as the one `within` bounds goes in each; half
+    of it, if it is within them itself."""
+    cut = (within != step) & (within != 0)
+    return step * np.min(within[cut] / step[cut]) if cut.any() else step / 2
+
+
+def _limited(simulator: Simulator, parameters: Vector, step: Vector) -> Vector:
+    """A step of all columns, that of parameters to their bounds and by a factor of e² at most."""
+    low, high, positive = _bounds(simulator, parameters)
+    safe = np.where(positive, parameters, 1.0)
+    ends = [
+        np.where(positive, safe * np.log(np.where(positive, end, 1.0) / safe), end - parameters)
+        for end in (low, high)
+    ]
+    least = np.where(positive, np.maximum(ends[0], -_FACTOR * safe), ends[0])
+    most = np.where(positive, np.minimum(ends[1], _FACTOR * safe), ends[1])
+    return np.concatenate([np.clip(step[: len(low)], least, most), step[len(low) :]])
+
+
+def _moved(simulator: Simulator, parameters: Vector, step: Vector) -> Vector:
     """Parameters after a step, within their bounds; what is positive moves in proportion."""
+    low, high, positive = _bounds(simulator, parameters)
+    own = step[: len(low)]
+    factor = np.exp(own / np.where(positive, parameters, np.inf))
+    return np.clip(np.where(positive, parameters * factor, parameters + own), low, high)
+
+
+def _bounds(simulator: Simulator, parameters: Vector) -> tuple[Vector, Vector, Mask]:
+    """Bounds of parameters, and which of them are positive."""
     space = simulator.nominal.space
-    low, high = space.feasible_low, np.maximum(space.high, parameters)
-    step = change[: len(parameters)]
-    positive = low > 0
-    factor = np.exp(np.clip(step / np.where(positive, parameters, 1.0), -2.0, 2.0))
-    return np.clip(np.where(positive, parameters * factor, parameters + step), low, high)
+    return space.feasible_low, np.maximum(space.high, parameters), space.feasible_low > 0

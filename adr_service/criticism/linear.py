@@ -183,11 +183,11 @@ def persisting(
     return estimate(linear, max(lift, key=lambda noise: likelihood(linear, noise)), known)
 
 
-def likelihood(linear: Linear, noise: Noise) -> float:
-    """Log-likelihood of all residuals under a noise, with the best coefficients of the columns;
+def likelihood(linear: Linear, noise: Noise, columns: slice = slice(None)) -> float:
+    """Log-likelihood of all residuals under a noise, with the best coefficients of these columns;
     minus infinity for variances that are too far apart."""
     try:
-        return _judged(linear, noise)[1].best_log_likelihood()
+        return _judged(linear, noise)[1].best_log_likelihood(columns)
     except np.linalg.LinAlgError:
         return -np.inf
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -15,10 +16,13 @@ from adr_service.criticism.evidence import (
     refine,
     smoothed,
 )
+from adr_service.criticism.measurements import Measurement
+from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.effects.models import plausible_of
-from tests.hidden import arm
+from adr_service.parameters import Parameter, ParameterSpace
+from tests.hidden import arm, driven
 
 
 def test_parameters_that_start_off_the_truth_are_recovered():
@@ -28,6 +32,71 @@ def test_parameters_that_start_off_the_truth_are_recovered():
     with Simulator(case.nominal, data, threads=1, finer=3) as simulator:
         parameters = smoothed(fit(simulator, sensor)).parameters
     np.testing.assert_allclose(parameters, case.truth, rtol=0.02)
+
+
+def hinge(damping, rotor, mass):
+    """A drive that turns a ball on a rod of 30 cm."""
+    return f"""<mujoco><option timestep="0.005" integrator="implicitfast"/><worldbody>
+        <body name="ball"><joint name="x" axis="0 1 0" damping="{damping}" armature="{rotor}"/>
+        <geom size="0.05" pos="0.3 0 0" mass="{mass}"/></body></worldbody>
+        <actuator><motor joint="x" gear="2"/></actuator></mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def turned():
+    """Episodes of a hinge with a damping of 0.5 and a ball of 1 kg, and no rotor."""
+    return Measurement(**driven(mujoco.MjModel.from_xml_string(hinge(0.5, 0.0, 1.0)), 1e-4))
+
+
+FREE = {
+    "damping": ("joint:x.damping", 0.0, 10.0),
+    "rotor": ("joint:x.armature", 0.0, 5.0),
+    "mass": ("body:ball.inertial", 0.01, 10.0),
+}
+
+
+def space(**bounds):
+    """The parameters of a hinge within bounds."""
+    chosen = {name: (FREE[name][0], *given) for name, given in bounds.items()}
+    return ParameterSpace(
+        tuple(Parameter(name, at, "", low, high, low) for name, (at, low, high) in chosen.items())
+    )
+
+
+@pytest.mark.parametrize("start", [(0.005, 2.0, 0.3), (0.02, 0.5, 1.0), (5.0, 0.001, 3.0)], ids=str)
+def test_parameters_that_start_far_off_the_truth_are_recovered(turned, start):
+    """Inertias from a fortieth to twenty times the truth: one step's derivatives lead nowhere."""
+    free = space(**{name: bounds for name, (_, *bounds) in FREE.items()})
+    with Simulator(Nominal.of_model(hinge(*start), free), turned, threads=1) as simulator:
+        found = smoothed(fit(simulator, turned.sensor_variance()))
+    np.testing.assert_allclose(found.parameters, [0.5, 0.0, 1.0], rtol=0.01, atol=0.001)
+
+
+def test_a_better_point_is_taken_although_its_own_noise_is_smaller(turned):
+    """Under which what is still to go would look larger than what there was."""
+    nominal = Nominal.of_model(hinge(0.5, 0.0, 3.0), space(mass=(0.01, 10.0)))
+    with Simulator(nominal, turned, threads=1) as simulator:
+        assert fit(simulator, turned.sensor_variance()).parameters == pytest.approx(1.0, rel=0.2)
+
+
+def test_what_only_a_parameter_beyond_its_bounds_would_explain_is_evidence(turned):
+    missing = Effect("joint_viscous_friction", "joint:x", (0.35,))
+
+    def fitted(high):
+        nominal = Nominal.of_model(hinge(0.1, 0.0, 1.0), space(damping=(0.05, high)))
+        with Simulator(nominal, turned, threads=1) as simulator:
+            found = smoothed(fit(simulator, turned.sensor_variance()))
+            return found, refine(found, [missing])
+
+    held, extended = fitted(0.15)
+    assert held.parameters == 0.15
+    assert abs(held.normal.change()[0][0]) < 1e-6
+    assert is_evidence(extended.held_out - held.held_out)
+    whole = extended.parameters[0] + extended.effects[0].values[0]
+    assert whole == pytest.approx(0.5, rel=0.01)
+    free, beside = fitted(10.0)
+    assert free.parameters == pytest.approx(0.5, rel=0.01)
+    assert not is_evidence(beside.held_out - free.held_out)
 
 
 def test_a_missing_effect_is_recovered_from_half_of_its_strength(refined):
