@@ -26,6 +26,7 @@ from adr_service.criticism.extension import Extension, NotWritable, extend
 from adr_service.criticism.flexible_force import Unexplained, unexplained
 from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.identifiability import indistinguishable
+from adr_service.criticism.intervals import INTERVAL
 from adr_service.criticism.inverse import Group, needed_effects
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.naming import Block, block_of, name_effects
@@ -35,16 +36,18 @@ from adr_service.criticism.remarks import (
     on_implausible,
     on_persistence,
     on_refuted,
+    on_undetermined,
     on_unknown,
     on_untried,
     on_unwritable,
 )
 from adr_service.criticism.responses import Responses
+from adr_service.criticism.revision import determined
 from adr_service.criticism.scan import Candidate, scan
 from adr_service.criticism.sensor_spread import spread_causes
 from adr_service.criticism.simulator import Simulator, is_first_order
 from adr_service.criticism.steps import in_steps_of
-from adr_service.criticism.summary import INTERVAL, alternative, named_cause, residual_of
+from adr_service.criticism.summary import alternative, named_cause, residual_of
 from adr_service.criticism.verdict import Conclusion, Gain, NamedCause, Verdict
 from adr_service.criticism.weighing import Alike, slots
 from adr_service.effects.base import Effect
@@ -117,7 +120,11 @@ def criticise(
             baseline = in_steps_of(baseline, final.simulator)
         progress(0.9, causes=len(named), doing="judging what is left, and the sealed episodes")
         base = baseline.simulator.base
-        remarks = (*on_commands(base, data), *on_untried(base))
+        found = named
+        named, final, unsure = determined(found, final)
+        if unsure and not named:
+            chance = 1 - _confidence_in(found, [])
+        remarks = (*on_commands(base, data), *on_untried(base), *on_undetermined(unsure))
         outcome = _Outcome(named, final, chance, None, remarks)
         outcome = _opened(outcome, baseline, sealed, rng, threads)
         judgement = _judged(outcome, baseline)
@@ -229,23 +236,28 @@ def _judged(outcome: _Outcome, baseline: Fit) -> _Judgement:
         conclusion = Conclusion.UNKNOWN
         remarks = (*outcome.remarks, on_unknown())
         outcome = replace(outcome, named=[], final=baseline, gain=None, remarks=remarks)
-    confidence = _confidence(outcome.named, outcome.chance, flexible.gains)
     spread = spread_causes(whole)
+    confidence = _confidence_without(outcome.chance, flexible.gains)
     if conclusion == Conclusion.NONE and (outcome.named or spread):
         is_tied = any(len(alike) > 1 for alike in outcome.named)
         conclusion = Conclusion.TIE if is_tied else Conclusion.CAUSE
-        confidence = confidence if outcome.named else spread[0].confidence
+        confidence = _confidence_in(outcome.named, spread)
     return _Judgement(outcome, spread, conclusion, confidence, flexible)
 
 
-def _confidence(named: Sequence[Alike], chance: float, flexible: Vector) -> float:
-    """Probability of the whole verdict: that the first cause is among those named, that there is
-    none, or that it is unknown.
+def _confidence_in(named: Sequence[Alike], spread: Sequence[NamedCause]) -> float:
+    """Least probability that every cause is among what is named for it, however these depend on
+    each other (Boole's inequality)."""
+    right = [sum(each.confidence for each in alike) for alike in named]
+    right += [cause.confidence for cause in spread]
+    return max(0.0, 1 - sum(max(0.0, 1 - each) for each in right))
+
+
+def _confidence_without(chance: float, flexible: Vector) -> float:
+    """Probability that there is no cause or, where a flexible force is evidence, of that force.
 
     `chance` is the probability that no candidate is real.
     """
-    if named:
-        return min(1.0, sum(each.confidence for each in named[0]))
     unknown = float(expit(flexible.sum() - THRESHOLD))
     return unknown if is_unknown(flexible, 0.0) else chance * (1 - unknown)
 

@@ -86,6 +86,17 @@ def on_refuted(effects: Sequence[Effect]) -> str:
     )
 
 
+def on_undetermined(effects: Sequence[Effect]) -> tuple[str, ...]:
+    """A remark on effects whose strengths may be zero, though predictions are better with them."""
+    if not effects:
+        return ()
+    names = ", ".join(f"{effect.kind} {effect.location}" for effect in effects)
+    return (
+        f"Episodes are predicted better with {names}, but the 95 % intervals of the strengths hold "
+        "zero, so it is not named: give more episodes, or free fewer parameters.",
+    )
+
+
 def on_persistence(persistence: Persistence) -> tuple[str, ...]:
     """A remark where a transition passes on some of its misfit."""
     if persistence.share == 0:

@@ -2,9 +2,10 @@
 
     named, current = reconsidered(named, current, range(len(named)), responses, rng, alive)
     named, current = narrowed(*pruned(named, current))
+    named, current, gone = determined(named, current)
 
 What explained most before the others were known may be another's stand-in, superfluous now, or a
-group, though a few of its places suffice.
+group, though a few of its places suffice. Its strength may also be too unsure to be anything.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,6 +22,7 @@ from adr_service.criticism.evidence import (
     refine,
     smoothed,
 )
+from adr_service.criticism.intervals import may_be_nothing
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import scan
 from adr_service.criticism.weighing import (
@@ -115,6 +117,27 @@ def pruned(named: list[Alike], current: Fit) -> tuple[list[Alike], Fit]:
         named = [alike for number, alike in enumerate(named) if number != least]
         current = smoothed(shorter[least])
     return named, current
+
+
+def determined(named: list[Alike], current: Fit) -> tuple[list[Alike], Fit, tuple[Effect, ...]]:
+    """The named effects without those that the data do not tell from nothing, by the intervals of
+    their strengths, then the fit, and these effects.
+
+    The least of them goes first: what it was confused with may be determined without it.
+    """
+    gone: tuple[Effect, ...] = ()
+    while unsure := [
+        number for number, slot in enumerate(slots(named)) if may_be_nothing(current, slot)
+    ]:
+        least = min(unsure, key=lambda number: named[number][0].gain)
+        slot = slots(named)[least]
+        rest = _without(slot, current)
+        if rest is None:
+            break
+        gone = (*gone, *current.effects[slot])
+        named = [alike for number, alike in enumerate(named) if number != least]
+        current = smoothed(rest)
+    return named, current, gone
 
 
 def _without(slot: slice, current: Fit) -> Fit | None:

@@ -3,18 +3,16 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
 
 from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.flexible_force import Unexplained
+from adr_service.criticism.intervals import intervals
 from adr_service.criticism.scan import Candidate, location_of
-from adr_service.criticism.verdict import NamedCause, Residual, StrengthInterval
+from adr_service.criticism.verdict import NamedCause, Residual
 from adr_service.criticism.weighing import Weighed
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import unit_of
-
-INTERVAL = 0.95
 
 
 def alternative(other: Weighed) -> NamedCause:
@@ -26,32 +24,10 @@ def alternative(other: Weighed) -> NamedCause:
 def named_cause(fit: Fit, slot: slice, weighed: Weighed) -> NamedCause:
     """Some of a fit's effects with intervals, as one cause or a group."""
     effects = fit.effects[slot]
-    intervals = _intervals(fit, slot)
+    strengths = intervals(fit, slot)
     return NamedCause(
-        effects[0].kind, location_of(effects), intervals, weighed.confidence, weighed.gain
+        effects[0].kind, location_of(effects), strengths, weighed.confidence, weighed.gain
     )
-
-
-def _intervals(fit: Fit, slot: slice) -> tuple[StrengthInterval, ...]:
-    """Intervals of all strengths of some effects, by the sandwich estimate of their variance."""
-    effects = fit.effects[slot]
-    covariance = fit.normal.covariance()
-    freedom = max(len(fit.held_out) - len(covariance), 1)
-    reach = float(stats.t.ppf(0.5 + INTERVAL / 2, freedom))
-    variances = np.diagonal(covariance)[fit.columns_of(slot)].tolist()
-    intervals: list[StrengthInterval] = []
-    for effect in effects:
-        for strength, value in zip(
-            get_mechanism(effect.kind).strengths, effect.values, strict=True
-        ):
-            variance = variances[len(intervals)]
-            error = reach * float(np.sqrt(max(variance, 0.0)))
-            bounds = (max(value - error, strength.low), value + error)
-            unit = unit_of(fit.simulator.base, effect.location, strength.unit)
-            name = strength.name if len(effects) == 1 else f"{effect.name} {strength.name}"
-            low, high = bounds if variance != 0 else (-np.inf, np.inf)  # zero: not identifiable
-            intervals.append(StrengthInterval(name, value, low, high, unit))
-    return tuple(intervals)
 
 
 def residual_of(

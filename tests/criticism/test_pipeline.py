@@ -11,7 +11,8 @@ from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import (
-    _confidence,
+    _confidence_in,
+    _confidence_without,
     _opened,
     _Outcome,
     criticise,
@@ -19,11 +20,12 @@ from adr_service.criticism.pipeline import (
     split,
 )
 from adr_service.criticism.report import FILES, files_of
+from adr_service.criticism.verdict import NamedCause
 from adr_service.criticism.weighing import Weighed
 from adr_service.effects.base import Effect
 from adr_service.errors import InvalidInput
 from adr_service.parameters import ParameterSpace
-from tests.hidden import arm, recorded
+from tests.hidden import arm, driven, recorded
 
 # frozen before any threshold was chosen: the seeds of a battery on the small task
 BATTERY = range(100, 106)
@@ -45,22 +47,10 @@ LINK = """
 
 
 def swings(stiffness, noise):
-    """Arrays of a link with a spring [N m/rad], and noise of its position [rad] and, ten times as
-    much, of its velocity."""
+    """Arrays of a link with a spring [N m/rad], as `driven` has them."""
     model = mujoco.MjModel.from_xml_string(LINK)
     model.jnt_stiffness[0] = stiffness
-    data, rng, rows = mujoco.MjData(model), np.random.default_rng(0), []
-    for episode in range(12):
-        mujoco.mj_resetData(model, data)
-        data.qpos[0] = rng.uniform(-1, 1)
-        for _ in range(75):
-            data.ctrl[0] = rng.uniform(-1, 1)
-            q, v = (data.qpos[0], data.qvel[0]) + noise * np.array([1, 10]) * rng.normal(size=2)
-            rows.append((episode, data.time, q, v, data.ctrl[0]))
-            mujoco.mj_step(model, data, nstep=5)
-    episode, time, qpos, qvel, ctrl = (column[:, None] for column in np.array(rows).T)
-    ids = episode[:, 0].astype(int)
-    return {"time": time[:, 0], "qpos": qpos, "qvel": qvel, "ctrl": ctrl, "episode": ids}
+    return driven(model, noise)
 
 
 def verdict_on(arrays):
@@ -231,8 +221,19 @@ def test_a_verdict_survives_an_extended_model_that_cannot_be_written(criticism):
 
 def test_a_verdict_of_no_cause_is_less_sure_where_an_unknown_force_is_likely():
     """A flexible force that gains the threshold is as likely real as not."""
-    assert _confidence([], 0.8, np.full(20, THRESHOLD / 20)) == pytest.approx(0.4)
-    assert _confidence([], 0.8, np.zeros(20)) == pytest.approx(0.8)
+    assert _confidence_without(0.8, np.full(20, THRESHOLD / 20)) == pytest.approx(0.4)
+    assert _confidence_without(0.8, np.zeros(20)) == pytest.approx(0.8)
+
+
+def test_a_verdict_is_as_sure_as_all_of_its_causes_together(refined, friction):
+    def alike(*confidences):
+        return tuple(Weighed((friction,), refined, np.zeros(12), each) for each in confidences)
+
+    steps = NamedCause("sensor_quantisation", "sensor:elbow.position", (), 0.95, 50.0)
+    assert _confidence_in([alike(0.6, 0.3)], []) == pytest.approx(0.9)
+    assert _confidence_in([alike(0.6, 0.3), alike(0.97)], [steps]) == pytest.approx(0.82)
+    assert _confidence_in([alike(0.3), alike(0.4)], []) == 0
+    assert _confidence_in([alike(0.7, 0.3 + 1e-9)], []) == 1
 
 
 @pytest.mark.parametrize(("strength", "is_named"), [(0.1, True), (0.3, False)])

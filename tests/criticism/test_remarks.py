@@ -14,6 +14,7 @@ from adr_service.criticism.remarks import (
     on_implausible,
     on_persistence,
     on_refuted,
+    on_undetermined,
     on_untried,
 )
 from adr_service.effects.base import Effect
@@ -32,6 +33,14 @@ def test_constant_commands_and_commands_beyond_limits_have_a_remark(good):
     rounded = np.array(good["ctrl"])
     rounded[0, 1] = np.nextafter(1.0, 2.0)
     assert on_commands(model, Measurement(**{**good, "ctrl": rounded})) == ()
+
+
+def test_effects_that_may_be_nothing_have_a_remark():
+    assert on_undetermined(()) == ()
+    gone = [Effect("joint_spring", f"joint:{name}", (1.0,)) for name in ("elbow", "shoulder")]
+    (remark,) = on_undetermined(gone)
+    assert "joint_spring joint:elbow, joint_spring joint:shoulder" in remark
+    assert "hold zero" in remark
 
 
 def test_parts_of_a_command_beyond_the_limits_count_though_its_mean_is_within(good):

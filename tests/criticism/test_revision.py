@@ -10,7 +10,7 @@ from adr_service.criticism import revision
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import fit, refine, smoothed
 from adr_service.criticism.responses import Responses
-from adr_service.criticism.revision import narrowed, pruned, reconsidered
+from adr_service.criticism.revision import determined, narrowed, pruned, reconsidered
 from adr_service.criticism.simulator import Simulator
 from adr_service.criticism.weighing import Weighed
 from adr_service.effects.base import Effect
@@ -46,6 +46,24 @@ def test_an_effect_that_the_others_make_superfluous_is_dropped(both, friction):
     (kept,), final = pruned(named, both)
     assert kept[0].effects == (friction,)
     assert [effect.kind for effect in final.effects] == [friction.kind]
+
+
+def test_an_effect_whose_interval_holds_zero_goes_and_the_others_stay(baseline, friction):
+    """However large the gain with which it was named."""
+    both = refine(baseline, [ELSEWHERE, friction])
+    much = np.full(len(both.held_out), 10.0)
+    named = [(weighed(both, ELSEWHERE, gains=much),), (weighed(both, friction, gains=much),)]
+    (kept,), final, (gone,) = determined(named, both)
+    assert (gone.kind, gone.location) == (ELSEWHERE.kind, ELSEWHERE.location)
+    assert kept[0].effects == (friction,)
+    assert [effect.kind for effect in final.effects] == [friction.kind]
+
+
+def test_effects_whose_strengths_are_sure_all_stay(refined, friction):
+    named = [(weighed(refined, friction),)]
+    kept, final, gone = determined(named, refined)
+    assert (kept, gone) == (named, ())
+    assert final is refined
 
 
 def test_a_single_effect_is_neither_pruned_nor_narrowed(refined, friction):
