@@ -59,8 +59,9 @@ class Criticise(Stage[Criticised]):
     # torque ripple, 15: a step chosen again once causes are in, and fits smoothed again where
     # their strengths have come far, 16: detection limits that do not hang on two episodes, 17:
     # friction that depends on the drive's load or on the joint's position, scales of encoders, 18:
-    # a simulation that diverges within a control step is not taken for one that stands still, and
-    # effects in one sensor act one after the other
+    # a simulation that diverges within a control step is not taken for one that stands still,
+    # effects in one sensor act one after the other, fits go on until their parameters have settled
+    # and within their bounds, and causes whose intervals hold zero are not named
     version: ClassVar = 18
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
