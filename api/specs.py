@@ -12,7 +12,7 @@ def read_spec(file: Path) -> dict[str, Any]:
     """Return the JSON object in a file."""
     try:
         spec = json.loads(file.read_text())
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InvalidInput(f"{file} is not a readable JSON file: {error}") from error
     if not isinstance(spec, dict):
         raise InvalidInput(f"{file} must hold one JSON object; given {type(spec).__name__}")

@@ -21,6 +21,7 @@ from sqlalchemy.orm import Session
 from adr_service.benchmark.replay import Replay, replay_run
 from adr_service.errors import InvalidInput
 from adr_service.events import (
+    IterationFinished,
     RunEvent,
     RunFailed,
     RunQueued,
@@ -134,8 +135,22 @@ def _events(session: Session, run_id: str) -> list[RunEvent]:
             ) from error
         if (row.seq, row.key, row.type) != (number, event.key, event.type):
             raise InvalidInput(f"event {number} of {run_id} in the archive has another's columns")
+        if isinstance(event, IterationFinished) and not _fits_together(event):
+            raise InvalidInput(
+                f"event {number} of {run_id} in the archive needs as many distributions, flags and "
+                "lists of returns as policies (or no returns), and lists of one length"
+            )
         events.append(event)
     return events
+
+
+def _fits_together(event: IterationFinished) -> bool:
+    """True if the lists of an iteration are as a run reports them."""
+    count, returns = len(event.policies), event.returns
+    trained = (event.source_returns, event.reached_threshold, event.training_steps)
+    are_alike = all(len(each) == count for each in (event.distributions, *trained))
+    is_evaluated = len(returns) == count and len({len(episodes) for episodes in returns}) == 1
+    return count > 0 and are_alike and (is_evaluated or not returns)
 
 
 def _is_in_order(lifecycle: Sequence[_Lifecycle]) -> bool:

@@ -68,8 +68,13 @@ def file_of(url: str) -> Path:
     """The SQLite file that a URL names. Raises InvalidInput if it names none."""
     parsed = parse_url(url)
     if parsed.get_backend_name() != "sqlite" or parsed.database in {None, "", ":memory:"}:
-        raise InvalidInput(f"{ACCEPTED}; given {parsed.render_as_string(hide_password=True)!r}")
+        raise InvalidInput(f"{ACCEPTED}; given {without_secrets(parsed)!r}")
     return Path(str(parsed.database))
+
+
+def without_secrets(url: URL) -> str:
+    """The text of a URL without what may be its password, or lead to it."""
+    return url.set(query={}).render_as_string(hide_password=True)
 
 
 def url_of(file: Path) -> str:

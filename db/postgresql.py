@@ -13,7 +13,7 @@ from sqlalchemy import Connection, ExceptionContext, create_engine, event, make_
 from sqlalchemy.exc import DataError, DBAPIError, OperationalError
 
 from adr_service.errors import AdrError, InvalidInput
-from db.backends import BUSY_TIMEOUT_MS, ONE_CONNECTION
+from db.backends import BUSY_TIMEOUT_MS, ONE_CONNECTION, without_secrets
 from db.errors import DatabaseInUse, DatabaseUnavailable, DiskFull
 
 log = logging.getLogger(__name__)
@@ -47,7 +47,7 @@ class Postgresql:
 
     def __init__(self, url: str):
         parsed = make_url(url)
-        self.name = parsed.render_as_string(hide_password=True)
+        self.name = without_secrets(parsed)
         ours = {name: v for name, v in _CLIENT.items() if name not in parsed.query}
         settings = [f"-c {name}={value}" for name, value in _SERVER.items()]
         given = str(parsed.query.get("options", ""))

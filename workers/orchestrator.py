@@ -144,17 +144,18 @@ class Orchestrator:
         visit = visit_store.claimed_by(self._database, id, lease)  # before anything is unpacked
         episode = read_episode(visit.task, visit.inputs["transitions"], content)
         finished = StageFinished(kind=visit.kind, digest=visit.digest)
-        done = visit_store.complete(
-            self._database,
-            id,
-            lease,
-            episode.to_stored(),
-            episode.transitions,
-            self.clock.now(),
-            lambda session: event_store.append_to_all(session, [visit.run_id], [finished]),
-        )
-        self._dispatcher.arrived(done.digest)
-        return done
+        try:
+            return visit_store.complete(
+                self._database,
+                id,
+                lease,
+                episode.to_stored(),
+                episode.transitions,
+                self.clock.now(),
+                lambda session: event_store.append_to_all(session, [visit.run_id], [finished]),
+            )
+        finally:  # a server that fails while it answers may have stored the episode
+            self._dispatcher.arrived(visit.digest)
 
     def fail_task(self, id: str, lease: str, message: str) -> Visit:
         """Fail a visit that no robot can do; its run fails with the message.

@@ -324,7 +324,7 @@ class AdrClient:
         """Raise Unreachable if the service does not answer, InvalidInput if it cannot be asked."""
         try:
             yield
-        except httpx2.InvalidURL as error:
+        except (httpx2.InvalidURL, UnicodeEncodeError) as error:
             raise InvalidInput(f"an id or a name does not fit into an address: {error}") from error
         except httpx2.TimeoutException as error:
             raise Unreachable(

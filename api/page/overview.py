@@ -78,6 +78,9 @@ def _leader(service: Service, id: str) -> dict[str, Any] | None:
     except InvalidInput as error:  # an imported run without its results may have any events
         log.warning("%s has no table: %s", id, error)
         found = []
+    except Exception:  # whatever is wrong with this one, the others are to be seen
+        log.exception("%s has no table", id)
+        found = []
     # a stored table outlives the package of a method
     kinds = ((row, methods().get(row["method"])) for row in found)
     ranked = [row for row, kind in kinds if kind is not None and not kind.is_reference]

@@ -38,7 +38,7 @@ class Given(BaseModel):
     seeds: Annotated[str, Field(max_length=100_000)] = ""
     preset: str = "quick"
     references: bool = False
-    settings: str = ""
+    settings: Annotated[str, Field(max_length=5_000)] = ""  # each line is compared with all
     act: Literal["plan", "start"] = "plan"
 
 

@@ -65,9 +65,10 @@ def test_a_spec_file_holds_one_object(tmp_path):
     file.write_text("[]")
     with pytest.raises(InvalidInput, match="must hold one JSON object; given list"):
         read_spec(file)
-    file.write_text("task: arm")
-    with pytest.raises(InvalidInput, match="not a readable JSON file"):
-        read_spec(file)
+    for content in ("task: arm", "[" * 100_000):
+        file.write_text(content)
+        with pytest.raises(InvalidInput, match="not a readable JSON file"):
+            read_spec(file)
 
 
 def test_effects_are_read_without_their_mjcf(tmp_path):

@@ -211,7 +211,8 @@ def test_a_spec_with_what_json_does_not_have_is_refused(value, message):
         client.submit_run({"seed": value})
 
 
-def test_an_id_with_a_line_end_is_refused():
-    """As from a file of another system."""
-    with AdrClient() as client, pytest.raises(InvalidInput, match=r"does not fit.*'\\r'"):
-        client.get("run_1\r")
+@pytest.mark.parametrize(("id", "shown"), [("run_1\r", r"'\\r'"), ("run_\udce9", r"'\\udce9'")])
+def test_an_id_that_no_address_can_have_is_refused(id, shown):
+    """A line end as from a file of another system, and a byte that is no UTF-8."""
+    with AdrClient() as client, pytest.raises(InvalidInput, match=f"does not fit.*{shown}"):
+        client.get(id)

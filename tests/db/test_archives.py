@@ -396,13 +396,16 @@ def _unlabelled(rows):
     return [{name: row[name] for name in row if name != "kind"} for row in rows]
 
 
-def _other_return(rows):
-    """An iteration with returns that the evaluations do not have."""
-    for row in rows:
-        if row["type"] == "iteration_finished":
-            body = json.loads(row["body"])
-            row["body"] = json.dumps({**body, "returns": [[1e9]]})
-    return rows
+def _iterations(**changes):
+    """All iterations with other lists."""
+
+    def change(rows):
+        for row in rows:
+            if row["type"] == "iteration_finished":
+                row["body"] = json.dumps(json.loads(row["body"]) | changes)
+        return rows
+
+    return change
 
 
 def _invented(rows):
@@ -499,7 +502,10 @@ HOSTILE = {
     "a gap in the events": ("events", lambda rows: rows[1:], "has another's columns"),
     "an unknown event": ("events", _first(body='{"type":"rm"}'), "event 1"),
     "another event's key": ("events", _first(key="run_started:1"), "contradicts itself|columns"),
-    "returns that no evaluation has": ("events", _other_return, "does not follow"),
+    "returns that no evaluation has": ("events", _iterations(returns=[[1e9]]), "does not follow"),
+    "returns of two lengths": ("events", _iterations(returns=[[1, 2], [1]]), "one length"),
+    "returns of no policy": ("events", _iterations(policies=[], returns=[]), "as policies"),
+    "no distribution": ("events", _iterations(distributions=[]), "as many distributions"),
     "an iteration that never was": ("events", _invented, "does not follow"),
     "no first iteration": ("events", _without("iteration_finished:0"), "has no event"),
     "no last iteration": ("events", _without("iteration_finished:1"), "has no event"),

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from adr_service.errors import InvalidInput
-from db.backends import file_of, parse_url
+from db.backends import file_of, parse_url, without_secrets
 
 NO_FILE = ["sqlite://", "sqlite:///:memory:", "postgresql+psycopg://a:secret@host/adr"]
 
@@ -20,6 +20,16 @@ def test_a_url_without_a_file_is_refused_with_the_accepted_forms(url):
     with pytest.raises(InvalidInput, match="must be an SQLite file, sqlite:///PATH") as refused:
         file_of(url)
     assert "secret" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "url", ["postgresql+psycopg://me:secret@host/adr", "postgresql://me@host/adr?password=secret"]
+)
+def test_the_name_of_a_database_has_no_password(url):
+    shown = without_secrets(parse_url(url))
+    assert "secret" not in shown
+    assert "me" in shown
+    assert shown.endswith("@host/adr")
 
 
 @pytest.mark.parametrize("url", ["", "adr.sqlite", "postgresql+psycopg://me:secret@[::1/adr"])

@@ -4,16 +4,21 @@ import logging
 import sqlite3
 import threading
 from contextlib import closing, contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from adr_service.errors import AdrError, FailureCode, InvalidInput, StageFailed
 from adr_service.events import RunFailed
+from adr_service.npz import write_arrays
 from adr_service.specs import BenchmarkSpec, RunSpec
 from db import benchmarks, events, runs, visits
+from db.errors import DatabaseUnavailable
 from db.visits import LeaseLost
 from tests.db import leases
+from tests.planted import recorded, waving_policy
 from tests.service import until
 from tests.stages.examples import episode
 from workers.cluster import ClusterUnavailable, RayOptions
@@ -102,6 +107,27 @@ def test_an_upload_is_not_read_before_its_lease(database):
         orchestrator.complete_task(task.id, "another lease", b"not an npz")
     with pytest.raises(InvalidInput, match="not a readable"):
         orchestrator.complete_task(task.id, task.lease, b"not an npz")
+
+
+def test_an_episode_that_was_stored_without_an_answer_reaches_its_run(database, monkeypatch):
+    """The server failed between its commit and its answer."""
+    leases.publish(database, runs.create_run(database, leases.SPEC).id)
+    now = datetime.now(UTC)
+    task, arrived, complete = leases.claim(database, "a", now), [], visits.complete
+    orchestrator = Orchestrator(database, RayOptions())
+    monkeypatch.setattr(orchestrator._dispatcher, "arrived", arrived.append)
+
+    def failing(*given):
+        complete(*given)
+        raise DatabaseUnavailable("it failed")
+
+    monkeypatch.setattr(visits, "complete", failing)
+    data = recorded(waving_policy(), episodes=1, steps=task.inputs["transitions"])
+    content = write_arrays({**data.to_arrays(), "rewards": np.zeros(len(data))})
+    with pytest.raises(DatabaseUnavailable):
+        orchestrator.complete_task(task.id, task.lease, content)
+    assert arrived == [task.digest]
+    assert visits.get_visit(database, task.id).state == "done"
 
 
 class LongWinded(AdrError):

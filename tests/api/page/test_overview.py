@@ -27,6 +27,13 @@ def test_the_best_method_is_found_again_where_a_run_has_changed(file_database):
     assert overview._leaders(service, [SimpleNamespace(id=id, is_finished=False)]) == {}
 
 
+def test_one_benchmark_whose_table_fails_hides_no_other(file_database, monkeypatch):
+    id = finished_benchmark(file_database)
+    service = SimpleNamespace(database=file_database, leaders={}, comparing=defaultdict(Lock))
+    monkeypatch.setattr(overview, "results_json", lambda *given: "no JSON")
+    assert overview._leaders(service, [SimpleNamespace(id=id, is_finished=True)]) == {id: None}
+
+
 def test_the_first_page_waits_for_no_comparison_of_others(file_database):
     id = finished_benchmark(file_database)
     service = SimpleNamespace(database=file_database, leaders={}, comparing=defaultdict(Lock))
