@@ -5,6 +5,7 @@ import io
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
+from functools import lru_cache
 from itertools import combinations
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 from adr_service.arrays import Matrix
 from adr_service.benchmark.statistics import (
     FEWEST_SEEDS,
+    Interval,
     bootstrap_interval,
     improvement,
     interquartile_mean,
@@ -333,7 +335,7 @@ def _row(key: _Key, outcomes: Sequence[Outcome]) -> Row:
     returns = returns_of(outcomes)
     # the same stream for all rows, so that equal data have equal intervals
     average = mean_interval(returns)
-    middle = bootstrap_interval(returns, interquartile_mean, stream("interval"))
+    middle = _middle(tuple((each.shape, each.tobytes()) for each in returns))
     reached = [flag for o in outcomes for flag in o.iteration.reached_threshold]
     rollouts = max(o.iteration.target_rollouts for o in outcomes)
     return Row(
@@ -361,6 +363,14 @@ def _row(key: _Key, outcomes: Sequence[Outcome]) -> Row:
         energy_score=_mean([_scored(o, energy_score) for o in outcomes]),
         reached_threshold=float(np.mean(reached)),
     )
+
+
+@lru_cache(maxsize=512)
+def _middle(returns: tuple[tuple[tuple[int, ...], bytes], ...]) -> Interval:
+    """Interquartile mean of returns, given as shapes and bytes by seed; kept, because a page that
+    is open asks again for all rows while a few of them change."""
+    seeds = [np.frombuffer(content).reshape(shape) for shape, content in returns]
+    return bootstrap_interval(seeds, interquartile_mean, stream("interval"))
 
 
 def _error(outcome: Outcome) -> float | None:
