@@ -40,6 +40,15 @@ PAPER = Paper(
     conference="Robotics: Science and Systems",
     arxiv="1906.01728",
 )
+SBI = Paper(  # the library that learns the networks
+    "tejerocantero2020sbi",
+    "sbi: A toolkit for simulation-based inference",
+    "Tejero-Cantero, Alvaro and Boelts, Jan and Deistler, Michael and Lueckmann, Jan-Matthis and "
+    "Durkan, Conor and Gonçalves, Pedro J. and Greenberg, David S. and Macke, Jakob H.",
+    2020,
+    journal="Journal of Open Source Software",
+    arxiv="2007.09114",
+)
 
 
 class BayesSimSettings(OfflineSettings):
@@ -62,7 +71,7 @@ class BayesSimSettings(OfflineSettings):
     extra: ClassVar[str] = "sbi"
     label: ClassVar[str] = "BayesSim"
     colour: ClassVar[str] = "#661100"
-    papers: ClassVar[tuple[Paper, ...]] = (PAPER,)
+    papers: ClassVar[tuple[Paper, ...]] = (PAPER, SBI)
 
     @property
     def seconds(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]

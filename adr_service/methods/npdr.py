@@ -25,6 +25,7 @@ from pydantic import Field
 from adr_service.citations import Paper
 from adr_service.distributions import Empirical
 from adr_service.methods.base import Estimate, OfflineSettings, Problem
+from adr_service.methods.bayes_sim import SBI
 from adr_service.progress import Progress
 from adr_service.simulation.summaries import LEAST, Scale, SummarisedReplays, outside
 from adr_service.startup_time import preparing
@@ -39,6 +40,14 @@ PAPER = Paper(
     "Gienger, Michael and Peters, Jan",
     2022,
     conference="Conference on Robot Learning",
+)
+SNPE_C = Paper(
+    "greenberg2019automatic",
+    "Automatic Posterior Transformation for Likelihood-Free Inference",
+    "Greenberg, David S. and Nonnenmacher, Marcel and Macke, Jakob H.",
+    2019,
+    conference="International Conference on Machine Learning",
+    arxiv="1905.07488",
 )
 
 
@@ -65,7 +74,7 @@ class NpdrSettings(OfflineSettings):
     extra: ClassVar[str] = "sbi"
     label: ClassVar[str] = "NPDR"
     colour: ClassVar[str] = "#6699CC"
-    papers: ClassVar[tuple[Paper, ...]] = (PAPER,)
+    papers: ClassVar[tuple[Paper, ...]] = (PAPER, SNPE_C, SBI)
 
     @property
     def seconds(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -31,6 +31,7 @@ from scipy.optimize import OptimizeResult, least_squares, lsq_linear
 from scipy.stats import qmc
 
 from adr_service.arrays import Matrix, Vector, column_scales
+from adr_service.citations import Paper
 from adr_service.distributions import Distribution, Gaussian, Uniform
 from adr_service.errors import InvalidInput
 from adr_service.methods.base import Estimate, OfflineSettings, Problem, ReplayFrom
@@ -56,7 +57,27 @@ class _Diverged(Exception):
     """A search cannot go on, because the replay of a point diverged."""
 
 
+_SEARCH = Paper(
+    "branch1999subspace",
+    "A Subspace, Interior, and Conjugate Gradient Method for Large-Scale Bound-Constrained "
+    "Minimization Problems",
+    "Branch, Mary Ann and Coleman, Thomas F. and Li, Yuying",
+    1999,
+    journal="SIAM Journal on Scientific Computing",
+)
+_WHITE = Paper(
+    "white1980heteroskedasticity",
+    "A Heteroskedasticity-Consistent Covariance Matrix Estimator and a Direct Test for "
+    "Heteroskedasticity",
+    "White, Halbert",
+    1980,
+    journal="Econometrica",
+)
+
+
 class _Settings(OfflineSettings):
+    papers: ClassVar[tuple[Paper, ...]] = (_SEARCH, _WHITE)
+
     starts: int = Field(4, ge=1, le=1000, description="searches, the first from the middle")
     steps: int = Field(1, ge=1, le=10_000, description="control steps per replayed window")
     iterations: int = Field(50, ge=1, le=10_000, description="evaluations per search, at most")

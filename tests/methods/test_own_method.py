@@ -92,11 +92,7 @@ def installed(tmp_path_factory):
     folder, source = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("source")
     (source / "random_search.py").write_text(block("python", "class RandomSearch:"))
     (source / "ramp.py").write_text(block("python", "class Ramp:"))
-    project = block("toml", "entry-points").replace(
-        '["random_search"]', '["random_search", "ramp"]'
-    )
-    both = project.replace("\n\n[tool", '\nramp = "ramp:RampSettings"\n\n[tool')
-    (source / "pyproject.toml").write_text(both)
+    (source / "pyproject.toml").write_text(block("toml", "entry-points"))
     install(source, folder)
     return folder
 
