@@ -34,7 +34,8 @@ def _rest(verdict: Json) -> list[str]:
     if verdict["causes"]:
         lines.append("something else is missing that is none of the effects we know")
     if where := verdict["residual"].get("where"):  # stored verdicts of earlier versions lack it
-        lines.append(f"what is left is best explained by {Rest(**where).words}")
+        rest = Rest(**where)
+        lines.append(f"what is left is best explained by {rest.words}: look for {rest.suspects}")
     return lines
 
 

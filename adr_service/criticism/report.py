@@ -86,7 +86,8 @@ def _finding(verdict: Verdict) -> str:
             spread = "; ".join(_words(cause) for cause in verdict.causes)
             return (
                 f"Something is missing that is none of the effects we know ({how_sure}): "
-                f"{_flexible(verdict.residual)} than the best of them."
+                f"{_flexible(verdict.residual)} than the best of them. "
+                f"{_suspects(verdict.residual)}"
                 f"{f' Besides, the simulator lacks {spread}.' if spread else ''}"
             )
         case Conclusion.CAUSE | Conclusion.TIE:
@@ -100,7 +101,8 @@ def _finding(verdict: Verdict) -> str:
             if verdict.residual.rest == "unknown":
                 rest = (
                     " Something else is missing that is none of the effects we know: "
-                    f"{_flexible(verdict.residual)} than these alone."
+                    f"{_flexible(verdict.residual)} than these alone. "
+                    f"{_suspects(verdict.residual)}"
                 )
             return f"The simulator lacks {names} ({how_sure}).{tie}{rest}"
 
@@ -114,6 +116,10 @@ def _origin(criticism: Criticism, origin: str) -> str:
         f"{len(data.spans())} episodes; the others were set aside. "
         f"ADR benchmark {adr_service.__version__}, MuJoCo {mujoco.__version__}.</p>"
     )
+
+
+def _suspects(residual: Residual) -> str:
+    return f"Look for {residual.where.suspects}."
 
 
 def _flexible(residual: Residual) -> str:

@@ -130,6 +130,13 @@ _WORDS: dict[str, str] = {
     "drive": "how its drive is used",
     "frequency": "time, at {:.3g} Hz",
 }
+_SUSPECTS: dict[str, str] = {
+    "motion": "a spring or a friction of another shape, or another drive's command",
+    "position": "a ripple, or a friction that differs from place to place, beyond those tried",
+    "time": "a gain that fades within an episode, or drifts over the recording",
+    "drive": "a gain that depends on position or speed, or a friction that depends on the load",
+    "frequency": "something that swings by itself: a part that is loose or bends, or the ground",
+}
 
 
 @dataclass(frozen=True)
@@ -145,6 +152,11 @@ class Rest:
         """As "a force at joint:elbow that depends on time"."""
         dependence = _WORDS[self.depends_on].format(self.hertz)
         return f"a force at {self.location} that depends on {dependence}"
+
+    @property
+    def suspects(self) -> str:
+        """The finer mechanisms to look for next."""
+        return _SUSPECTS[self.depends_on]
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,7 @@ def test_the_page_says_where_something_unknown_is_left(criticism):
     verdict = replace(criticism.verdict, conclusion=Conclusion.UNKNOWN, residual=residual)
     page = report_page(replace(criticism, verdict=verdict), "arm", ORIGIN)
     assert "a force at joint:elbow that depends on time, at 2.7 Hz predicts 30 nats better" in page
+    assert "Look for something that swings by itself" in page
 
 
 def test_only_a_page_with_causes_speaks_of_their_refined_evidence(criticism):

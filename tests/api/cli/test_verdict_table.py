@@ -51,7 +51,8 @@ def test_what_is_left_is_shown_with_its_place():
     where = {"location": "joint:knee", "depends_on": "frequency", "hertz": 2.72}
     residual = {"rest": "unknown", "parameters": {}, "where": where}
     verdict = {**VERDICT, "verdict": "unknown", "causes": [], "tied": [], "residual": residual}
-    assert "a force at joint:knee that depends on time, at 2.72 Hz" in shown(verdict, 200)
+    text = shown(verdict, 200)
+    assert "a force at joint:knee that depends on time, at 2.72 Hz: look for something" in text
 
 
 def test_the_gain_is_shown_with_its_interval_and_time_step():
