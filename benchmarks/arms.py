@@ -31,6 +31,7 @@ from adr_service.criticism.extension import extend
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
+from adr_service.criticism.remarks import on_implausible
 from adr_service.criticism.simulator import other_integrator
 from adr_service.effects.base import Effect
 from adr_service.parameters import ParameterSpace
@@ -217,7 +218,7 @@ def one(job: tuple[int, int, bool]) -> dict[str, Any]:
     seconds = time.process_time() - started
     planted = {} if is_null else {(e.kind, e.location): e.values[0] for e in effects}
     named = {(e.kind, e.location): e.values[0] for e in criticism.final.effects}
-    verdict = criticism.verdict
+    verdict, final = criticism.verdict, criticism.final
     return {
         "axes": axes,
         "seed": seed,
@@ -232,8 +233,20 @@ def one(job: tuple[int, int, bool]) -> dict[str, Any]:
         },
         "missed": sorted(f"{kind} {place}" for kind, place in planted.keys() - named.keys()),
         "false": sorted(f"{kind} {place}" for kind, place in named.keys() - planted.keys()),
+        "implausible": list(on_implausible(final.simulator.base, final.effects)),
+        "moment_error": None if is_null else _moment_error(effects, final.effects),
         "cpu_seconds": seconds,
     }
+
+
+def _moment_error(planted: Sequence[Effect], named: Sequence[Effect]) -> float | None:
+    """How far the load's first moments (3,) are off, relative to theirs; None: it is not named."""
+    places = {effect.location: effect for effect in planted if effect.kind == "body_load"}
+    for effect in named:
+        if effect.kind == "body_load" and effect.location in places:
+            true, found = (np.array(e.values[1:]) for e in (places[effect.location], effect))
+            return float(np.linalg.norm(found - true) / np.linalg.norm(true))
+    return None
 
 
 def _job(case: dict[str, Any]) -> tuple[int, int, bool]:
@@ -271,8 +284,24 @@ def _of_planted(cases: Sequence[dict[str, Any]]) -> dict[str, str]:
         "nothing false named": _count(not case["false"] for case in cases),
         "nothing missed": _count(not case["missed"] for case in cases),
         "frictions and rotors within 15 %": _count(_is_within(c, joints, 0.15) for c in cases),
-        "load within 10 %": _count(_is_within(case, ("body_load",), 0.1) for case in cases),
+        "load's mass within 10 %": _count(_is_within(c, ("body_load",), 0.1) for c in cases),
+        "load's moments within 10 %": _count(
+            case["moment_error"] is not None and case["moment_error"] <= 0.1 for case in cases
+        ),
+        "nothing implausible named": _count(not case["implausible"] for case in cases),
+        "strengths of compensation within 15 %": _compensated(cases),
     }
+
+
+def _compensated(cases: Sequence[dict[str, Any]]) -> str:
+    """How many of those that are named: links' weights stand in for each other."""
+    errors = [
+        off
+        for case in cases
+        for name, off in case["errors"].items()
+        if name.startswith("gravity_compensation")
+    ]
+    return f"{sum(off <= 0.15 for off in errors)} of {len(errors)} named"
 
 
 def _is_within(case: dict[str, Any], kinds: Sequence[str], most: float) -> bool:

@@ -239,9 +239,8 @@ def tried(fit: Fit, effects: Sequence[Effect]) -> Fit | None:
 def improved(fit: Fit, first: Fit) -> Fit:
     """A fit that was `tried`, after steps to better strengths.
 
-    A step that makes the data less probable, under the noise before it, is shortened. The
-    derivatives by parameters, and by effects that the fit has already, stay as well, those by new
-    strengths while these stay near.
+    A step that makes the data less probable is shortened. The derivatives by parameters, and by
+    effects that the fit has already, stay as well, those by new strengths while these stay near.
     """
     best, about, step = first, first.effects, first.normal.change()[0]
     for _ in range(_ROUNDS - 1):
@@ -250,10 +249,8 @@ def improved(fit: Fit, first: Fit) -> Fit:
         moved = _strengthened(best.effects, step[fit.integration.stop :])
         known = best if _are_near(fit.simulator, about, moved) else None
         other = _evaluated(fit, parameters, moved, best.noise, known)
-        # its own noise would be smaller, and what is still to go would look larger
-        more = -np.inf if other is None else likelihood(other.linear, best.noise, fit.integration)
-        more -= best.normal.best_log_likelihood(fit.integration)
-        if other is None or more <= 0:
+        more = -np.inf if other is None else _likelier_by(other, best)
+        if other is None or not more > 0:
             step = _shorter(step, within)
             continue
         best, step = other, other.normal.change()[0]
@@ -261,6 +258,21 @@ def improved(fit: Fit, first: Fit) -> Fit:
         if more < _CONVERGED:
             break
     return best
+
+
+def _likelier_by(other: Fit, best: Fit) -> float:
+    """[nats] by which the data are likelier with one fit's values than with another's, on average
+    under the noise of either.
+
+    Each noise flatters its own fit: it knows which transitions that one leaves. And where it is
+    small, what is still to go looks large.
+    """
+    columns = best.integration
+    under_its_own = other.normal.best_log_likelihood(columns)
+    under_its_own -= likelihood(best.linear, other.noise, columns)
+    under_the_others = likelihood(other.linear, best.noise, columns)
+    under_the_others -= best.normal.best_log_likelihood(columns)
+    return (under_its_own + under_the_others) / 2
 
 
 def _evaluated(
