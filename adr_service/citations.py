@@ -25,3 +25,14 @@ class Paper:
             fields |= {"eprint": self.arxiv, "archiveprefix": "arXiv"}
         body = ",\n".join(f"  {name} = {{{value}}}" for name, value in fields.items())
         return f"@{kind}{{{self.key},\n{body}\n}}\n"
+
+
+SBI = Paper(  # the library that learns posteriors
+    "tejerocantero2020sbi",
+    "sbi: A toolkit for simulation-based inference",
+    "Tejero-Cantero, Alvaro and Boelts, Jan and Deistler, Michael and Lueckmann, Jan-Matthis and "
+    "Durkan, Conor and Gonçalves, Pedro J. and Greenberg, David S. and Macke, Jakob H.",
+    2020,
+    journal="Journal of Open Source Software",
+    arxiv="2007.09114",
+)

@@ -22,7 +22,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from adr_service.citations import Paper
+from adr_service.citations import SBI, Paper
 from adr_service.distributions import Mixture
 from adr_service.methods.base import Estimate, OfflineSettings, Problem
 from adr_service.progress import Progress
@@ -39,15 +39,6 @@ PAPER = Paper(
     2019,
     conference="Robotics: Science and Systems",
     arxiv="1906.01728",
-)
-SBI = Paper(  # the library that learns the networks
-    "tejerocantero2020sbi",
-    "sbi: A toolkit for simulation-based inference",
-    "Tejero-Cantero, Alvaro and Boelts, Jan and Deistler, Michael and Lueckmann, Jan-Matthis and "
-    "Durkan, Conor and Gonçalves, Pedro J. and Greenberg, David S. and Macke, Jakob H.",
-    2020,
-    journal="Journal of Open Source Software",
-    arxiv="2007.09114",
 )
 
 

@@ -22,10 +22,9 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from adr_service.citations import Paper
+from adr_service.citations import SBI, Paper
 from adr_service.distributions import Empirical
 from adr_service.methods.base import Estimate, OfflineSettings, Problem
-from adr_service.methods.bayes_sim import SBI
 from adr_service.progress import Progress
 from adr_service.simulation.summaries import LEAST, Scale, SummarisedReplays, outside
 from adr_service.startup_time import preparing
