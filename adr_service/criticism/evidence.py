@@ -40,7 +40,8 @@ from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.effects.models import amounts, plausible_of, sensible, typical_of
 
-_ROUNDS, _CONVERGED = 4, 0.3  # of steps at most; [nats] that a step gains at least
+_STEPS, _REFUSED = 15, 3  # at most; and so many that were refused, one after the other
+_CONVERGED = 0.3  # [nats] that a step gains at least
 _SMOOTHINGS = 10  # at most
 _NEAR = 0.25  # of a value, or of a typical strength: so far, derivatives by it hardly change
 _FACTOR = 2.0  # logarithm of the factor by which a positive parameter changes at most in a step
@@ -243,7 +244,8 @@ def improved(fit: Fit, first: Fit) -> Fit:
     effects that the fit has already, stay as well, those by new strengths while these stay near.
     """
     best, about, step = first, first.effects, first.normal.change()[0]
-    for _ in range(_ROUNDS - 1):
+    refused = 0
+    for _ in range(_STEPS):
         within = _limited(fit.simulator, best.parameters, step)
         parameters = _moved(fit.simulator, best.parameters, within)
         moved = _strengthened(best.effects, step[fit.integration.stop :])
@@ -251,9 +253,12 @@ def improved(fit: Fit, first: Fit) -> Fit:
         other = _evaluated(fit, parameters, moved, best.noise, known)
         more = -np.inf if other is None else _likelier_by(other, best)
         if other is None or not more > 0:
+            refused += 1
+            if refused == _REFUSED:
+                break
             step = _shorter(step, within)
             continue
-        best, step = other, other.normal.change()[0]
+        best, step, refused = other, other.normal.change()[0], 0
         about = about if known else moved
         if more < _CONVERGED:
             break

@@ -27,7 +27,7 @@ from adr_service.transitions import TransitionDataset
 
 _ROUNDS = 4  # of smoothing, after which the parameters of the noisy tasks have settled
 _UNREAD = 10.0  # deviation of a position that no sensor shows: so large that it says nothing
-_FITTING = 20  # predictions of a round, besides its derivatives
+_FITTING = 45  # predictions of a round, besides its derivatives
 
 
 @dataclass(frozen=True)
