@@ -14,6 +14,7 @@ from typing import Any
 
 import psutil
 import ray
+from joblib import cpu_count
 
 from adr_service.errors import AdrError
 from workers.gcs import JoinedGcs, OwnGcs, child, lives
@@ -41,11 +42,10 @@ class RayOptions:
     max_cores: int | None = None  # at work at once, and asked of an autoscaler; None: all there are
 
     @property
-    def cpus_to_count(self) -> int | None:
-        """`cpus` or, where this process is kept off some of the machine's (`taskset`, Slurm), the
-        others; None: as Ray counts, which knows a container's limit but not such a set."""
-        usable = len(os.sched_getaffinity(0))
-        return self.cpus or (usable if usable < (os.cpu_count() or 0) else None)
+    def cpus_to_count(self) -> int:
+        """`cpus`, or those that this process may use: Ray knows a container's limit, but not a set
+        that `taskset` or Slurm keeps a process to."""
+        return self.cpus or cpu_count()
 
 
 class Cluster:

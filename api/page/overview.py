@@ -17,6 +17,7 @@ from api.service import Service, ServiceDependency
 from api.views import BenchmarkSummary, benchmark_summaries
 from db import benchmarks as benchmark_store
 from db import visits as visit_store
+from db.errors import DatabaseUnavailable
 from db.models import VisitState
 
 router = APIRouter(include_in_schema=False)
@@ -78,6 +79,8 @@ def _leader(service: Service, id: str) -> dict[str, Any] | None:
     except InvalidInput as error:  # an imported run without its results may have any events
         log.warning("%s has no table: %s", id, error)
         found = []
+    except DatabaseUnavailable:  # which passes: the next visitor asks again
+        raise
     except Exception:  # whatever is wrong with this one, the others are to be seen
         log.exception("%s has no table", id)
         found = []

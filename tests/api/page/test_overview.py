@@ -4,10 +4,13 @@ from collections import defaultdict
 from threading import Lock
 from types import SimpleNamespace
 
+import pytest
+
 from adr_service.events import RunStarted
 from adr_service.methods.catalogue import methods
 from api.page import overview
 from db import benchmarks, events
+from db.errors import DatabaseUnavailable
 from tests.db.finished import finished_benchmark
 
 
@@ -28,10 +31,31 @@ def test_the_best_method_is_found_again_where_a_run_has_changed(file_database):
 
 
 def test_one_benchmark_whose_table_fails_hides_no_other(file_database, monkeypatch):
+    odd, sound = (finished_benchmark(file_database) for _ in range(2))
+    service = SimpleNamespace(database=file_database, leaders={}, comparing=defaultdict(Lock))
+    results_json = overview.results_json
+
+    def failing(service, id, runs):
+        return "no JSON" if id == odd else results_json(service, id, runs)
+
+    monkeypatch.setattr(overview, "results_json", failing)
+    both = [SimpleNamespace(id=id, is_finished=True) for id in (odd, sound)]
+    best = overview._leaders(service, both)
+    assert best[odd] is None
+    assert best[sound]["method"] in methods()
+
+
+def test_a_database_that_cannot_be_read_just_now_leaves_no_mark(file_database, monkeypatch):
     id = finished_benchmark(file_database)
     service = SimpleNamespace(database=file_database, leaders={}, comparing=defaultdict(Lock))
-    monkeypatch.setattr(overview, "results_json", lambda *given: "no JSON")
-    assert overview._leaders(service, [SimpleNamespace(id=id, is_finished=True)]) == {id: None}
+
+    def unavailable(*given):
+        raise DatabaseUnavailable("it is away")
+
+    monkeypatch.setattr(overview, "results_json", unavailable)
+    with pytest.raises(DatabaseUnavailable):
+        overview._leaders(service, [SimpleNamespace(id=id, is_finished=True)])
+    assert not service.leaders
 
 
 def test_the_first_page_waits_for_no_comparison_of_others(file_database):
