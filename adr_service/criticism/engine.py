@@ -52,7 +52,7 @@ class Engine:
             simulate = self._step_by_step if varies(effects) else self._roll_out
             after = simulate(model, effects, starts, control)
         speeds = np.concatenate([starts[:, None], after], axis=1)[..., model.nq :]
-        with np.errstate(invalid="ignore"):  # between infinities
+        with np.errstate(over="ignore", invalid="ignore"):  # between infinities
             jumps = np.abs(np.diff(speeds, axis=1)) / model.opt.timestep
         largest = np.maximum(np.abs(after).max(axis=2), jumps.max(axis=2))  # NaN stays one
         is_sane = np.logical_and.accumulate(largest < mujoco.mjMAXVAL, axis=1)

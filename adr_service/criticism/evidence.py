@@ -45,6 +45,7 @@ _CONVERGED = 0.3  # [nats] that a step gains at least
 _SMOOTHINGS = 10  # at most
 _NEAR = 0.25  # of a value, or of a typical strength: so far, derivatives by it hardly change
 _FACTOR = 2.0  # logarithm of the factor by which a positive parameter changes at most in a step
+_WHOLE = 1 - 1e-9  # of a step, or of a way to a bound, but for rounding
 _HELD = 1e-6  # of its range, the deviation of a parameter that goes no further
 
 
@@ -135,7 +136,7 @@ def smoothed(fit: Fit) -> Fit:
     before.
     """
     for _ in range(_SMOOTHINGS):
-        before, fit = fit, _smoothed_once(fit)
+        before, fit = fit, smoothed_once(fit)
         is_near = _are_near(fit.simulator, before.effects, fit.effects)
         if is_near and _have_stayed(before.parameters, fit):
             break
@@ -149,7 +150,8 @@ def _have_stayed(before: Vector, fit: Fit) -> bool:
     return bool(np.all(np.abs(fit.parameters - before) <= reach))
 
 
-def _smoothed_once(fit: Fit) -> Fit:
+def smoothed_once(fit: Fit) -> Fit:
+    """`smoothed` without going on."""
     simulator, layout = fit.simulator, fit.layout
     whitener = Whitener.of(fit.linear.chain, fit.noise)
     errors, covariance = whitener.sensor_errors(fit.left)
@@ -258,9 +260,10 @@ def improved(fit: Fit, first: Fit) -> Fit:
                 break
             step = _shorter(step, within)
             continue
+        was_whole = refused == 0
         best, step, refused = other, other.normal.change()[0], 0
         about = about if known else moved
-        if more < _CONVERGED:
+        if was_whole and more < _CONVERGED:
             break
     return best
 
@@ -277,7 +280,8 @@ def _likelier_by(other: Fit, best: Fit) -> float:
     under_its_own -= likelihood(best.linear, other.noise, columns)
     under_the_others = likelihood(other.linear, best.noise, columns)
     under_the_others -= best.normal.best_log_likelihood(columns)
-    return (under_its_own + under_the_others) / 2
+    more = (under_its_own + under_the_others) / 2
+    return more if np.isfinite(more) else -np.inf  # a noise that cannot be computed tells nothing
 
 
 def _evaluated(
@@ -423,7 +427,7 @@ def _strengthened(effects: tuple[Effect, ...], change: Vector) -> tuple[Effect, 
 def _shorter(step: Vector, within: Vector) -> Vector:
     """A step of all columns in its direction, as far as the one `within` bounds goes in each; half
     of it, if it is within them itself."""
-    cut = (within != step) & (within != 0)
+    cut = (np.abs(within) < _WHOLE * np.abs(step)) & (within != 0)
     return step * np.min(within[cut] / step[cut]) if cut.any() else step / 2
 
 
@@ -445,7 +449,9 @@ def _moved(simulator: Simulator, parameters: Vector, step: Vector) -> Vector:
     low, high, positive = _bounds(simulator, parameters)
     own = step[: len(low)]
     factor = np.exp(own / np.where(positive, parameters, np.inf))
-    return np.clip(np.where(positive, parameters * factor, parameters + own), low, high)
+    moved = np.where(positive, parameters * factor, parameters + own)
+    rounding = (1 - _WHOLE) * (high - low)  # must not leave one just before its bound
+    return np.where(moved < low + rounding, low, np.where(moved > high - rounding, high, moved))
 
 
 def _bounds(simulator: Simulator, parameters: Vector) -> tuple[Vector, Vector, Mask]:

@@ -1,12 +1,13 @@
-"""Intervals of the strengths of a fit's effects.
+"""Intervals of the strengths of a fit's effects, by the sandwich estimate of their covariance.
 
 for strength in intervals(fit, slice(0, 1)): ...
-may_be_nothing(fit, slice(0, 1))        # True if all of them hold zero
+may_be_nothing(fit, slice(0, 1))        # True if all of them may be zero at once
 """
 
 import numpy as np
 from scipy import stats
 
+from adr_service.arrays import Matrix
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.verdict import StrengthInterval
 from adr_service.effects.catalogue import get_mechanism
@@ -16,11 +17,10 @@ INTERVAL = 0.95
 
 
 def intervals(fit: Fit, slot: slice) -> tuple[StrengthInterval, ...]:
-    """Intervals of all strengths of some effects, by the sandwich estimate of their variance."""
+    """Intervals of all strengths of some effects."""
     effects = fit.effects[slot]
     covariance = fit.normal.covariance()
-    freedom = max(len(fit.held_out) - len(covariance), 1)
-    reach = float(stats.t.ppf(0.5 + INTERVAL / 2, freedom))
+    reach = float(stats.t.ppf(0.5 + INTERVAL / 2, _freedom(fit, covariance)))
     variances = np.diagonal(covariance)[fit.columns_of(slot)].tolist()
     found: list[StrengthInterval] = []
     for effect in effects:
@@ -38,7 +38,29 @@ def intervals(fit: Fit, slot: slice) -> tuple[StrengthInterval, ...]:
 
 
 def may_be_nothing(fit: Fit, slot: slice) -> bool:
-    """True if the intervals of all strengths of some effects hold zero; a shape is none."""
-    is_shape = np.concatenate([shapes_of(effect.kind) for effect in fit.effects[slot]])
-    each = zip(is_shape, intervals(fit, slot), strict=True)
-    return all(shape or strength.low <= 0 <= strength.high for shape, strength in each)
+    """True if the 95 % region of the strengths of some effects holds zero; shapes are no part of
+    it, nor is what the data do not identify. Of one strength that is its interval.
+
+    Strengths of a group may be unsure one by one, and sure together (Wald's test, with Fisher's F
+    for few episodes).
+    """
+    effects = fit.effects[slot]
+    covariance = fit.normal.covariance()
+    values = np.concatenate([effect.values for effect in effects])
+    columns = np.arange(len(covariance))[fit.columns_of(slot)]
+    is_shape = np.concatenate([shapes_of(effect.kind) for effect in effects])
+    known = ~is_shape & (np.diagonal(covariance)[columns] > 0)
+    count = int(known.sum())
+    if count == 0:
+        return True
+    own = covariance[np.ix_(columns[known], columns[known])]
+    deviation = np.sqrt(np.diagonal(own))
+    away = values[known] / deviation
+    distance = away @ np.linalg.pinv(own / np.outer(deviation, deviation), hermitian=True) @ away
+    return bool(distance <= count * stats.f.ppf(INTERVAL, count, _freedom(fit, covariance)))
+
+
+def _freedom(fit: Fit, covariance: Matrix) -> int:
+    """Degrees of freedom of the covariance (p, p) of all coefficients, from differences between
+    episodes."""
+    return max(len(fit.held_out) - len(covariance), 1)

@@ -123,7 +123,7 @@ def criticise(
         found = named
         named, final, unsure = determined(found, final)
         if unsure and not named:
-            chance = 1 - _confidence_in(found, [])
+            chance = min(1 - _confidence_in([alike], []) for alike in found)
         remarks = (*on_commands(base, data), *on_untried(base), *on_undetermined(unsure))
         outcome = _Outcome(named, final, chance, None, remarks)
         outcome = _opened(outcome, baseline, sealed, rng, threads)

@@ -92,8 +92,8 @@ def on_undetermined(effects: Sequence[Effect]) -> tuple[str, ...]:
         return ()
     names = ", ".join(f"{effect.kind} {effect.location}" for effect in effects)
     return (
-        f"Episodes are predicted better with {names}, but the 95 % intervals of the strengths hold "
-        "zero, so it is not named: give more episodes, or free fewer parameters.",
+        f"Episodes are predicted better with {names}, but at 95 % the strengths may all be zero, "
+        "so none of these is named: give more episodes, or free fewer parameters.",
     )
 
 

@@ -123,21 +123,27 @@ def determined(named: list[Alike], current: Fit) -> tuple[list[Alike], Fit, tupl
     """The named effects without those that the data do not tell from nothing, by the intervals of
     their strengths, then the fit, and these effects.
 
-    The least of them goes first: what it was confused with may be determined without it.
+    The least of them goes first: what it was confused with may be determined without it. One
+    without which nothing can be simulated stays.
     """
     gone: tuple[Effect, ...] = ()
-    while unsure := [
-        number for number, slot in enumerate(slots(named)) if may_be_nothing(current, slot)
-    ]:
-        least = min(unsure, key=lambda number: named[number][0].gain)
-        slot = slots(named)[least]
-        rest = _without(slot, current)
-        if rest is None:
-            break
-        gone = (*gone, *current.effects[slot])
-        named = [alike for number, alike in enumerate(named) if number != least]
+    while (found := _least_determined(named, current)) is not None:
+        number, rest = found
+        gone = (*gone, *current.effects[slots(named)[number]])
+        named = [*named[:number], *named[number + 1 :]]
         current = smoothed(rest)
     return named, current, gone
+
+
+def _least_determined(named: Sequence[Alike], current: Fit) -> tuple[int, Fit] | None:
+    """Position of the least of the named effects that may be nothing, and the fit without it."""
+    at = slots(named)
+    unsure = [number for number, slot in enumerate(at) if may_be_nothing(current, slot)]
+    for number in sorted(unsure, key=lambda number: named[number][0].gain):
+        rest = _without(at[number], current)
+        if rest is not None:
+            return number, rest
+    return None
 
 
 def _without(slot: slice, current: Fit) -> Fit | None:

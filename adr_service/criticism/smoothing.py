@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from adr_service.arrays import Vector, frozen
 from adr_service.criticism.compatibility import check_size, check_state
-from adr_service.criticism.evidence import fit, smoothed
+from adr_service.criticism.evidence import fit, smoothed_once
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.recordings import is_measured, measurement_of, observed
 from adr_service.criticism.simulator import Simulator
@@ -27,7 +27,7 @@ from adr_service.transitions import TransitionDataset
 
 _ROUNDS = 4  # of smoothing, after which the parameters of the noisy tasks have settled
 _UNREAD = 10.0  # deviation of a position that no sensor shows: so large that it says nothing
-_FITTING = 45  # predictions of a round, besides its derivatives
+_FITTING = 20  # predictions of a round, besides its derivatives
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def smooth(
         current = fit(simulator, sensor, source.effects)
         for number in range(1, _ROUNDS + 1):
             progress(number / (_ROUNDS + 1))
-            current = smoothed(current)
+            current = smoothed_once(current)
         states = current.states[simulator.starts]
     return Smoothing(
         replace(data, observations=observed(task, source, states)),

@@ -217,7 +217,8 @@ class Gain:
     sse_removed: float  # share of the squared innovations
     low: float  # 95 % bootstrap over episodes
     high: float
-    # of what is beyond the final noise, in which is what is left; None: nothing is
+    # share removed of the error beyond the final noise, in which is the misfit that stays; None:
+    # there is no such error
     explainable_fraction: float | None
     explainable_interval: tuple[float, float] | None  # 95 % bootstrap of that
     # control steps -> error without and with, in expected errors of one step

@@ -28,8 +28,8 @@ class SmoothStates(Stage[SmoothedStates]):
     """The smoothing of one recording, for all methods that replay from smoothed states."""
 
     kind: ClassVar = "smooth_states"
-    # 2: in data without noise, errors of the computation count as none, 3: fits go on until their
-    # parameters have settled
+    # 2: in data without noise, errors of the computation count as none, 3: fits take
+    # the steps that they gain by
     version: ClassVar = 3
     role: ClassVar[Role] = "inference"
     result: ClassVar = SmoothedStates

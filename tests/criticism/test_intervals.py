@@ -1,5 +1,8 @@
 """Intervals of strengths, and whether they hold zero."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from adr_service.criticism.evidence import refine
@@ -30,6 +33,23 @@ def test_a_strength_that_is_not_there_may_be_nothing(both):
 
 def test_a_group_is_something_if_one_of_its_places_is(both):
     assert not may_be_nothing(both, slice(0, 2))
+
+
+@pytest.mark.parametrize(("correlation", "is_nothing"), [(-0.99, False), (0.0, True)])
+def test_two_strengths_may_be_sure_together_that_are_unsure_apart(correlation, is_nothing):
+    """Each is 1.5 of its deviations away from zero; of their sum that is 21 if they trade."""
+    frictions = tuple(
+        Effect("joint_coulomb_friction", f"joint:{joint}", (1.5,)) for joint in ("x", "y")
+    )
+    covariance = np.array([[1.0, correlation], [correlation, 1.0]])
+    fit = SimpleNamespace(
+        effects=frictions,
+        held_out=np.zeros(40),
+        normal=SimpleNamespace(covariance=lambda: covariance),
+        columns_of=lambda slot: slot,
+    )
+    assert may_be_nothing(fit, slice(0, 2)) == is_nothing
+    assert may_be_nothing(fit, slice(0, 1))
 
 
 def test_a_shape_does_not_make_something_of_nothing(baseline):

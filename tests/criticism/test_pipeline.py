@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import draw_case, hide
+from adr_service.criticism import revision
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
@@ -223,6 +224,15 @@ def test_a_verdict_of_no_cause_is_less_sure_where_an_unknown_force_is_likely():
     """A flexible force that gains the threshold is as likely real as not."""
     assert _confidence_without(0.8, np.full(20, THRESHOLD / 20)) == pytest.approx(0.4)
     assert _confidence_without(0.8, np.zeros(20)) == pytest.approx(0.8)
+
+
+def test_a_cause_whose_strength_may_be_zero_is_remarked_on_and_not_named(hidden, monkeypatch):
+    """What it explained is left, and evident."""
+    monkeypatch.setattr(revision, "may_be_nothing", lambda fit, slot: True)
+    verdict = criticise(arm()[1], hidden, np.random.default_rng(0), threads=1).verdict
+    assert (verdict.conclusion, verdict.causes) == ("unknown", ())
+    (remark,) = (each for each in verdict.remarks if "may all be zero" in each)
+    assert "joint_coulomb_friction joint:elbow" in remark
 
 
 def test_a_verdict_is_as_sure_as_all_of_its_causes_together(refined, friction):

@@ -40,7 +40,7 @@ def test_effects_that_may_be_nothing_have_a_remark():
     gone = [Effect("joint_spring", f"joint:{name}", (1.0,)) for name in ("elbow", "shoulder")]
     (remark,) = on_undetermined(gone)
     assert "joint_spring joint:elbow, joint_spring joint:shoulder" in remark
-    assert "hold zero" in remark
+    assert "may all be zero" in remark
 
 
 def test_parts_of_a_command_beyond_the_limits_count_though_its_mean_is_within(good):

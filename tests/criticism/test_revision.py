@@ -59,6 +59,19 @@ def test_an_effect_whose_interval_holds_zero_goes_and_the_others_stay(baseline, 
     assert [effect.kind for effect in final.effects] == [friction.kind]
 
 
+def test_an_effect_without_which_nothing_can_be_simulated_stays_and_others_go(
+    baseline, friction, monkeypatch
+):
+    both = refine(baseline, [ELSEWHERE, friction])
+    named = [(weighed(both, friction),), (weighed(both, ELSEWHERE),)]
+    whole = replace(both, effects=both.effects[::-1])
+    monkeypatch.setattr(revision, "may_be_nothing", lambda fit, slot: True)
+    without = iter([None, refine(baseline, [friction]), None])
+    monkeypatch.setattr(revision, "_without", lambda slot, fit: next(without))
+    kept, _, gone = determined(named, whole)
+    assert len(kept) == len(gone) == 1
+
+
 def test_effects_whose_strengths_are_sure_all_stay(refined, friction):
     named = [(weighed(refined, friction),)]
     kept, final, gone = determined(named, refined)
