@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from adr_service.arrays import Array3, Mask, Matrix, Vector
+from adr_service.criticism.bounded_steps import limited, moved, shorter
 from adr_service.criticism.layout import Layout
 from adr_service.criticism.linear import (
     Linear,
@@ -44,8 +45,6 @@ _STEPS, _REFUSED = 15, 3  # at most; and so many that were refused, one after th
 _CONVERGED = 0.3  # [nats] that a step gains at least
 _SMOOTHINGS = 10  # at most
 _NEAR = 0.25  # of a value, or of a typical strength: so far, derivatives by it hardly change
-_FACTOR = 2.0  # logarithm of the factor by which a positive parameter changes at most in a step
-_WHOLE = 1 - 1e-9  # of a step, or of a way to a bound, but for rounding
 _HELD = 1e-6  # of its range, the deviation of a parameter that goes no further
 
 
@@ -246,23 +245,23 @@ def improved(fit: Fit, first: Fit) -> Fit:
     effects that the fit has already, stay as well, those by new strengths while these stay near.
     """
     best, about, step = first, first.effects, first.normal.change()[0]
-    refused = 0
+    space, refused = fit.simulator.nominal.space, 0
     for _ in range(_STEPS):
-        within = _limited(fit.simulator, best.parameters, step)
-        parameters = _moved(fit.simulator, best.parameters, within)
-        moved = _strengthened(best.effects, step[fit.integration.stop :])
-        known = best if _are_near(fit.simulator, about, moved) else None
-        other = _evaluated(fit, parameters, moved, best.noise, known)
+        within = limited(space, best.parameters, step)
+        parameters = moved(space, best.parameters, within)
+        effects = _strengthened(best.effects, step[fit.integration.stop :])
+        known = best if _are_near(fit.simulator, about, effects) else None
+        other = _evaluated(fit, parameters, effects, best.noise, known)
         more = -np.inf if other is None else _likelier_by(other, best)
         if other is None or not more > 0:
             refused += 1
             if refused == _REFUSED:
                 break
-            step = _shorter(step, within)
+            step = shorter(step, within)
             continue
         was_whole = refused == 0
         best, step, refused = other, other.normal.change()[0], 0
-        about = about if known else moved
+        about = about if known else effects
         if was_whole and more < _CONVERGED:
             break
     return best
@@ -422,39 +421,3 @@ def _strengthened(effects: tuple[Effect, ...], change: Vector) -> tuple[Effect, 
         moved.append(sensible(effect, np.array(effect.values) + change[:count]))
         change = change[count:]
     return tuple(moved)
-
-
-def _shorter(step: Vector, within: Vector) -> Vector:
-    """A step of all columns in its direction, as far as the one `within` bounds goes in each; half
-    of it, if it is within them itself."""
-    cut = (np.abs(within) < _WHOLE * np.abs(step)) & (within != 0)
-    return step * np.min(within[cut] / step[cut]) if cut.any() else step / 2
-
-
-def _limited(simulator: Simulator, parameters: Vector, step: Vector) -> Vector:
-    """A step of all columns, that of parameters to their bounds and by a factor of e² at most."""
-    low, high, positive = _bounds(simulator, parameters)
-    safe = np.where(positive, parameters, 1.0)
-    ends = [
-        np.where(positive, safe * np.log(np.where(positive, end, 1.0) / safe), end - parameters)
-        for end in (low, high)
-    ]
-    least = np.where(positive, np.maximum(ends[0], -_FACTOR * safe), ends[0])
-    most = np.where(positive, np.minimum(ends[1], _FACTOR * safe), ends[1])
-    return np.concatenate([np.clip(step[: len(low)], least, most), step[len(low) :]])
-
-
-def _moved(simulator: Simulator, parameters: Vector, step: Vector) -> Vector:
-    """Parameters after a step, within their bounds; what is positive moves in proportion."""
-    low, high, positive = _bounds(simulator, parameters)
-    own = step[: len(low)]
-    factor = np.exp(own / np.where(positive, parameters, np.inf))
-    moved = np.where(positive, parameters * factor, parameters + own)
-    rounding = (1 - _WHOLE) * (high - low)  # must not leave one just before its bound
-    return np.where(moved < low + rounding, low, np.where(moved > high - rounding, high, moved))
-
-
-def _bounds(simulator: Simulator, parameters: Vector) -> tuple[Vector, Vector, Mask]:
-    """Bounds of parameters, and which of them are positive."""
-    space = simulator.nominal.space
-    return space.feasible_low, np.maximum(space.high, parameters), space.feasible_low > 0

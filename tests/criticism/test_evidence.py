@@ -9,9 +9,6 @@ import pytest
 from adr_service.blind_test.planting import draw_case
 from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import (
-    _limited,
-    _moved,
-    _shorter,
     expected_errors,
     fit,
     gained,
@@ -73,29 +70,6 @@ def test_parameters_that_start_far_off_the_truth_are_recovered(turned, start):
     with Simulator(Nominal.of_model(hinge(*start), free), turned, threads=1) as simulator:
         found = smoothed(fit(simulator, turned.sensor_variance()))
     np.testing.assert_allclose(found.parameters, [0.5, 0.0, 1.0], rtol=0.01, atol=0.001)
-
-
-@pytest.mark.parametrize("high", [0.15, 0.2, 0.3, 1 / 3])
-@pytest.mark.parametrize("start", [0.06, 0.1, 0.149])
-def test_a_step_to_a_bound_ends_there_to_the_last_bit(turned, start, high):
-    """A parameter that rounding left just before it would not be held."""
-    nominal = Nominal.of_model(hinge(start, 0.0, 1.0), space(damping=(0.05, high)))
-    with Simulator(nominal, turned, threads=1) as simulator:
-        for step, end in ((100.0, high), (-100.0, 0.05)):
-            values = np.array([start])
-            for _ in range(5):  # by a factor of e² at most
-                within = _limited(simulator, values, np.array([step, 7.0]))
-                assert within[1] == 7.0
-                values = _moved(simulator, values, within)
-            assert values[0] == end
-
-
-def test_a_refused_step_is_shortened_as_a_whole_and_then_halved():
-    step, within = np.array([10.0, -40.0, 3.0]), np.array([5.0, -2.0, 3.0])
-    shorter = _shorter(step, within)
-    np.testing.assert_allclose(shorter, step / 20)
-    np.testing.assert_allclose(_shorter(shorter, shorter * (1 - 1e-12)), step / 40)
-    np.testing.assert_allclose(_shorter(step, np.array([0.0, -40.0, 3.0])), step / 2)
 
 
 def test_a_better_point_is_taken_although_its_own_noise_is_smaller(turned):
