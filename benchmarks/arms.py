@@ -240,7 +240,7 @@ def one(job: tuple[int, int, bool]) -> dict[str, Any]:
 
 
 def _moment_error(planted: Sequence[Effect], named: Sequence[Effect]) -> float | None:
-    """How far the load's first moments (3,) are off, relative to theirs; None: it is not named."""
+    """Relative error of the load's first moments (3,); None if the load is not named."""
     places = {effect.location: effect for effect in planted if effect.kind == "body_load"}
     for effect in named:
         if effect.kind == "body_load" and effect.location in places:
@@ -294,7 +294,7 @@ def _of_planted(cases: Sequence[dict[str, Any]]) -> dict[str, str]:
 
 
 def _compensated(cases: Sequence[dict[str, Any]]) -> str:
-    """How many of those that are named: links' weights stand in for each other."""
+    """Count of the named strengths that are that close; links' weights stand in for each other."""
     errors = [
         off
         for case in cases

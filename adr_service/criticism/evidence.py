@@ -324,7 +324,7 @@ def _evaluated(
 def _within_bounds(
     fit: Fit, parameters: Vector, linear: Linear, start: Noise
 ) -> tuple[Linear, Noise, Normal]:
-    """`estimate` for parameters of which those at a bound go no further.
+    """`estimate`, with the parameters held that would leave their bounds.
 
     So misfit that only a parameter beyond its bounds would explain stays, as evidence.
     """

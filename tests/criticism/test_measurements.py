@@ -84,7 +84,7 @@ def test_constants_in_unmeasured_columns_give_way_to_what_the_other_column_impli
 
 
 def test_a_constant_may_differ_from_episode_to_episode(good):
-    """Where each begins."""
+    """Each episode is integrated from its own."""
     known = {"qpos_std": [np.inf, 0.01], "qvel_std": [0.01, 0.01]}
     qpos = good["qpos"].copy()
     qpos[:, 0] = np.where(np.asarray(good["episode"]) % 2, 0.3, -0.2)

@@ -227,7 +227,7 @@ def test_a_verdict_of_no_cause_is_less_sure_where_an_unknown_force_is_likely():
 
 
 def test_a_cause_whose_strength_may_be_zero_is_remarked_on_and_not_named(hidden, monkeypatch):
-    """What it explained is left, and evident."""
+    """Its force is left, and a flexible force finds it."""
     monkeypatch.setattr(revision, "may_be_nothing", lambda fit, slot: True)
     verdict = criticise(arm()[1], hidden, np.random.default_rng(0), threads=1).verdict
     assert (verdict.conclusion, verdict.causes) == ("unknown", ())
