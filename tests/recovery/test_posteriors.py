@@ -49,9 +49,12 @@ def test_actions_in_a_wrong_order_recover_nothing(name):
     assert np.max(estimate.diagnostics["statistics_outside"]) > 0
 
 
-@pytest.mark.parametrize("name", SETTINGS)
-def test_posteriors_of_the_published_recording_contain_hoppers_masses(name, hopper_clean):
-    """Every mass lies within 95 % of the draws."""
+@pytest.mark.parametrize(("name", "widest"), [("bayes_sim", 0.75), ("npdr", 0.25)])
+def test_posteriors_of_the_published_recording_contain_hoppers_masses(name, widest, hopper_clean):
+    """Every mass lies within 95 % of the draws, which are that share of the search box at most.
+
+    Of the uniform prior they are .95 of it.
+    """
     estimate = (
         SETTINGS[name]
         .create()
@@ -60,3 +63,5 @@ def test_posteriors_of_the_published_recording_contain_hoppers_masses(name, hopp
     draws = estimate.distribution.sample(4000, stream("draws")).values
     low, high = np.quantile(draws, [0.025, 0.975], axis=0)
     assert np.all((low <= hopper.VANILLA.truth) & (hopper.VANILLA.truth <= high)), (low, high)
+    space = hopper.VANILLA.source.space
+    assert np.all(space.normalise(high) - space.normalise(low) <= widest * space.WIDTH), (low, high)

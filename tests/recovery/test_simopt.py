@@ -15,10 +15,11 @@ from tests.planted import PROBLEM, distance, recorded, waving_policy
 PRIOR = 0.91  # its distance from the planted dynamics
 
 
-def beliefs(noise, seed=0):
-    """The belief before and after 25 updates on one trajectory of a waving policy."""
+def beliefs(noise, seed=0, told=None):
+    """The belief before and after 25 updates on one trajectory of a waving policy, or what is told
+    to be one."""
     policy = waving_policy(seed)
-    evidence = Evidence(policy, recorded(policy, noise=noise))
+    evidence = Evidence(told or policy, recorded(policy, noise=noise))
     method = SimOpt(SimOptSettings(updates=25, samples=400))
     start = method.start(PROBLEM)
     update = method.tell(PROBLEM, start, evidence, stream("simopt"), silent)
@@ -40,6 +41,12 @@ def test_simopt_moves_towards_planted_dynamics_from_a_noisy_recording():
     """The distance is .174; tolerance, a quarter of the prior's."""
     _, after = beliefs(noise=0.003)
     assert distance(after.mean) < 0.25 * PRIOR
+
+
+def test_a_trajectory_of_another_policy_recovers_nothing():
+    """The control, which must fail."""
+    _, after = beliefs(noise=0.003, told=waving_policy(1))
+    assert distance(after.mean) > 0.5 * PRIOR
 
 
 @pytest.mark.slow
