@@ -11,7 +11,8 @@ Where we differ:
 - Returns come in phases of episodes (`training.curriculum`), so a bound moves at a phase's end.
 - The high threshold is .75 of the reward threshold, as DORAEMON's success is here: these are
   returns of the exploring policy. The low one is half of it.
-- The paper starts from a point. Here the first box is one step wide: the two bounds differ.
+- The paper starts from a point. Here the first box is one step wide, so that its two bounds differ,
+  and no box is narrower later.
 """
 
 from typing import ClassVar, Literal, Self

@@ -10,7 +10,7 @@ diverges is shortened; a search that starts at such a point, or comes next to on
 
 Standard deviations that follow from the Jacobian and the residuals (White: "A
 Heteroskedasticity-Consistent Covariance Matrix Estimator", Econometrica 48, 1980) are reported as
-`std`, null where the data leave a parameter open. They assume independent residuals. Noise in
+`std`, null for all where the data leave one open. They assume independent residuals. Noise in
 measured states violates that, because one state ends a window and begins the next. The policy of
 `sysid` does not train on them, because they are honest only where the model is right.
 

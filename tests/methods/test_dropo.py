@@ -7,8 +7,16 @@ import pytest
 from pydantic import ValidationError
 from scipy import stats
 
+from adr_service.distributions import normalised_std
 from adr_service.errors import InvalidInput
-from adr_service.methods.dropo import Dropo, DropoSettings, Likelihood, decode, log_likelihood
+from adr_service.methods.dropo import (
+    Dropo,
+    DropoSettings,
+    EDropoSettings,
+    Likelihood,
+    decode,
+    log_likelihood,
+)
 from adr_service.progress import silent
 from adr_service.randomness import stream
 from adr_service.simulation.replay import Replay
@@ -163,6 +171,22 @@ def test_the_reported_error_is_that_of_the_estimated_mean():
     predictions = Replay(ARM, SOURCE, data, 1, 1).predict(estimate.distribution.mean[None])[0]
     expected = np.mean(np.sum((predictions - data.next_observations) ** 2, axis=1))
     assert estimate.diagnostics["mean_squared_error"] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("search", ["trust_region", "cma_es"])
+def test_a_bonus_is_the_entropy_once_for_every_window(search):
+    data = recorded(waving_policy(), noise=0.003, steps=20)
+    settings = EDropoSettings(
+        epsilon=1e-4, entropy=0.1, samples_per_parameter=2, budget=20, search=search
+    )
+    found = settings.create().fit(PROBLEM, data, stream("bonus"), silent)
+    levels = stats.qmc.LatinHypercube(4, rng=stream("bonus")).random(8)  # the search's own
+    likelihood = Likelihood(SPACE, levels, Replay(ARM, SOURCE, data, 1, 1), 1e-4)
+    without = likelihood.evaluate(found.distribution.mean, found.distribution.std)
+    entropy = float(np.log(normalised_std(found.distribution)).sum())
+    assert abs(entropy) > 1
+    expected = without.loss / 20 - 0.1 * entropy
+    assert found.diagnostics["loss_per_window"] == pytest.approx(expected)
 
 
 def test_several_epsilons_are_several_settings():
