@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-calibration bench-budgets bench-coverage study bench-criticism bench-arms bench-extension bench-separation bench-baselines bench-api bench-cluster docs clean
+.PHONY: setup demo serve test test-slow test-faults protocol lint bench-sim bench-train bench-threshold bench-dropo bench-recovery bench-calibration bench-budgets bench-coverage study bench-criticism bench-memories bench-arms bench-extension bench-separation bench-baselines bench-api bench-cluster docs clean
 
 setup: $(STAMP)
 
@@ -78,6 +78,10 @@ bench-coverage: setup
 # hours on two cores
 bench-criticism: setup
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.criticism
+
+# a quarter of an hour on two cores
+bench-memories: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.memories
 
 # hours on two cores
 bench-arms: setup

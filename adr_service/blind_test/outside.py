@@ -1,7 +1,7 @@
 """Effects outside the catalogue, which a criticism should call unknown."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import mujoco
 import numpy as np
@@ -11,6 +11,17 @@ Outside = Literal[
 ]
 # older keys may also have torque ripple and friction by position, which are in the catalogue now
 OUTSIDE: tuple[Outside, ...] = ("cross_coupling", "gain_drift", "disturbance")
+
+
+class Push(Protocol):
+    """A force on one degree of freedom of a hidden robot."""
+
+    @property
+    def dof(self) -> int: ...
+
+    def at(self, data: mujoco.MjData, seconds: float, length: float) -> float:
+        """Generalised force [N or N m] at a moment of the whole recording, asked once in a step."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
-from adr_service.blind_test.outside import OUTSIDE, Force, Outside
+from adr_service.blind_test.outside import OUTSIDE, Force, Outside, Push
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator, other_integrator
@@ -88,7 +88,7 @@ def hide(
     nominal: Nominal,
     rng: np.random.Generator,
     effects: Sequence[Effect],
-    force: Force | None = None,
+    force: Push | None = None,
     commands: Array3 | None = None,
 ) -> Measurement:
     """A measurement of a robot that has `nominal.start` for parameters, and these effects.
@@ -104,6 +104,11 @@ def sized_effect(task: Task, nominal: Nominal, rng: np.random.Generator, ratio: 
     while (effect := robot.sized_effect(rng, ratio)) is None:
         pass
     return effect
+
+
+def noise_of(model: mujoco.MjModel) -> Vector:
+    """(2 nq,) deviation of a difference of two readings."""
+    return np.sqrt(2) * np.repeat([_POSITION_NOISE, _VELOCITY_NOISE], model.nq)
 
 
 def plantable(model: mujoco.MjModel) -> list[tuple[str, str]]:
@@ -194,7 +199,7 @@ class _Robot:
         self,
         rng: np.random.Generator,
         effects: Sequence[Effect],
-        force: Force | None,
+        force: Push | None,
         commands: Array3 | None = None,
     ) -> Measurement:
         """A measurement by the robot's sensors."""
@@ -218,17 +223,12 @@ class _Robot:
 
     def _in_noise(self, effect: Matrix) -> float:
         """Root mean square of what the free parameters cannot absorb of an effect (N, m)."""
-        effect = np.nan_to_num(effect / self._noise).ravel()
+        effect = np.nan_to_num(effect / noise_of(self._base)).ravel()
         absorbed = np.linalg.lstsq(self._pilot.columns, effect, rcond=None)[0]
         left = effect - self._pilot.columns @ absorbed
         if np.linalg.norm(left) < _TOLD_APART * np.linalg.norm(effect):
             return 0.0  # it is a free parameter by another name
         return float(np.sqrt(np.mean(left**2)))
-
-    @property
-    def _noise(self) -> Vector:
-        """(m,) deviation of a difference of two readings."""
-        return np.sqrt(2) * np.repeat([_POSITION_NOISE, _VELOCITY_NOISE], self._base.nq)
 
     @cached_property
     def _pilot(self) -> _Pilot:
@@ -244,7 +244,7 @@ class _Robot:
             moved = start.copy()
             moved[number] *= 1.001
             changed = simulator.predict(moved, (), simulator.measured)
-            columns.append(np.nan_to_num((changed - predicted) / self._noise).ravel())
+            columns.append(np.nan_to_num((changed - predicted) / noise_of(self._base)).ravel())
         design = np.stack(columns, axis=1) if columns else np.zeros((predicted.size, 1))
         return _Pilot(simulator, simulator.measured, predicted, design)
 
@@ -264,7 +264,7 @@ class _Robot:
         rng: np.random.Generator,
         commands: Array3,
         effects: Sequence[Effect],
-        force: Force | None,
+        force: Push | None,
     ) -> Array3:
         """True states (episodes, rows, 2 nv); raises InvalidInput where they diverge."""
         model = self._nominal.model(self._nominal.start, effects)
