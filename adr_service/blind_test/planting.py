@@ -189,7 +189,7 @@ class _Robot:
             pilot.simulator.predict_pushed(self._nominal.start, (), pilot.states, dof, size)
             for size in (0.0, force)
         )
-        changed = (pushed - still) / self._noise
+        changed = (pushed - still) / noise_of(self._base)
         per_newton = float(np.sqrt(np.nanmean(changed**2))) / force
         # root mean square of a force of size one, roughly
         unit = {"gain_drift": 0.17, "cross_coupling": 0.55}.get(kind, 0.7)
