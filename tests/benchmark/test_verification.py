@@ -15,6 +15,7 @@ from adr_service.benchmark.verification import (
     verify,
 )
 from adr_service.errors import InvalidInput
+from adr_service.events import StageFinished
 from adr_service.npz import read_arrays, write_arrays
 from adr_service.programs import run
 from adr_service.randomness import stream
@@ -147,6 +148,16 @@ def test_events_that_the_results_do_not_lead_to_are_named():
     part = replace(replay, is_complete=False)
     assert part.disagreements(extra) == []
     assert (part.is_behind(extra), part.is_behind(replay.events)) == (True, False)
+
+
+def test_a_run_that_began_with_another_version_of_a_stage_cannot_be_checked_whole():
+    replay = replay_run("run_a", SPEC, all_results().get)
+    old = StageFinished(kind="train_policy", digest="0" * 64)
+    stored = {**replay.events, old.key: old}
+    assert replay.disagreements(stored) == []
+    assert replay.is_behind(stored)
+    event = replay.events["iteration_finished:1"].model_copy(update={"training_steps": [1]})
+    assert replay.disagreements({**stored, event.key: event}) == [event.key]
 
 
 def test_points_of_a_learning_curve_are_the_results_own_business():

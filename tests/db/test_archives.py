@@ -12,6 +12,7 @@ from adr_service.errors import InvalidInput
 from adr_service.events import TrainingEvaluated
 from adr_service.programs.references import reference_training
 from adr_service.specs import BenchmarkExtension, BenchmarkPart
+from adr_service.stages.train_policy import TrainPolicy
 from db import archives, benchmarks, events, runs, stages, staging
 from db.errors import DiskFull, NotFound, NotPossible
 from db.models import ArtifactRow, StageArtifactRow, StageRow
@@ -299,6 +300,20 @@ def test_a_training_that_was_interrupted_and_repeated_elsewhere_comes_back(
     back = imported(file_database, exported(other, id, tmp_path / "b.adr"))
     assert (back.left, back.unverified) == ([], [])
     assert content_of(file_database, id) == content_of(other, id)
+
+
+def test_runs_with_policies_of_an_earlier_version_come_in_unverified(
+    file_database, other, tmp_path, monkeypatch
+):
+    """One had ended. The others went on without what they had."""
+    id = finished_benchmark(file_database, most=1)
+    before = benchmarks.runs_of(file_database, id)
+    assert {run.state for run in before} == {"succeeded", "cancelled"}
+    monkeypatch.setattr(TrainPolicy, "version", TrainPolicy.version + 1)
+    go_on(file_database, id)
+    report = imported(other, exported(file_database, id, tmp_path / "a.adr"))
+    assert set(report.unverified) == {run.id for run in before}
+    assert content_of(other, id) == content_of(file_database, id)
 
 
 def test_a_later_archive_of_a_live_benchmark_goes_further(file_database, other, tmp_path):
