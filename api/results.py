@@ -165,9 +165,11 @@ def _note(outcomes: Sequence[Outcome]) -> str:
 
 def cost_of(service: Service, records: Sequence[RunRecord]) -> CostView:
     """Return the cost of runs so far."""
-    executions = stage_store.executions_of(service.database, [record.id for record in records])
+    ids = [record.id for record in records]
+    executions = stage_store.executions_of(service.database, ids)
     used = None
-    if executions and all(record.is_finished for record in records):
+    is_over = executions and all(record.is_finished for record in records)
+    if is_over and not stage_store.has_imported(service.database, ids):
         used = _utilisation(service, [execution for _, execution in executions])
     return cost_view(executions, used, outcomes_of(service, records))
 

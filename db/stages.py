@@ -43,6 +43,7 @@ _OF_EVENT = (EventRow.type == _FINISHED) & (
 _PROVENANCE = TypeAdapter(dict[Line, Line])
 _NUMBERS = TypeAdapter(dict[str, bool | int | FiniteFloat | None])
 _UNMENTIONED = ~exists().where(_MENTIONED)
+_IMPORTED = exists().where(ImportedStageRow.digest == StageRow.digest)
 _MEASURED = StageRow.timing.is_not(None)
 _LATEST = 4e9  # seconds since 1970: the year 2096
 _STORED_LATE_S = 3600.0  # a result is stored at most so long after it was computed
@@ -101,9 +102,8 @@ def note_checkpoint(session: Session, digest: str, steps: int, policy: bytes) ->
 def executions_between(database: Database, first: float, last: float) -> list[Execution]:
     """Executions measured here, for any run, that overlap the time from `first` to `last`."""
     early, late = (datetime.fromtimestamp(at, UTC) for at in (first, last + _STORED_LATE_S))
-    elsewhere = exists().where(ImportedStageRow.digest == StageRow.digest)
     query = _executions().where(
-        StageRow.created_at >= early, StageRow.created_at <= late, ~elsewhere
+        StageRow.created_at >= early, StageRow.created_at <= late, ~_IMPORTED
     )
     with database.read() as session:
         executions = [_execution(row) for row in session.execute(query)]
@@ -119,6 +119,16 @@ def executions_of(database: Database, run_ids: Sequence[str]) -> list[tuple[str,
             rows = session.execute(query.where(EventRow.run_id.in_(some)))
             executions |= {row.digest: (row.kind, _execution(row)) for row in rows}
     return sorted(executions.values(), key=lambda item: item[1].began)
+
+
+def has_imported(database: Database, run_ids: Sequence[str]) -> bool:
+    """True if another machine computed a stage of these runs."""
+    query = select(StageRow.digest).join(EventRow, _OF_EVENT).where(_IMPORTED).limit(1)
+    with database.read() as session:
+        return any(
+            session.scalar(query.where(EventRow.run_id.in_(some))) is not None
+            for some in parts(run_ids, CHUNK)
+        )
 
 
 def seconds_of(database: Database, digests: Sequence[str]) -> dict[str, float]:

@@ -143,11 +143,14 @@ def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]
             stream("verify", str(seed)),
             lambda stage: stage.role != "trainer" or is_same(stage.digest),
         )
-        if unverified or not drawn:
+        if unverified:
             raise NotVerified(
-                f"{len(unverified)} runs have events that do not follow from the archive's results "
-                f"({', '.join(unverified[:5])}), and {len(drawn)} stages can be computed again here"
+                f"{len(unverified)} runs cannot be checked: their results are missing from the "
+                "archive, or are of another version of this program, which can check them "
+                f"({', '.join(unverified[:5])})"
             )
+        if not drawn:
+            raise NotVerified("no stage of the archive can be computed again here")
         for stage in drawn:
             stored = find_result(session, stage.digest)
             assert stored is not None, "it was drawn from the stored ones"

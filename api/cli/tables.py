@@ -143,7 +143,7 @@ def plan_table(plan: Json) -> RenderableType:
     table.add_row("target transitions, at most", f"{plan['target_transitions']:,}")
     table.add_row("computing, at most", f"{in_words(plan['core_hours'])} on a core")
     table.add_row(f"time, with {plan['cores']} cores, at most", hours)
-    table.add_row("policies on disk", f"{plan['policies_mb']:.2g} MB")
+    table.add_row("policies on disk", f"{plan['policies_mb']:,.1f} MB")
     return Group(table, Text(plan["basis"], style="dim"))
 
 
@@ -162,7 +162,10 @@ def cost_table(cost: Json) -> RenderableType:
 
 def _utilisation(used: Json | None, note: str) -> list[RenderableType]:
     if used is None:
-        text = "no utilisation: not all runs have finished, or there never was work for all cores"
+        text = (
+            "no utilisation: not all runs have finished, other machines computed some of their "
+            "stages, or there never was work for all cores"
+        )
         return [Text(text, style="dim")]
     shares = Table("use of the cores", box=None, padding=(0, 2, 0, 0))
     shares.add_column("core seconds", justify="right")

@@ -632,6 +632,8 @@ def test_imported_results_take_no_core_of_this_service(file_database, other, tmp
     imported(other, exported(file_database, id, tmp_path / "a.adr"))
     assert count(other, "stages") == count(file_database, "stages")
     assert stages.executions_between(other, 0.0, 4e9) == []
+    ids = [run.id for run in benchmarks.runs_of(other, id)]
+    assert [stages.has_imported(each, ids) for each in (file_database, other)] == [False, True]
 
 
 def test_times_are_of_the_zone_that_an_archive_gives_them(path, other):
