@@ -28,7 +28,7 @@ from api.cli.own_service import own_service
 from api.cli.ports import free_port
 from api.report import write_report
 
-_EXPORT_S, _LOOK_S = 1800.0, 5.0
+_EXPORT_S = 1800.0
 _KINDS = BenchmarkExtension.model_fields  # of members
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -54,6 +54,7 @@ def main(given: argparse.Namespace) -> bool:
                 finish(client, id, folder, parts, deadline)
         except Stopped:
             stop(client, id)
+        _ignore_signals()  # it stops already
         publish(client, id, folder, parts)
         return set(client.get(id)["states"]) <= {"succeeded", "cancelled"}
 
@@ -122,22 +123,24 @@ def finish(
     client: AdrClient, id: str, folder: Path, parts: dict[str, Json], deadline: float
 ) -> None:
     """Wait until all runs have ended, and publish now and then; raises Stopped at the deadline."""
-    published = time.monotonic()
-    while not is_finished(seen := client.get(id)):
-        print(seen["states"], flush=True)
+    published, shown = time.monotonic(), None
+    for seen in client.watch(id):
+        if seen["states"] != shown:
+            shown = seen["states"]
+            print(shown, flush=True)
+        if is_finished(seen):
+            return
         if time.monotonic() > deadline:
             raise Stopped
         if time.monotonic() > published + _EXPORT_S:
             publish(client, id, folder, parts)
             published = time.monotonic()
-        time.sleep(_LOOK_S)
 
 
 def stop(client: AdrClient, id: str) -> None:
     """Stop all runs; what ends meanwhile still counts."""
     client.cancel(id)
-    while not is_finished(client.get(id)):
-        time.sleep(1.0)
+    client.wait(id, progress=False)
 
 
 def publish(client: AdrClient, id: str, folder: Path, parts: dict[str, Json]) -> None:
@@ -158,9 +161,13 @@ def publish(client: AdrClient, id: str, folder: Path, parts: dict[str, Json]) ->
 
 
 def _stop(*_: object) -> None:
-    for number in _SIGNALS:
-        signal.signal(number, signal.SIG_IGN)  # it stops already
+    _ignore_signals()  # it stops already
     raise Stopped
+
+
+def _ignore_signals() -> None:
+    for number in _SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 if __name__ == "__main__":
