@@ -38,6 +38,7 @@ from adr_service.logs.tracks import (
     TURN,
     Recording,
     Track,
+    bursts,
     check_derived,
     check_lengths,
     check_moves,
@@ -139,9 +140,10 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
         if pieces:  # a recording that is too short for an episode has no scatter either
             noise.append(_noise(recording, period))
     if not episodes:
+        hint = "give a smaller rows.period, or a log with fewer gaps"
+        why = next((burst for each in recordings for burst in bursts(each)), hint)
         raise InvalidInput(
-            f"no stretch without a gap is {LEAST_ROWS} rows of {period:g} s long; give a smaller "
-            "rows.period, or a log with fewer gaps"
+            f"no stretch without a gap is {LEAST_ROWS} rows of {period:g} s long; {why}"
         )
     joined = _joined(episodes, given, model)
     compared = tuple(agreements(joined, model))
