@@ -7,7 +7,7 @@ from adr_service.arrays import Vector
 from adr_service.effects.base import ADDED, SENSOR_SIZE, Mechanism, Strength
 
 LOADED = f"{ADDED}load_"  # bodies, by body
-_REACH = 0.1  # [m] of a body without extent
+_REACH = 0.1  # [m] of a body at least, with what it holds
 _GRAVITY = 9.81  # [m/s²] for typical sizes alone
 
 
@@ -104,11 +104,16 @@ def _far_end(model: mujoco.MjModel, body: int) -> Vector:
     return max(ends, key=lambda end: float(end @ end))
 
 
+def _typical_payload(model: mujoco.MjModel, body: int) -> tuple[float, ...]:
+    """A hundredth of the whole robot: what it can carry does not depend on the link that does."""
+    return (0.01 * float(model.body_subtreemass[model.body_rootid[body]]),)
+
+
 PAYLOAD = Mechanism(
     "payload",
     "body",
     (Strength("mass", "kg", low=0.0),),
-    typical=_fiftieth_of_mass,
+    typical=_typical_payload,
     change=_payload,
     applies=has_mass,
 )
@@ -133,9 +138,9 @@ def _load(model: mujoco.MjModel, body: int, values: Vector) -> None:
 
 
 def _typical_load(model: mujoco.MjModel, body: int) -> tuple[float, ...]:
-    """A fiftieth of the body's mass, as far from its origin as it reaches, in each direction."""
-    (mass,) = _fiftieth_of_mass(model, body)
-    reach = float(np.linalg.norm(_far_end(model, body))) or _REACH
+    """Such a payload, as far from the body's origin as it reaches, or a hand does."""
+    (mass,) = _typical_payload(model, body)
+    reach = max(float(np.linalg.norm(_far_end(model, body))), _REACH)
     return (mass, *(mass * reach,) * 3)
 
 

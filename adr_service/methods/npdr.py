@@ -11,6 +11,7 @@ Choices, and where we differ:
   combined loss. It learns logits of the parameters in the search box, so that no sample leaves it:
   multi-round estimates leak otherwise (sbi, issue 287). Where fewer than 10 simulations are held
   out to end a training, the loss on these has as many atoms as there are (`validation_atoms`).
+- With one unknown parameter the flow's transforms are affine: the posterior of its logit is normal.
 - Summaries are BayesSim's, one of SimuRLacra's choices, scaled by quartiles and compressed.
 - `draws` samples are trained on. SimuRLacra draws 10 * 2^d, which has no end for 30 parameters.
 - The paper runs it online too; here it is offline, and gets what SimOpt collects.

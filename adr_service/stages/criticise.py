@@ -61,8 +61,9 @@ class Criticise(Stage[Criticised]):
     # friction that depends on the drive's load or on the joint's position, scales of encoders, 18:
     # a simulation that diverges within a control step is not taken for one that stands still,
     # effects in one sensor act one after the other, fits go on until their parameters have settled
-    # and within their bounds, and causes whose strengths may all be zero are not named
-    version: ClassVar = 18
+    # and within their bounds, and causes whose strengths may all be zero are not named, 19: what a
+    # link carries is judged by the whole robot's mass, and not by its own
+    version: ClassVar = 19
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 

@@ -9,6 +9,7 @@ import pytest
 from adr_service.criticism.linear import Persistence
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.noise import Noise
+from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.remarks import (
     on_commands,
     on_implausible,
@@ -19,6 +20,8 @@ from adr_service.criticism.remarks import (
 )
 from adr_service.effects.base import Effect
 from adr_service.effects.models import plausible_of
+from adr_service.parameters import ParameterSpace
+from benchmarks.arms import links_of, model_of
 from tests.hidden import arm
 
 
@@ -97,3 +100,11 @@ def test_a_strength_that_no_robot_has_is_pointed_out():
     (remark,) = on_implausible(model, [usual, replace(usual, values=(-3 * likely,))])
     assert f"joint_spring joint:elbow needs a stiffness of {-3 * likely:.3g} N m/rad" in remark
     assert f"more than 2 times the {likely:.2g} N m/rad" in remark
+
+
+def test_a_tool_of_several_times_the_last_links_mass_is_no_wrong_unit():
+    model = Nominal.of_model(model_of(links_of(6)), ParameterSpace(())).model(np.empty(0))
+    carried = Effect("body_load", "body:link6", (1.6, 0.08, 0.08, 0.24))
+    assert on_implausible(model, [carried]) == ()
+    (remark,) = on_implausible(model, [replace(carried, values=(10.0, 0.0, 0.0, 0.0))])
+    assert "needs a mass of 10 kg" in remark
