@@ -202,5 +202,7 @@ def test_a_start_that_diverges_is_narrowed():
 
 
 def test_a_start_that_diverges_however_narrow_is_an_error():
+    with pytest.raises(InvalidInput, match=r"down to \[0.25, 0.25\]"):
+        found(lambda draws: linear(draws) * np.nan, budget=2)
     with pytest.raises(InvalidInput, match="diverged for draws around"):
         found(lambda draws: np.full((len(draws), 12, 3), np.nan))
