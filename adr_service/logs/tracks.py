@@ -203,14 +203,14 @@ def repeated(recordings: Sequence[Recording]) -> Iterator[str]:
 
 def bursts(recording: Recording) -> Iterator[str]:
     """Sentences on columns whose readings come a few at once, as by a slow network."""
-    for track in recording.states:
+    for track in (*recording.states, *recording.frequent_commands):
         pauses = len(track.gaps())
         size = len(track.signal.time) / (pauses + 1)
         if pauses and size < LEAST_ROWS:
             yield (
                 f"column {track.column!r} comes in bursts of about {size:.0f} readings, "
                 f"{1000 * track.spacing:.3g} ms apart: its stamps seem to be times of arrival, so "
-                "name those of the sensor (time.column; in a bag, header.stamp)"
+                "give those of the sensor (time.column, or header.stamp in the messages of a bag)"
             )
 
 

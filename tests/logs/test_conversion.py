@@ -401,7 +401,7 @@ def test_a_period_that_the_model_cannot_step_is_refused(robot, even):
 
 
 def test_a_log_that_is_too_short_is_refused(robot, even, given):
-    with pytest.raises(InvalidInput, match="10 rows of 0.004 s long; give a smaller rows.period"):
+    with pytest.raises(InvalidInput, match=r"10 rows of 0.004 s long; give a smaller rows.period"):
         convert([log({n: v[:8] for n, v in even.items()})], given, robot)
     with pytest.raises(InvalidInput, match="are too few to tell effects from noise"):
         convert([log({n: v[:600] for n, v in even.items()})], given, robot)
@@ -411,7 +411,7 @@ def test_stamps_of_arrival_in_bursts_are_refused_with_what_to_name_instead(robot
     """Three readings at once every 12 ms, as a network brings them."""
     number = np.arange(len(even["time"]))
     arrived = 0.012 * (number // 3 + 1) + 1e-4 * (number % 3)
-    with pytest.raises(InvalidInput, match="bursts of about 3 readings, 0.1 ms apart: its stamps"):
+    with pytest.raises(InvalidInput, match=r"bursts of about 3 readings, 0.1 ms apart: its stamps"):
         convert([log({**even, "time": arrived})], given, robot)
 
 
