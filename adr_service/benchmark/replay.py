@@ -41,7 +41,9 @@ class Replay:
         ]
         if not self.is_complete:
             return differ
-        return differ + [k for k in self._beyond(stored) if not isinstance(stored[k], StageFinished)]
+        return differ + [
+            k for k in self._beyond(stored) if not isinstance(stored[k], StageFinished)
+        ]
 
     def lacking(self, stored: Mapping[str, RunEvent], has_succeeded: bool) -> list[str]:
         """Keys of iterations that the results lead to, but that are not stored.

@@ -115,7 +115,7 @@ def fit(simulator: Simulator, sensor: Vector, effects: Sequence[Effect] = ()) ->
     """The simulator at its best with these effects, around the states as they were measured.
 
     The effects are known to be there; others that later fits add are supposed to be about as strong
-    as `Mechanism.plausible` says.
+    as `Mechanism.likely` says.
     `sensor` (m,): stated variances of the sensors' noise, NaN where it is not known.
     """
     layout, states, start = Layout.of(simulator), simulator.measured, simulator.nominal.start

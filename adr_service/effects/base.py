@@ -188,7 +188,8 @@ class Mechanism:
     applies: Applies = lambda model, element: True  # True if it makes sense at a place
     sizes: tuple[float, ...] = (1.0,)  # times typical, for effects that are not in proportion
     in_force: bool = False  # True if joint forces are in proportion to its strength
-    plausible: float = 25.0  # times typical: deviation of what real robots have and models lack
+    # deviations of the strengths that real robots have and models lack; None: 25 times typical
+    likely: Typical | None = None
     has_sides: bool = False  # True if more and less of it are effects of their own
     needs_first: bool = False  # True if its other strengths do nothing while the first is zero
     includes: str = ""  # kind that it equals while its last strengths are zero

@@ -7,7 +7,7 @@ from adr_service.arrays import Vector
 from adr_service.effects.base import ADDED, SENSOR_SIZE, Mechanism, Strength
 
 LOADED = f"{ADDED}load_"  # bodies, by body
-_REACH = 0.1  # [m] of a body at least, with what it holds
+_REACH = 0.1  # [m] of a body without extent, and of a hand
 _GRAVITY = 9.81  # [m/s²] for typical sizes alone
 
 
@@ -104,16 +104,19 @@ def _far_end(model: mujoco.MjModel, body: int) -> Vector:
     return max(ends, key=lambda end: float(end @ end))
 
 
-def _typical_payload(model: mujoco.MjModel, body: int) -> tuple[float, ...]:
-    """A hundredth of the whole robot: what it can carry does not depend on the link that does."""
-    return (0.01 * float(model.body_subtreemass[model.body_rootid[body]]),)
+def _likely_payload(model: mujoco.MjModel, body: int) -> tuple[float, ...]:
+    """A quarter of the mass that moves with the robot, or half the body's own if that is more: what
+    an arm can carry does not depend on its last link."""
+    moves = (model.body_rootid == model.body_rootid[body]) & (model.body_weldid != 0)
+    return (max(0.25 * float(model.body_mass[moves].sum()), 0.5 * float(model.body_mass[body])),)
 
 
 PAYLOAD = Mechanism(
     "payload",
     "body",
     (Strength("mass", "kg", low=0.0),),
-    typical=_typical_payload,
+    typical=_fiftieth_of_mass,
+    likely=_likely_payload,
     change=_payload,
     applies=has_mass,
 )
@@ -138,8 +141,15 @@ def _load(model: mujoco.MjModel, body: int, values: Vector) -> None:
 
 
 def _typical_load(model: mujoco.MjModel, body: int) -> tuple[float, ...]:
-    """Such a payload, as far from the body's origin as it reaches, or a hand does."""
-    (mass,) = _typical_payload(model, body)
+    """A fiftieth of the body's mass, as far from its origin as it reaches, in each direction."""
+    (mass,) = _fiftieth_of_mass(model, body)
+    reach = float(np.linalg.norm(_far_end(model, body))) or _REACH
+    return (mass, *(mass * reach,) * 3)
+
+
+def _likely_load(model: mujoco.MjModel, body: int) -> tuple[float, ...]:
+    """Such a payload, as far from the body's origin as it reaches, or as a hand does."""
+    (mass,) = _likely_payload(model, body)
     reach = max(float(np.linalg.norm(_far_end(model, body))), _REACH)
     return (mass, *(mass * reach,) * 3)
 
@@ -154,6 +164,7 @@ LOAD = Mechanism(
         Strength("moment z", "kg m"),
     ),
     typical=_typical_load,
+    likely=_likely_load,
     change=_load,
     prepare=_add_load,
     applies=has_mass,

@@ -31,6 +31,7 @@ _OF_SLIDES = {
     "rad/s": "m/s",
 }
 _Inferred = mujoco.mjtInertiaFromGeom
+_WIDER = 25.0  # than typical: the usual deviation of what real robots have and models lack
 _ON_JOINTS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 
 
@@ -166,7 +167,9 @@ def typical_of(model: mujoco.MjModel, kind: str, location: str) -> Vector:
 
 def plausible_of(model: mujoco.MjModel, effect: Effect) -> Vector:
     """Deviations (k,) of an effect's strengths among all robots, about zero."""
-    return get_mechanism(effect.kind).plausible * typical_of(model, effect.kind, effect.location)
+    if (likely := get_mechanism(effect.kind).likely) is not None:
+        return np.array(likely(model, element_of(model, effect.location)), dtype=float)
+    return _WIDER * typical_of(model, effect.kind, effect.location)
 
 
 def prior_precision(model: mujoco.MjModel, effects: Sequence[Effect]) -> Vector:

@@ -62,7 +62,7 @@ class Criticise(Stage[Criticised]):
     # a simulation that diverges within a control step is not taken for one that stands still,
     # effects in one sensor act one after the other, fits go on until their parameters have settled
     # and within their bounds, and causes whose strengths may all be zero are not named, 19: what a
-    # link carries is judged by the whole robot's mass, and not by its own
+    # link carries is judged by the robot's mass, and not by its own alone
     version: ClassVar = 19
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from adr_service.effects.base import Effect
-from adr_service.effects.models import typical_of
+from adr_service.effects.models import plausible_of, typical_of
 from tests.effects.conftest import PLAIN
 from tests.hidden import arm
 
@@ -89,6 +89,33 @@ def test_gravity_is_compensated_for_the_link_and_not_for_its_load(cart):
 
 def test_a_body_without_extent_may_carry_a_load_beside_it(cart):
     assert all(size > 0 for size in typical_of(cart(), "body_load", "body:cart"))
+
+
+HANDED = """<mujoco><worldbody>
+<body name="base">{base}
+  <body name="fore"><joint/><geom size=".1" mass="4"/>
+    <body name="hand"><joint/><geom size=".02" mass=".4"/></body>
+  </body>
+</body>{beside}
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("body", "base", "beside", "kilograms"),
+    [
+        ("hand", "", "", 0.25 * 4.4),
+        ("fore", "", "", 0.5 * 4.0),  # more than a quarter of 4.4
+        ("hand", '<geom size=".1" mass="200"/>', "", 0.25 * 4.4),
+        ("hand", "", '<body><joint/><geom size=".1" mass="9"/></body>', 0.25 * 4.4),
+    ],
+    ids=["a hand", "a heavy link", "on a bench", "beside another robot"],
+)
+def test_what_a_robot_may_carry_goes_by_the_mass_that_moves_with_it(body, base, beside, kilograms):
+    model = mujoco.MjModel.from_xml_string(HANDED.format(base=base, beside=beside))
+    payload = Effect("payload", f"body:{body}", (1.0,))
+    assert plausible_of(model, payload) == pytest.approx([kilograms])
+    load = Effect("body_load", f"body:{body}", (1.0, 0.0, 0.0, 0.0))
+    assert plausible_of(model, load) == pytest.approx(kilograms * np.array([1, 0.1, 0.1, 0.1]))
 
 
 def test_a_positive_change_of_inertia_makes_it_larger(cart):
