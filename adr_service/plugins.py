@@ -10,7 +10,7 @@ from adr_service.errors import InvalidInput
 
 TASKS, METHODS = "adr_service.tasks", "adr_service.methods"  # our groups
 # inputs of stages that name a package: the group that it adds to, and the input that it adds
-_PACKAGES = {
+PACKAGES = {  # inputs of a stage that name a package, and what it adds
     "package": (TASKS, "task"),
     "method_package": (METHODS, "method"),
     "curriculum_package": (METHODS, "curriculum"),
@@ -58,7 +58,7 @@ def other_versions(inputs: Mapping[str, Any]) -> dict[str, OtherVersion]:
     Takes the stage's inputs as JSON; the keys are those of the inputs that name a package.
     """
     others: dict[str, OtherVersion] = {}
-    for field, (group, member) in _PACKAGES.items():
+    for field, (group, member) in PACKAGES.items():
         if field in inputs:
             added = inputs[member]  # a task's name, or a method's settings
             here = package_of(group, added if isinstance(added, str) else added["name"])

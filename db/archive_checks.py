@@ -33,14 +33,15 @@ from adr_service.events import (
     event_from_json,
     state_after,
 )
-from adr_service.json_values import explain, sha256
+from adr_service.json_values import canonical_json, explain, sha256
+from adr_service.plugins import PACKAGES
 from adr_service.specs import LostRun, RunSpec
 from adr_service.specs.lost import Lost
-from adr_service.stages.base import StageResult
 from db.benchmarks import cell_of, list_benchmarks, readable
 from db.errors import DatabaseDamaged
 from db.models import EventRow, RunRow, StageRow
 from db.runs import list_runs, new_run
+from db.session import CHUNK, parts
 from db.stages import find_result, has_unreferenced, is_readable
 from db.staging import Staged
 
@@ -102,14 +103,10 @@ def _replay(session: Session, run_id: str, spec: RunSpec, benchmark_id: str) -> 
     is_its_own = _facts(row) == _expected(spec, benchmark_id, lifecycle)
     if not _RUN_ID.fullmatch(run_id) or not is_its_own or not _is_in_order(lifecycle):
         raise InvalidInput(f"the row of run {run_id} in the archive contradicts its spec or events")
+    replay = replay_run(run_id, spec, lambda digest: find_result(session, digest))
+    if _has_other_versions(session, events, replay):
+        return CheckedRun(run_id, replay, is_verified=False)
     science = {event.key: event for event in events if not isinstance(event, _Lifecycle)}
-    mine = {event.digest for event in events if isinstance(event, StageFinished)}
-
-    def find(digest: str) -> StageResult | None:
-        # a run of today may have added another version's result beside this one's
-        return find_result(session, digest) if digest in mine else None
-
-    replay = replay_run(run_id, spec, find)
     if wrong := replay.disagreements(science):
         raise InvalidInput(
             f"event {wrong[0]} of {run_id} in the archive does not follow from the stored results"
@@ -121,6 +118,31 @@ def _replay(session: Session, run_id: str, spec: RunSpec, benchmark_id: str) -> 
         )
     is_whole = replay.is_complete or not has_succeeded
     return CheckedRun(run_id, replay, is_whole and not replay.is_behind(science))
+
+
+def _has_other_versions(session: Session, events: Sequence[RunEvent], replay: Replay) -> bool:
+    """True if the run has finished a stage of another version than its program asks for today.
+
+    Its events follow from that, or from both. The results may all be there: the run went on with
+    today's version, or another run of the benchmark did.
+    """
+    today: dict[str, set[str]] = {}
+    for stage in replay.stages:
+        today.setdefault(stage.kind, set()).add(_version(stage.document))
+    mine = [event.digest for event in events if isinstance(event, StageFinished)]
+    for some in parts(mine, CHUNK):
+        query = select(StageRow.kind, StageRow.document).where(StageRow.digest.in_(some))
+        for kind, document in session.execute(query):
+            if kind in today and _version(json.loads(document)) not in today[kind]:
+                return True
+    return False
+
+
+def _version(document: dict[str, Any]) -> str:
+    """The version of a stage's kind, and the packages that its task and method come from."""
+    inputs = document.get("inputs")
+    given = cast(dict[str, Any], inputs) if isinstance(inputs, dict) else {}
+    return canonical_json([document.get("version"), *(given.get(name) for name in PACKAGES)])
 
 
 def _events(session: Session, run_id: str) -> list[RunEvent]:

@@ -11,7 +11,7 @@ from typing import TypeVar
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from adr_service.benchmark.replay import agree
+from adr_service.benchmark.replay import repeats
 from adr_service.errors import InvalidInput
 from adr_service.events import (
     CriticismFinished,
@@ -150,8 +150,7 @@ def _check_again(session: Session, run_id: str, event: IterationFinished) -> Non
     """Refuse another answer of an iteration that a run has: later ones would not belong to it."""
     mine = select(EventRow.body).where(EventRow.run_id == run_id, EventRow.key == event.key)
     before = IterationFinished.model_validate_json(session.scalars(mine).one())
-    stored = before.model_fields_set  # earlier versions have fewer
-    if not agree(event.model_dump(include=stored), before.model_dump(include=stored)):
+    if not repeats(event, before):
         raise InvalidInput(
             f"iteration {event.iteration} came out otherwise than before: a method, a task or the "
             "service has changed since; submit a new run"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from adr_service.errors import InvalidInput
-from adr_service.events import IterationFinished, RunEvent, StageFinished, TrainingEvaluated
+from adr_service.events import IterationFinished, RunEvent, TrainingEvaluated
 from adr_service.programs import run
 from adr_service.specs import RunSpec
 from adr_service.stages.base import AnyStage, StageResult
@@ -29,21 +29,13 @@ class Replay:
     is_complete: bool  # the program came to its end
 
     def disagreements(self, stored: Mapping[str, RunEvent]) -> list[str]:
-        """Keys of stored events of the program, by key, that are not what the results lead to.
-
-        A stage that a complete program did not ask for is none: the run may have begun with
-        another version of it.
-        """
+        """Keys of stored events of the program, by key, that are not what the results lead to."""
         differ = [
             key
             for key, event in _fixed(stored).items()
-            if key in self.events and not agree(event.model_dump(), self.events[key].model_dump())
+            if key in self.events and not repeats(self.events[key], event)
         ]
-        if not self.is_complete:
-            return differ
-        return differ + [
-            k for k in self._beyond(stored) if not isinstance(stored[k], StageFinished)
-        ]
+        return differ + (self._beyond(stored) if self.is_complete else [])
 
     def lacking(self, stored: Mapping[str, RunEvent], has_succeeded: bool) -> list[str]:
         """Keys of iterations that the results lead to, but that are not stored.
@@ -57,11 +49,11 @@ class Replay:
         return [key for key in mine[:last] if key not in stored]
 
     def is_behind(self, stored: Mapping[str, RunEvent]) -> bool:
-        """True if there are stored events that the results do not lead to, and that stay unchecked.
+        """True if the results end before the stored events do, so that some cannot be checked.
 
-        Another version's results have other digests, which this one does not ask for.
+        An earlier version's results have other digests, which this one does not ask for.
         """
-        return bool(self._beyond(stored))
+        return not self.is_complete and bool(self._beyond(stored))
 
     def _beyond(self, stored: Mapping[str, RunEvent]) -> list[str]:
         return [key for key in _fixed(stored) if key not in self.events]
@@ -93,6 +85,13 @@ def replay_run(run_id: str, spec: RunSpec, find: Callable[[str], StageResult | N
             f"the program of {run_id} cannot use its stored results, after {asked}: {error}"
         ) from error
     return Replay(events, stages.asked, is_complete)
+
+
+def repeats(event: RunEvent, stored: RunEvent) -> bool:
+    """True if an event says what a stored one said, which an earlier version wrote with fewer
+    fields, perhaps."""
+    fields = stored.model_fields_set
+    return agree(event.model_dump(include=fields), stored.model_dump(include=fields))
 
 
 def agree(one: Any, other: Any, relative: float = _RELATIVE, absolute: float = _ABSOLUTE) -> bool:

@@ -143,14 +143,12 @@ def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]
             stream("verify", str(seed)),
             lambda stage: stage.role != "trainer" or is_same(stage.digest),
         )
-        if unverified:
-            raise NotVerified(
-                f"{len(unverified)} runs cannot be checked: their results are missing from the "
-                "archive, or are of another version of this program, which can check them "
-                f"({', '.join(unverified[:5])})"
-            )
+        unchecked = (
+            f"{len(unverified)} runs cannot be checked, because results are missing from the "
+            f"archive or are of another version of this program ({', '.join(unverified[:5])})"
+        )
         if not drawn:
-            raise NotVerified("no stage of the archive can be computed again here")
+            raise NotVerified(unchecked if unverified else "no stage can be computed again here")
         for stage in drawn:
             stored = find_result(session, stage.digest)
             assert stored is not None, "it was drawn from the stored ones"
@@ -159,6 +157,8 @@ def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]
                 f"{session.get_one(StageRow, stage.digest).seconds:.0f} s when it was stored"
             )
             yield verify(stage, stored, is_same(stage.digest))
+        if unverified:
+            raise NotVerified(unchecked)
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from adr_service.benchmark.verification import (
     verify,
 )
 from adr_service.errors import InvalidInput
-from adr_service.events import StageFinished
+from adr_service.events import IterationFinished
 from adr_service.npz import read_arrays, write_arrays
 from adr_service.programs import run
 from adr_service.randomness import stream
@@ -150,14 +150,14 @@ def test_events_that_the_results_do_not_lead_to_are_named():
     assert (part.is_behind(extra), part.is_behind(replay.events)) == (True, False)
 
 
-def test_a_run_that_began_with_another_version_of_a_stage_cannot_be_checked_whole():
+def test_an_event_of_an_early_version_lacks_fields_and_is_no_other():
     replay = replay_run("run_a", SPEC, all_results().get)
-    old = StageFinished(kind="train_policy", digest="0" * 64)
-    stored = {**replay.events, old.key: old}
-    assert replay.disagreements(stored) == []
-    assert replay.is_behind(stored)
-    event = replay.events["iteration_finished:1"].model_copy(update={"training_steps": [1]})
-    assert replay.disagreements({**stored, event.key: event}) == [event.key]
+    values = replay.events["iteration_finished:1"].model_dump(exclude={"inferences"})
+    early = IterationFinished.model_validate(values)
+    assert early.inferences != replay.events[early.key].inferences
+    assert replay.disagreements({**replay.events, early.key: early}) == []
+    other = IterationFinished.model_validate({**values, "inference_steps": -1})
+    assert replay.disagreements({**replay.events, early.key: other}) == [early.key]
 
 
 def test_points_of_a_learning_curve_are_the_results_own_business():

@@ -9,13 +9,15 @@ import pytest
 from sqlalchemy import select
 
 from adr_service.errors import InvalidInput
-from adr_service.events import TrainingEvaluated
+from adr_service.events import RunFailed, StageFinished, TrainingEvaluated
+from adr_service.json_values import canonical_json
 from adr_service.programs.references import reference_training
 from adr_service.specs import BenchmarkExtension, BenchmarkPart
 from adr_service.stages.train_policy import TrainPolicy
 from db import archives, benchmarks, events, runs, stages, staging
 from db.errors import DiskFull, NotFound, NotPossible
 from db.models import ArtifactRow, StageArtifactRow, StageRow
+from db.runs import resubmit
 from db.session import open_database
 from db.stages import note_checkpoint, policy_of_training
 from db.staging import staged
@@ -23,6 +25,7 @@ from tests.archives import rewritten, with_rows, without_results
 from tests.contracts.canned import canned
 from tests.db.finished import finished_benchmark, go_on, proceed
 from tests.db.rows import count
+from tests.stages.examples import evaluation
 
 COPY = "run_" + 16 * "f"
 
@@ -305,7 +308,7 @@ def test_a_training_that_was_interrupted_and_repeated_elsewhere_comes_back(
 def test_runs_with_policies_of_an_earlier_version_come_in_unverified(
     file_database, other, tmp_path, monkeypatch
 ):
-    """One had ended. The others went on without what they had."""
+    """One had ended. The others were resumed, and trained anew."""
     id = finished_benchmark(file_database, most=1)
     before = benchmarks.runs_of(file_database, id)
     assert {run.state for run in before} == {"succeeded", "cancelled"}
@@ -313,6 +316,23 @@ def test_runs_with_policies_of_an_earlier_version_come_in_unverified(
     go_on(file_database, id)
     report = imported(other, exported(file_database, id, tmp_path / "a.adr"))
     assert set(report.unverified) == {run.id for run in before}
+    assert content_of(other, id) == content_of(file_database, id)
+
+
+def test_runs_that_could_not_go_on_with_a_later_version_come_in_unverified(
+    file_database, other, tmp_path, monkeypatch
+):
+    """Their first iteration follows from the policy before, and a later one is there too."""
+    id = finished_benchmark(file_database, most=4)
+    monkeypatch.setattr(TrainPolicy, "version", TrainPolicy.version + 1)
+    [begun] = [r for r in benchmarks.runs_of(file_database, id) if r.state.is_resumable]
+    record = resubmit(file_database, begun.id)
+    with pytest.raises(InvalidInput, match="iteration 0 came out otherwise"):
+        proceed(file_database, record)
+    failed = RunFailed(submission=record.submission, code="invalid_input", message="otherwise")
+    events.append_event(file_database, record.id, failed)
+    report = imported(other, exported(file_database, id, tmp_path / "a.adr"))
+    assert record.id in report.unverified
     assert content_of(other, id) == content_of(file_database, id)
 
 
@@ -433,15 +453,20 @@ def _invented(rows):
 
 
 def _without(key):
-    """The first run that has this event comes without it."""
+    """The first run that has an event that begins like this comes without it."""
 
     def change(rows):
-        left_out = next(row for row in rows if row["key"] == key)
+        left_out = next(row for row in rows if row["key"].startswith(key))
         mine = [row for row in rows if row["run_id"] == left_out["run_id"] and row != left_out]
         others = [row for row in rows if row["run_id"] != left_out["run_id"]]
         return [*({**row, "seq": seq} for seq, row in enumerate(mine, 1)), *others]
 
     return change
+
+
+def _denied(rows):
+    """Returns that no evaluation has, in a run that does not name a stage whose result is there."""
+    return _iterations(returns=[[1e9]])(_without("stage_finished:")(rows))
 
 
 def _moved(rows):
@@ -522,6 +547,7 @@ HOSTILE = {
     "returns of no policy": ("events", _iterations(policies=[], returns=[]), "as policies"),
     "no distribution": ("events", _iterations(distributions=[]), "as many distributions"),
     "an iteration that never was": ("events", _invented, "does not follow"),
+    "returns of a stage that is not named": ("events", _denied, "does not follow"),
     "no first iteration": ("events", _without("iteration_finished:0"), "has no event"),
     "no last iteration": ("events", _without("iteration_finished:1"), "has no event"),
     "another stage's document": ("stages", _moved, "document of another"),
@@ -542,6 +568,28 @@ def test_an_archive_that_contradicts_itself_is_refused(name, path, other, tmp_pa
         imported(other, rewritten(path, with_rows(table, change)))
     assert count(other, "runs") == count(other, "benchmarks") == count(other, "stages") == 0
     assert not list(tmp_path.glob(f"{staging.PREFIX}*"))
+
+
+def test_a_stage_of_today_that_no_program_asks_for_is_refused(path, other):
+    """Whoever runs it later would get its result."""
+    stage = evaluation(77)
+    finished = StageFinished(kind=stage.kind, digest=stage.digest)
+
+    def with_stage(rows):
+        document = canonical_json(stage.document)
+        return [
+            *rows,
+            {**rows[0], "digest": stage.digest, "kind": stage.kind, "document": document},
+        ]
+
+    def with_event(rows):
+        mine = [row for row in rows if row["run_id"] == rows[0]["run_id"]]
+        body = {"key": finished.key, "type": finished.type, "body": finished.model_dump_json()}
+        return [*rows, {**mine[-1], "seq": len(mine) + 1, **body}]
+
+    rewritten(path, with_rows("stages", with_stage))
+    with pytest.raises(InvalidInput, match=f"{finished.key} .* does not follow"):
+        imported(other, rewritten(path, with_rows("events", with_event)))
 
 
 @pytest.mark.parametrize(

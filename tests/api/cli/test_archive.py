@@ -105,11 +105,12 @@ def test_a_sample_repeats_with_its_seed(adr, file):
     assert len(samples[0]) == 6
 
 
-def test_an_archive_whose_results_are_gone_is_not_verified(adr, file):
+def test_an_archive_whose_results_are_gone_is_not_verified(adr_here, file):
     rewritten(file, without_results)
-    code, out = adr("archive", "verify", str(file))
+    code, out, errors = adr_here("archive", "verify", str(file))
     # the seed of the sample is printed, and no stage
     assert (code, len(out.splitlines())) == (2, 1)
+    assert "3 runs cannot be checked, because results are missing" in " ".join(errors.split())
 
 
 def test_a_dry_run_of_an_extension_starts_nothing(adr, benchmark, service):
