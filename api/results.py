@@ -40,7 +40,8 @@ _TABLES = 6  # counts the times that tables of the same outcomes changed
 _COST_NOTE = (
     "the use of the cores counts all that the service computed while there was work for all of "
     "them, other runs' stages too, and no more; useful = computing / (computing + waiting + "
-    "orchestration), overhead = orchestration / all; known when the runs have finished"
+    "orchestration), overhead = orchestration / all; known when the runs have finished, for the "
+    "time in which their stages were computed here"
 )
 
 
@@ -72,7 +73,8 @@ class CostView(BaseModel):
 
     note: str
     kinds: list[KindCost]
-    # null: it has not finished, or there was never work for all cores at once
+    # null: it has not finished, none of it was computed here, or there was never work for all cores
+    # at once
     utilisation: Utilisation | None
     inferences: list[dict[str, Any]]
 
@@ -168,9 +170,9 @@ def cost_of(service: Service, records: Sequence[RunRecord]) -> CostView:
     ids = [record.id for record in records]
     executions = stage_store.executions_of(service.database, ids)
     used = None
-    is_over = executions and all(record.is_finished for record in records)
-    if is_over and not stage_store.has_imported(service.database, ids):
-        used = _utilisation(service, [execution for _, execution in executions])
+    here = stage_store.executions_of(service.database, ids, only_here=True)
+    if here and all(record.is_finished for record in records):
+        used = _utilisation(service, [execution for _, execution in here])
     return cost_view(executions, used, outcomes_of(service, records))
 
 

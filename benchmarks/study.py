@@ -17,18 +17,20 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec
 
-from adr_service.client import AdrClient, Json, is_finished
+from adr_service.client import AdrClient, Json, Refused, Unreachable, is_finished
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec, members_of
 from api.cli.own_service import own_service
 from api.cli.ports import free_port
 from api.report import write_report
 
 _EXPORT_S = 1800.0
+_TRIES, _PAUSE_S = 5, 60.0
+P = ParamSpec("P")
 _KINDS = BenchmarkExtension.model_fields  # of members
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -50,12 +52,14 @@ def main(given: argparse.Namespace) -> bool:
         first = {kind: given for kind, given in study["first"].items() if kind in _KINDS}
         try:
             for extension in [first, *study["then"]]:
-                extend(client, id, extension)
+                patiently(extend, client, id, extension)
                 finish(client, id, folder, parts, deadline)
+            _ignore_signals()
         except Stopped:
-            stop(client, id)
-        _ignore_signals()  # it stops already
-        publish(client, id, folder, parts)
+            _ignore_signals()  # it stops already
+            patiently(client.cancel, id)
+            client.wait(id, progress=False)  # what ends meanwhile still counts
+        patiently(publish, client, id, folder, parts)
         return set(client.get(id)["states"]) <= {"succeeded", "cancelled"}
 
 
@@ -133,14 +137,21 @@ def finish(
         if time.monotonic() > deadline:
             raise Stopped
         if time.monotonic() > published + _EXPORT_S:
-            publish(client, id, folder, parts)
+            patiently(publish, client, id, folder, parts)
             published = time.monotonic()
 
 
-def stop(client: AdrClient, id: str) -> None:
-    """Stop all runs; what ends meanwhile still counts."""
-    client.cancel(id)
-    client.wait(id, progress=False)
+def patiently(act: Callable[P, object], *given: P.args, **more: P.kwargs) -> None:
+    """Do something with a service that may be busy for some minutes."""
+    for _ in range(_TRIES):
+        try:
+            act(*given, **more)
+        except (Refused, Unreachable) as error:
+            print(f"{error}; trying again", file=sys.stderr, flush=True)
+            time.sleep(_PAUSE_S)
+        else:
+            return
+    act(*given, **more)
 
 
 def publish(client: AdrClient, id: str, folder: Path, parts: dict[str, Json]) -> None:
@@ -161,7 +172,7 @@ def publish(client: AdrClient, id: str, folder: Path, parts: dict[str, Json]) ->
 
 
 def _stop(*_: object) -> None:
-    _ignore_signals()  # it stops already
+    _ignore_signals()
     raise Stopped
 
 

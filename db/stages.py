@@ -110,25 +110,22 @@ def executions_between(database: Database, first: float, last: float) -> list[Ex
     return [e for e in executions if e.placed < last and e.ended > first]
 
 
-def executions_of(database: Database, run_ids: Sequence[str]) -> list[tuple[str, Execution]]:
-    """Pairs (stage kind, execution) of the runs' measured stages, in order of their beginning."""
+def executions_of(
+    database: Database, run_ids: Sequence[str], *, only_here: bool = False
+) -> list[tuple[str, Execution]]:
+    """Pairs (stage kind, execution) of the runs' measured stages, in order of their beginning.
+
+    `only_here` leaves out those that an archive brought.
+    """
     query = _executions().join(EventRow, _OF_EVENT)
+    if only_here:
+        query = query.where(~_IMPORTED)
     executions: dict[str, tuple[str, Execution]] = {}
     with database.read() as session:
         for some in parts(run_ids, CHUNK):
             rows = session.execute(query.where(EventRow.run_id.in_(some)))
             executions |= {row.digest: (row.kind, _execution(row)) for row in rows}
     return sorted(executions.values(), key=lambda item: item[1].began)
-
-
-def has_imported(database: Database, run_ids: Sequence[str]) -> bool:
-    """True if another machine computed a stage of these runs."""
-    query = select(StageRow.digest).join(EventRow, _OF_EVENT).where(_IMPORTED).limit(1)
-    with database.read() as session:
-        return any(
-            session.scalar(query.where(EventRow.run_id.in_(some))) is not None
-            for some in parts(run_ids, CHUNK)
-        )
 
 
 def seconds_of(database: Database, digests: Sequence[str]) -> dict[str, float]:

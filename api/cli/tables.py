@@ -163,7 +163,7 @@ def cost_table(cost: Json) -> RenderableType:
 def _utilisation(used: Json | None, note: str) -> list[RenderableType]:
     if used is None:
         text = (
-            "no utilisation: not all runs have finished, other machines computed some of their "
+            "no utilisation: not all runs have finished, other machines computed all of their "
             "stages, or there never was work for all cores"
         )
         return [Text(text, style="dim")]

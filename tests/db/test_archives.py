@@ -681,7 +681,10 @@ def test_imported_results_take_no_core_of_this_service(file_database, other, tmp
     assert count(other, "stages") == count(file_database, "stages")
     assert stages.executions_between(other, 0.0, 4e9) == []
     ids = [run.id for run in benchmarks.runs_of(other, id)]
-    assert [stages.has_imported(each, ids) for each in (file_database, other)] == [False, True]
+    whole = stages.executions_of(file_database, ids)
+    assert stages.executions_of(file_database, ids, only_here=True) == whole
+    assert stages.executions_of(other, ids) == whole
+    assert stages.executions_of(other, ids, only_here=True) == []
 
 
 def test_times_are_of_the_zone_that_an_archive_gives_them(path, other):

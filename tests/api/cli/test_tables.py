@@ -150,7 +150,7 @@ def test_brackets_in_claims_are_no_styles():
 
 
 def test_utilisation_is_shown_once_it_is_known():
-    assert "other machines computed some" in shown(cost_table(COST))
+    assert "other machines computed all" in shown(cost_table(COST))
     used = dict.fromkeys(("computing", "waiting", "orchestration", "starting", "preparing"), 2.0)
     used |= {"useful": 0.9, "overhead": 0.02, "cores": 4, "seconds": 10}
     text = shown(cost_table({**COST, "utilisation": used}))
