@@ -121,18 +121,18 @@ class TrustRegion:
         self, mean: Vector, std: Vector, budget: int, progress: Progress
     ) -> tuple[Evaluation, int]:
         """The first Gaussian whose loss is finite, and the evaluations until it."""
-        tried = std
         for spent in range(1, budget + 1):
-            start, tried = self.evaluate(mean, std), std
+            if spent > 1:
+                std = np.maximum(std / _NARROWER, self.bounds.std_low)
+            start = self.evaluate(mean, std)
             progress(_fraction(spent, budget), evaluations=spent)
             if np.isfinite(start.loss):
                 return start, spent
             if np.all(std <= self.bounds.std_low):
                 break
-            std = np.maximum(std / _NARROWER, self.bounds.std_low)
         raise InvalidInput(
             f"simulation diverged for draws around {mean.tolist()}, or they spread too far for "
-            f"epsilon, with every standard deviation that was tried, down to {tried.tolist()}"
+            f"epsilon, with every standard deviation that was tried, down to {std.tolist()}"
         )
 
     def _room(self, at: Evaluation, radius: float, notable: Vector) -> tuple[Vector, Vector]:
