@@ -73,7 +73,7 @@ study: setup
 
 # five minutes
 bench-coverage: setup
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage results/hopper/study.adr
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.coverage
 
 # hours on two cores
 bench-criticism: setup

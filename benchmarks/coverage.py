@@ -6,6 +6,7 @@ Repeats experiments in worlds whose truth is known. In each, a method's seeds ea
 earns on average: by a normal distribution; by one with two gaits, where a policy learns the
 worse one with probability 0.3; and for each archive, by the spread that its methods have: their
 seeds' deviations from their method's mean, resampled and smoothed as Silverman's bootstrap does.
+Pooled about their means, these show tails and not gaits: three seeds of two gaits look symmetric.
 Every seed has one policy with 50 episodes, with a standard deviation of 0.1.
 
     coverage        share of experiments whose interval contains the truth

@@ -12,7 +12,7 @@ less than 0.1 of the reward threshold. `adr_service.benchmark.checks` tests thes
 
 Twenty-one claims are judged at once, so that one in twenty would be settled by chance. Verdicts on
 returns hold together at 95 %: the p-values are corrected for the number of claims (Holm 1979). An
-undecided claim tells how many seeds would settle it, if their means and spread were those measured.
+undecided claim tells how many seeds might settle it, if their means and spread were those measured.
 Claims on widths and costs (U5, C1) must hold for every seed, and are not part of that.
 """
 

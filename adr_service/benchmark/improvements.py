@@ -24,9 +24,17 @@ class ImprovementMatrix:
 
 
 def improvement_matrices(comparisons: Sequence[dict[str, Any]]) -> list[ImprovementMatrix]:
-    """Matrices of comparisons as `/results` has them, in their order."""
+    """Matrices of comparisons as `/results` has them, in their order.
+
+    A variant without any interval has none.
+    """
     grouped = groupby(comparisons, key=lambda pair: (pair["task"], pair["variant"]))
-    return [_matrix(task, variant, list(pairs)) for (task, variant), pairs in grouped]
+    by_variant = [(*key, list(pairs)) for key, pairs in grouped]
+    return [
+        _matrix(task, variant, pairs)
+        for task, variant, pairs in by_variant
+        if any(pair["low"] is not None for pair in pairs)
+    ]
 
 
 def _matrix(task: str, variant: str, pairs: list[dict[str, Any]]) -> ImprovementMatrix:

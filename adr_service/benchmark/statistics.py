@@ -26,6 +26,7 @@ from adr_service.errors import InvalidInput
 _RESAMPLES = 2000
 _LEVEL = 0.95
 FEWEST_SEEDS = 3  # that have an interval
+_FEWEST_RANKED = 5  # of each method, that have one for the probability of improvement
 _CHUNK = 1_000_000  # returns drawn at once
 
 
@@ -107,7 +108,9 @@ def improvement(
 ) -> Interval:
     """The probability that a policy of `one` earns more than one of `other`, ties counted half.
 
-    Both are resampled alike if the `policies` of both are given and equal.
+    Fewer than five seeds of either have no interval: with three, policies of equal methods are all
+    on one side in a tenth of cases, and the bootstrap then knows no other. Both are resampled alike
+    if the `policies` of both are given and equal.
     """
 
     def wins(a: Matrix, b: Matrix) -> Vector:
@@ -119,7 +122,7 @@ def improvement(
 
     means = [_policy_means(seeds) for seeds in (one, other)]
     resampled = _resampled_cells([one, other], rng, policies)
-    has_one = min(len(one), len(other)) >= FEWEST_SEEDS
+    has_one = min(len(one), len(other)) >= _FEWEST_RANKED
     return _percentile_interval(float(wins(*means)), wins(*resampled), has_one)
 
 

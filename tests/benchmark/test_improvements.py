@@ -25,9 +25,9 @@ def test_a_pair_is_seen_from_both_sides():
     ]
 
 
-def test_each_variant_has_a_matrix_and_few_seeds_have_no_interval():
-    found = improvement_matrices(
-        [pair("simopt", "dropo", 0.5), pair("simopt", "dropo", 0.5, variant="noisy")]
-    )
+def test_each_variant_with_an_interval_has_a_matrix():
+    known, unknown = pair("simopt", "dropo", 0.5, 0.2, 0.8), pair("simopt", "udr", 0.5)
+    noisy, few = {**known, "variant": "noisy"}, {**unknown, "variant": "unmodeled"}
+    found = improvement_matrices([known, unknown, noisy, few])
     assert [matrix.variant for matrix in found] == ["vanilla", "noisy"]
-    assert found[0].rows[0][1][1] == Interval(0.5, None, None)
+    assert found[0].rows[0][1][1:] == [Interval(0.5, 0.2, 0.8), Interval(0.5, None, None)]

@@ -90,15 +90,18 @@ def test_the_probability_of_improvement_counts_pairs_and_half_of_ties():
     # 1 = 1, 1 < 2, 3 > 1, 3 > 2
     assert improvement(one, other, stream("a")).value == pytest.approx((0.5 + 0 + 1 + 1) / 4)
     assert improvement(one, one, stream("a")).value == pytest.approx(0.5)
-    better = [returns + 10 for returns in one * 2]
-    certain = improvement(better, one * 2, stream("a"))
+    better = [returns + 10 for returns in one * 3]
+    assert improvement(better[:4], one * 3, stream("a")).low is None
+    certain = improvement(better, one * 3, stream("a"))
     assert (certain.low, certain.value, certain.high) == (1, 1, 1)
 
 
 def test_two_methods_with_the_same_policies_are_equal_for_certain():
-    returns = [np.random.default_rng(seed).normal(seed, size=(1, 9)) for seed in range(3)]
+    returns = [np.random.default_rng(seed).normal(seed, size=(1, 9)) for seed in range(5)]
     apart = improvement(returns, returns, stream("a"))
-    assert (apart.low, apart.value, apart.high) == (0, 0.5, 1)
+    assert apart.value == 0.5
+    assert apart.low < 0.2
+    assert apart.high > 0.8
     same = improvement(returns, returns, stream("a"), policies=("a b c", "a b c"))
     assert (same.low, same.value, same.high) == (0.5, 0.5, 0.5)
     assert improvement(returns, returns, stream("a"), policies=("a b c", "d e f")) == apart
