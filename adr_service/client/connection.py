@@ -331,7 +331,7 @@ class AdrClient:
                 f"the service at {self.url} did not answer in time ({type(error).__name__}); "
                 "it may still carry out the request"
             ) from error
-        except httpx2.TransportError as error:
+        except httpx2.RequestError as error:  # also an answer that cannot be unpacked
             raise Unreachable(
                 f"no service answers at {self.url} ({error}); start one with `adr serve`, "
                 "or name another with ADR_URL, or its port here with ADR_PORT"

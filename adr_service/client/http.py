@@ -7,7 +7,7 @@ from pydantic import BaseModel, ValidationError
 
 from adr_service.errors import AdrError, InvalidInput
 
-_OF_A_PROXY = (502, 503, 504)  # our own 503 has a Retry-After
+_TIMEOUT, _LEAST_OF_A_PROXY = 408, 502  # our own 503 and 507 have a Retry-After
 
 
 class Refused(AdrError):
@@ -60,12 +60,12 @@ def check_answer(response: httpx2.Response, url: str) -> None:
         return
     wait = response.headers.get("Retry-After")
     after = float(wait) if wait is not None and wait.isdigit() else None
-    if after is None and response.status_code in _OF_A_PROXY:
+    status = response.status_code
+    if after is None and (status == _TIMEOUT or status >= _LEAST_OF_A_PROXY):
         raise Unreachable(
-            f"the server at {url} is not the service: "
-            f"{response.status_code} {response.reason_phrase}"
+            f"the server at {url} is not the service: {status} {response.reason_phrase}"
         )
-    raise Refused(response.status_code, _explain(response), after)
+    raise Refused(status, _explain(response), after)
 
 
 def _explain(response: httpx2.Response) -> str:

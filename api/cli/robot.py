@@ -63,7 +63,8 @@ def robot(
     end_as_by_ctrl_c()
     limits = Limits(max_seconds, max_reset_seconds, tuple(max_action or ()))
     if (play is None) != (out is None):
-        raise InvalidInput("--play goes with --out")
+        alone = "--out" if play is None else "--play"
+        raise InvalidInput(f"--play goes with --out; given is {alone} alone")
     if play is not None and (episodes is not None or name is not None):
         raise InvalidInput(
             "--episodes and --name go without --play, which sends all episodes of the plan, and "

@@ -1,7 +1,10 @@
 """The Gymnasium environment that is the robot: how it is loaded, checked and closed."""
 
 import importlib
+import inspect
+import signal
 import sys
+import threading
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from typing import Any, Protocol
@@ -13,6 +16,7 @@ from adr_service.client.robot.heart import Watch
 from adr_service.client.robot.limits import Limits
 from adr_service.errors import InvalidInput
 
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _ROUNDED = 1e-6  # relative; bounds stored as float32 differ by so much
 
 Env = gymnasium.Env[Any, Any]
@@ -28,6 +32,15 @@ def load_environment(path: str) -> Env:
         make: Any = getattr(importlib.import_module(module), factory)
     except (ImportError, AttributeError) as error:
         raise InvalidInput(f"{path} cannot be imported: {error}") from error
+    if not callable(make):
+        raise InvalidInput(
+            f"{path} is a {type(make).__name__}; needed is a function or a class that makes the "
+            "environment"
+        )
+    try:
+        inspect.signature(make).bind()
+    except TypeError as error:
+        raise InvalidInput(f"{path} is called without arguments: {error}") from error
     env = make()
     if not isinstance(env, gymnasium.Env):
         raise InvalidInput(f"{path} makes a {type(env).__name__}; needed is a gymnasium.Env")
@@ -47,8 +60,26 @@ def closing_in_time(
     try:
         yield
     finally:
-        with Watch(hangs).running() as watch, watch.watching("close", seconds):
+        with uninterrupted(), Watch(hangs).running() as watch, watch.watching("close", seconds):
             robot.close()
+
+
+@contextmanager
+def uninterrupted() -> Generator[None]:
+    """Ignore what ends the process (Ctrl-C, SIGTERM, a terminal that closes) within a block.
+
+    A `close` that parks a robot is not cut short. Only the main thread is ever interrupted.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in _ENDING}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            if handler is not None:  # else it is not Python's
+                signal.signal(number, handler)
 
 
 def check_environment(env: Env, about: Mapping[str, Any], limits: Limits) -> None:

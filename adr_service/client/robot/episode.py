@@ -12,11 +12,14 @@ from adr_service.client.connection import Json
 from adr_service.client.robot.environment import Env
 from adr_service.client.robot.heart import Watch
 from adr_service.client.robot.limits import Limits
+from adr_service.errors import InvalidInput
 from adr_service.npz import write_arrays
 from adr_service.randomness import stream
 from adr_service.transitions import TransitionDataset
 
 _SLOW = 1.5  # times the control period
+_OF_RESET = ("observation", "info")
+_OF_STEP = ("observation", "reward", "terminated", "truncated", "info")
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,7 @@ class Episode:
     rewards: Vector  # (T,)
     limited: int  # actions that the owner's limit changed
     wrong: str = ""  # why the episode ended early, so that it has no return
+    is_broken: bool = False  # because the robot showed what is no observation
     is_cut: bool = False  # the owner's time ended it, or the environment before its end
     period_s: float = np.nan  # median time between two commands; NaN for fewer
 
@@ -67,6 +71,7 @@ class Rollout:
         self._actions: list[Vector] = []
         self._rewards: list[float] = []
         self._limited, self._wrong, self._ended, self._is_cut = 0, "", False, False
+        self._is_broken = False
         self._began = time.monotonic()
         self._sent: list[float] = []  # [s] when commands were sent
 
@@ -80,10 +85,10 @@ class Rollout:
 
     def reset(self, seed: int) -> None:
         with self._watch.watching("reset", self._machine.limits.reset_seconds):
-            observation, _ = self._machine.env.reset(seed=seed)
+            observation, _ = _parts(self._machine.env.reset(seed=seed), _OF_RESET)
         self._observations.append(_row(observation))
         self._began = time.monotonic()
-        self._wrong = self._broken(self._observations[0], 0.0)
+        self._check(self._observations[0], 0.0)
 
     def step(self, act: Callable[[Matrix], Matrix]) -> None:
         passed = time.monotonic() - self._began
@@ -104,7 +109,8 @@ class Rollout:
         self._limited += not np.array_equal(action, wanted)
         self._sent.append(time.monotonic())
         with self._watch.watching("step", limits.left(passed)):
-            observation, reward, terminated, truncated, _ = self._machine.env.step(action.copy())
+            answer = self._machine.env.step(action.copy())
+        observation, reward, terminated, truncated, _ = _parts(answer, _OF_STEP)
         self._record(_row(observation), action, float(reward))
         self._ended = terminated or truncated
         if truncated and not (terminated or self.is_complete or self._wrong):
@@ -113,16 +119,20 @@ class Rollout:
 
     def _record(self, observation: Vector, action: Vector, reward: float) -> None:
         """Append a transition, unless something is wrong with its numbers."""
-        self._wrong = self._broken(observation, reward)
-        if self._wrong:
+        self._check(observation, reward)
+        if self._is_broken:
             return
         self._observations.append(observation)
         self._actions.append(action)
         self._rewards.append(reward)
         self._watch.steps = len(self._actions)
 
-    def _broken(self, observation: Vector, reward: float) -> str:
-        """Return what is wrong with a transition's numbers, or nothing."""
+    def _check(self, observation: Vector, reward: float) -> None:
+        """Note what is wrong with a transition's numbers, if anything is."""
+        self._wrong = self._why_broken(observation, reward)
+        self._is_broken = bool(self._wrong)
+
+    def _why_broken(self, observation: Vector, reward: float) -> str:
         about = self._machine.about
         columns = about["observation_columns"]
         if observation.shape != (len(columns),):
@@ -141,9 +151,21 @@ class Rollout:
             np.array(self._rewards),
             self._limited,
             self._wrong,
+            self._is_broken,
             self._is_cut,
             float(np.median(np.diff(self._sent))) if len(self._sent) > 1 else np.nan,
         )
+
+
+def _parts(answer: Any, names: tuple[str, ...]) -> tuple[Any, ...]:
+    """The parts of an environment's answer; raises InvalidInput if these are not as many."""
+    if isinstance(answer, tuple) and len(answer) == len(names):
+        return answer
+    size = f" of {len(answer)}" if isinstance(answer, tuple) else ""
+    raise InvalidInput(
+        f"the environment returned a {type(answer).__name__}{size}; Gymnasium's return a tuple of "
+        f"{len(names)}: {', '.join(names)} (older Gym's had fewer)"
+    )
 
 
 def to_npz(episode: Episode, about: Mapping[str, Any], origin: str) -> bytes:

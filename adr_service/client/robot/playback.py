@@ -38,6 +38,7 @@ class _Episode:
     data: TransitionDataset | None  # None: it ended before its first transition
     limited: int
     why_short: str  # empty: it is complete
+    is_broken: bool = False
     period_s: float = np.nan  # median time between two commands
 
 
@@ -83,11 +84,11 @@ class Player:
         """Reset the robot and send the commands (rows, nu), for each episode.
 
         `start` (nq,) is the pose from which the plan begins: nothing is sent from another one. An
-        episode ends early where the environment ends it, after the owner's `limits.seconds`, or at
-        an observation that is not finite, or of another shape than the task's. Where a call of the
-        environment does not return, another thread calls `hangs` with the reason. Raises
-        InvalidInput for commands beyond the task's bounds before anything moves, if the first
-        episode begins in another pose, and if none has a transition.
+        episode ends early where the environment ends it, or after the owner's `limits.seconds`. An
+        observation that is not finite, or of another shape than the task's, ends the plan. Where a
+        call of the environment does not return, another thread calls `hangs` with the reason.
+        Raises InvalidInput for commands beyond the task's bounds before anything moves, if the
+        first episode begins in another pose, and if none has a transition.
         """
         check_commands(self._task, plan)
         model = compiled(self._task.xml)
@@ -103,6 +104,8 @@ class Player:
                 self._episodes.append(episode)
                 if (played := self.played) is not None:
                     self._keep(played)
+                if episode.is_broken:  # to go on is to move a robot that is blind
+                    break
         if self.played is None:
             why = self._episodes[0].why_short
             raise InvalidInput(f"no episode of the plan has a single transition: {why}")
@@ -164,8 +167,8 @@ def _episode(
         rollout.step(lambda seen: next(left)[None])
     episode = rollout.episode()
     if not len(episode.actions):
-        return _Episode(None, 0, episode.wrong or "the environment ended it")
+        return _Episode(None, 0, episode.wrong or "the environment ended it", episode.is_broken)
     is_short = len(episode.actions) < len(commands) - 1
     why_short = episode.wrong or ("the environment ended it" if is_short else "")
     data = recording(episode, machine.about, "played commands")
-    return _Episode(data, episode.limited, why_short, episode.period_s)
+    return _Episode(data, episode.limited, why_short, episode.is_broken, episode.period_s)

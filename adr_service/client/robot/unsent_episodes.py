@@ -51,12 +51,15 @@ class UnsentEpisode:
             self.file.unlink(missing_ok=True)
 
     def set_aside(self) -> "UnsentEpisode":
-        """Give it a name of its own, because it is never sent again, and its task may come back."""
+        """Give it a name of its own, because it is not sent again, and its task may come back.
+
+        The lease stays beside it, in case that another service than the right one was asked.
+        """
         if self.file is None:
             return self
         aside = self.file.with_suffix(f".{self.lease[:_SHOWN]}.npz")
         try:
-            _lease_file(self.file).unlink(missing_ok=True)
+            _lease_file(self.file).replace(aside.with_suffix(".lease_kept"))
             self.file.replace(aside)
         except OSError:  # another client has done it, or nothing can be written any more
             return self

@@ -2,7 +2,7 @@
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from functools import partial
 from typing import Any
@@ -13,6 +13,7 @@ from adr_service.client.robot.environment import (
     check_environment,
     closing_in_time,
     load_environment,
+    uninterrupted,
 )
 from adr_service.client.robot.episode import (
     Episode,
@@ -31,9 +32,10 @@ from adr_service.training.policy import Policy
 
 _RETRY_S = 2.0
 _REQUEST_S = 60.0  # longest request, but for heartbeats
-_LOST, _UNUSABLE = 409, 422  # statuses of an episode that is not ours any more, or no good
-_FINAL = (_LOST, _UNUSABLE)
-_DELETED = 404  # a task of an earlier client
+# statuses of an episode that is not ours any more, that is no good, and of an unknown task: its run
+# was deleted, or another service gave it
+_LOST, _UNUSABLE, _UNKNOWN = 409, 422, 404
+_FINAL = (_LOST, _UNUSABLE, _UNKNOWN)
 _LEEWAY = 1.2  # of an episode's time, for steps that take longer than they should
 _WAIT_S = 5.0  # for a task, by one request
 _LONGEST_MESSAGE = 2000  # characters
@@ -101,8 +103,9 @@ class Robot:
     def close(self) -> None:
         """Close the environment, once."""
         if not self._is_closed:
-            self._is_closed = True
-            self._env.close()
+            with uninterrupted():
+                self._is_closed = True
+                self._env.close()
 
     def _closing(self) -> AbstractContextManager[None]:
         def hangs(why: str) -> None:
@@ -175,11 +178,12 @@ class Robot:
     def _upload(self, task: Json, lease: str, episode: Episode, watch: Watch) -> bool:
         """Upload the trajectory; True if the service accepted it."""
         counts = task["kind"] != "rollout"
-        if counts and episode.is_cut:
+        if episode.is_broken or (counts and episode.is_cut):
             self._close_and_release(task, lease, watch)  # for a robot that can do all of it
+            why = "see to the robot" if episode.is_broken else "their return counts"
             raise InvalidInput(
                 f"{task['id']}: {episode.wrong} after {len(episode.actions)} of "
-                f"{task['transitions']} steps, whose return counts"
+                f"{task['transitions']} steps; {why}"
             )
         if episode.wrong and (counts or not len(episode.actions)):
             self._fail(task, lease, episode.wrong)
@@ -192,23 +196,23 @@ class Robot:
         except Refused as error:
             if error.status not in _FINAL:
                 raise
-            self._report(f"{task['id']}: not accepted, {error}")
+            self._report(f"{task['id']}: {self._client.url} did not accept it, {error}")
             if error.status == _UNUSABLE:
                 self._fail(task, lease, f"the service refused the episode: {error}")
             return False
         self._report_episode(task, episode)
         return True
 
-    def _send(self, unsent: UnsentEpisode, final: Sequence[int] = _FINAL) -> None:
+    def _send(self, unsent: UnsentEpisode) -> None:
         """Upload an episode, whose file stays until the service has it.
 
-        After an answer with a `final` status it has a name of its own.
+        After a final answer it has a name of its own.
         """
         task_id, lease, content = unsent.task_id, unsent.lease, unsent.content
         try:
             self._patiently(partial(self._client.complete_task, task_id, lease, content))
         except BaseException as error:  # also its owner, who stops it while the service is away
-            if isinstance(error, Refused) and error.status in final:
+            if isinstance(error, Refused) and error.status in _FINAL:
                 unsent = unsent.set_aside()
             where = unsent.file or "no file, because none could be written"
             self._report(f"{task_id}: the service does not have the episode; it is in {where}")
@@ -220,17 +224,17 @@ class Robot:
 
         Otherwise the robot would do the task again, and overwrite the episode.
         """
-        left, final = f"{unsent.task_id}, left by an earlier client", (*_FINAL, _DELETED)
+        left = f"{unsent.task_id}, left by an earlier client"
         try:
-            self._send(unsent, final)
+            self._send(unsent)
         except Refused as error:
-            if error.status not in final:
+            if error.status not in _FINAL:
                 self._report(
                     f"{left}: this robot does nothing else until the service takes its episode, or "
                     f"you move {unsent.task_id}.npz and .lease to another folder"
                 )
                 raise
-            self._report(f"{left}: not accepted, {error}")
+            self._report(f"{left}: {self._client.url} did not accept it, {error}")
         else:
             self._report(f"{left}: the service has its episode now")
 

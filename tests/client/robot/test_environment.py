@@ -1,9 +1,15 @@
 """The environment that is the robot."""
 
+import signal
+
 import pytest
 from gymnasium.spaces import Box
 
-from adr_service.client.robot.environment import check_environment, load_environment
+from adr_service.client.robot.environment import (
+    check_environment,
+    closing_in_time,
+    load_environment,
+)
 from adr_service.client.robot.limits import Limits
 from adr_service.errors import InvalidInput
 
@@ -19,11 +25,31 @@ ARM |= {"action_low": [-1.0, 0.2], "action_high": [1.0, 1.0]}
         ("tests.robots:missing", "tests.robots:missing cannot be imported"),
         ("no_such_module:make", "cannot be imported: No module named 'no_such_module'"),
         ("tests.robots:not_an_environment", r"makes a object; needed is a gymnasium\.Env"),
+        ("tests.robots:MODULE", "tests.robots:MODULE is a str; needed is a function or a class"),
+        ("tests.robots:StuckArm", "called without arguments: missing a required argument: 'hangs_"),
     ],
 )
 def test_a_path_to_no_environment_is_refused(path, message):
     with pytest.raises(InvalidInput, match=message):
         load_environment(path)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_close_is_not_interrupted(number):
+    """An impatient second Ctrl-C would leave an arm half-way to where it parks."""
+
+    class Parking:
+        is_parked = False
+
+        def close(self):
+            signal.raise_signal(number)
+            self.is_parked = True
+
+    before, arm = signal.getsignal(number), Parking()
+    with closing_in_time(arm, 60.0, pytest.fail):
+        pass
+    assert arm.is_parked
+    assert signal.getsignal(number) is before
 
 
 def test_an_environment_of_the_task_is_accepted():

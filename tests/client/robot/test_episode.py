@@ -14,6 +14,7 @@ from adr_service.client.robot.episode import (
     to_npz,
 )
 from adr_service.client.robot.limits import Limits
+from adr_service.errors import InvalidInput
 from adr_service.npz import read_arrays
 from adr_service.simulation.batch import control_period
 from adr_service.tasks.catalogue import get_task
@@ -31,6 +32,20 @@ ABOUT = {
     "control_period_s": control_period(ARM),
 }
 TASK = {"kind": "rollout", "number": 1, "seed": 2, "transitions": 20}
+
+
+class OldArm(SlowArm):
+    """Answers as environments of Gym did before Gymnasium, in one of its two calls."""
+
+    def __init__(self, call):
+        super().__init__(0.0)
+        self.call = call
+
+    def reset(self, **given):
+        return super().reset(**given)[0 if self.call == "reset" else slice(None)]
+
+    def step(self, action):
+        return super().step(action)[:4] if self.call == "step" else super().step(action)
 
 
 class Heart:
@@ -201,3 +216,15 @@ def test_an_episode_that_should_stop_at_once_is_not_even_reset():
     run(stopped, why_stop=lambda: "stop")
     run(played)
     assert (stopped.resets, played.resets) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        ("reset", r"returned a ndarray; Gymnasium's return a tuple of 2: observation, info"),
+        ("step", r"returned a tuple of 4; Gymnasium's return a tuple of 5: observation, reward, "),
+    ],
+)
+def test_an_environment_of_older_gym_is_refused(call, message):
+    with pytest.raises(InvalidInput, match=message):
+        run(OldArm(call))

@@ -251,9 +251,10 @@ class Narrowing(SlowArm):
         return observation[:-1] if len(self.actions) > 40 else observation, *rest
 
 
-def test_an_episode_whose_observations_change_their_shape_keeps_what_it_had():
-    commands = read_plan(plan(episodes=2), 2, PERIOD)[0]
-    played = play(Narrowing(0.0), TASK, Limits(), commands, never)
+def test_an_episode_whose_observations_change_their_shape_is_the_last():
+    commands, env = read_plan(plan(episodes=3), 2, PERIOD)[0], Narrowing(0.0)
+    played = play(env, TASK, Limits(), commands, never)
+    assert len(env.actions) == 41
     assert [last - first for first, last in played.measurement.spans()] == [30, 12]
     [why] = played.shortened
     assert why.startswith("the robot showed an observation of shape (3,); arm has (4,)")

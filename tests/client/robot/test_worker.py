@@ -31,8 +31,13 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+ASIDE = {"task_a.lease_a.npz", "task_a.lease_a.lease_kept"}
+
+
 class Service:
     """Hands out one task again and again, and keeps what becomes of it."""
+
+    url = "http://bench"
 
     def __init__(self, refusal=None, **changes):
         self.task, self.refusal = {**TASK, **changes}, refusal
@@ -96,24 +101,31 @@ def test_an_episode_longer_than_the_robot_may_move_goes_back():
 def test_an_episode_of_steps_that_take_too_long_goes_back():
     """It may move for longer than the steps should take, but not for as long as they do."""
     service = Service(kind="return")
-    with pytest.raises(InvalidInput, match=r"--max-seconds.* of 20 steps, whose return counts"):
+    with pytest.raises(InvalidInput, match=r"--max-seconds.* of 20 steps; their return counts"):
         robot(service, "slowest_arm", limits=Limits(seconds=0.45)).work(1)
     assert (service.released, service.failures) == (["task_a"], [])
 
 
-def test_an_episode_that_begins_with_too_few_numbers_fails_its_task():
-    service = Service()
-    worker = robot(service, "narrow_arm")
-    claims = iter([service.claim_task("bench", ["arm"], 0)])
-    service.claim_task = lambda *_: next(claims, None) or worker.stop()
-    worker.work()
-    [failure] = service.failures
-    assert failure.startswith("the robot showed an observation of shape (3,); arm has (4,): ")
+@pytest.mark.parametrize("kind", ["rollout", "return", "evaluation"])
+@pytest.mark.parametrize(
+    ("environment", "message"),
+    [
+        ("narrow_arm", r"shape \(3,\); arm has \(4,\): .* after 0 of 20 steps; see to the robot"),
+        ("blind_arm", r"the robot showed \[nan.* steps; see to the robot"),
+    ],
+)
+def test_a_robot_whose_sensors_fail_does_nothing_more(environment, message, kind):
+    """Its tasks would fail one after the other, or be learnt from for as long as they went well."""
+    service = Service(kind=kind)
+    worker = robot(service, environment)
+    with pytest.raises(InvalidInput, match=message):
+        worker.work()
+    assert (service.released, service.uploads, service.failures) == (["task_a"], [], [])
 
 
-def test_a_cut_rollout_is_uploaded():
+def test_a_rollout_that_the_owner_cuts_is_uploaded():
     rollout = Service()
-    robot(rollout, "blind_arm").work(1)
+    robot(rollout, "slowest_arm", limits=Limits(seconds=0.45)).work(1)
     assert 0 < read_episode("arm", 20, rollout.uploads[0]).transitions < 20
 
 
@@ -131,7 +143,7 @@ def test_an_episode_that_is_truncated_at_its_end_is_whole():
     assert read_episode("arm", 5, service.uploads[0]).transitions == 5
 
 
-@pytest.mark.parametrize("status", [401, 403, 404, 413, 500])
+@pytest.mark.parametrize("status", [401, 403, 413, 500])
 def test_an_episode_that_the_service_does_not_take_is_sent_by_the_next_client(status, folder):
     service, reports = Service(refusal=Refused(status, "a defect")), []
     with pytest.raises(Refused, match="a defect"):
@@ -165,8 +177,9 @@ def test_an_episode_of_a_deleted_task_is_set_aside(folder):
         robot(Service(refusal=Refused(500, "a defect"))).work(1)
     service, reports = Service(refusal=Refused(404, "no such task")), []
     stopping(robot(service, reports=reports), service).work()
-    assert "task_a, left by an earlier client: not accepted, no such task" in reports
-    assert [file.name for file in folder.iterdir()] == ["task_a.lease_a.npz"]
+    refused = "task_a, left by an earlier client: http://bench did not accept it, no such task"
+    assert refused in reports
+    assert {file.name for file in folder.iterdir()} == ASIDE
 
 
 def stopping(worker, service):
@@ -175,7 +188,7 @@ def stopping(worker, service):
     return worker
 
 
-@pytest.mark.parametrize(("status", "fails"), [(409, False), (422, True)])
+@pytest.mark.parametrize(("status", "fails"), [(409, False), (422, True), (404, False)])
 def test_an_episode_that_is_refused_for_good_is_not_sent_again(status, fails, folder):
     service, reports = Service(refusal=Refused(status, "no good")), []
     worker = robot(service, reports=reports)
@@ -183,9 +196,9 @@ def test_an_episode_that_is_refused_for_good_is_not_sent_again(status, fails, fo
     service.claim_task = lambda *_: next(claims, None) or worker.stop()
     worker.work()
     assert service.failures == (["the service refused the episode: no good"] if fails else [])
-    assert [file.name for file in folder.iterdir()] == ["task_a.lease_a.npz"]
+    assert {file.name for file in folder.iterdir()} == ASIDE
     assert str(folder / "task_a.lease_a.npz") in " ".join(reports)
-    assert any("not accepted, no good" in each for each in reports)
+    assert any("did not accept it, no good" in each for each in reports)
 
 
 class Away(Service):
