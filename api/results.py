@@ -36,7 +36,7 @@ from db.errors import DatabaseUnavailable
 from db.runs import RunRecord
 
 log = logging.getLogger(__name__)
-_TABLES = 6  # counts the times that tables of the same outcomes changed
+_TABLES = 7  # counts the times that tables of the same outcomes changed
 _COST_NOTE = (
     "the use of the cores counts all that the service computed while there was work for all of "
     "them, other runs' stages too, and no more; useful = computing / (computing + waiting + "
@@ -88,7 +88,7 @@ def outcomes_of(service: Service, records: Sequence[RunRecord]) -> list[Outcome]
         if isinstance(spec := specs[run_id], RunSpec)
     ]
     digests = [digest for _, _, event in iterations for digest in event.inferences]
-    seconds, reasons = stage_store.seconds_of(service.database, digests), _lost(service, specs)
+    seconds, reasons = stage_store.cpu_seconds_of(service.database, digests), _lost(service, specs)
     return [
         Outcome(spec, event, _seconds(seconds, event.inferences), reasons.get(run_id))
         for run_id, spec, event in iterations
@@ -106,7 +106,7 @@ def _lost(service: Service, specs: Mapping[str, AnyRun | LostRun]) -> dict[str, 
 
 
 def _seconds(known: Mapping[str, float], digests: Sequence[str]) -> float | None:
-    """The seconds of stages together; None for none, or if an archive came without one of them."""
+    """The seconds of stages together; None for none, or if one of them was not measured."""
     if not digests or not known.keys() >= set(digests):
         return None
     return sum(known[digest] for digest in digests)

@@ -128,14 +128,18 @@ def executions_of(
     return sorted(executions.values(), key=lambda item: item[1].began)
 
 
-def seconds_of(database: Database, digests: Sequence[str]) -> dict[str, float]:
-    """The time that stages took to compute, by digest, of those that have a result."""
+def cpu_seconds_of(database: Database, digests: Sequence[str]) -> dict[str, float]:
+    """The CPU seconds that stages took, by digest, of those for which they were measured.
+
+    Without imports and compilations. They depend on the type of CPU.
+    """
     seconds: dict[str, float] = {}
     with database.read() as session:
         for some in parts(digests, CHUNK):
-            mine = StageRow.digest.in_(some)
-            rows = session.execute(select(StageRow.digest, StageRow.seconds).where(mine))
-            seconds |= {row.digest: row.seconds for row in rows}
+            for row in session.execute(_executions().where(StageRow.digest.in_(some))):
+                execution = _execution(row)
+                if execution.cpu is not None:
+                    seconds[row.digest] = execution.cpu - (execution.preparing or 0.0)
     return seconds
 
 

@@ -42,7 +42,7 @@ class Outcome:
 
     spec: RunSpec
     iteration: IterationFinished
-    inference_seconds: float | None = None  # of computing, if known
+    inference_seconds: float | None = None  # of a CPU, if known
     lost: str | None = None  # why its distributions cannot be read here
 
     @property
@@ -112,7 +112,7 @@ class InferenceCost:
     iteration: int
     seeds: int
     inference_steps: float  # simulated control steps
-    inference_seconds: float | None  # on one core; None if not measured
+    inference_seconds: float | None  # of a CPU, of any type; None if not measured
 
 
 def table(outcomes: Sequence[Outcome]) -> list[Row]:

@@ -29,7 +29,7 @@ _SHIFT = 0.12  # iterations between the points of two methods, at most
 _BESIDE, _WIDTH = 0.06, 0.6  # iterations between methods in a figure of returns, and of all in any
 _AXIS_LABELS = {
     "inference_steps": "simulated control steps",
-    "inference_seconds": "seconds on one core",
+    "inference_seconds": "CPU seconds",
 }
 
 

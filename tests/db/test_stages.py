@@ -77,7 +77,9 @@ def test_an_execution_comes_back_whole(database):
     run = runs.create_run(database, SPEC)
     commit(database, STAGE, RESULT, run.id)
     assert stages.executions_of(database, [run.id]) == [("evaluate", EXECUTION)]
-    assert stages.seconds_of(database, [STAGE.digest, "another"]) == {STAGE.digest: 0.5}
+    assert stages.cpu_seconds_of(database, [STAGE.digest, "another"]) == pytest.approx(
+        {STAGE.digest: 0.4 - 0.1}
+    )
 
 
 def test_executions_between_two_moments_are_those_that_overlap_them(database):
@@ -88,11 +90,11 @@ def test_executions_between_two_moments_are_those_that_overlap_them(database):
     assert stages.executions_between(database, now - 9, now - 3) == []
 
 
-def test_an_episode_that_took_no_core_has_seconds_and_is_not_measured(database):
+def test_an_episode_that_took_no_core_is_not_measured(database):
     run = runs.create_run(database, SPEC)
     commit(database, STAGE, RESULT, run.id, execution=UNMEASURED)
     assert stages.executions_of(database, [run.id]) == []
-    assert stages.seconds_of(database, [STAGE.digest]) == {STAGE.digest: 0.5}
+    assert stages.cpu_seconds_of(database, [STAGE.digest]) == {}
 
 
 def test_the_timing_column_keeps_its_form(database):

@@ -274,7 +274,7 @@ class DatabaseLedger(DatabaseResults):
         return stage_store.executions_between(self._database, 0.0, _MOST_S)
 
     def stored(self, digests: Sequence[str]) -> set[str]:
-        return set(stage_store.seconds_of(self._database, digests))
+        return set(stage_store.values_of(self._database, digests))
 
     def finished(self, run_id: str) -> list[str]:
         records = event_store.events_of(self._database, run_id)
