@@ -7,7 +7,8 @@ from pydantic import BaseModel, ValidationError
 
 from adr_service.errors import AdrError, InvalidInput
 
-_TIMEOUT, _LEAST_OF_A_PROXY = 408, 502  # our own 503 and 507 have a Retry-After
+_LEAST_OF_A_PROXY = 502  # our own 503 and 507 have a Retry-After
+_SLOW, _SLOW_S = 408, 2.0  # a request that came too slowly, and seconds until it may be sent again
 
 
 class Refused(AdrError):
@@ -61,7 +62,9 @@ def check_answer(response: httpx2.Response, url: str) -> None:
     wait = response.headers.get("Retry-After")
     after = float(wait) if wait is not None and wait.isdigit() else None
     status = response.status_code
-    if after is None and (status == _TIMEOUT or status >= _LEAST_OF_A_PROXY):
+    if after is None and status == _SLOW:
+        after = _SLOW_S
+    if after is None and status >= _LEAST_OF_A_PROXY:
         raise Unreachable(
             f"the server at {url} is not the service: {status} {response.reason_phrase}"
         )
