@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol, TypeVar
 
 from structlog.contextvars import bound_contextvars
 
-from adr_service.errors import AdrError, FailureCode, RunCancelled, StageFailed
+from adr_service.errors import AdrError, FailureCode, InvalidInput, RunCancelled, StageFailed
 from adr_service.events import (
     RunEvent,
     RunFailed,
@@ -143,6 +143,8 @@ class Orchestrator:
         """Accept a robot's episode, the `.npz` of `read_episode`, and let its run go on."""
         visit = visit_store.claimed_by(self._database, id, lease)  # before anything is unpacked
         episode = read_episode(visit.task, visit.inputs["transitions"], content)
+        if visit.inputs["purpose"] == "rollout":
+            self._check_long_enough(visit, episode.transitions)
         finished = StageFinished(kind=visit.kind, digest=visit.digest)
         try:
             return visit_store.complete(
@@ -156,6 +158,15 @@ class Orchestrator:
             )
         finally:  # a server that fails while it answers may have stored the episode
             self._dispatcher.arrived(visit.digest)
+
+    def _check_long_enough(self, visit: Visit, transitions: int) -> None:
+        """Refuse a rollout of which the run's method can learn nothing, before it is stored."""
+        spec = run_store.get_run(self._database, visit.run_id).spec
+        if isinstance(spec, RunSpec) and transitions < (least := spec.method.least_transitions):
+            raise InvalidInput(
+                f"the rollout has {transitions} transitions; {spec.method.name} with steps = "
+                f"{least} learns from no fewer in a row"
+            )
 
     def fail_task(self, id: str, lease: str, message: str) -> Visit:
         """Fail a visit that no robot can do; its run fails with the message.

@@ -169,6 +169,11 @@ class MethodSettings(Wire):
         return self.learns_from in ("visits", "recordings")
 
     @property
+    def least_transitions(self) -> int:
+        """Number of consecutive transitions of an episode that the method needs at least."""
+        return 1
+
+    @property
     def each(self) -> "list[Self]":
         """These settings once per value of the grid's list, each with that one value."""
         if self.grid is None:

@@ -104,6 +104,10 @@ class _Settings(OfflineSettings):
     def create(self) -> "Dropo":
         return Dropo(self)
 
+    @property
+    def least_transitions(self) -> int:
+        return self.steps
+
     def planned_steps(self, parameters: int, transitions: int) -> int:
         evaluations = self.budget
         if self.search == "trust_region":

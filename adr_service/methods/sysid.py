@@ -85,6 +85,10 @@ class _Settings(OfflineSettings):
     def create(self) -> "Sysid":
         return Sysid(self)
 
+    @property
+    def least_transitions(self) -> int:
+        return self.steps
+
     def planned_steps(self, parameters: int, transitions: int) -> int:
         return self.starts * self.iterations * (parameters + 2) * transitions
 

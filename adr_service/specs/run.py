@@ -123,6 +123,11 @@ class RunSpec(Wire):
     def _check_target(self) -> None:
         """Refuse a target of which the method cannot learn what it needs."""
         is_recorded = isinstance(self.target, RecordedTarget)
+        if not is_recorded and self.transitions < self.method.least_transitions:
+            raise ValueError(
+                f"transitions: {self.transitions} given, and {self.method.name} with steps = "
+                f"{self.method.least_transitions} learns from no fewer"
+            )
         if is_recorded and self.method.learns_from != "recordings":
             raise ValueError(
                 f"method: {self.method.name} needs a target that it can visit; a recorded one "

@@ -109,6 +109,24 @@ def test_an_upload_is_not_read_before_its_lease(database):
         orchestrator.complete_task(task.id, task.lease, b"not an npz")
 
 
+def test_a_rollout_that_is_too_short_for_its_method_is_not_stored(database):
+    """Stored, it would make the run fail at every resume."""
+    given = {"task": "arm", "preset": "smoke", "target": {"kind": "external"}}
+    method = {"name": "dropo", "steps": 10}
+    run = runs.create_run(database, RunSpec.model_validate({**given, "method": method}))
+    leases.publish(database, run.id)
+    task, orchestrator = leases.claim(database, "a"), Orchestrator(database, RayOptions())
+
+    def upload(steps):
+        data = recorded(waving_policy(), episodes=1, steps=steps)
+        content = write_arrays({**data.to_arrays(), "rewards": np.zeros(len(data))})
+        return orchestrator.complete_task(task.id, task.lease, content)
+
+    with pytest.raises(InvalidInput, match="has 9 transitions; dropo with steps = 10 learns from"):
+        upload(9)
+    assert upload(10).state == "done"
+
+
 def test_an_episode_that_was_stored_without_an_answer_reaches_its_run(database, monkeypatch):
     """The server failed between its commit and its answer."""
     leases.publish(database, runs.create_run(database, leases.SPEC).id)
