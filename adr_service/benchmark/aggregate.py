@@ -1,13 +1,15 @@
-"""Methods over all tasks and variants: interquartile means and performance profiles.
+"""Methods over all tasks and variants: means, interquartile means and performance profiles.
 
     for each in aggregates(outcomes):
-        print(each.method, each.interquartile_mean, each.low, each.high)
+        print(each.method, each.mean, each.low, each.high)
 
-After Agarwal et al., arXiv 2108.13264, Sec. 4: the scores of all cells together, with a bootstrap
-that draws seeds within each cell. A cell is a task's variant. Policies that were trained for one
-variant and evaluated on others as well are drawn alike in all of these. Only cells that all methods
-have count, after the iteration of `final_outcomes`, and with SimOpt's data. A method that lacks a
-cell that most others have is left out, so that one which has just begun does not empty the tables.
+The mean is over cells, with Student's interval over seeds: policies that fail count in full. All
+else is after Agarwal et al., arXiv 2108.13264, Sec. 4: the scores of all cells together, with a
+bootstrap that draws seeds within each cell. A cell is a task's variant. Policies that were trained
+for one variant and evaluated on others as well are drawn alike in all of these. Only cells that all
+methods have count, after the iteration of `final_outcomes`, and with SimOpt's data. A method that
+lacks a cell that most others have is left out, so that one which has just begun does not empty the
+tables.
 """
 
 from collections import Counter
@@ -28,6 +30,7 @@ from adr_service.benchmark.comparison import (
 from adr_service.benchmark.statistics import (
     Interval,
     interquartile_mean,
+    seed_interval,
     stratified_intervals,
 )
 from adr_service.methods.catalogue import methods
@@ -40,6 +43,7 @@ _LEVELS = np.linspace(0.0, 1.5, 61)  # of normalised returns
 class _Cell:
     """A method's seeds on a task's variant."""
 
+    seeds: list[int]
     returns: list[Matrix]  # (policies, episodes) of each seed
     policies: Policies
 
@@ -50,9 +54,12 @@ class Aggregate:
 
     method: str
     cells: int  # pairs of task and variant
-    interquartile_mean: float  # of the policies' mean normalised returns
-    low: float | None  # of the stratified bootstrap; None: a cell has too few seeds
+    mean: float  # over cells, of the seeds' mean normalised returns
+    low: float | None  # of Student's interval; None: too few seeds, or other ones in each cell
     high: float | None
+    interquartile_mean: float  # of the policies' mean normalised returns, without the worst quarter
+    interquartile_low: float | None  # of the stratified bootstrap; None: a cell has too few seeds
+    interquartile_high: float | None
     seeds: int  # fewest of a cell
     policies: int  # different ones
 
@@ -122,17 +129,28 @@ def _common(outcomes: Sequence[Outcome]) -> dict[str, list[_Cell]]:
 
 def _cell(outcomes: Sequence[Outcome]) -> _Cell:
     ordered = sorted(outcomes, key=lambda outcome: outcome.spec.seed)
-    return _Cell(returns_of(ordered), policies_of(ordered))
+    return _Cell([o.spec.seed for o in ordered], returns_of(ordered), policies_of(ordered))
 
 
 def _aggregate(method: str, cells: Sequence[_Cell]) -> Aggregate:
+    mean = _mean(cells)
     (middle,) = _intervals(cells, [interquartile_mean], stream("aggregate"))
     return Aggregate(
         method=method,
         cells=len(cells),
+        mean=mean.value,
+        low=mean.low,
+        high=mean.high,
         interquartile_mean=middle.value,
-        low=middle.low,
-        high=middle.high,
+        interquartile_low=middle.low,
+        interquartile_high=middle.high,
         seeds=min(len(cell.returns) for cell in cells),
         policies=len({policy for cell in cells for own in cell.policies for policy in own}),
     )
+
+
+def _mean(cells: Sequence[_Cell]) -> Interval:
+    earned = [np.array([returns.mean() for returns in cell.returns]) for cell in cells]
+    if all(cell.seeds == cells[0].seeds for cell in cells):
+        return seed_interval(np.mean(earned, axis=0))
+    return Interval(float(np.mean([each.mean() for each in earned])), None, None)

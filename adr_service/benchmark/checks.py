@@ -77,7 +77,8 @@ def solves(cell: Cell) -> Check:
         own, best = (
             seed_interval(np.array([side[seed] for seed in seeds])) for side in (earned, most)
         )
-        line = f"{cell}: {own} of the oracle's {best.value:.2f}, {_seeds(len(seeds))}"
+        trained = _trained(measured.of(cell))
+        line = f"{cell}: {own} of the oracle's {best.value:.2f}, {_seeds(len(seeds))}; {trained}"
         return above(over, 0.0, line)
 
     return check
@@ -107,7 +108,9 @@ def compared(
         if len(ones) > 1:
             names = f"{ones[0].method} minus {others[0].method}, mean of {len(ones)} cells"
         means = np.array([sum(each[seed] for each in gaps) / len(gaps) for seed in seeds])
-        return judge(means, f"{names}: {seed_interval(means)}, {_seeds(len(seeds))}")
+        sides = (f"{a[0].method}, {_trained(*map(measured.of, a))}" for a in (ones, others))
+        line = f"{names}: {seed_interval(means)}, {_seeds(len(seeds))}; {'; '.join(sides)}"
+        return judge(means, line)
 
     return check
 
@@ -218,14 +221,24 @@ def _gap_of(measured: Measured, cells: Sequence[Cell]) -> Evidence | None:
         if not oracle:
             return _nothing([f"there is no oracle on {task} {variant} to judge by"])
         earned = seed_interval(np.array(list(_by_seed(oracle).values()))).value
-        flags = [flag for o in oracle.values() for flag in o.iteration.reached_threshold]
+        flags = _reached(oracle)
         if min(earned, float(np.mean(flags))) < _TRAINED:
             lines.append(
                 f"trainings on {task} {variant} are too short to judge methods by: the oracle "
-                f"earns {earned:.2f}, and {sum(flags)} of {len(flags)} of its policies reached the "
-                "threshold"
+                f"earns {earned:.2f}, {_trained(oracle)}"
             )
     return Evidence(1.0, 1.0, lines, "not judged") if lines else None
+
+
+def _trained(*cells: dict[int, Outcome]) -> str:
+    """Counts policies that learnt their own source: the others may settle a claim by themselves."""
+    flags = _reached(*cells)
+    return f"{sum(flags)} of {len(flags)} policies reached the threshold on their source"
+
+
+def _reached(*cells: dict[int, Outcome]) -> list[bool]:
+    outcomes = (outcome for cell in cells for outcome in cell.values())
+    return [flag for outcome in outcomes for flag in outcome.iteration.reached_threshold]
 
 
 def _nothing(lines: list[str]) -> Evidence:

@@ -62,7 +62,8 @@ def plot_profile(points: Sequence[ProfilePoint]) -> Figure:
     axis.set_xlabel("target return / reward threshold")
     axis.set_ylabel("share of policies that earn more")
     _legend(axis)
-    figure.supxlabel("bands: 95 % bootstrap over seeds within tasks and variants", fontsize=7)
+    bands = "bands: 95 % bootstrap over seeds within tasks and variants, too short with few seeds"
+    figure.supxlabel(bands, fontsize=7)
     return figure
 
 
@@ -112,7 +113,9 @@ def plot_spread(estimates: Sequence[ParameterEstimate]) -> Figure:
             _legend(axes[i, j])
     for row_axes in axes:
         row_axes[0].set_ylabel("standard deviation in [0, 4]")
-    figure.supxlabel("mean over seeds; the line at 1 is the prior's", fontsize=7)
+    figure.supxlabel(
+        "mean over seeds, of beliefs before draws are cut; the line at 1 is the prior's", fontsize=7
+    )
     return figure
 
 
@@ -246,7 +249,14 @@ def _label_returns(figure: Figure, axes: np.ndarray, rows: Sequence[Row]) -> Non
     drawn = (
         "bars, bands: 95 % intervals over seeds" if has_intervals else "no intervals: too few seeds"
     )
-    figure.supxlabel(f"{drawn} (here {seeds})", fontsize=7)
+    begun: dict[str, float] = {}  # transitions seen before the first iteration
+    for row in rows:
+        if row.iteration == 0 and row.target_transitions > 0:
+            begun[row.method] = max(begun.get(row.method, 0.0), row.target_transitions)
+    before = "".join(
+        f"; {_label(name)} begins at {n:,.0f} transitions" for name, n in begun.items()
+    )
+    figure.supxlabel(f"{drawn} (here {seeds}){before}", fontsize=7)
 
 
 def _grid(rows: int, columns: int, **options: Any) -> tuple[Figure, np.ndarray]:

@@ -75,7 +75,7 @@ def _tables(
         "final": final,
         "not_compared": not_compared(outcomes),
         "best": best_of(final),
-        "aggregates": sorted(aggregates, key=lambda each: -each["interquartile_mean"]),
+        "aggregates": sorted(aggregates, key=lambda each: -each["mean"]),
         "matrices": matrices,
         "claims": claims,
     }

@@ -87,4 +87,4 @@ def _leader(service: Service, id: str) -> dict[str, Any] | None:
     # a stored table outlives the package of a method
     kinds = ((row, methods().get(row["method"])) for row in found)
     ranked = [row for row, kind in kinds if kind is not None and not kind.is_reference]
-    return max(ranked, key=lambda row: row["interquartile_mean"], default=None)
+    return max(ranked, key=lambda row: row["mean"], default=None)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from adr_service.benchmark.aggregate import aggregates, profiles
 from adr_service.benchmark.comparison import not_compared
@@ -32,7 +33,23 @@ def test_the_aggregate_is_over_all_cells_policies():
     assert simopt.interquartile_mean == pytest.approx(0.75)
     assert dropo.interquartile_mean == pytest.approx(0.8)
     # each cell is resampled by itself, and its seeds are equal
-    assert (simopt.low, simopt.high) == pytest.approx((0.75, 0.75))
+    bootstrap = (simopt.interquartile_low, simopt.interquartile_high)
+    assert bootstrap == pytest.approx((0.75, 0.75))
+
+
+def test_a_policy_that_fails_counts_in_full_in_the_mean():
+    failing = {**TWO, ("simopt", "noisy"): (0.5, 0.5, 0.0)}
+    simopt, _ = aggregates(world(failing))
+    assert simopt.mean == pytest.approx((0.75 + 0.75 + 0.5) / 3)
+    reach = student.isf(0.025, 2) * np.std([0.75, 0.75, 0.5], ddof=1) / np.sqrt(3)
+    assert (simopt.low, simopt.high) == pytest.approx((simopt.mean - reach, simopt.mean + reach))
+
+
+def test_seeds_that_differ_between_cells_have_a_mean_without_an_interval():
+    three = world(TWO)
+    four = outcome(1.0, method="simopt", variant="vanilla", seed=3, spread=0.0)
+    simopt = next(each for each in aggregates([*three, four]) if each.method == "simopt")
+    assert (simopt.mean, simopt.low) == (pytest.approx(0.75), None)
 
 
 def test_policies_that_are_evaluated_on_two_variants_count_once():
@@ -48,7 +65,8 @@ def test_policies_that_are_evaluated_on_two_variants_count_once():
     (shared,), (apart,) = aggregates(oracle("vanilla")), aggregates(oracle(None))
     assert (shared.cells, shared.seeds, shared.policies, apart.policies) == (2, 3, 3, 6)
     assert shared.interquartile_mean == apart.interquartile_mean
-    assert shared.high - shared.low > 1.2 * (apart.high - apart.low)
+    widths = [each.interquartile_high - each.interquartile_low for each in (shared, apart)]
+    assert widths[0] > 1.2 * widths[1]
 
 
 def test_only_cells_that_all_methods_have_count():

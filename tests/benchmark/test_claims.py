@@ -236,7 +236,7 @@ def test_an_oracle_that_few_policies_reached_judges_nothing():
         if each.spec.method.name == "oracle" and each.spec.seed > 0:
             event = each.iteration.model_copy(update={"reached_threshold": [False]})
             found[place] = Outcome(each.spec, event)
-    assert "1 of 9 of its policies reached" in finding("V1", found).evidence[0]
+    assert "1 of 9 policies reached" in finding("V1", found).evidence[0]
 
 
 def test_without_an_oracle_nothing_is_solved():

@@ -91,6 +91,12 @@ def test_the_note_says_where_too_few_seeds_have_no_intervals():
     assert figure.get_supxlabel() == "no intervals: too few seeds (here 2)"
 
 
+def test_the_note_says_what_a_method_has_seen_before_its_first_iteration():
+    seen = [row(method="bayrn", iteration=0, target_transitions=n) for n in (3400.0, 3800.0)]
+    figure = plot_returns([row(target_transitions=200.0), *seen])
+    assert figure.get_supxlabel().endswith("; BayRn begins at 3,800 transitions")
+
+
 def test_the_collection_has_a_line_per_collector():
     rows = [
         row(method="droid", collector=c, iteration=i)
