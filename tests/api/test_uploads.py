@@ -23,6 +23,7 @@ from api.uploads import Upload, check_dataset
 from tests.api.standins import Service
 from tests.hidden import arm, recorded
 from tests.recordings import recording
+from tests.service import until
 
 ray = pytest.mark.ray
 MEMORY_MB = 700  # that the service may grow by at its peak: an .npz of 256 MB, and copies of it
@@ -178,7 +179,7 @@ def claimed(service):
     spec = {"task": "arm", "method": "dropo", "collector": "random", "preset": "smoke"}
     spec |= {"target": {"kind": "external"}, "training": {"max_steps": 300}}
     run = service.client.submit_run(spec)["id"]
-    yield service.client.claim_task("hostile", ["arm"], 20.0)
+    yield until(lambda: service.client.claim_task("hostile", ["arm"]))
     service.client.cancel(run)
 
 
