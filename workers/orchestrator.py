@@ -160,7 +160,7 @@ class Orchestrator:
             self._dispatcher.arrived(visit.digest)
 
     def _check_long_enough(self, visit: Visit, transitions: int) -> None:
-        """Refuse a rollout of which the run's method can learn nothing, before it is stored."""
+        """Refuse a rollout that is too short for the run's method, before it is stored."""
         spec = run_store.get_run(self._database, visit.run_id).spec
         if isinstance(spec, RunSpec) and transitions < (least := spec.method.least_transitions):
             raise InvalidInput(
