@@ -24,6 +24,7 @@ _COLLECTOR_LABELS = {
     "random_matched": "random actions, as many transitions",
 }
 _MOST_NAMED = 8  # parameters in a legend
+_MOST_DRAWN = 6  # methods with an interval at each iteration, or with a band
 _SIDES = ("low", "high")  # of an interval
 _SHIFT = 0.12  # iterations between the points of two methods, at most
 _BESIDE, _WIDTH = 0.06, 0.6  # iterations between methods in a figure of returns, and of all in any
@@ -34,15 +35,24 @@ _AXIS_LABELS = {
 
 
 def plot_returns(rows: Sequence[Row]) -> Figure:
-    """Normalised target return over iterations: variants below each other, tasks side by side."""
+    """Normalised target return over iterations: variants below each other, tasks side by side.
+
+    Of many methods, a second panel has the intervals, of the last iteration alone.
+    """
     tasks = list(dict.fromkeys(row.task for row in rows))
     variants = list(dict.fromkeys(row.variant for row in rows))
-    figure, axes = _grid(len(variants), len(tasks), sharey=True)
+    is_crowded = len(_names(rows)) > _MOST_DRAWN
+    each, height = (2, 4.0) if is_crowded else (1, 3.0)  # panels, and inches
+    figure, axes = _grid(len(variants), each * len(tasks), height, sharey=True)
     for (i, variant), (j, task) in _pairs(variants, tasks):
         chosen = [row for row in rows if (row.task, row.variant) == (task, variant)]
-        axes[i, j].set_title(f"{task}, {variant}")
+        panels = axes[i, each * j : each * (j + 1)]
+        panels[0].set_title(f"{task}, {variant}")
         if chosen:
-            _returns_panel(axes[i, j], chosen)
+            _returns_panel(panels[0], chosen, with_intervals=not is_crowded)
+        if is_crowded:
+            panels[1].set_title(f"{task}, {variant}, after the last iteration")
+            _last_panel(panels[1], chosen)
     _label_returns(figure, axes, rows)
     return figure
 
@@ -51,19 +61,23 @@ def plot_profile(points: Sequence[ProfilePoint]) -> Figure:
     """The share of a method's policies that earn more than a return, over all tasks."""
     figure, axes = _grid(1, 1)
     axis = axes[0, 0]
-    for method in dict.fromkeys(point.method for point in points):
+    names = list(dict.fromkeys(point.method for point in points))
+    for method in names:
         chosen = [point for point in points if point.method == method]
         x, colour = [point.level for point in chosen], _colour(method)
-        # fewer than three seeds have no interval, and no band
-        low, high = (np.array([getattr(p, side) for p in chosen], float) for side in _SIDES)
-        axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
+        if len(names) <= _MOST_DRAWN:
+            # fewer than three seeds have no interval, and no band
+            low, high = (np.array([getattr(p, side) for p in chosen], float) for side in _SIDES)
+            axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
         shares = [point.share for point in chosen]
         axis.plot(x, shares, color=colour, label=_label(method), drawstyle="steps-post")
     axis.set_xlabel("target return / reward threshold")
     axis.set_ylabel("share of policies that earn more")
     _legend(axis)
-    bands = "bands: 95 % bootstrap over seeds within tasks and variants, too short with few seeds"
-    figure.supxlabel(bands, fontsize=7)
+    note = "bands: 95 % bootstrap over seeds within tasks and variants, too short with few seeds"
+    if len(names) > _MOST_DRAWN:
+        note = "no bands of so many methods: the figure's CSV file has them"
+    figure.supxlabel(note, fontsize=7)
     return figure
 
 
@@ -131,28 +145,47 @@ def plot_cost(rows: Sequence[InferenceCost]) -> Figure:
     return figure
 
 
-def _returns_panel(axis: Axes, rows: Sequence[Row]) -> None:
+def _returns_panel(axis: Axes, rows: Sequence[Row], with_intervals: bool) -> None:
     last = max(row.iteration for row in rows)
     groups = {name: [row for row in rows if row.method == name] for name in _names(rows)}
     levels = [name for name in groups if methods()[name].learns_from == "nothing"]
     for method in levels:
-        _band(axis, [0.0, max(last, 1)], groups[method][0], _colour(method), _label(method))
+        row, label = groups[method][0], _label(method)
+        x = [0.0, max(last, 1)]
+        axis.plot(x, [row.normalised_return] * 2, "--", color=_colour(method), label=label)
+        if with_intervals and row.low is not None and row.high is not None:
+            axis.fill_between(x, row.low, row.high, color=_colour(method), alpha=0.12, linewidth=0)
     moving = {name: chosen for name, chosen in groups.items() if name not in levels}
     for shift, (method, chosen) in zip(_shifts(len(moving)), moving.items(), strict=True):
-        by_returns = (
-            methods()[method].learns_from == "returns"
-        )  # not trajectories, as the axis says
+        # not trajectories, as the axis says
+        by_returns = methods()[method].learns_from == "returns"
         label = _label(method) + (" (full episodes)" if by_returns else "")
-        _bars(axis, shift, chosen, _colour(method), label)
+        x = [row.iteration + shift for row in chosen]
+        _line(axis, x, chosen, _colour(method), label)
+        if with_intervals:
+            _bars(axis, x, chosen, _colour(method))
     axis.axhline(1.0, color="black", linewidth=0.5)
     _iteration_axis(axis, last)
+
+
+def _last_panel(axis: Axes, rows: Sequence[Row]) -> None:
+    """Each method's mean and interval after its last iteration."""
+    names = _names(rows)
+    for x, method in enumerate(names):
+        last = max((row for row in rows if row.method == method), key=lambda row: row.iteration)
+        axis.plot([x], [last.normalised_return], "o", color=_colour(method), markersize=4)
+        _bars(axis, [x], [last], _colour(method))
+    axis.axhline(1.0, color="black", linewidth=0.5)
+    axis.set_xticks(range(len(names)), map(_label, names), rotation=90, fontsize=7)
 
 
 def _collection_panel(axis: Axes, rows: Sequence[Row]) -> None:
     collectors = list(dict.fromkeys(row.collector for row in rows))
     for shift, collector in zip(_shifts(len(collectors)), collectors, strict=True):
         chosen = [row for row in rows if row.collector == collector]
-        _bars(axis, shift, chosen, _COLLECTOR_COLOURS[collector], _COLLECTOR_LABELS[collector])
+        x, colour = [row.iteration + shift for row in chosen], _COLLECTOR_COLOURS[collector]
+        _line(axis, x, chosen, colour, _COLLECTOR_LABELS[collector])
+        _bars(axis, x, chosen, colour)
     axis.axhline(1.0, color="black", linewidth=0.5)
     _iteration_axis(axis, max((row.iteration for row in rows), default=0))
 
@@ -223,20 +256,16 @@ def _shifts(count: int) -> list[float]:
     return [beside * (number - (count - 1) / 2) for number in range(count)]
 
 
-def _bars(axis: Axes, shift: float, rows: Sequence[Row], colour: str, label: str) -> None:
-    """A line of means with their intervals; fewer than three seeds have none."""
-    x = [row.iteration + shift for row in rows]
-    low, high = (np.array([getattr(row, side) for row in rows], float) for side in _SIDES)
-    axis.vlines(x, low, high, color=colour, linewidth=1)
+def _line(axis: Axes, x: Sequence[float], rows: Sequence[Row], colour: str, label: str) -> None:
+    """A line of means."""
     means = [row.normalised_return for row in rows]
     axis.plot(x, means, "o-", color=colour, label=label, markersize=4, linewidth=1.2)
 
 
-def _band(axis: Axes, x: Sequence[float], row: Row, colour: str, label: str) -> None:
-    """A level with its interval."""
-    axis.plot(x, [row.normalised_return] * 2, "--", color=colour, label=label)
-    if row.low is not None and row.high is not None:
-        axis.fill_between(x, row.low, row.high, color=colour, alpha=0.12, linewidth=0)
+def _bars(axis: Axes, x: Sequence[float], rows: Sequence[Row], colour: str) -> None:
+    """Intervals of means; fewer than three seeds have none."""
+    low, high = (np.array([getattr(row, side) for row in rows], float) for side in _SIDES)
+    axis.vlines(x, low, high, color=colour, linewidth=1)
 
 
 def _label_returns(figure: Figure, axes: np.ndarray, rows: Sequence[Row]) -> None:
@@ -259,9 +288,11 @@ def _label_returns(figure: Figure, axes: np.ndarray, rows: Sequence[Row]) -> Non
     figure.supxlabel(f"{drawn} (here {seeds}){before}", fontsize=7)
 
 
-def _grid(rows: int, columns: int, **options: Any) -> tuple[Figure, np.ndarray]:
+def _grid(
+    rows: int, columns: int, height: float = 3.0, **options: Any
+) -> tuple[Figure, np.ndarray]:
     """A figure of panels, with room for a legend on its right: axes (rows, columns)."""
-    figure = Figure(figsize=(2 + 4.2 * columns, 0.4 + 3 * rows), layout="constrained")
+    figure = Figure(figsize=(2 + 4.2 * columns, 0.4 + height * rows), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 

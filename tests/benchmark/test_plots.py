@@ -5,11 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from adr_service.benchmark.aggregate import ProfilePoint
 from adr_service.benchmark.comparison import InferenceCost, ParameterEstimate, Row
 from adr_service.benchmark.plots import (
     plot_collection,
     plot_cost,
     plot_parameters,
+    plot_profile,
     plot_returns,
     plot_spread,
 )
@@ -95,6 +97,27 @@ def test_the_note_says_what_a_method_has_seen_before_its_first_iteration():
     seen = [row(method="bayrn", iteration=0, target_transitions=n) for n in (3400.0, 3800.0)]
     figure = plot_returns([row(target_transitions=200.0), *seen])
     assert figure.get_supxlabel().endswith("; BayRn begins at 3,800 transitions")
+
+
+def test_of_many_methods_the_intervals_stand_beside_the_lines_and_at_the_end_alone():
+    names = list(methods())
+    figure = plot_returns([row(method=name, iteration=i) for name in names for i in (1, 2)])
+    lines, last = figure.axes
+    assert titles(figure) == ["arm, vanilla", "arm, vanilla, after the last iteration"]
+    assert not lines.collections
+    (line,) = [collection.get_segments() for collection in last.collections[:1]]
+    assert line[0].tolist() == [[0, 0.7], [0, 0.9]]
+    assert len(last.collections) == len(last.get_xticklabels()) == len(names)
+    assert last.get_xticklabels()[names.index("dropo")].get_text() == "DROPO"
+
+
+@pytest.mark.parametrize(("count", "bands"), [(6, 6), (7, 0)])
+def test_a_profile_has_bands_of_a_few_methods(count, bands):
+    chosen = list(methods())[:count]
+    points = [ProfilePoint(n, x, 1.0 - x, 0.9 - x, 1.0) for n in chosen for x in (0.0, 0.5)]
+    figure = plot_profile(points)
+    assert len(figure.axes[0].collections) == bands
+    assert ("no bands" in figure.get_supxlabel()) == (bands == 0)
 
 
 def test_the_collection_has_a_line_per_collector():
