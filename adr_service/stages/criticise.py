@@ -15,7 +15,7 @@ from adr_service.startup_time import preparing
 from adr_service.tasks.catalogue import get_task, source_of
 from adr_service.transitions import dataset_id
 
-_CRITICISM_S = 60.0  # in the median of the planted cases, docs/criticism.md
+_CRITICISM_S = 60.0  # in the median of the planted cases, docs/criticism-measured.md
 
 
 class Criticised(Result):
