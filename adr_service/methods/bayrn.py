@@ -13,7 +13,8 @@ The benchmark does not state these choices:
   numerics.
 - Bounds are encoded as position and width. So every point of the unit cube is a valid
   distribution. A whole interval has any position; it counts as the middle, and the process takes
-  boxes near it for far apart (in one of nine runs of the Hopper study it proposed a box twice).
+  boxes near it for far apart (in one of nine runs of the Hopper study it proposed nearly the same
+  box twice).
 - Each policy earns its return in one full target episode.
 - An iteration reports on the box, of all so far, with the highest posterior mean: on one more
   policy trained on it, as SimuRLacra's `train_argmax_policy`. The best of fifteen policies was also

@@ -8,9 +8,9 @@ Where we differ: the paper draws dynamics, runs a trajectory in each, and update
 worst trajectories alone. Our trainings learn from every step. So phases take turns: one draws from
 the whole search box, and `focus` phases draw from the worst dynamics of that one. The share
 1 / (1 + focus) of the phases is not from the worst, and dynamics are chosen, as in the paper's
-objective, and not trajectories. The paper's source distributions are truncated normals; ours is the
-whole box, as that of the other methods without target data. We leave out its adaptation to target
-data.
+objective, and not trajectories. `epsilon` is .2, as in SimuRLacra's examples; the paper has .1. The
+paper's source distributions are truncated normals; ours is the whole box, as that of the other
+methods without target data. We leave out its adaptation to target data.
 """
 
 from typing import ClassVar, Literal
