@@ -153,6 +153,15 @@ def values_of(database: Database, digests: Sequence[str]) -> dict[str, dict[str,
     return values
 
 
+def checkpoints_of(database: Database, digests: Sequence[str]) -> set[str]:
+    """Those of some unfinished trainings that have a policy already."""
+    query, found = select(CheckpointRow.digest), set[str]()
+    with database.read() as session:
+        for part in parts(digests, CHUNK):
+            found.update(session.scalars(query.where(CheckpointRow.digest.in_(part))))
+    return found
+
+
 def packaged_inputs(database: Database, run_ids: Sequence[str]) -> list[tuple[str, dict[str, Any]]]:
     """Pairs (run, inputs as JSON) of the runs' stages whose task or method a package adds."""
     columns = select(EventRow.run_id, StageRow.document).join(StageRow, _OF_EVENT)

@@ -55,7 +55,11 @@ def _in_work(stages: Iterable[tuple[Json, Json]]) -> list[str]:
     parts = [f"; now {', '.join(running)}"] if running else []
     parts += [f"; {_waiting(cores)} for a core"] if cores else []
     tasks = ", ".join(sorted(set(robots)))
-    return parts + ([f"; {len(robots)} episodes wait for a robot of {tasks}"] if robots else [])
+    return parts + ([f"; {_episodes(len(robots))} for a robot of {tasks} to do"] if robots else [])
+
+
+def _episodes(count: int) -> str:
+    return "1 episode is" if count == 1 else f"{count} episodes are"
 
 
 def _waiting(stages: int) -> str:

@@ -18,10 +18,11 @@ from api.views import BenchmarkSummary, benchmark_summaries
 from db import benchmarks as benchmark_store
 from db import visits as visit_store
 from db.errors import DatabaseUnavailable
-from db.models import VisitState
+from db.models import OPEN_VISIT
 
 router = APIRouter(include_in_schema=False)
 _SHOWN = 50  # of each list; the API has the rest
+_MOST_VISITS = 1000  # that are counted
 _PATIENCE_S = 2.0  # for comparisons of benchmarks, which take seconds each once
 log = logging.getLogger(__name__)
 
@@ -31,9 +32,12 @@ def overview(request: Request, service: ServiceDependency) -> Response:
     records, single = benchmark_store.latest(service.database, _SHOWN)
     benchmarks = benchmark_summaries(service, records)
     activities, leaders = service.orchestrator.activities(), _leaders(service, benchmarks)
-    waiting = visit_store.list_visits(
-        service.database, states=[VisitState.PENDING], external=True, limit=1000
+    visits = visit_store.list_visits(
+        service.database, states=OPEN_VISIT, external=True, limit=_MOST_VISITS
     )
+    now = service.orchestrator.clock.now()
+    # one whose lease has ended is free for another robot
+    waiting = [visit for visit in visits if visit.expires_at is None or visit.expires_at <= now]
     return show(
         request,
         "overview.html",
@@ -61,7 +65,8 @@ def _leaders(
     """
     until = time.monotonic() + _PATIENCE_S
     finished = [benchmark.id for benchmark in benchmarks if benchmark.is_finished]
-    found: dict[str, dict[str, Any] | None] = {}
+    # an import that was interrupted may have stored a benchmark without its runs
+    found: dict[str, dict[str, Any] | None] = {b.id: None for b in benchmarks if not b.states}
     for id, changed in benchmark_store.changes_of(service.database, finished).items():
         before = service.leaders.get(id)
         if before is None or before[0] != changed:

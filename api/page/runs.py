@@ -107,6 +107,7 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
         presets=list(PRESETS),
         files={n: a for n, a in criticism.links.items() if "." in n} if criticism else {},
         rows=table(outcomes),
+        has_policy=any(outcome.iteration.policies for outcome in outcomes),
         figures=drawable(outcomes),
         captions={name: kind.caption for name, kind in FIGURES.items()},
         estimates=estimates(outcomes),

@@ -38,7 +38,9 @@ class TrainingView(BaseModel):
         description="ended because the simulation was not finite any more; null until it ends"
     )
     curve: list[CurvePoint]
-    links: dict[str, str]
+    links: dict[str, str] = Field(
+        description="`policy`: what is kept of it; archives have none of unfinished trainings"
+    )
 
 
 def training_views(
@@ -55,17 +57,20 @@ def training_views(
             curves.setdefault(event.digest, []).append(stored)
         elif isinstance(event, StageFinished):
             finished.add(event.digest)
-    results = stage_store.values_of(database, [digest for digest in curves if digest in finished])
+    results = stage_store.values_of(database, list(curves))
+    with_policy = results.keys() | stage_store.checkpoints_of(database, list(curves))
     views: list[TrainingView] = []
     for digest, curve in curves.items():
-        result = results.get(digest, {})
+        result = results.get(digest, {}) if digest in finished else {}
         view = TrainingView(
             digest=digest,
             is_finished=digest in finished,
             adjusted_draws=result.get("adjusted_draws"),
             diverged_episodes=result.get("diverged_episodes"),
             curve=sorted(curve, key=lambda point: point.steps),
-            links={"policy": f"/v1/runs/{run_id}/trainings/{digest}/policy"},
+            links={"policy": f"/v1/runs/{run_id}/trainings/{digest}/policy"}
+            if digest in with_policy
+            else {},
         )
         views.append(view)
     return views

@@ -1,12 +1,14 @@
 """Learning curves and policies of a run's trainings."""
 
 import time
+from contextlib import closing
 
 import pytest
 
 from adr_service.training.policy import Policy
 from api.routes.trainings import training_views
 from db import benchmarks, events
+from db.session import open_database
 from tests.api.smoke import SMOKE
 from tests.db.finished import finished_benchmark
 from tests.service import wait_until_finished
@@ -24,6 +26,15 @@ def test_a_finished_training_says_what_was_moved_and_what_diverged(file_database
         for view in training_views(file_database, run, part)[:1]
     ]
     assert moved == [(True, None, None), (True, 3, 1)]
+
+
+def test_a_training_of_which_nothing_is_kept_has_no_link_to_a_policy(file_database, tmp_path):
+    """As one that was not finished in a run which came from an archive."""
+    run = benchmarks.runs_of(file_database, finished_benchmark(file_database, methods=["udr"]))[0]
+    records = events.events_of(file_database, run.id)
+    assert all("policy" in each.links for each in training_views(file_database, run.id, records))
+    with closing(open_database(f"sqlite:///{tmp_path / 'other.sqlite'}")) as other:
+        assert [each.links for each in training_views(other, run.id, records)][:1] == [{}]
 
 
 @pytest.mark.ray
