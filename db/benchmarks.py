@@ -240,6 +240,11 @@ def _extended(
     """The spec of a benchmark with an extension, and its new runs."""
     spec, present = readable(now).extended(extension), runs_of(database, now.id)
     new = _missing(now, spec, present)
+    if not new:
+        raise InvalidInput(
+            "the extension adds no run: its methods are there already, as references, or its "
+            "collectors have no method that learns from recordings"
+        )
     check_versions(database, now.id, [run.id for run in present])
     return spec, new
 

@@ -90,6 +90,18 @@ def test_an_extension_adds_the_missing_runs_alone(database):
     assert len(benchmarks.runs_of(database, id)) == len(before) + len(added)
 
 
+@pytest.mark.parametrize("extension", [{"methods": ["prior"]}, {"collectors": ["random"]}])
+def test_an_extension_that_adds_no_run_is_refused(database, extension):
+    """A reference is there already, and no method here learns from recordings."""
+    given = {"tasks": ["arm"], "methods": ["udr"], "seeds": [0], "preset": "smoke"}
+    record = benchmarks.create_benchmark(database, BenchmarkSpec.model_validate(given))
+    with pytest.raises(InvalidInput, match="the extension adds no run"):
+        benchmarks.extend_benchmark(
+            database, record.id, BenchmarkExtension.model_validate(extension)
+        )
+    assert benchmarks.get_benchmark(database, record.id) == record
+
+
 def test_a_benchmark_does_not_grow_by_runs_of_another_budget(database, monkeypatch):
     given = {"tasks": ["arm"], "methods": ["udr"], "seeds": [0], "preset": "smoke"}
     id = benchmarks.create_benchmark(database, BenchmarkSpec.model_validate(given)).id
