@@ -41,14 +41,16 @@ def assign(
 ) -> None:
     """Set fields of a spec from texts `a.b=value`; a value is JSON, or else text.
 
-    Raises InvalidInput for a path that is set twice, holds one that was set before, or is `fixed`.
+    Raises InvalidInput for a path that is set twice, holds one that was set before or lies in one,
+    or is `fixed`.
     """
-    assigned = set(fixed)
+    assigned: set[str] = set()
     for assignment in assignments or ():
         path, equals, text = assignment.partition("=")
         if not equals:
             raise InvalidInput(f"a setting is name=value, as iterations=2; given {assignment!r}")
-        if any(f"{known}.".startswith(f"{path}.") for known in assigned):
+        holds = any(f"{known}.".startswith(f"{path}.") for known in (*fixed, *assigned))
+        if holds or any(f"{path}.".startswith(f"{known}.") for known in assigned):
             raise InvalidInput(f"{path} is given already, and {assignment!r} beside it; give one")
         assigned.add(path)
         _set(spec, path.split("."), read_value(text))

@@ -26,9 +26,14 @@ def follow(client: AdrClient, id: str, as_json: bool = False) -> None:
         raise typer.Exit(1)
 
 
+def is_criticism(seen: Json) -> bool:
+    """True for a criticism, false for another run or a benchmark."""
+    return bool(seen["spec"].get("kind") == "criticism")
+
+
 def show_results(client: AdrClient, seen: Json) -> None:
     """Print the result table of a run or a benchmark, or the verdict of a criticism."""
-    if seen["spec"].get("kind") != "criticism":
+    if not is_criticism(seen):
         console.print(results_table(client.results(seen["id"])))
         return
     verdict = client.criticism(seen["id"])["verdict"]

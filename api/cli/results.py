@@ -1,6 +1,7 @@
 """Tables and figures of results, files, papers to cite, and the claims of the paper."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +10,7 @@ import typer
 from adr_service.client import AdrClient, connect
 from adr_service.errors import InvalidInput
 from api.cli.files import check_absent, check_new
-from api.cli.follow import show_results
+from api.cli.follow import is_criticism, show_results
 from api.cli.options import AsJson, Id, Url
 from api.cli.single_options import SingleOptionApp
 from api.cli.tables import claims_table, comparisons_table, cost_table
@@ -17,6 +18,7 @@ from api.cli.terminal import console
 
 app = SingleOptionApp()
 _KINDS = (".svg", ".png", ".csv")  # of figures
+_OF_RUNS = ("--figure", "--figures", "--distribution", "--policy", "--compare", "--csv")
 
 AsCsv = Annotated[bool, typer.Option("--csv", help="As CSV.")]
 Figure = Annotated[
@@ -61,6 +63,7 @@ def results(
         if file is not None:
             check_new(file)
     with connect(url) as client:
+        _check_has(client, id, given)
         if figure is not None:
             _write(figure, client.figure(id, figure.name))
         elif figures is not None:
@@ -75,9 +78,21 @@ def results(
             _show_table(client, id, csv, as_json, compare)
 
 
+def _check_has(client: AdrClient, id: str, asked: Sequence[str]) -> None:
+    """Refuse to ask a criticism for what only other runs have."""
+    for option in set(asked) & set(_OF_RUNS):
+        if is_criticism(client.get(id)):
+            raise InvalidInput(
+                f"{id} is a criticism, which has a verdict and nothing for {option}; "
+                f"`adr results {id}` prints it, and --json has its links"
+            )
+
+
 def _write_figures(client: AdrClient, id: str, folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"{name}{kind}" for name in client.figures(id) for kind in _KINDS]
+    if not files:
+        raise InvalidInput(f"{id} has nothing to draw yet")
+    folder.mkdir(parents=True, exist_ok=True)
     check_absent(*files)
     drawn = {file: client.figure(id, file.name) for file in files}  # all, or nothing is written
     for file, content in drawn.items():
@@ -100,12 +115,14 @@ def _show_cost(client: AdrClient, id: str, as_json: bool) -> None:
 def _show_table(client: AdrClient, id: str, csv: bool, as_json: bool, compare: bool) -> None:
     if csv:
         typer.echo(client.results_csv(id), nl=False)
-    elif as_json:
-        console.print_json(data=client.results(id))
     elif compare:
         console.print(comparisons_table(client.results(id)))
-    else:
+    elif not as_json:
         show_results(client, client.get(id))
+    elif is_criticism(client.get(id)):
+        console.print_json(data=client.criticism(id))
+    else:
+        console.print_json(data=client.results(id))
 
 
 @app.command()

@@ -1,5 +1,6 @@
 """Submit runs and benchmarks, follow them, and stop or continue them."""
 
+import time
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,10 +15,11 @@ from api.cli.follow import follow
 from api.cli.options import AsJson, Id, Url, Watch, members
 from api.cli.single_options import SingleOptionApp
 from api.cli.tables import plan_table
-from api.cli.terminal import console
+from api.cli.terminal import console, errors
 from api.specs import assign, read_effects, read_spec
 
 app = SingleOptionApp()
+_STOPPING_S = 60.0  # for runs that were just asked to stop
 
 SpecFile = Annotated[Path | None, typer.Argument(help="JSON file of a run or a benchmark.")]
 Task = Annotated[str | None, typer.Option(help="arm, hopper, half_cheetah, …")]
@@ -64,7 +66,9 @@ def submit(
     spec = _spec(file, given)
     if extension is not None:
         spec["extension"] = given["extension"] = read_effects(extension)
-    assign(spec, setting, fixed=[*given, *(["method.name"] if method is not None else [])])
+    within = {"method": ["name"], "target": ["kind", "dataset"]}  # what these options say
+    said = [f"{name}.{field}" for name in given for field in within.get(name, ())]
+    assign(spec, setting, fixed=[*given, *said])
     with connect(url) as client:
         _show(client, _send(client, spec, dry_run), "", dry_run, watch, as_json)
 
@@ -207,12 +211,24 @@ def cancel(id: Id, url: Url = None, as_json: AsJson = False) -> None:
 
 @app.command()
 def resume(id: Id, url: Url = None, as_json: AsJson = False) -> None:
-    """Continue a failed or cancelled run or benchmark."""
+    """Continue a failed or cancelled run or benchmark, once what is being cancelled has stopped."""
     with connect(url) as client:
-        states = client.get(id).get("states")  # of a benchmark; a run is refused by the service
+        seen, until = client.get(id), time.monotonic() + _STOPPING_S
+        while _is_stopping(seen) and time.monotonic() < until:
+            time.sleep(1.0)
+            seen = client.get(id)
+        states = seen.get("states")  # of a benchmark; a run is refused by the service
         answer = client.resume(id)
     if as_json:
         console.print_json(data=answer)
         return
+    if _is_stopping(seen):
+        errors.print(f"some runs of {id} are still stopping, and do not go on; resume it again")
     has_some = states is None or states.keys() & {"failed", "cancelled"}
     console.print(f"{id} {'goes on' if has_some else 'has no run that failed or was cancelled'}")
+
+
+def _is_stopping(seen: Json) -> bool:
+    """True if a run, or one of a benchmark, was asked to stop and has not yet."""
+    runs = seen.get("runs", [seen])
+    return any(run["cancel_requested"] and not is_finished(run) for run in runs)

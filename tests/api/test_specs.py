@@ -47,6 +47,8 @@ def test_a_field_that_is_given_twice_is_refused():
         assign({"task": "hopper"}, ["task=arm"], fixed=["task"])
     with pytest.raises(InvalidInput, match="training is given already"):
         assign({}, ["training.max_steps=10", 'training={"gamma":0.5}'])
+    with pytest.raises(InvalidInput, match=r"training\.gamma is given already"):
+        assign({}, ['training={"gamma":0.5}', "training.gamma=0.6"])
     assign(spec := {"target": {"kind": "recorded"}}, ["target.episodes=1"], fixed=["target"])
     assert spec == {"target": {"kind": "recorded", "episodes": 1}}
 

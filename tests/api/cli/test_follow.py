@@ -1,8 +1,12 @@
 """Following a run to its end: the results, and the exit status."""
 
+import json
+from contextlib import nullcontext
+
 import pytest
 import typer
 
+from api.cli import results, runs
 from api.cli.follow import follow
 
 SPEC = {"task": "arm", "method": {"name": "simopt"}, "seed": 0}
@@ -17,6 +21,9 @@ class Service:
 
     def watch(self, id):
         yield self.end
+
+    def get(self, id):
+        return self.end
 
     def results(self, id):
         return {"rows": [], "estimates": []}
@@ -48,3 +55,38 @@ def test_a_criticism_without_a_verdict_shows_its_state(capsys):
     with pytest.raises(typer.Exit):
         follow(Service("cancelled", spec), "run_a")
     assert "cancelled: no verdict yet" in capsys.readouterr().out
+
+
+CRITICISM = Service("succeeded", {"kind": "criticism", "task": "arm", "seed": 0})
+
+
+def test_the_results_of_a_criticism_are_its_verdict(adr_here, monkeypatch):
+    monkeypatch.setattr(results, "connect", lambda url: nullcontext(CRITICISM))
+    status, shown, _ = adr_here("results", "run_a", "--json")
+    assert (status, json.loads(shown)) == (0, {"verdict": None})
+    status, _, errors = adr_here("results", "run_a", "--compare")
+    assert status == 2
+    assert "run_a is a criticism, which has a verdict and nothing for --compare" in errors
+
+
+class Stopping:
+    """A client whose run stops when it has been looked at some times."""
+
+    def __init__(self, looks):
+        self.left = looks
+
+    def get(self, id):
+        self.left -= 1
+        state = "running" if self.left >= 0 else "cancelled"
+        return {"id": id, "state": state, "cancel_requested": True}
+
+    def resume(self, id):
+        return {"id": id}
+
+
+def test_a_run_that_is_being_cancelled_is_resumed_once_it_has_stopped(adr_here, monkeypatch):
+    client = Stopping(3)
+    monkeypatch.setattr(runs, "connect", lambda url: nullcontext(client))
+    monkeypatch.setattr(runs.time, "sleep", lambda seconds: None)
+    assert adr_here("resume", "run_a")[:2] == (0, "run_a goes on\n")
+    assert client.left == -1
