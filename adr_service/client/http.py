@@ -66,7 +66,8 @@ def check_answer(response: httpx2.Response, url: str) -> None:
         after = _SLOW_S
     if after is None and status >= _LEAST_OF_A_PROXY:
         raise Unreachable(
-            f"the server at {url} is not the service: {status} {response.reason_phrase}"
+            f"the server at {url} is not the service: {status} {response.reason_phrase}; if it is "
+            "a proxy that waited too long, the service may still do what was asked"
         )
     raise Refused(status, _explain(response), after)
 
