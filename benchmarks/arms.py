@@ -213,16 +213,18 @@ def one(job: tuple[int, int, bool]) -> dict[str, Any]:
     data = recorded(nominal, links, effects, rng)
     if is_null:
         nominal = extend(nominal, nominal.start, effects).nominal()
+    ended = {"axes": axes, "seed": seed, "is_null": is_null}
     started = time.process_time()
-    criticism = criticise(nominal, data, rng, threads=1)
+    try:
+        criticism = criticise(nominal, data, rng, threads=1)
+    except Exception as error:  # noqa: BLE001 - the others go on; the table counts it
+        return {**ended, "failed": f"{type(error).__name__}: {error}"}
     seconds = time.process_time() - started
     planted = {} if is_null else {(e.kind, e.location): e.values[0] for e in effects}
     named = {(e.kind, e.location): e.values[0] for e in criticism.final.effects}
     verdict, final = criticism.verdict, criticism.final
     return {
-        "axes": axes,
-        "seed": seed,
-        "is_null": is_null,
+        **ended,
         "conclusion": verdict.conclusion.value,
         "rest": verdict.residual.rest,
         "causes": [f"{c.kind} {c.location}" for c in verdict.causes],
@@ -254,10 +256,12 @@ def _job(case: dict[str, Any]) -> tuple[int, int, bool]:
 
 
 def _line(case: dict[str, Any]) -> str:
+    opening = f"{case['axes']} axes, seed {case['seed']}"
+    if "failed" in case:
+        return f"{opening} failed: {case['failed']}"
     named = ", ".join(case["causes"]) or case["conclusion"]
     errors = "".join(f"{kind} {_worst(case, kind):.1%}, " for kind in _kinds(case))
     missed = "".join(f"not {name}, " for name in case["missed"])
-    opening = f"{case['axes']} axes, seed {case['seed']}"
     return f"{opening}: {named}; {errors}{missed}{case['cpu_seconds']:.0f} CPU s"
 
 
@@ -271,9 +275,13 @@ def _worst(case: dict[str, Any], kind: str) -> float:
 
 
 def table(cases: Sequence[dict[str, Any]]) -> str:
-    """Lines that count the cases that are right."""
-    lines = _of_nulls(cases) if cases[0]["is_null"] else _of_planted(cases)
-    seconds = np.percentile([case["cpu_seconds"] for case in cases], [0, 50, 100])
+    """Lines that count the cases that are right, of those that ended."""
+    ended = [case for case in cases if "failed" not in case]
+    lines = {"failed": f"{len(cases) - len(ended)} of {len(cases)}"}
+    if not ended:
+        return f"failed: {lines['failed']}"
+    lines |= _of_nulls(ended) if ended[0]["is_null"] else _of_planted(ended)
+    seconds = np.percentile([case["cpu_seconds"] for case in ended], [0, 50, 100])
     lines["CPU seconds (smallest, median, largest)"] = ", ".join(f"{s:.0f}" for s in seconds)
     return "\n".join(f"{name}: {value}" for name, value in lines.items())
 

@@ -3,7 +3,7 @@
 import json
 import os
 from collections.abc import Callable, Hashable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,7 +23,7 @@ def all_cases(
     job_of: Callable[[Case], Job],
     line: Callable[[Case], str],
 ) -> list[Case]:
-    """The cases of all jobs.
+    """The cases of all jobs, in their order.
 
     Those that the file of JSON at the path has are not computed again. The others are, as many at
     once as there are cores, and each is written there as it ends, and its line printed. A file of
@@ -33,13 +33,18 @@ def all_cases(
     done = {job_of(case) for case in ended}
     path.parent.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        for case in pool.map(one, [job for job in jobs if job not in done]):
-            ended.append(case)
-            with written_whole(path) as part:
-                part.write_text(json.dumps({**origin, "cases": ended}, indent=1))
-            print(line(case), flush=True)
-    wanted = set(jobs)
-    return [case for case in ended if job_of(case) in wanted]
+        begun = [pool.submit(one, job) for job in jobs if job not in done]
+        try:
+            for case in (future.result() for future in as_completed(begun)):
+                ended.append(case)
+                with written_whole(path) as part:
+                    part.write_text(json.dumps({**origin, "cases": ended}, indent=1))
+                print(line(case), flush=True)
+        finally:
+            for future in begun:
+                future.cancel()
+    found = {job_of(case): case for case in ended}
+    return [found[job] for job in jobs]
 
 
 def _resumed(path: Path, origin: dict[str, Any]) -> list[Case]:

@@ -43,7 +43,7 @@ from adr_service.effects.models import amounts, plausible_of, sensible, typical_
 
 _STEPS, _REFUSED = 15, 3  # at most; and so many that were refused, one after the other
 _CONVERGED = 0.3  # [nats] that a step gains at least
-_SMOOTHINGS = 10  # at most
+_SMOOTHINGS, _SMOOTH = 4, 10.0  # at most; and [nats] that one gains, or it was the last
 _NEAR = 0.25  # of a value, or of a typical strength: so far, derivatives by it hardly change
 _HELD = 1e-6  # of its range, the deviation of a parameter that goes no further
 
@@ -131,13 +131,19 @@ def fit(simulator: Simulator, sensor: Vector, effects: Sequence[Effect] = ()) ->
 def smoothed(fit: Fit) -> Fit:
     """A fit anew, around the states that are the most probable under it.
 
-    And again where its parameters or strengths have come far, because its derivatives are those of
-    before.
+    And again while this makes the data likelier, or where its parameters or strengths have come
+    far, because its derivatives are those of before. From the second time on, episodes that the new
+    states make less likely keep theirs, and go half the way next: beyond a touch, what was linear
+    is something else.
     """
+    share = np.ones(len(fit.held_out))
+    fit = linearised(fit, share).settled
     for _ in range(_SMOOTHINGS):
-        before, fit = fit, smoothed_once(fit)
+        before, (chosen, is_likelier) = fit, _likelier_of(fit, linearised(fit, share))
+        fit, share = chosen.settled, np.where(is_likelier, 1.0, share / 2)
         is_near = _are_near(fit.simulator, before.effects, fit.effects)
-        if is_near and _have_stayed(before.parameters, fit):
+        is_at_best = fit.held_out.sum() - before.held_out.sum() < _SMOOTH
+        if is_near and is_at_best and _have_stayed(before.parameters, fit):
             break
     return fit
 
@@ -149,12 +155,15 @@ def _have_stayed(before: Vector, fit: Fit) -> bool:
     return bool(np.all(np.abs(fit.parameters - before) <= reach))
 
 
-def smoothed_once(fit: Fit) -> Fit:
-    """`smoothed` without going on."""
+def linearised(fit: Fit, share: Vector) -> Fit:
+    """A fit's values, linear about states that are a share (E,) of the way from its own to those
+    that are the most probable under it."""
     simulator, layout = fit.simulator, fit.layout
     whitener = Whitener.of(fit.linear.chain, fit.noise)
     errors, covariance = whitener.sensor_errors(fit.left)
-    states = simulator.measured - layout.by_row(simulator, errors)
+    probable = simulator.measured - layout.by_row(simulator, errors)
+    way = _by_row(fit, share)[:, None]
+    states = way * probable + (1 - way) * fit.states
     root = root_of(layout.by_row(simulator, covariance), tiny_root(simulator))
     linear, predicted = linearise(simulator, layout, fit.parameters, fit.effects, states, root)
     linear = _supposed(fit, linear, fit.effects)
@@ -162,7 +171,50 @@ def smoothed_once(fit: Fit) -> Fit:
     noise, normal = estimate(linear, start, fit.stated)
     return replace(
         fit, states=states, predicted=predicted, linear=linear, noise=noise, normal=normal
-    ).settled
+    )
+
+
+def _likelier_of(fit: Fit, other: Fit) -> tuple[Fit, Mask]:
+    """Each episode as one of two fits has it that differ in their states alone, whichever simulates
+    more of it or makes it likelier, and (E,) true where that is the other."""
+    counts, more = (each.linear.chain.mask.sum(axis=1) for each in (fit, other))
+    is_likelier = (more > counts) | ((more == counts) & (other.held_out > fit.held_out))
+    if is_likelier.all():
+        return other, is_likelier
+
+    def chosen(new: np.ndarray, old: np.ndarray, which: Mask = is_likelier) -> np.ndarray:
+        return np.where(which.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+    new, old, by_row = other.linear, fit.linear, _by_row(fit, is_likelier)
+    chain = replace(
+        new.chain,
+        mask=chosen(new.chain.mask, old.chain.mask),
+        transition=chosen(new.chain.transition, old.chain.transition),
+        stiff=chosen(new.chain.stiff, old.chain.stiff),
+    )
+    linear = replace(
+        new,
+        chain=chain,
+        residual=chosen(new.residual, old.residual),
+        columns=chosen(new.columns, old.columns),
+    )
+    noise = replace(other.noise, weights=chosen(other.noise.weights, fit.noise.weights))
+    noise, normal = estimate(linear, lifted(noise, chain, linear.residual, fit.stated), fit.stated)
+    return replace(
+        fit,
+        states=chosen(other.states, fit.states, by_row),
+        predicted=chosen(other.predicted, fit.predicted, by_row[fit.simulator.starts]),
+        linear=linear,
+        noise=noise,
+        normal=normal,
+    ), is_likelier
+
+
+def _by_row(fit: Fit, values: np.ndarray) -> np.ndarray:
+    """Values (E,) of episodes for each row (rows,)."""
+    return np.concatenate(
+        [np.repeat(v, b - a) for v, (a, b) in zip(values, fit.simulator.data.spans(), strict=True)]
+    )
 
 
 def held_out_without(fit: Fit, gone: Sequence[int]) -> Vector:
@@ -299,7 +351,7 @@ def _evaluated(
     moved = _folded(fit, predicted - fit.predicted)
     if not np.all(np.isfinite(moved)):
         return None
-    columns = near.linear.columns if near else _sensitivities(fit, parameters, effects)
+    columns = near.linear.columns if near else _sensitivities(fit, parameters, effects, predicted)
     if not np.all(np.isfinite(columns)):
         return None
     chain, residual = fit.linear.chain, fit.linear.residual - moved
@@ -343,14 +395,17 @@ def _within_bounds(
         linear = replace(linear, precision=precision)
 
 
-def _sensitivities(fit: Fit, parameters: Vector, effects: Sequence[Effect]) -> np.ndarray:
-    """Columns (E, T, m, p) of a fit's parameters and of effects, those that it has among them."""
+def _sensitivities(
+    fit: Fit, parameters: Vector, effects: Sequence[Effect], predicted: Matrix
+) -> np.ndarray:
+    """Columns (E, T, m, p) of a fit's parameters and of effects, those that it has among them, with
+    which the simulator has `predicted` (N, m)."""
     places = [fit.columns_at(effect) for effect in effects]
     new = [effect for effect, where in zip(effects, places, strict=True) if where is None]
     derivatives: Iterator[Matrix] = iter(())
     if new:
         known = (parameters, tuple(effects), fit.states)
-        quickly = fit.simulator.predict_quickly(*known)
+        quickly = fit.simulator.quickly(predicted, *known)
         derivatives = iter(by_strengths(fit.simulator, *known, new, quickly))
     columns = [fit.linear.columns[..., : fit.integration.stop]]
     for effect, where in zip(effects, places, strict=True):

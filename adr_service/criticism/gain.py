@@ -30,15 +30,12 @@ def measure_gain(
     For one step, innovations: what a Kalman filter with the final noise did not see coming. For
     more steps, errors from measured states.
     """
-    nominal, finer = before.simulator.nominal, before.simulator.finer
-    with Simulator(nominal, sealed, threads, finer) as simulator:
+    with _simulator_of(before, sealed, threads) as simulator:
         left = [residuals_of(fit, simulator) for fit in (before, after)]
         horizons = _horizons(simulator, before, after)
         trace = _trace(simulator, before, after)
     diverged = [len(simulator.starts) - int(chain.mask.sum()) for chain, _ in left]
-    errors = _innovations(left, after.noise, sealed.is_measured())
-    whole = errors.sum(axis=0)
-    draws = errors[rng.integers(len(errors), size=(_DRAWS, len(errors)))].sum(axis=1)
+    whole, draws = _sums(_innovations(left, after.noise, sealed.is_measured()), rng)
     # noise alone leaves one per number, or less where outliers weigh less
     noise = min(1.0, float(whole[1] / whole[2]))
     explained, drawn = float(_explained(whole, noise)), _explained(draws, noise)
@@ -54,6 +51,30 @@ def measure_gain(
         diverged=(diverged[0], diverged[1]),
         trace=trace,
     )
+
+
+def share_removed(
+    before: Fit,
+    after: Fit,
+    sealed: Measurement,
+    rng: np.random.Generator,
+    threads: int | None = None,
+) -> tuple[float, float, float]:
+    """`sse_removed` of `measure_gain`, with its interval, for a fraction of the simulations."""
+    with _simulator_of(before, sealed, threads) as simulator:
+        left = [residuals_of(fit, simulator) for fit in (before, after)]
+    whole, draws = _sums(_innovations(left, after.noise, sealed.is_measured()), rng)
+    return float(_removed(whole)), *_interval(_removed(draws))
+
+
+def _simulator_of(fit: Fit, sealed: Measurement, threads: int | None) -> Simulator:
+    return Simulator(fit.simulator.nominal, sealed, threads, fit.simulator.finer)
+
+
+def _sums(errors: Matrix, rng: np.random.Generator) -> tuple[Vector, Matrix]:
+    """Sums (3,) over all episodes, and (draws, 3) over bootstraps of them."""
+    drawn = errors[rng.integers(len(errors), size=(_DRAWS, len(errors)))]
+    return errors.sum(axis=0), drawn.sum(axis=1)
 
 
 def _innovations(left: list[_Residuals], noise: Noise, measured: np.ndarray) -> Matrix:

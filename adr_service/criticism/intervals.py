@@ -7,7 +7,6 @@ may_be_nothing(fit, slice(0, 1))        # True if all of them may be zero at onc
 import numpy as np
 from scipy import stats
 
-from adr_service.arrays import Matrix
 from adr_service.criticism.evidence import Fit
 from adr_service.criticism.verdict import StrengthInterval
 from adr_service.effects.catalogue import get_mechanism
@@ -20,7 +19,7 @@ def intervals(fit: Fit, slot: slice) -> tuple[StrengthInterval, ...]:
     """Intervals of all strengths of some effects."""
     effects = fit.effects[slot]
     covariance = fit.normal.covariance()
-    reach = float(stats.t.ppf(0.5 + INTERVAL / 2, _freedom(fit, covariance)))
+    reach = float(stats.t.ppf(0.5 + INTERVAL / 2, fit.normal.freedom))
     variances = np.diagonal(covariance)[fit.columns_of(slot)].tolist()
     found: list[StrengthInterval] = []
     for effect in effects:
@@ -57,10 +56,4 @@ def may_be_nothing(fit: Fit, slot: slice) -> bool:
     deviation = np.sqrt(np.diagonal(own))
     away = values[known] / deviation
     distance = away @ np.linalg.pinv(own / np.outer(deviation, deviation), hermitian=True) @ away
-    return bool(distance <= count * stats.f.ppf(INTERVAL, count, _freedom(fit, covariance)))
-
-
-def _freedom(fit: Fit, covariance: Matrix) -> int:
-    """Degrees of freedom of the covariance (p, p) of all coefficients, from differences between
-    episodes."""
-    return max(len(fit.held_out) - len(covariance), 1)
+    return bool(distance <= count * stats.f.ppf(INTERVAL, count, fit.normal.freedom))

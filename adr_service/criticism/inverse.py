@@ -176,8 +176,8 @@ def missing_forces(simulator: Simulator, effects: Sequence[Effect]) -> Matrix:
     for row, state in enumerate(middle):
         data.qpos[:], data.qvel[:] = state[:nv], state[nv:]
         data.ctrl[: commands.shape[1]] = commands[row]
-        mujoco.mj_forward(model, data)
         data.qacc[:] = rate[row]
         mujoco.mj_inverse(model, data)
+        mujoco.mj_fwdActuation(model, data)
         forces[row] = data.qfrc_inverse - data.qfrc_actuator
     return forces

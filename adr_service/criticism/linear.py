@@ -97,12 +97,18 @@ class Normal:
         """(p, p) covariance of the most probable change, by the differences between episodes.
 
         The sandwich estimate, which holds where residuals are neither Gaussian nor independent
-        within an episode (Liang and Zeger, 1986), for few episodes (HC1).
+        within an episode (Liang and Zeger, 1986), for few episodes.
         """
         change, model = self.change()
         apart = self.score - self.information @ change  # (E, p)
-        count, p = apart.shape
-        return model @ (apart.T @ apart) @ model * count / max(count - p, 1)
+        return model @ (apart.T @ apart) @ model * len(apart) / self.freedom
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of `covariance`: episodes less columns, and half the episodes at
+        least, because many rows of an episode know a column better than one number would."""
+        count, p = self.score.shape
+        return max(count - p, count // 2, 1)
 
     def best_log_likelihood(self, columns: slice = slice(None)) -> float:
         """Log-likelihood of all episodes, with the prior, after the best change of these columns

@@ -21,7 +21,7 @@ from adr_service.effects.models import element_of, shapes_of, typical_of
 from adr_service.errors import InvalidInput
 
 # how much of what a finer step changes is really there, and of what another integrator changes at
-# that step: prior means and deviations. Nothing, where the data were simulated alike; 4/3 of the
+# that step: prior means and deviations. Nothing, where the data were simulated alike; 3/2 of the
 # first, where they are real and the integrator is of first order
 _INTEGRATION = ((2 / 3, 2 / 3), (0.0, 1.0))
 INTEGRATION = len(_INTEGRATION)  # columns
@@ -63,7 +63,7 @@ def linearise(
     """
     known = (parameters, effects, states)
     predicted = simulator.predict(*known)
-    quickly = predicted if simulator.is_quick else simulator.predict_quickly(*known)
+    quickly = simulator.quickly(predicted, *known)
     point = _Point(simulator, *known, predicted, quickly)
     slopes, mean = _over_states(point, root)
     transition = slopes @ np.linalg.inv(root[simulator.starts])

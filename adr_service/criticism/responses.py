@@ -36,7 +36,7 @@ class Responses:
     def __init__(self, fit: Fit):
         self._fit, self._simulator = fit, fit.simulator
         known = (fit.parameters, fit.effects, fit.states)
-        self._predicted = self._simulator.predict_quickly(*known)
+        self._predicted = self._simulator.quickly(fit.predicted, *known)
         self._rates = self._simulator.rates(*known)
         self._commands = self._simulator.commands(fit.effects, self._simulator.steps)
         self._unclamped: Matrix | None = None  # prediction (N, m) without limits of commands

@@ -38,6 +38,7 @@ from adr_service.criticism.weighing import (
 from adr_service.effects.base import Effect
 
 _SIGNIFICANT = 3.0  # standard deviations of a strength
+_PAIR = 2  # places that are two causes rather than a group of three
 _CLEARLY = 20.0  # thresholds that a loss exceeds by linearisation, if no refinement need confirm it
 
 
@@ -181,8 +182,8 @@ def narrowed(named: Sequence[Alike], current: Fit) -> tuple[list[Alike], Fit]:
 
 def _few_places(current: Fit, slot: slice, whole: Vector) -> Fit | None:
     """The fit with the most significant place of a group, if there is no evidence for the others,
-    or with its significant ones (half of them at most), if the others explain nothing; None if they
-    would be missed. `whole` (E,): log-likelihood with all, linearised."""
+    or with its significant ones (half of them at most, or two), if the others explain nothing; None
+    if they would be missed. `whole` (E,): log-likelihood with all, linearised."""
     significance = {
         number: _significance(current, number) for number in range(slot.start, slot.stop)
     }
@@ -190,7 +191,8 @@ def _few_places(current: Fit, slot: slice, whole: Vector) -> Fit | None:
     strong = sum(value > _SIGNIFICANT for value in significance.values())
     for count in sorted({1, strong}):
         gone = order[count:]
-        if not 0 < count <= len(order) // 2 or _are_clearly_missed(gone, whole, current):
+        is_few = 0 < count < len(order) and count <= max(_PAIR, len(order) // 2)
+        if not is_few or _are_clearly_missed(gone, whole, current):
             continue
         few = refine(current, [e for n, e in enumerate(current.effects) if n not in gone])
         if few is None:

@@ -137,16 +137,21 @@ class Scan:
     def alone(self, sizes: Sequence[Effect]) -> Candidate:
         """The candidate at the best of the sizes where the response of its effect may differ."""
         best = self._nothing(sizes[:1])
+        nearest = np.full(len(best.limits), np.inf)
         for effect in sizes:
             candidate = self._at([effect])
             if candidate is None or (candidate.gain <= best.gain and best.gain > 0):
                 continue
-            if candidate.gain <= 0:  # no evidence, but a detection limit
-                limits = np.minimum(best.limits, candidate.limits)
-                candidate = replace(
-                    candidate, effects=best.effects, gains=best.gains, limits=limits
-                )
-            best = candidate
+            if candidate.gain > 0:
+                best = candidate
+                continue
+            # no evidence, but a detection limit; by the size that is nearest to it, because others'
+            # responses are not in proportion
+            with np.errstate(divide="ignore", invalid="ignore"):
+                apart = np.abs(np.log(candidate.limits / np.abs(effect.values)))
+            is_nearer = apart < nearest
+            limits = np.where(is_nearer, candidate.limits, best.limits)
+            best, nearest = replace(best, limits=limits), np.where(is_nearer, apart, nearest)
         return best
 
     def together(self, members: Sequence[Candidate]) -> Candidate:

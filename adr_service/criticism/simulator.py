@@ -128,6 +128,12 @@ class Simulator:
         """
         return self._predict(effects, states, self._quick(values, effects))
 
+    def quickly(
+        self, predicted: Matrix, values: Vector, effects: Sequence[Effect], states: Matrix
+    ) -> Matrix:
+        """`predict_quickly`, where what `predict` gives is known."""
+        return predicted if self.is_quick else self.predict_quickly(values, effects, states)
+
     def predict_finer(
         self,
         values: Vector,

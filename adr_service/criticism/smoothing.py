@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from adr_service.arrays import Vector, frozen
 from adr_service.criticism.compatibility import check_size, check_state
-from adr_service.criticism.evidence import fit, smoothed_once
+from adr_service.criticism.evidence import fit, linearised
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.recordings import is_measured, measurement_of, observed
 from adr_service.criticism.simulator import Simulator
@@ -57,9 +57,10 @@ def smooth(
     with threadpool_limits(1), Simulator(nominal, measurement, threads=1) as simulator:
         sensor = np.where(is_measured(task), np.nan, _UNREAD**2)
         current = fit(simulator, sensor, source.effects)
+        everywhere = np.ones(len(current.held_out))
         for number in range(1, _ROUNDS + 1):
             progress(number / (_ROUNDS + 1))
-            current = smoothed_once(current)
+            current = linearised(current, everywhere).settled
         states = current.states[simulator.starts]
     return Smoothing(
         replace(data, observations=observed(task, source, states)),

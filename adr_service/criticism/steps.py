@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from adr_service.criticism.decision import THRESHOLD, is_evidence
+from adr_service.criticism.decision import THRESHOLD, beats
 from adr_service.criticism.evidence import Fit, gained, smoothed
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.simulator import FINER, Simulator, is_first_order
@@ -32,7 +32,7 @@ def in_finer_steps(current: Fit, newest: int) -> Fit:
         and _nats_of_finer_steps(current, newest) > THRESHOLD
     ):
         finer = in_steps_of(current, current.simulator.in_finer_steps)
-        if not is_evidence(gained(finer, current)):
+        if not beats(gained(finer, current), 0.0):
             break
         current = finer
     return current

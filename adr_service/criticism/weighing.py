@@ -90,9 +90,9 @@ def weigh(
     looks: list[Weighed] = []
     for effects in asked:
         alive()
-        first = tried(current, [*current.effects, *effects])
+        first = _first_look(current, effects, without)
         if first is not None:
-            looks.append(Weighed(tuple(effects), first, first.held_out - without, 0.0))
+            looks.append(first)
     best = max((look.fair_gain for look in looks), default=0.0)
     hopeful = [look for look in looks if look.fair_gain >= min(best, _HOPEFUL * best)]
     weighed = [_at_best(look, current, without, alive) for look in hopeful]
@@ -102,6 +102,19 @@ def weigh(
     *likely, chance = decision.confidence.tolist()
     alike = [replace(weighed[number], confidence=likely[number]) for number in decision.alike]
     return _simplest_first(alike), chance
+
+
+def _first_look(current: Fit, effects: Sequence[Effect], without: Vector) -> Weighed | None:
+    """Effects at the strengths that they have or, where these make the data less likely, at half of
+    them: what is linear as a contact begins bends soon. None: they cannot be simulated."""
+    first: Weighed | None = None
+    for start in (effects, _times(effects, 0.5)):
+        fit = tried(current, [*current.effects, *start])
+        if fit is not None and (first is None or fit.held_out.sum() > first.fit.held_out.sum()):
+            first = Weighed(tuple(effects), fit, fit.held_out - without, 0.0)
+        if first is not None and first.gain > 0:
+            break
+    return first
 
 
 def _at_best(look: Weighed, current: Fit, without: Vector, alive: Callable[[], None]) -> Weighed:
@@ -144,13 +157,15 @@ def _included(effects: Sequence[Effect]) -> set[tuple[str, str]]:
 def from_elsewhere(current: Fit, best: Fit) -> Fit:
     """The best of a fit with newer effects, and of fits from other strengths of those."""
     newest = best.effects[len(current.effects) :]
-    starts = [
-        [sensible(e, np.where(shapes_of(e.kind), 1.0, factor) * e.values) for e in newest]
-        for factor in _OTHER_STARTS
-    ]
+    starts = [_times(newest, factor) for factor in _OTHER_STARTS]
     others = (refine(current, [*current.effects, *start]) for start in starts)
     fits = [best, *(other for other in others if other is not None)]
     return max(fits, key=lambda fit: fit.held_out.sum())
+
+
+def _times(effects: Sequence[Effect], factor: float) -> list[Effect]:
+    """Effects with so many times their strengths, as far as these make sense."""
+    return [sensible(e, np.where(shapes_of(e.kind), 1.0, factor) * e.values) for e in effects]
 
 
 def missed(weighed: Weighed, numbers: Sequence[int], current: Fit, whole: Vector) -> Weighed:

@@ -322,6 +322,7 @@ REFERENCE_OFFSET = Mechanism(
     typical=lambda model, joint: (SENSOR_SIZE,),
     change=_reference,
     applies=_is_driven,
+    sizes=(1.0, 0.01),  # millimetres at a foot that touches, or hundredths of one
 )
 
 

@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from benchmarks.ended_cases import all_cases
 
 
@@ -20,7 +22,9 @@ def never(job):
 def test_cases_that_ended_are_not_computed_again(tmp_path, capsys):
     path = tmp_path / "new" / "squares.json"
     assert run(path, [2, 3], seed=1) == [squared(2), squared(3)]
-    assert json.loads(path.read_text()) == {"seed": 1, "cases": [squared(2), squared(3)]}
+    written = json.loads(path.read_text())
+    assert written["seed"] == 1
+    assert sorted(written["cases"], key=str) == [squared(2), squared(3)]  # written as they end
     assert run(path, [3], never, seed=1) == [squared(3)]
     capsys.readouterr()
     assert run(path, [2, 3, 4], seed=1) == [squared(2), squared(3), squared(4)]
@@ -35,3 +39,16 @@ def test_cases_of_another_origin_are_set_aside(tmp_path):
     (aside,) = set(tmp_path.iterdir()) - {path}
     assert aside.read_bytes() == before
     assert json.loads(path.read_text())["seed"] == 2
+
+
+def broken(job):
+    if job == 3:
+        raise ValueError("this one fails")
+    return squared(job)
+
+
+def test_a_case_that_fails_ends_the_benchmark_and_leaves_the_others(tmp_path):
+    path = tmp_path / "squares.json"
+    with pytest.raises(ValueError, match="this one fails"):
+        run(path, [2, 3], broken, seed=1)
+    assert run(path, [2], never if path.exists() else squared, seed=1) == [squared(2)]

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import draw_case
+from adr_service.criticism import evidence
 from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import (
     expected_errors,
     fit,
     gained,
     held_out_without,
+    linearised,
     refine,
     smoothed,
 )
@@ -171,3 +173,29 @@ def test_where_misfit_does_not_persist_evidence_is_what_is_left_out(baseline, re
     np.testing.assert_array_equal(
         gained(refined, baseline.settled), refined.held_out - baseline.settled.held_out
     )
+
+
+def test_each_episode_has_the_states_that_make_it_likelier(baseline):
+    """Here every second episode of the other fit was spoilt."""
+    share = np.arange(len(baseline.held_out)) % 2 * 1.0
+    spoilt = replace(baseline, states=baseline.states + 0.1)
+    other = linearised(spoilt, share)
+    chosen, is_likelier = evidence._likelier_of(baseline, other)
+    assert is_likelier.tolist() == (other.held_out > baseline.held_out).tolist()
+    assert not is_likelier[share == 0].any()
+    episodes = baseline.simulator.data.episode
+    numbers = np.unique(episodes, return_inverse=True)[1]
+    expected = np.where(is_likelier[numbers][:, None], other.states, baseline.states)
+    np.testing.assert_array_equal(chosen.states, expected)
+    starts = baseline.simulator.starts
+    predicted = np.where(is_likelier[numbers][starts][:, None], other.predicted, baseline.predicted)
+    np.testing.assert_array_equal(chosen.predicted, predicted)
+    assert chosen.held_out.sum() > other.held_out.sum()
+
+
+def test_states_are_part_of_the_way_to_the_most_probable_ones(baseline):
+    whole, half, none = (
+        linearised(baseline, np.full(len(baseline.held_out), share)) for share in (1.0, 0.5, 0.0)
+    )
+    np.testing.assert_array_equal(none.states, baseline.states)
+    np.testing.assert_allclose(half.states, (whole.states + baseline.states) / 2, atol=1e-12)

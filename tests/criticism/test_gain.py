@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adr_service.criticism.gain import _interval, measure_gain
+from adr_service.criticism.gain import _interval, measure_gain, share_removed
 from adr_service.criticism.measurements import Measurement
 from tests.hidden import recorded
 
@@ -40,6 +40,12 @@ def test_the_true_effect_gains_on_sealed_episodes(gain):
     assert set(gain.horizons) == {1, 5, 25}
     without, extended = gain.horizons[25]  # one step is mostly noise
     assert extended < without
+
+
+def test_the_share_that_is_removed_is_that_of_the_gain(baseline, refined, sealed, gain):
+    rng = np.random.default_rng(0)
+    removed = share_removed(baseline, refined, sealed, rng, threads=1)
+    assert removed == (gain.sse_removed, gain.low, gain.high)
 
 
 def test_of_what_is_noise_alone_no_share_is_explained(refined, sealed):

@@ -176,3 +176,18 @@ def test_the_covariance_between_episodes_is_corrected_for_their_number():
     apart = score - information @ bread @ score.sum(axis=0)
     expected = bread @ (apart.T @ apart) @ bread * 12 / 10
     np.testing.assert_allclose(normal.covariance(), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("episodes", "columns", "freedom"), [(30, 9, 21), (12, 9, 6), (8, 11, 4), (1, 1, 1)]
+)
+def test_a_few_episodes_leave_half_of_them_as_degrees_of_freedom(episodes, columns, freedom):
+    nothing = np.zeros(columns)
+    normal = Normal(
+        np.zeros((episodes, columns, columns)),
+        np.zeros((episodes, columns)),
+        np.zeros(episodes),
+        nothing,
+        nothing,
+    )
+    assert normal.freedom == freedom

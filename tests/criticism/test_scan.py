@@ -14,7 +14,7 @@ from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.responses import Responses
-from adr_service.criticism.scan import location_of, places, scan
+from adr_service.criticism.scan import Candidate, Scan, location_of, places, scan
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.parameters import ParameterSpace
@@ -190,3 +190,20 @@ def test_responses_of_an_earlier_fit_count_where_the_later_one_simulates(baselin
     one, other = (scan(later, Responses(fitted)) for fitted in (baseline, later))
     assert [c.location for c in one[:20]] == [c.location for c in other[:20]]
     np.testing.assert_allclose([c.gain for c in one], [c.gain for c in other], rtol=1e-6)
+
+
+def test_of_sizes_without_evidence_the_one_nearest_to_its_limit_says_the_limit(monkeypatch):
+    """By a response that is not in proportion, much less would be enough."""
+    sizes = [Effect("contact_softness", "geom:sole", (size,)) for size in (0.1, 0.5, 2.0)]
+    limits = dict(zip(sizes, ([0.001], [0.7], [9.0]), strict=True))
+
+    def at(self, tried):
+        return Candidate(tuple(tried), tuple(tried), np.zeros(2), np.array(limits[tried[0]]))
+
+    monkeypatch.setattr(Scan, "_at", at)
+    look = object.__new__(Scan)
+    look._without = np.zeros(2)
+    found = look.alone(sizes)
+    assert found.limits == [0.7]
+    assert found.tried == (sizes[0],)
+    assert found.gain == 0

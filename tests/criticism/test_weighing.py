@@ -1,10 +1,12 @@
 """Evidence for effects beside a fit, and what is tied with the best of them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from adr_service.criticism import weighing
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import gained, held_out_without, refine, smoothed
 from adr_service.criticism.responses import Responses
@@ -117,3 +119,21 @@ def test_candidates_are_weighed_beside_misfit_that_persists(pushed_and_rubbing):
     expected = gained(alike[0].fit, pushed_and_rubbing.settled).sum()
     assert alike[0].gain == pytest.approx(expected)
     assert alike[0].gain < 0.9 * (alike[0].fit.held_out - pushed_and_rubbing.held_out).sum()
+
+
+@pytest.mark.parametrize(("strongest", "started"), [(0.3, 0.2), (0.15, 0.1), (0.05, 0.1)])
+def test_strengths_that_make_the_data_less_likely_are_looked_at_again_at_half(
+    strongest, started, friction, monkeypatch
+):
+    """Above the strongest, the effect explains less than nothing, the more so the stronger."""
+
+    def tried(fit, effects):
+        (strength,) = effects[0].values
+        gain = 1.0 if strength < strongest else -strength
+        return SimpleNamespace(effects=tuple(effects), held_out=np.full(3, gain))
+
+    monkeypatch.setattr(weighing, "tried", tried)
+    effects = [replace(friction, values=(0.2,))]
+    look = weighing._first_look(SimpleNamespace(effects=()), effects, np.zeros(3))
+    assert look.fit.effects[0].values == pytest.approx((started,))
+    assert look.effects == tuple(effects)
