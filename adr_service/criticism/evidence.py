@@ -43,7 +43,8 @@ from adr_service.effects.models import amounts, plausible_of, sensible, typical_
 
 _STEPS, _REFUSED = 15, 3  # at most; and so many that were refused, one after the other
 _CONVERGED = 0.3  # [nats] that a step gains at least
-_SMOOTHINGS, _SMOOTH = 4, 10.0  # at most; and [nats] that one gains, or it was the last
+_SMOOTHINGS = 10  # at most, after each of which parameters settle
+_PASSES, _SMOOTH = 4, 10.0  # at most, after these; and [nats] that one gains, or it was the last
 _NEAR = 0.25  # of a value, or of a typical strength: so far, derivatives by it hardly change
 _HELD = 1e-6  # of its range, the deviation of a parameter that goes no further
 
@@ -131,21 +132,23 @@ def fit(simulator: Simulator, sensor: Vector, effects: Sequence[Effect] = ()) ->
 def smoothed(fit: Fit) -> Fit:
     """A fit anew, around the states that are the most probable under it.
 
-    And again while this makes the data likelier, or where its parameters or strengths have come
-    far, because its derivatives are those of before. From the second time on, episodes that the new
-    states make less likely keep theirs, and go half the way next: beyond a touch, what was linear
-    is something else.
+    And again where its parameters or strengths have come far, because its derivatives are those of
+    before, and then while this makes the data likelier. Episodes that the new states make less
+    likely keep theirs then, and go half the way next: beyond a touch, what was linear is something
+    else.
     """
     share = np.ones(len(fit.held_out))
-    fit = linearised(fit, share).settled
     for _ in range(_SMOOTHINGS):
-        before, (chosen, is_likelier) = fit, _likelier_of(fit, linearised(fit, share))
-        fit, share = chosen.settled, np.where(is_likelier, 1.0, share / 2)
+        before, fit = fit, linearised(fit, share).settled
         is_near = _are_near(fit.simulator, before.effects, fit.effects)
-        is_at_best = fit.held_out.sum() - before.held_out.sum() < _SMOOTH
-        if is_near and is_at_best and _have_stayed(before.parameters, fit):
+        if is_near and _have_stayed(before.parameters, fit):
             break
-    return fit
+    for _ in range(_PASSES):
+        before, (fit, is_likelier) = fit, _likelier_of(fit, linearised(fit, share))
+        share = np.where(is_likelier, 1.0, share / 2)
+        if fit.held_out.sum() - before.held_out.sum() < _SMOOTH:
+            break
+    return fit.settled
 
 
 def _have_stayed(before: Vector, fit: Fit) -> bool:

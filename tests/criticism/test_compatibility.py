@@ -99,9 +99,9 @@ def test_more_than_memory_holds_is_refused():
 
 
 def test_the_responses_to_all_effects_must_fit_in_memory():
-    """139 strengths to try and 4 numbers of a state: 4 GB at .9 million transitions, padded."""
-    check_measurement(arm()[1], one_long(447, 2000))
-    with pytest.raises(InvalidInput, match=r"would take 7.2e\+08 numbers .* are 5e\+08"):
+    """148 strengths to try and 4 numbers of a state: 4 GB at .84 million transitions, padded."""
+    check_measurement(arm()[1], one_long(420, 2000))
+    with pytest.raises(InvalidInput, match=r"would take 7.6e\+08 numbers .* are 5e\+08"):
         check_measurement(arm()[1], one_long(649, 2000))
 
 

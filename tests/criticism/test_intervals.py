@@ -44,8 +44,7 @@ def test_two_strengths_may_be_sure_together_that_are_unsure_apart(correlation, i
     covariance = np.array([[1.0, correlation], [correlation, 1.0]])
     fit = SimpleNamespace(
         effects=frictions,
-        held_out=np.zeros(40),
-        normal=SimpleNamespace(covariance=lambda: covariance),
+        normal=SimpleNamespace(covariance=lambda: covariance, freedom=38),
         columns_of=lambda slot: slot,
     )
     assert may_be_nothing(fit, slice(0, 2)) == is_nothing
