@@ -60,7 +60,7 @@ def _compared(case: Case, criticism: Criticism, seconds: float) -> dict[str, Any
 
 def _oracle(case: Case, criticism: Criticism) -> dict[str, float]:
     """Share of squared innovations that the true parameters and effects remove, on the same
-    episodes, and the end of its interval."""
+    episodes, and the lower end of its interval."""
     truth = replace(criticism.final, parameters=case.truth, effects=case.effects)
     rng, sealed = np.random.default_rng(0), split(case.measurement)[1]
     removed, low, _ = share_removed(criticism.baseline, truth, sealed, rng, threads=1)

@@ -26,8 +26,9 @@ def all_cases(
     """The cases of all jobs, in their order.
 
     Those that the file of JSON at the path has are not computed again. The others are, as many at
-    once as there are cores, and each is written there as it ends, and its line printed. A file of
-    another origin (method, seed, …) is set aside.
+    once as there are cores, and each is written there as it ends, and its line printed. The first
+    error is raised when all others have ended. A file of another origin (method, seed, …) is set
+    aside.
     """
     ended = _resumed(path, origin)
     done = {job_of(case) for case in ended}
@@ -35,14 +36,18 @@ def all_cases(
     with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         begun = [pool.submit(one, job) for job in jobs if job not in done]
         try:
-            for case in (future.result() for future in as_completed(begun)):
-                ended.append(case)
+            for future in as_completed(begun):
+                if future.exception() is not None:
+                    continue
+                ended.append(case := future.result())
                 with written_whole(path) as part:
                     part.write_text(json.dumps({**origin, "cases": ended}, indent=1))
                 print(line(case), flush=True)
         finally:
             for future in begun:
                 future.cancel()
+    for future in begun:
+        future.result()
     found = {job_of(case): case for case in ended}
     return [found[job] for job in jobs]
 

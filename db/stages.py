@@ -154,7 +154,7 @@ def values_of(database: Database, digests: Sequence[str]) -> dict[str, dict[str,
 
 
 def checkpoints_of(database: Database, digests: Sequence[str]) -> set[str]:
-    """Those of some unfinished trainings that have a policy already."""
+    """Digests, among these, that have a checkpoint."""
     query, found = select(CheckpointRow.digest), set[str]()
     with database.read() as session:
         for part in parts(digests, CHUNK):

@@ -24,7 +24,7 @@ _COLLECTOR_LABELS = {
     "random_matched": "random actions, as many transitions",
 }
 _MOST_NAMED = 8  # parameters in a legend
-_MOST_DRAWN = 6  # methods with an interval at each iteration, or with a band
+_MOST_WITH_INTERVALS = 6  # methods with an interval at each iteration, or with a band
 _SIDES = ("low", "high")  # of an interval
 _SHIFT = 0.12  # iterations between the points of two methods, at most
 _BESIDE, _WIDTH = 0.06, 0.6  # iterations between methods in a figure of returns, and of all in any
@@ -41,7 +41,7 @@ def plot_returns(rows: Sequence[Row]) -> Figure:
     """
     tasks = list(dict.fromkeys(row.task for row in rows))
     variants = list(dict.fromkeys(row.variant for row in rows))
-    is_crowded = len(_names(rows)) > _MOST_DRAWN
+    is_crowded = len(_names(rows)) > _MOST_WITH_INTERVALS
     each, height = (2, 4.0) if is_crowded else (1, 3.0)  # panels, and inches
     figure, axes = _grid(len(variants), each * len(tasks), height, sharey=True)
     for (i, variant), (j, task) in _pairs(variants, tasks):
@@ -65,7 +65,7 @@ def plot_profile(points: Sequence[ProfilePoint]) -> Figure:
     for method in names:
         chosen = [point for point in points if point.method == method]
         x, colour = [point.level for point in chosen], _colour(method)
-        if len(names) <= _MOST_DRAWN:
+        if len(names) <= _MOST_WITH_INTERVALS:
             # fewer than three seeds have no interval, and no band
             low, high = (np.array([getattr(p, side) for p in chosen], float) for side in _SIDES)
             axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
@@ -75,7 +75,7 @@ def plot_profile(points: Sequence[ProfilePoint]) -> Figure:
     axis.set_ylabel("share of policies that earn more")
     _legend(axis)
     note = "bands: 95 % bootstrap over seeds within tasks and variants, too short with few seeds"
-    if len(names) > _MOST_DRAWN:
+    if len(names) > _MOST_WITH_INTERVALS:
         note = "no bands of so many methods: the figure's CSV file has them"
     figure.supxlabel(note, fontsize=7)
     return figure
@@ -145,7 +145,7 @@ def plot_cost(rows: Sequence[InferenceCost]) -> Figure:
     return figure
 
 
-def _returns_panel(axis: Axes, rows: Sequence[Row], with_intervals: bool) -> None:
+def _returns_panel(axis: Axes, rows: Sequence[Row], *, with_intervals: bool) -> None:
     last = max(row.iteration for row in rows)
     groups = {name: [row for row in rows if row.method == name] for name in _names(rows)}
     levels = [name for name in groups if methods()[name].learns_from == "nothing"]
@@ -275,9 +275,8 @@ def _label_returns(figure: Figure, axes: np.ndarray, rows: Sequence[Row]) -> Non
     _legend(axes[0, -1], axes.ravel().tolist())
     seeds = "–".join(map(str, sorted({row.seeds for row in rows})))
     has_intervals = any(row.low is not None for row in rows)
-    drawn = (
-        "bars, bands: 95 % intervals over seeds" if has_intervals else "no intervals: too few seeds"
-    )
+    what = "bars" if len(_names(rows)) > _MOST_WITH_INTERVALS else "bars, bands"
+    drawn = f"{what}: 95 % intervals over seeds" if has_intervals else "no intervals: too few seeds"
     begun: dict[str, float] = {}  # transitions seen before the first iteration
     for row in rows:
         if row.iteration == 0 and row.target_transitions > 0:

@@ -151,11 +151,11 @@ class _Robot:
         if is_shape.any():
             values = np.where(is_shape, rng.uniform(*_SHAPED) * typical, values)
         reached = 0.0
-        for left in reversed(range(_ADJUSTMENTS)):
+        for number in range(_ADJUSTMENTS):
             reached = self._ratio_of(Effect(kind, place, tuple(values.tolist())))
             if not np.isfinite(reached) or reached <= 1e-9:
                 return None
-            if abs(reached / ratio - 1) < 0.05 or left == 0:
+            if abs(reached / ratio - 1) < 0.05 or number == _ADJUSTMENTS - 1:
                 break
             values = values * np.where(is_shape, 1.0, np.clip(ratio / reached, 0.1, 10.0))
         effect = Effect(kind, place, tuple(values.tolist()))

@@ -55,11 +55,8 @@ def _in_work(stages: Iterable[tuple[Json, Json]]) -> list[str]:
     parts = [f"; now {', '.join(running)}"] if running else []
     parts += [f"; {_waiting(cores)} for a core"] if cores else []
     tasks = ", ".join(sorted(set(robots)))
-    return parts + ([f"; {_episodes(len(robots))} for a robot of {tasks} to do"] if robots else [])
-
-
-def _episodes(count: int) -> str:
-    return "1 episode is" if count == 1 else f"{count} episodes are"
+    left = "1 episode" if len(robots) == 1 else f"{len(robots)} episodes"
+    return parts + ([f"; {left} left for a robot of {tasks}"] if robots else [])
 
 
 def _waiting(stages: int) -> str:

@@ -44,7 +44,8 @@ from adr_service.effects.models import amounts, plausible_of, sensible, typical_
 _STEPS, _REFUSED = 15, 3  # at most; and so many that were refused, one after the other
 _CONVERGED = 0.3  # [nats] that a step gains at least
 _SMOOTHINGS = 10  # at most, after each of which parameters settle
-_PASSES, _SMOOTH = 4, 10.0  # at most, after these; and [nats] that one gains, or it was the last
+_PASSES = 5  # at most, after these
+_SMOOTH = 10.0  # [nats] that a pass gains, or the one after it, or it was the last
 _NEAR = 0.25  # of a value, or of a typical strength: so far, derivatives by it hardly change
 _HELD = 1e-6  # of its range, the deviation of a parameter that goes no further
 
@@ -137,16 +138,20 @@ def smoothed(fit: Fit) -> Fit:
     likely keep theirs then, and go half the way next: beyond a touch, what was linear is something
     else.
     """
-    share = np.ones(len(fit.held_out))
+    share = np.ones(len(fit.linear.residual))
     for _ in range(_SMOOTHINGS):
         before, fit = fit, linearised(fit, share).settled
         is_near = _are_near(fit.simulator, before.effects, fit.effects)
         if is_near and _have_stayed(before.parameters, fit):
             break
+    small = 0  # gains, one after the other
     for _ in range(_PASSES):
-        before, (fit, is_likelier) = fit, _likelier_of(fit, linearised(fit, share))
-        share = np.where(is_likelier, 1.0, share / 2)
-        if fit.held_out.sum() - before.held_out.sum() < _SMOOTH:
+        other, is_likelier = _likelier_of(fit, _within(linearised(fit, share)))
+        gain = float(other.held_out.sum() - fit.held_out.sum())
+        fit = other if gain > 0 else fit
+        share = np.where(is_likelier & (gain > 0), 1.0, share / 2)
+        small = small + 1 if gain < _SMOOTH else 0
+        if small == 2 or (small == 1 and is_likelier.all()):
             break
     return fit.settled
 
@@ -202,15 +207,20 @@ def _likelier_of(fit: Fit, other: Fit) -> tuple[Fit, Mask]:
         columns=chosen(new.columns, old.columns),
     )
     noise = replace(other.noise, weights=chosen(other.noise.weights, fit.noise.weights))
-    noise, normal = estimate(linear, lifted(noise, chain, linear.residual, fit.stated), fit.stated)
-    return replace(
+    mixed = replace(
         fit,
         states=chosen(other.states, fit.states, by_row),
         predicted=chosen(other.predicted, fit.predicted, by_row[fit.simulator.starts]),
         linear=linear,
-        noise=noise,
-        normal=normal,
-    ), is_likelier
+        noise=lifted(noise, chain, linear.residual, fit.stated),
+    )
+    return _within(mixed), is_likelier
+
+
+def _within(fit: Fit) -> Fit:
+    """A fit with its noise estimated anew, where no parameter leaves its bounds."""
+    linear, noise, normal = _within_bounds(fit, fit.parameters, fit.linear, fit.noise)
+    return replace(fit, linear=linear, noise=noise, normal=normal)
 
 
 def _by_row(fit: Fit, values: np.ndarray) -> np.ndarray:

@@ -40,9 +40,9 @@ def measure_gain(
     noise = min(1.0, float(whole[1] / whole[2]))
     explained, drawn = float(_explained(whole, noise)), _explained(draws, noise)
     is_noise = np.isnan(explained) or np.mean(np.isnan(drawn)) > _BEYOND
-    low, high = _interval(_removed(draws))
+    removed, low, high = _removed_within(whole, draws)
     return Gain(
-        sse_removed=float(_removed(whole)),
+        sse_removed=removed,
         low=low,
         high=high,
         explainable_fraction=None if is_noise else explained,
@@ -64,6 +64,11 @@ def share_removed(
     with _simulator_of(before, sealed, threads) as simulator:
         left = [residuals_of(fit, simulator) for fit in (before, after)]
     whole, draws = _sums(_innovations(left, after.noise, sealed.is_measured()), rng)
+    return _removed_within(whole, draws)
+
+
+def _removed_within(whole: Vector, draws: Matrix) -> tuple[float, float, float]:
+    """The share that the effects remove, and its interval."""
     return float(_removed(whole)), *_interval(_removed(draws))
 
 

@@ -137,22 +137,19 @@ class Scan:
     def alone(self, sizes: Sequence[Effect]) -> Candidate:
         """The candidate at the best of the sizes where the response of its effect may differ."""
         best = self._nothing(sizes[:1])
-        nearest = np.full(len(best.limits), np.inf)
+        limits, nearest = best.limits, np.full(len(best.limits), np.inf)
         for effect in sizes:
             candidate = self._at([effect])
-            if candidate is None or (candidate.gain <= best.gain and best.gain > 0):
+            if candidate is None:
                 continue
-            if candidate.gain > 0:
+            if candidate.gain > max(best.gain, 0.0):
                 best = candidate
-                continue
-            # no evidence, but a detection limit; by the size that is nearest to it, because others'
-            # responses are not in proportion
+            # the limit by the size that is nearest to it: others' responses are not in proportion
             with np.errstate(divide="ignore", invalid="ignore"):
                 apart = np.abs(np.log(candidate.limits / np.abs(effect.values)))
-            is_nearer = apart < nearest
-            limits = np.where(is_nearer, candidate.limits, best.limits)
-            best, nearest = replace(best, limits=limits), np.where(is_nearer, apart, nearest)
-        return best
+            limits = np.where(apart < nearest, candidate.limits, limits)
+            nearest = np.fmin(apart, nearest)
+        return replace(best, limits=limits)
 
     def together(self, members: Sequence[Candidate]) -> Candidate:
         """A group, without the places whose strength would make no sense."""

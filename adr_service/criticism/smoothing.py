@@ -57,7 +57,7 @@ def smooth(
     with threadpool_limits(1), Simulator(nominal, measurement, threads=1) as simulator:
         sensor = np.where(is_measured(task), np.nan, _UNREAD**2)
         current = fit(simulator, sensor, source.effects)
-        everywhere = np.ones(len(current.held_out))
+        everywhere = np.ones(len(current.linear.residual))
         for number in range(1, _ROUNDS + 1):
             progress(number / (_ROUNDS + 1))
             current = linearised(current, everywhere).settled

@@ -36,7 +36,7 @@ _OTHER_STARTS = (0.5, 2.0)  # times the estimated strengths
 class Weighed:
     """A candidate as the newest effect of a fit, and the evidence for it."""
 
-    effects: tuple[Effect, ...]  # as they were tried: one, or a group
+    effects: tuple[Effect, ...]  # as they were asked: one, or a group
     fit: Fit
     gains: Vector  # (E,) nats
     confidence: float
@@ -106,10 +106,10 @@ def weigh(
 
 def _first_look(current: Fit, effects: Sequence[Effect], without: Vector) -> Weighed | None:
     """Effects at the strengths that they have or, where these make the data less likely, at half of
-    them: what is linear as a contact begins bends soon. None: they cannot be simulated."""
+    them: near a contact the linear estimate is often too strong. None: they cannot be simulated."""
     first: Weighed | None = None
-    for start in (effects, _times(effects, 0.5)):
-        fit = tried(current, [*current.effects, *start])
+    for factor in (1.0, 0.5):
+        fit = tried(current, [*current.effects, *_times(effects, factor)])
         if fit is not None and (first is None or fit.held_out.sum() > first.fit.held_out.sum()):
             first = Weighed(tuple(effects), fit, fit.held_out - without, 0.0)
         if first is not None and first.gain > 0:

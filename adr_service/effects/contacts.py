@@ -54,7 +54,7 @@ SOFTNESS = Mechanism(
     typical=lambda model, geom: (0.1,),
     change=_softness,
     applies=_has_time_constant,
-    sizes=(1.0, -5.0, 5.0, 20.0),  # nobody measures it, and a few touches are soon all outliers
+    sizes=(1.0, -5.0, 5.0, 20.0),  # a large change makes outliers of the few touches
 )
 
 

@@ -91,7 +91,7 @@ def _check_has(client: AdrClient, id: str, asked: Sequence[str]) -> None:
 def _write_figures(client: AdrClient, id: str, folder: Path) -> None:
     files = [folder / f"{name}{kind}" for name in client.figures(id) for kind in _KINDS]
     if not files:
-        raise InvalidInput(f"{id} has nothing to draw yet")
+        raise InvalidInput(f"{id} has nothing to draw")
     folder.mkdir(parents=True, exist_ok=True)
     check_absent(*files)
     drawn = {file: client.figure(id, file.name) for file in files}  # all, or nothing is written

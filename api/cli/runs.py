@@ -214,8 +214,10 @@ def resume(id: Id, url: Url = None, as_json: AsJson = False) -> None:
     """Continue a failed or cancelled run or benchmark, once what is being cancelled has stopped."""
     with connect(url) as client:
         seen, until = client.get(id), time.monotonic() + _STOPPING_S
+        if _is_stopping(seen):
+            errors.print("waiting for what is being cancelled")
         while _is_stopping(seen) and time.monotonic() < until:
-            time.sleep(1.0)
+            time.sleep(2.0)
             seen = client.get(id)
         states = seen.get("states")  # of a benchmark; a run is refused by the service
         answer = client.resume(id)

@@ -21,7 +21,7 @@ def test_the_headline_counts_stages_that_wait_for_cores_and_for_robots():
     }
     assert headline(seen) == (
         "0/1 runs done; now simopt/0 infer 50%; 1 stage waits for a core; "
-        "3 episodes are for a robot of arm to do"
+        "3 episodes left for a robot of arm"
     )
 
 

@@ -199,3 +199,32 @@ def test_states_are_part_of_the_way_to_the_most_probable_ones(baseline):
     )
     np.testing.assert_array_equal(none.states, baseline.states)
     np.testing.assert_allclose(half.states, (whole.states + baseline.states) / 2, atol=1e-12)
+
+
+def test_states_that_make_every_episode_less_likely_are_approached_by_half(baseline, monkeypatch):
+    shares = []
+
+    def spoiling(fit, share):
+        shares.append(share[0])
+        if len(shares) == 1:  # parameters settle about these
+            return linearised(fit, share)
+        return linearised(replace(fit, states=fit.states + 0.1), np.zeros(len(share)))
+
+    monkeypatch.setattr(evidence, "linearised", spoiling)
+    found = smoothed(baseline)
+    assert shares == [1.0, 1.0, 0.5]
+    np.testing.assert_array_equal(found.states, linearised(baseline, np.ones(12)).states)
+
+
+def test_a_parameter_at_its_bound_stays_there_as_states_are_chosen(baseline):
+    """Misfit that only a parameter beyond its bound would explain is evidence."""
+    space, linear = baseline.simulator.nominal.space, baseline.linear
+    beyond = 0.1 * (space.high - space.low)
+    misfit = linear.columns[..., : len(beyond)] @ beyond
+    asked = replace(
+        baseline,
+        parameters=space.high,
+        linear=replace(linear, residual=linear.residual + misfit),
+    )
+    kept = evidence._within(asked)
+    assert np.all(kept.normal.change()[0][: len(beyond)] < 0.01 * beyond)

@@ -192,13 +192,15 @@ def test_responses_of_an_earlier_fit_count_where_the_later_one_simulates(baselin
     np.testing.assert_allclose([c.gain for c in one], [c.gain for c in other], rtol=1e-6)
 
 
-def test_of_sizes_without_evidence_the_one_nearest_to_its_limit_says_the_limit(monkeypatch):
-    """By a response that is not in proportion, much less would be enough."""
+@pytest.mark.parametrize("gain", [0.0, 0.1])
+def test_the_size_that_is_nearest_to_its_limit_says_the_limit(gain, monkeypatch):
+    """By a response that is not in proportion, much less would be enough, also where it gains."""
     sizes = [Effect("contact_softness", "geom:sole", (size,)) for size in (0.1, 0.5, 2.0)]
     limits = dict(zip(sizes, ([0.001], [0.7], [9.0]), strict=True))
 
     def at(self, tried):
-        return Candidate(tuple(tried), tuple(tried), np.zeros(2), np.array(limits[tried[0]]))
+        gains = np.array([gain, 0.0]) * (tried[0] == sizes[0])
+        return Candidate(tuple(tried), tuple(tried), gains, np.array(limits[tried[0]]))
 
     monkeypatch.setattr(Scan, "_at", at)
     look = object.__new__(Scan)
@@ -206,4 +208,4 @@ def test_of_sizes_without_evidence_the_one_nearest_to_its_limit_says_the_limit(m
     found = look.alone(sizes)
     assert found.limits == [0.7]
     assert found.tried == (sizes[0],)
-    assert found.gain == 0
+    assert found.gain == gain

@@ -47,7 +47,7 @@ def test_finer_steps_are_not_tried_again_where_they_are_fine_enough(in_thirds):
     assert "in_finer_steps" not in vars(finer.simulator)
 
 
-def test_finer_steps_that_make_the_data_no_likelier_are_refused(in_thirds, monkeypatch):
+def test_finer_steps_that_are_not_likelier_beyond_chance_are_refused(in_thirds, monkeypatch):
     monkeypatch.setattr(steps, "gained", lambda finer, current: np.full(12, 0.1))
     assert in_finer_steps(in_thirds, 1) is in_thirds
 
