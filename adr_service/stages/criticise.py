@@ -62,11 +62,11 @@ class Criticise(Stage[Criticised]):
     # a simulation that diverges within a control step is not taken for one that stands still,
     # effects in one sensor act one after the other, fits go on until their parameters have settled
     # and within their bounds, and causes whose strengths may all be zero are not named, 19: what a
-    # link carries is judged by the robot's mass, and not by its own alone, 20: states smoothed until
-    # the data become no likelier, finer steps kept where they are likelier beyond chance, softness
-    # of contacts and offsets of references tried at more sizes, and effects that were too strong
-    # again at half, intervals of short recordings that hold less, detection limits by the nearest
-    # size, and two places of a group of three named apart
+    # link carries is judged by the robot's mass, and not by its own alone, 20: states are
+    # smoothed until the data become no likelier, finer steps kept where they are likelier beyond
+    # chance, softness of contacts and offsets of references tried at more sizes, and effects that
+    # were too strong again at half, intervals of short recordings that hold less, detection
+    # limits by the nearest size, and two places of a group of three named apart
     version: ClassVar = 20
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
