@@ -59,9 +59,7 @@ def results(
         raise InvalidInput(f"{id} is no run, and has no single policy or distribution; adr list")
     if figure is not None and figure.suffix not in _KINDS:
         raise InvalidInput(f"a figure ends in {', '.join(_KINDS)}; given {figure.name}")
-    for file in (figure, distribution, policy):
-        if file is not None:
-            check_new(file)
+    _check_places((figure, distribution, policy), figures)
     with connect(url) as client:
         _check_has(client, id, given)
         if figure is not None:
@@ -76,6 +74,15 @@ def results(
             _show_cost(client, id, as_json)
         else:
             _show_table(client, id, csv, as_json, compare)
+
+
+def _check_places(files: Sequence[Path | None], folder: Path | None) -> None:
+    """Refuse files that are there already, and a folder that is a file."""
+    for file in files:
+        if file is not None:
+            check_new(file)
+    if folder is not None and folder.exists():
+        folder.mkdir(exist_ok=True)  # raises for a file
 
 
 def _check_has(client: AdrClient, id: str, asked: Sequence[str]) -> None:
