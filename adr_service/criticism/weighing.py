@@ -105,14 +105,15 @@ def weigh(
 
 
 def _first_look(current: Fit, effects: Sequence[Effect], without: Vector) -> Weighed | None:
-    """Effects at the strengths that they have or, where these make the data less likely, at half of
-    them: near a contact the linear estimate is often too strong. None: they cannot be simulated."""
+    """Effects at the strengths that they have or, where these are no evidence, at half of them if
+    that is likelier: near a contact the linear estimate is often too strong. None: they cannot be
+    simulated."""
     first: Weighed | None = None
     for factor in (1.0, 0.5):
         fit = tried(current, [*current.effects, *_times(effects, factor)])
         if fit is not None and (first is None or fit.held_out.sum() > first.fit.held_out.sum()):
             first = Weighed(tuple(effects), fit, fit.held_out - without, 0.0)
-        if first is not None and first.gain > 0:
+        if first is not None and first.gain > THRESHOLD:
             break
     return first
 
