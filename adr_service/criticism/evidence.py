@@ -43,9 +43,9 @@ from adr_service.effects.models import amounts, plausible_of, sensible, typical_
 
 _STEPS, _REFUSED = 15, 3  # at most; and so many that were refused, one after the other
 _CONVERGED = 0.3  # [nats] that a step gains at least
-_SMOOTHINGS = 10  # at most, after each of which parameters settle
-_PASSES = 5  # at most, after these
-_SMOOTH = 10.0  # [nats] that a pass gains, or the one after it, or it was the last
+_SMOOTHINGS = 10  # at most, until parameters and strengths stay where they are
+_PASSES = 5  # over the states alone, at most
+_SMOOTH = 10.0  # [nats]; two passes that gain less were the last
 _NEAR = 0.25  # of a value, or of a typical strength: so far, derivatives by it hardly change
 _HELD = 1e-6  # of its range, the deviation of a parameter that goes no further
 

@@ -121,19 +121,29 @@ def test_candidates_are_weighed_beside_misfit_that_persists(pushed_and_rubbing):
     assert alike[0].gain < 0.9 * (alike[0].fit.held_out - pushed_and_rubbing.held_out).sum()
 
 
-@pytest.mark.parametrize(("strongest", "started"), [(0.3, 0.2), (0.15, 0.1), (0.05, 0.1)])
-def test_strengths_that_make_the_data_less_likely_are_looked_at_again_at_half(
-    strongest, started, friction, monkeypatch
+@pytest.mark.parametrize(
+    ("whole", "half", "started"),
+    [
+        (100.0, 200.0, 0.2),
+        (11.0, 69.0, 0.1),
+        (-5.0, 10.0, 0.1),
+        (11.0, 3.0, 0.2),
+        (-5.0, -9.0, 0.2),
+    ],
+)
+def test_strengths_that_are_no_evidence_are_looked_at_again_at_half(
+    whole, half, started, friction, monkeypatch
 ):
-    """Above the strongest, the effect explains less than nothing, the more so the stronger."""
+    gains = {0.2: whole, 0.1: half}
 
     def tried(fit, effects):
-        (strength,) = effects[0].values
-        gain = 1.0 if strength < strongest else -strength
-        return SimpleNamespace(effects=tuple(effects), held_out=np.full(3, gain))
+        return SimpleNamespace(
+            effects=tuple(effects), held_out=np.array([gains[effects[0].values[0]]])
+        )
 
     monkeypatch.setattr(weighing, "tried", tried)
     effects = [replace(friction, values=(0.2,))]
-    look = weighing._first_look(SimpleNamespace(effects=()), effects, np.zeros(3))
-    assert look.fit.effects[0].values == pytest.approx((started,))
+    look = weighing._first_look(SimpleNamespace(effects=()), effects, np.zeros(1))
+    assert look.fit.effects[0].values == (started,)
+    assert look.gain == gains[started]
     assert look.effects == tuple(effects)
