@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from adr_service.criticism.decision import is_evidence
+from adr_service.criticism.evidence import tried
 from adr_service.criticism.naming import block_of, name_effects
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import scan
@@ -86,3 +87,9 @@ def test_a_group_that_the_others_make_superfluous_does_not_stand_and_takes_no_ev
 
 def test_nothing_is_no_block(baseline):
     assert block_of(baseline, ()) is None
+
+
+def test_strengths_that_predict_worse_than_nothing_are_no_block(baseline, friction):
+    far_off = replace(SPRING, values=(50.0,))
+    assert tried(baseline, [friction, far_off]).held_out.sum() < baseline.held_out.sum()
+    assert block_of(baseline, ((friction,), (far_off,))) is None
