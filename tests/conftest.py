@@ -16,13 +16,16 @@ from tests.postgresql import Server, start_server
 from tests.recordings import load_hopper
 from tests.service import RunningService, start_service
 
+# folders whose tests share what is dear to make: a service, a benchmark, fits
+_TOGETHER = ("tests/api/", "tests/benchmark/", "tests/criticism/")
+
 
 class _ByFile(LoadFileScheduling):
-    """The tests of a file run in one process, and so do those that share a benchmark."""
+    """The tests of a file run in one process, and so do those of some folders."""
 
     def _split_scope(self, nodeid: str) -> str:
         path = super()._split_scope(nodeid)
-        return "tests/benchmark" if path.startswith("tests/benchmark/") else path
+        return next((folder for folder in _TOGETHER if path.startswith(folder)), path)
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> LoadFileScheduling:

@@ -13,7 +13,9 @@ LEARNING = [name for name, each in methods().items() if each.learns_from != "not
 
 
 @pytest.mark.parametrize("name", LEARNING)
-@pytest.mark.parametrize("collector", ["simopt", "random_matched"])
+@pytest.mark.parametrize(
+    "collector", ["simopt", pytest.param("random_matched", marks=pytest.mark.slow)]
+)
 def test_no_method_reads_more_of_the_target_than_its_meter_shows(name, collector):
     if collector != "simopt" and methods()[name].learns_from != "recordings":
         pytest.skip("only offline methods learn from what others collect")

@@ -77,7 +77,8 @@ def test_a_joint_that_hardly_moves_has_no_waves():
 
 
 def test_a_ripple_is_named_beside_friction_with_how_often_it_repeats():
-    data = rippling(17.3, Effect("joint_coulomb_friction", "joint:elbow", (0.02,)))
+    friction = Effect("joint_coulomb_friction", "joint:elbow", (0.02,))
+    data = rippling(17.3, friction).episodes(range(12))
     verdict = criticise(arm()[1], data, np.random.default_rng(0), threads=1).verdict
     found = {(cause.kind, cause.location): cause.strengths for cause in verdict.causes}
     kinds = ("joint_torque_ripple", "joint_coulomb_friction")
@@ -89,6 +90,7 @@ def test_a_ripple_is_named_beside_friction_with_how_often_it_repeats():
     assert waves.value == pytest.approx(17.3, rel=0.01)
 
 
+@pytest.mark.slow
 def test_friction_that_varies_with_load_or_position_is_named_as_that():
     truth = [
         Effect("joint_load_dependent_friction", "joint:elbow", (0.1,)),

@@ -77,7 +77,7 @@ def test_a_hidden_effect_is_named_or_tied_with_what_equals_it(seed):
     assert verdict.gain.low < verdict.gain.sse_removed < verdict.gain.high
 
 
-@pytest.mark.parametrize("seed", [200, 201])
+@pytest.mark.parametrize("seed", [200, pytest.param(201, marks=pytest.mark.slow)])
 def test_where_nothing_is_hidden_the_verdict_has_only_detection_limits(seed):
     hidden = case(seed, count=0)
     found = criticise(hidden.nominal, hidden.measurement, np.random.default_rng(0), threads=1)
@@ -103,7 +103,11 @@ def test_where_data_have_no_noise_errors_of_computing_them_are_no_evidence():
 
 
 @pytest.mark.parametrize(
-    ("seed", "ratio", "effect"), [(300, 1.0, "gain_drift"), (302, 0.3, "disturbance")]
+    ("seed", "ratio", "effect"),
+    [
+        pytest.param(300, 1.0, "gain_drift", marks=pytest.mark.slow),
+        (302, 0.3, "disturbance"),
+    ],
 )
 def test_an_effect_that_is_not_in_the_catalogue_is_called_unknown(seed, ratio, effect):
     hidden = case(seed, ratio=ratio, outside=True)
@@ -226,6 +230,7 @@ def test_a_verdict_of_no_cause_is_less_sure_where_an_unknown_force_is_likely():
     assert _confidence_without(0.8, np.zeros(20)) == pytest.approx(0.8)
 
 
+@pytest.mark.slow
 def test_a_cause_whose_strength_may_be_zero_is_remarked_on_and_not_named(hidden, monkeypatch):
     """Its force is left, and a flexible force finds it."""
     monkeypatch.setattr(revision, "may_be_nothing", lambda fit, slot: True)

@@ -117,7 +117,7 @@ def test_the_environment_reports_the_dynamics_and_the_return_of_episodes_that_en
     assert len(heard) > 3
 
 
-@pytest.mark.parametrize("algorithm", ["sac", "ppo"])
+@pytest.mark.parametrize("algorithm", ["ppo", pytest.param("sac", marks=pytest.mark.slow)])
 def test_a_training_draws_from_its_curriculum_and_is_judged_on_the_distribution(algorithm):
     given = settings(algorithm, max_steps=9600, evaluate_every=4800, stop_at_threshold=False)
     walk = Walk(episodes=12)

@@ -163,7 +163,11 @@ def test_one_update_is_the_same_in_both_backends(no_noise, algorithm, weights, a
 
 @pytest.mark.parametrize(
     ("algorithm", "stock", "updates"),
-    [("sac", "SAC", 4), ("crossq", "CrossQ", 4), ("crossq", "CrossQ", 13)],
+    [
+        ("sac", "SAC", 4),
+        ("crossq", "CrossQ", 4),
+        pytest.param("crossq", "CrossQ", 13, marks=pytest.mark.slow),
+    ],
 )
 def test_several_updates_are_those_of_the_stock_library(algorithm, stock, updates):
     """Both draw the same random numbers, so that only rounding differs."""

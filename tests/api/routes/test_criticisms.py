@@ -75,6 +75,7 @@ def test_the_report_is_a_page(service, criticised):
     assert "What arm, vanilla gets wrong" in response.text
 
 
+@pytest.mark.slow
 def test_the_verdict_is_the_same_without_a_service(service, content, uploaded, criticised):
     spec = CriticismSpec(task="arm", dataset=uploaded["id"])
     (finished,) = [e for e in run(spec, LocalStages(), content) if isinstance(e, CriticismFinished)]
