@@ -107,10 +107,10 @@ def simulated(folder: Path) -> Names:
 
 
 def fitted(folder: Path) -> Names:
-    from adr_service.criticism import evidence
+    from adr_service.criticism import evidence, probable_states
 
-    names = {**vars(evidence), **simulated(folder)}
-    baseline = evidence.smoothed(evidence.fit(names["simulator"], names["sensor"]))
+    names = {**vars(evidence), **vars(probable_states), **simulated(folder)}
+    baseline = probable_states.smoothed(evidence.fit(names["simulator"], names["sensor"]))
     effect = Effect("joint_coulomb_friction", "joint:elbow", (0.15,))
     return {**names, "baseline": baseline, "effect": effect}
 

@@ -66,6 +66,7 @@ NAMES: dict[str, Callable[..., dict[str, Any]]] = {
     "adr_service.criticism.measurements": names.measurement_file,
     "adr_service.criticism.motions": names.random_motions,
     "adr_service.criticism.periods": names.scanned,
+    "adr_service.criticism.probable_states": names.fitted,
     "adr_service.criticism.steps": names.fitted,
     "adr_service.criticism.pipeline": names.arm_with_an_effect,
     "adr_service.criticism.responses": names.fitted,

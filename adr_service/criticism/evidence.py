@@ -1,6 +1,6 @@
 """Evidence for effects: how much better the data are predicted with them than without.
 
-    baseline = smoothed(fit(simulator, sensor))  # free parameters, noise, smoothed states
+    baseline = fit(simulator, sensor)  # free parameters and noise
     candidates = scan(baseline, Responses(baseline))     # every (kind, location), linearised
     refined = refine(baseline, candidates[0].effects)  # nonlinear, with its own noise
 
@@ -32,21 +32,17 @@ from adr_service.criticism.linearisation import (
     INTEGRATION,
     by_strengths,
     linearise,
-    root_of,
     tiny_root,
     with_priors,
 )
-from adr_service.criticism.noise import Chain, Noise, Whitener, at_start, lifted, misfit_variance
+from adr_service.criticism.noise import Chain, Noise, at_start, lifted, misfit_variance
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.effects.models import amounts, plausible_of, sensible, typical_of
 
 _STEPS, _REFUSED = 15, 3  # at most; and so many that were refused, one after the other
 _CONVERGED = 0.3  # [nats] that a step gains at least
-_SMOOTHINGS = 10  # at most, until parameters and strengths stay where they are
-_PASSES = 5  # over the states alone, at most
-_SMOOTH = 10.0  # [nats]; two passes that gain less were the last
-_NEAR = 0.25  # of a value, or of a typical strength: so far, derivatives by it hardly change
+NEAR = 0.25  # of a value, or of a typical strength: so far, derivatives by it hardly change
 _HELD = 1e-6  # of its range, the deviation of a parameter that goes no further
 
 
@@ -128,106 +124,6 @@ def fit(simulator: Simulator, sensor: Vector, effects: Sequence[Effect] = ()) ->
     noise, normal = estimate(linear, lifted(noise, linear.chain, linear.residual, known), known)
     at = (start, own, states, predicted)
     return Fit(simulator, sensor, layout, *at, linear, noise, normal, known=len(own)).settled
-
-
-def smoothed(fit: Fit) -> Fit:
-    """A fit anew, around the states that are the most probable under it.
-
-    And again where its parameters or strengths have come far, because its derivatives are those of
-    before, and then while this makes the data likelier. Episodes that the new states make less
-    likely keep theirs then, and go half the way next: beyond a touch, what was linear is something
-    else.
-    """
-    share = np.ones(len(fit.linear.residual))
-    for _ in range(_SMOOTHINGS):
-        before, fit = fit, linearised(fit, share).settled
-        is_near = _are_near(fit.simulator, before.effects, fit.effects)
-        if is_near and _have_stayed(before.parameters, fit):
-            break
-    small = 0  # gains, one after the other
-    for _ in range(_PASSES):
-        other, is_likelier = _likelier_of(fit, _within(linearised(fit, share)))
-        gain = float(other.held_out.sum() - fit.held_out.sum())
-        fit = other if gain > 0 else fit
-        share = np.where(is_likelier & (gain > 0), 1.0, share / 2)
-        small = small + 1 if gain < _SMOOTH else 0
-        if small == 2 or (small == 1 and is_likelier.all()):
-            break
-    return fit.settled
-
-
-def _have_stayed(before: Vector, fit: Fit) -> bool:
-    """True if all parameters are within a quarter, or a standard deviation, of what they were."""
-    deviation = np.sqrt(np.diagonal(fit.normal.change()[1])[: len(before)])
-    reach = np.maximum(_NEAR * np.abs(before), deviation)
-    return bool(np.all(np.abs(fit.parameters - before) <= reach))
-
-
-def linearised(fit: Fit, share: Vector) -> Fit:
-    """A fit's values, linear about states that are a share (E,) of the way from its own to those
-    that are the most probable under it."""
-    simulator, layout = fit.simulator, fit.layout
-    whitener = Whitener.of(fit.linear.chain, fit.noise)
-    errors, covariance = whitener.sensor_errors(fit.left)
-    probable = simulator.measured - layout.by_row(simulator, errors)
-    way = _by_row(fit, share)[:, None]
-    states = way * probable + (1 - way) * fit.states
-    root = root_of(layout.by_row(simulator, covariance), tiny_root(simulator))
-    linear, predicted = linearise(simulator, layout, fit.parameters, fit.effects, states, root)
-    linear = _supposed(fit, linear, fit.effects)
-    start = lifted(fit.noise, linear.chain, linear.residual, fit.stated)
-    noise, normal = estimate(linear, start, fit.stated)
-    return replace(
-        fit, states=states, predicted=predicted, linear=linear, noise=noise, normal=normal
-    )
-
-
-def _likelier_of(fit: Fit, other: Fit) -> tuple[Fit, Mask]:
-    """Each episode as one of two fits has it that differ in their states alone, whichever simulates
-    more of it or makes it likelier, and (E,) true where that is the other."""
-    counts, more = (each.linear.chain.mask.sum(axis=1) for each in (fit, other))
-    is_likelier = (more > counts) | ((more == counts) & (other.held_out > fit.held_out))
-    if is_likelier.all():
-        return other, is_likelier
-
-    def chosen(new: np.ndarray, old: np.ndarray, which: Mask = is_likelier) -> np.ndarray:
-        return np.where(which.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-
-    new, old, by_row = other.linear, fit.linear, _by_row(fit, is_likelier)
-    chain = replace(
-        new.chain,
-        mask=chosen(new.chain.mask, old.chain.mask),
-        transition=chosen(new.chain.transition, old.chain.transition),
-        stiff=chosen(new.chain.stiff, old.chain.stiff),
-    )
-    linear = replace(
-        new,
-        chain=chain,
-        residual=chosen(new.residual, old.residual),
-        columns=chosen(new.columns, old.columns),
-    )
-    noise = replace(other.noise, weights=chosen(other.noise.weights, fit.noise.weights))
-    mixed = replace(
-        fit,
-        states=chosen(other.states, fit.states, by_row),
-        predicted=chosen(other.predicted, fit.predicted, by_row[fit.simulator.starts]),
-        linear=linear,
-        noise=lifted(noise, chain, linear.residual, fit.stated),
-    )
-    return _within(mixed), is_likelier
-
-
-def _within(fit: Fit) -> Fit:
-    """A fit with its noise estimated anew, where no parameter leaves its bounds."""
-    linear, noise, normal = _within_bounds(fit, fit.parameters, fit.linear, fit.noise)
-    return replace(fit, linear=linear, noise=noise, normal=normal)
-
-
-def _by_row(fit: Fit, values: np.ndarray) -> np.ndarray:
-    """Values (E,) of episodes for each row (rows,)."""
-    return np.concatenate(
-        [np.repeat(v, b - a) for v, (a, b) in zip(values, fit.simulator.data.spans(), strict=True)]
-    )
 
 
 def held_out_without(fit: Fit, gone: Sequence[int]) -> Vector:
@@ -315,7 +211,7 @@ def improved(fit: Fit, first: Fit) -> Fit:
         within = limited(space, best.parameters, step)
         parameters = moved(space, best.parameters, within)
         effects = _strengthened(best.effects, step[fit.integration.stop :])
-        known = best if _are_near(fit.simulator, about, effects) else None
+        known = best if are_near(fit.simulator, about, effects) else None
         other = _evaluated(fit, parameters, effects, best.noise, known)
         more = -np.inf if other is None else _likelier_by(other, best)
         if other is None or not more > 0:
@@ -369,10 +265,10 @@ def _evaluated(
         return None
     chain, residual = fit.linear.chain, fit.linear.residual - moved
     linear = with_priors(chain, residual, columns, len(parameters))
-    linear = _supposed(fit, linear, effects)
+    linear = supposed(fit, linear, effects)
     try:
         start = _likelier(fit, linear) if noise is None else noise
-        linear, noise, normal = _within_bounds(fit, parameters, linear, start)
+        linear, noise, normal = within_bounds(fit, parameters, linear, start)
     except np.linalg.LinAlgError:  # what it leaves has no finite variance beside exact readings
         return None
     return replace(
@@ -386,7 +282,7 @@ def _evaluated(
     )
 
 
-def _within_bounds(
+def within_bounds(
     fit: Fit, parameters: Vector, linear: Linear, start: Noise
 ) -> tuple[Linear, Noise, Normal]:
     """`estimate`, with the parameters held that would leave their bounds.
@@ -437,17 +333,17 @@ def _folded(fit: Fit, changes: np.ndarray) -> np.ndarray:
     return folded
 
 
-def _are_near(simulator: Simulator, before: Sequence[Effect], after: Sequence[Effect]) -> bool:
+def are_near(simulator: Simulator, before: Sequence[Effect], after: Sequence[Effect]) -> bool:
     """True if all strengths are within a quarter of what they were, or of a typical one."""
     for one, other in zip(before, after, strict=True):
         typical = typical_of(simulator.base, one.kind, one.location)
-        reach = _NEAR * np.maximum(np.abs(one.values), typical)
+        reach = NEAR * np.maximum(np.abs(one.values), typical)
         if np.any(np.abs(np.subtract(other.values, one.values)) > reach):
             return False
     return True
 
 
-def _supposed(fit: Fit, linear: Linear, effects: Sequence[Effect]) -> Linear:
+def supposed(fit: Fit, linear: Linear, effects: Sequence[Effect]) -> Linear:
     """The linear model with the priors of all effects that are not known to be there."""
     added = effects[fit.known :]
     if not added:

@@ -16,15 +16,9 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import THRESHOLD, decide, is_evidence
-from adr_service.criticism.evidence import (
-    Fit,
-    held_out_without,
-    improved,
-    refine,
-    smoothed,
-    tried,
-)
+from adr_service.criticism.evidence import Fit, held_out_without, improved, refine, tried
 from adr_service.criticism.inverse import Group
+from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.revision import narrowed, pruned, reconsidered
 from adr_service.criticism.scan import Candidate, scan

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from adr_service.arrays import Vector
 from adr_service.criticism.compatibility import check_measurement
 from adr_service.criticism.decision import THRESHOLD, is_unknown
-from adr_service.criticism.evidence import Fit, fit, gained, smoothed
+from adr_service.criticism.evidence import Fit, fit, gained
 from adr_service.criticism.experiments import separating_experiment
 from adr_service.criticism.extension import Extension, NotWritable, extend
 from adr_service.criticism.flexible_force import Unexplained, unexplained
@@ -31,6 +31,7 @@ from adr_service.criticism.inverse import Group, needed_effects
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.naming import Block, block_of, name_effects
 from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.remarks import (
     on_commands,
     on_implausible,

@@ -14,15 +14,9 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import THRESHOLD, TIE, is_evidence
-from adr_service.criticism.evidence import (
-    Fit,
-    gained,
-    held_out_where,
-    held_out_without,
-    refine,
-    smoothed,
-)
+from adr_service.criticism.evidence import Fit, gained, held_out_where, held_out_without, refine
 from adr_service.criticism.intervals import may_be_nothing
+from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import scan
 from adr_service.criticism.weighing import (

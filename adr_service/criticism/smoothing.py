@@ -15,8 +15,9 @@ from threadpoolctl import threadpool_limits
 
 from adr_service.arrays import Vector, frozen
 from adr_service.criticism.compatibility import check_size, check_state
-from adr_service.criticism.evidence import fit, linearised
+from adr_service.criticism.evidence import fit
 from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.probable_states import linearised
 from adr_service.criticism.recordings import is_measured, measurement_of, observed
 from adr_service.criticism.simulator import Simulator
 from adr_service.progress import Progress, silent

@@ -13,8 +13,9 @@ from functools import partial
 import numpy as np
 
 from adr_service.criticism.decision import THRESHOLD, beats
-from adr_service.criticism.evidence import Fit, gained, smoothed
+from adr_service.criticism.evidence import Fit, gained
 from adr_service.criticism.noise import Whitener
+from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.simulator import FINER, Simulator, is_first_order
 
 _FINEST = FINER**2  # steps for one of the model's

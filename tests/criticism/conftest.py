@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import draw_case, hide
-from adr_service.criticism.evidence import fit, refine, smoothed
+from adr_service.criticism.evidence import fit, refine
 from adr_service.criticism.extension import extend
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
+from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.parameters import ParameterSpace

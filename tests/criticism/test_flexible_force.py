@@ -7,11 +7,12 @@ import pytest
 from adr_service.blind_test.outside import Force
 from adr_service.blind_test.planting import draw_case, hide
 from adr_service.criticism.decision import is_evidence
-from adr_service.criticism.evidence import fit, refine, smoothed
+from adr_service.criticism.evidence import fit, refine
 from adr_service.criticism.flexible_force import _own_forces, unexplained
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import split
+from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.parameters import ParameterSpace

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import hide
-from adr_service.criticism.evidence import fit, gained, held_out_without, refine, smoothed
+from adr_service.criticism.evidence import fit, gained, held_out_without, refine
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.periods import waves_in_turn
 from adr_service.criticism.pipeline import criticise
+from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import scan
 from adr_service.criticism.simulator import Simulator

@@ -8,7 +8,8 @@ import pytest
 from adr_service.blind_test.planting import hide
 from adr_service.criticism import revision
 from adr_service.criticism.decision import THRESHOLD
-from adr_service.criticism.evidence import fit, refine, smoothed
+from adr_service.criticism.evidence import fit, refine
+from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.revision import determined, narrowed, pruned, reconsidered
 from adr_service.criticism.simulator import Simulator

@@ -8,11 +8,12 @@ import pytest
 
 from adr_service.blind_test.planting import hide
 from adr_service.criticism.decision import THRESHOLD
-from adr_service.criticism.evidence import fit, smoothed
+from adr_service.criticism.evidence import fit
 from adr_service.criticism.linear import Normal
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import Candidate, Scan, location_of, places, scan
 from adr_service.criticism.simulator import Simulator

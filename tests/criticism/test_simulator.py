@@ -9,9 +9,10 @@ import pytest
 from adr_service.blind_test.planting import hide
 from adr_service.criticism import nominal as nominals
 from adr_service.criticism.decision import THRESHOLD
-from adr_service.criticism.evidence import fit, refine, smoothed
+from adr_service.criticism.evidence import fit, refine
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.effects import models
 from adr_service.effects.base import Effect

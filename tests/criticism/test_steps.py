@@ -8,8 +8,9 @@ import pytest
 
 from adr_service.blind_test.planting import hide
 from adr_service.criticism import steps
-from adr_service.criticism.evidence import fit, refine, smoothed
+from adr_service.criticism.evidence import fit, refine
 from adr_service.criticism.pipeline import criticise
+from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.simulator import Simulator
 from adr_service.criticism.steps import in_finer_steps, in_steps_of
 from adr_service.effects.base import Effect
