@@ -4,10 +4,11 @@
     candidates = scan(baseline, Responses(baseline))     # every (kind, location), linearised
     refined = refine(baseline, candidates[0].effects)  # nonlinear, with its own noise
 
-All fits are Gauss-Newton steps on whitened one-step residuals around smoothed states. A gain is
-the log-likelihood, in nats, of episodes that were left out one at a time from the fit, with the
-effect minus without. What the free parameters can explain is not evidence: they are fitted in both.
-Nor is what a smaller simulator step would change, which is fitted as if it were a parameter.
+All fits are Gauss-Newton steps on whitened one-step residuals around states: the measured ones, or
+the most probable ones (`probable_states.smoothed`), as everywhere in the search. A gain is the
+log-likelihood, in nats, of episodes that were left out one at a time from the fit, with the effect
+minus without. What the free parameters can explain is not evidence: they are fitted in both. Nor is
+what a smaller simulator step would change, which is fitted as if it were a parameter.
 """
 
 from collections.abc import Iterator, Sequence
@@ -265,10 +266,10 @@ def _evaluated(
         return None
     chain, residual = fit.linear.chain, fit.linear.residual - moved
     linear = with_priors(chain, residual, columns, len(parameters))
-    linear = supposed(fit, linear, effects)
+    linear = with_effect_priors(fit, linear, effects)
     try:
         start = _likelier(fit, linear) if noise is None else noise
-        linear, noise, normal = within_bounds(fit, parameters, linear, start)
+        linear, noise, normal = estimate_within_bounds(fit, parameters, linear, start)
     except np.linalg.LinAlgError:  # what it leaves has no finite variance beside exact readings
         return None
     return replace(
@@ -282,7 +283,7 @@ def _evaluated(
     )
 
 
-def within_bounds(
+def estimate_within_bounds(
     fit: Fit, parameters: Vector, linear: Linear, start: Noise
 ) -> tuple[Linear, Noise, Normal]:
     """`estimate`, with the parameters held that would leave their bounds.
@@ -343,7 +344,7 @@ def are_near(simulator: Simulator, before: Sequence[Effect], after: Sequence[Eff
     return True
 
 
-def supposed(fit: Fit, linear: Linear, effects: Sequence[Effect]) -> Linear:
+def with_effect_priors(fit: Fit, linear: Linear, effects: Sequence[Effect]) -> Linear:
     """The linear model with the priors of all effects that are not known to be there."""
     added = effects[fit.known :]
     if not added:

@@ -57,11 +57,12 @@ class Block:
 
 
 def block_of(start: Fit, groups: Sequence[Group]) -> Block | None:
-    """The groups together in a fit; None if there are none, nothing can be simulated, or their
-    strengths predict worse than nothing does.
+    """The groups together in a fit.
 
-    They do where contacts pass on most of a joint's force, because a small error of that asks for
-    anything: on HalfCheetah for what costs 80,000 nats, and two fifths of all the time to refine.
+    None if there are none, if the simulation diverges, or if left-out episodes are no likelier
+    with them than without, after one linear step. Where a robot touches the ground, inverse
+    dynamics asks for loads and springs that are far too large: on one HalfCheetah they cost
+    80,000 nats, and to refine them took two fifths of the time.
     """
     effects = [effect for group in groups for effect in group]
     first = tried(start, effects) if groups else None

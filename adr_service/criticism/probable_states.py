@@ -2,8 +2,7 @@
 
     baseline = smoothed(fit(simulator, sensor))
 
-Beyond a touch, what was linear is something else. So each episode keeps whichever states make it
-likelier.
+Recordings that are smoothed for methods are in `smoothing`.
 """
 
 from dataclasses import replace
@@ -11,7 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from adr_service.arrays import Mask, Vector
-from adr_service.criticism.evidence import NEAR, Fit, are_near, supposed, within_bounds
+from adr_service.criticism.evidence import (
+    NEAR,
+    Fit,
+    are_near,
+    estimate_within_bounds,
+    with_effect_priors,
+)
 from adr_service.criticism.linear import estimate
 from adr_service.criticism.linearisation import linearise, root_of, tiny_root
 from adr_service.criticism.noise import Whitener, lifted
@@ -26,8 +31,8 @@ def smoothed(fit: Fit) -> Fit:
 
     And again where its parameters or strengths have come far, because its derivatives are those of
     before, and then while this makes the data likelier. Episodes that the new states make less
-    likely keep theirs then, and go half the way next: beyond a touch, what was linear is something
-    else.
+    likely keep theirs then, and go half the way next: near a contact the linear model does not
+    hold.
     """
     share = np.ones(len(fit.linear.residual))
     for _ in range(_SMOOTHINGS):
@@ -65,7 +70,7 @@ def linearised(fit: Fit, share: Vector) -> Fit:
     states = way * probable + (1 - way) * fit.states
     root = root_of(layout.by_row(simulator, covariance), tiny_root(simulator))
     linear, predicted = linearise(simulator, layout, fit.parameters, fit.effects, states, root)
-    linear = supposed(fit, linear, fit.effects)
+    linear = with_effect_priors(fit, linear, fit.effects)
     start = lifted(fit.noise, linear.chain, linear.residual, fit.stated)
     noise, normal = estimate(linear, start, fit.stated)
     return replace(
@@ -110,7 +115,7 @@ def _likelier_of(fit: Fit, other: Fit) -> tuple[Fit, Mask]:
 
 def _within(fit: Fit) -> Fit:
     """A fit with its noise estimated anew, where no parameter leaves its bounds."""
-    linear, noise, normal = within_bounds(fit, fit.parameters, fit.linear, fit.noise)
+    linear, noise, normal = estimate_within_bounds(fit, fit.parameters, fit.linear, fit.noise)
     return replace(fit, linear=linear, noise=noise, normal=normal)
 
 

@@ -66,7 +66,8 @@ class Criticise(Stage[Criticised]):
     # smoothed until the data become no likelier, finer steps kept where they are likelier beyond
     # chance, softness of contacts and offsets of references tried at more sizes, and effects that
     # were too strong again at half, intervals of short recordings that hold less, detection
-    # limits by the nearest size, and two places of a group of three named apart
+    # limits by the nearest size, two places of a group of three named apart, and effects that
+    # forces ask for refined only where they predict better than none
     version: ClassVar = 20
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
