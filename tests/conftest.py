@@ -16,16 +16,24 @@ from tests.postgresql import Server, start_server
 from tests.recordings import load_hopper
 from tests.service import RunningService, start_service
 
-# folders whose tests share what is dear to make: a service, a benchmark, fits
-_TOGETHER = ("tests/api/", "tests/benchmark/", "tests/criticism/")
+# tests that share what is slow to make run in one process: a service, a benchmark, fits
+_TOGETHER = {
+    "tests/api/": "service",
+    "tests/browser/": "service",
+    "tests/client/": "service",
+    "tests/acceptance/test_lease_history": "service",
+    "tests/benchmark/": "benchmark",
+    "tests/criticism/": "fits",
+}
 
 
 class _ByFile(LoadFileScheduling):
-    """The tests of a file run in one process, and so do those of some folders."""
+    """The tests of a file run in one process, and so do those that share something."""
 
     def _split_scope(self, nodeid: str) -> str:
         path = super()._split_scope(nodeid)
-        return next((folder for folder in _TOGETHER if path.startswith(folder)), path)
+        shared = (name for start, name in _TOGETHER.items() if path.startswith(start))
+        return next(shared, path)
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> LoadFileScheduling:

@@ -86,6 +86,7 @@ def test_the_sample_of_the_docs_has_the_cause_that_they_tell(tmp_path, monkeypat
     assert found["parameters"]["stiffness"]["value"] == pytest.approx(1.5, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_log_of_the_docs_becomes_the_verdict_that_they_tell(tmp_path, monkeypatch, adr_here):
     page = (ROOT / "docs/logs.md").read_text()
     (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)

@@ -43,6 +43,7 @@ def test_actors_go_on_under_a_gcs_that_was_killed(cluster):
         ray.kill(actor)
 
 
+@pytest.mark.slow
 def test_a_gcs_that_was_started_again_ends_with_the_cluster(cluster):
     killed = child("gcs_server")
     killed.kill()

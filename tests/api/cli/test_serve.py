@@ -9,6 +9,7 @@ import pytest
 
 
 @pytest.mark.ray
+@pytest.mark.slow
 def test_a_service_that_cannot_compute_any_more_ends_with_status_1(tmp_path):
     """So that a supervisor starts it again, which no health check does everywhere."""
     code = """
