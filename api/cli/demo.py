@@ -15,6 +15,7 @@ from api.cli.signals import end_as_by_ctrl_c
 from api.cli.single_options import SingleOptionApp
 from api.cli.tables import results_table
 from api.cli.terminal import console, errors
+from api.settings import read_settings
 
 app = SingleOptionApp()
 BENCHMARK = {
@@ -47,6 +48,7 @@ def demo(
 
 def show(output: Console, data_dir: Path, port: int) -> Json | None:
     """Run `BENCHMARK` over REST on a service of its own; its results if all runs succeeded."""
+    later = read_settings().port  # of `adr serve`
     output.print(f"Starting the service on http://127.0.0.1:{port} (data in {data_dir}) …")
     with own_service(data_dir, port) as client:
         benchmark = client.submit_benchmark(BENCHMARK)
@@ -61,7 +63,7 @@ def show(output: Console, data_dir: Path, port: int) -> Json | None:
         _write_files(output, client, benchmark["id"], data_dir)
     output.print(
         f"The results stay in {data_dir}. To look at them again: adr serve --data-dir {data_dir}, "
-        f"then http://127.0.0.1:8000{page}"
+        f"then http://127.0.0.1:{later}{page}"
     )
     return results
 
