@@ -4,6 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Response, status
 
+from adr_service.specs.names import TaskName
 from api.parameters import DatasetId
 from api.routes.downloads import bytes_response
 from api.routes.paging import Page, PageSize, PageToken, page_of
@@ -36,7 +37,9 @@ def upload(
     content: Content,
     service: ServiceDependency,
     response: Response,
-    task: Annotated[str | None, Query(description="also check that it is of this task")] = None,
+    task: Annotated[
+        TaskName | None, Query(description="also check that it is of this task")
+    ] = None,
     name: Annotated[FileName | None, Query(description="of the file")] = None,
 ) -> DatasetView:
     """Store an `.npz` (docs/recordings.md, docs/criticism.md); equal bytes are one dataset.

@@ -93,6 +93,12 @@ def test_methods_that_visit_the_target_are_refused(service, uploaded):
         service.client.submit_run({**SMOKE, "target": target})
 
 
+def test_an_upload_for_a_task_that_is_not_there_is_invalid(service, content):
+    with pytest.raises(Refused, match=r"task.*hoper.*accepted.*hopper") as refused:
+        service.client.upload(content, "hoper")
+    assert refused.value.status == 422
+
+
 def test_bytes_that_are_no_npz_are_refused(service, http):
     with pytest.raises(Refused, match="not a readable"):
         service.client.upload(b"nothing")
