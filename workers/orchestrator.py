@@ -160,9 +160,14 @@ class Orchestrator:
             self._dispatcher.arrived(visit.digest)
 
     def _check_long_enough(self, visit: Visit, transitions: int) -> None:
-        """Refuse a rollout that is too short for the run's method, before it is stored."""
+        """Refuse a rollout that is too short for the run's method, before it is stored.
+
+        Of several random episodes, which it learns from together, any may be.
+        """
         spec = run_store.get_run(self._database, visit.run_id).spec
-        if isinstance(spec, RunSpec) and transitions < (least := spec.method.least_transitions):
+        if not isinstance(spec, RunSpec) or spec.collector == "random_matched":
+            return
+        if transitions < (least := spec.method.least_transitions):
             raise InvalidInput(
                 f"the rollout has {transitions} transitions; {spec.method.name} with steps = "
                 f"{least} learns from no fewer in a row"

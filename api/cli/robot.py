@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from adr_service.client import connect
@@ -41,6 +42,7 @@ Out = Annotated[Path | None, typer.Option(help="Measurement that --play makes, .
 
 @app.command()
 def robot(
+    ctx: typer.Context,
     env: Annotated[str, typer.Option(help="module:factory of a Gymnasium environment.")],
     task: Annotated[str, typer.Option(help="Task that the robot has: hopper, …")],
     name: Annotated[
@@ -65,10 +67,12 @@ def robot(
     if (play is None) != (out is None):
         alone = "--out" if play is None else "--play"
         raise InvalidInput(f"--play goes with --out; given is {alone} alone")
-    if play is not None and (episodes is not None or name is not None):
+    source = ctx.get_parameter_source("url")
+    has_url = source is not None and source.name == "COMMANDLINE"  # and not from ADR_URL
+    if play is not None and (episodes is not None or name is not None or has_url):
         raise InvalidInput(
-            "--episodes and --name go without --play, which sends all episodes of the plan, and "
-            "tells no service"
+            "--episodes, --name and --url go without --play, which sends all episodes of the plan, "
+            "and tells no service"
         )
     if play is not None and out is not None:
         _play(env, task, limits, play, out)
@@ -96,7 +100,8 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
     check_writable(out)  # before anything moves
     robot = load_environment(env)
     with closing_in_time(robot, limits.reset_seconds, _abandon):
-        check_environment(robot, about(known), limits)
+        every = np.concatenate(commands)
+        check_environment(robot, about(known), limits, (every.min(axis=0), every.max(axis=0)))
 
         def keep(played: "Playback") -> None:
             with written_whole(out) as part:

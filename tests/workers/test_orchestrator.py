@@ -127,6 +127,18 @@ def test_a_rollout_that_is_too_short_for_its_method_is_not_stored(database):
     assert upload(10).state == "done"
 
 
+def test_one_of_several_random_episodes_may_be_shorter_than_its_method_needs(database):
+    """The last of them is asked for no more than is still missing."""
+    given = {"task": "arm", "preset": "smoke", "target": {"kind": "external"}}
+    given |= {"method": {"name": "dropo", "steps": 10}, "collector": "random_matched"}
+    run = runs.create_run(database, RunSpec.model_validate(given))
+    leases.publish(database, run.id)
+    task, orchestrator = leases.claim(database, "a"), Orchestrator(database, RayOptions())
+    data = recorded(waving_policy(), episodes=1, steps=3)
+    content = write_arrays({**data.to_arrays(), "rewards": np.zeros(len(data))})
+    assert orchestrator.complete_task(task.id, task.lease, content).state == "done"
+
+
 def test_an_episode_that_was_stored_without_an_answer_reaches_its_run(database, monkeypatch):
     """The server failed between its commit and its answer."""
     leases.publish(database, runs.create_run(database, leases.SPEC).id)

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import gymnasium
 import numpy as np
 
+from adr_service.arrays import Vector
 from adr_service.client.robot.heart import Watch
 from adr_service.client.robot.limits import Limits
 from adr_service.errors import InvalidInput
@@ -82,8 +83,13 @@ def uninterrupted() -> Generator[None]:
                 signal.signal(number, handler)
 
 
-def check_environment(env: Env, about: Mapping[str, Any], limits: Limits) -> None:
-    """Raise InvalidInput unless the environment fits the task, and the limits its actions."""
+def check_environment(
+    env: Env, about: Mapping[str, Any], limits: Limits, asked: tuple[Vector, Vector] | None = None
+) -> None:
+    """Raise InvalidInput unless the environment fits the task, and the limits its actions.
+
+    `asked`: least and largest (nu,) of the actions that will be asked for, None: the task's bounds.
+    """
     given = (env.observation_space.shape, env.action_space.shape)
     needed = ((len(about["observation_columns"]),), (about["actions"],))
     if given != needed:
@@ -98,7 +104,7 @@ def check_environment(env: Env, about: Mapping[str, Any], limits: Limits) -> Non
     if not all(0 < most < np.inf for most in limits.actions):
         raise InvalidInput(f"limits of actions must be positive; given {limits.actions}")
     low, high = np.array(about["action_low"]), np.array(about["action_high"])
-    sent = limits.apply(low), limits.apply(high)
+    sent = [limits.apply(each) for each in asked or (low, high)]
     takes: Any = env.action_space  # of a Box; other spaces have no bounds
     beyond = [_ROUNDED * np.abs(each) for each in sent]
     if isinstance(takes, gymnasium.spaces.Box) and (

@@ -65,7 +65,11 @@ def run_episode(
 class Rollout:
     """The observations, actions and rewards of an episode that goes on."""
 
-    def __init__(self, machine: Machine, watch: Watch, transitions: int):
+    def __init__(
+        self, machine: Machine, watch: Watch, transitions: int, *, has_rewards: bool = True
+    ):
+        """`has_rewards`: whether the environment's are recorded; otherwise they may be anything."""
+        self._has_rewards = has_rewards
         self._machine, self._watch, self._transitions = machine, watch, transitions
         self._observations: list[Vector] = []
         self._actions: list[Vector] = []
@@ -111,7 +115,7 @@ class Rollout:
         with self._watch.watching("step", limits.left(passed)):
             answer = self._machine.env.step(action.copy())
         observation, reward, terminated, truncated, _ = _parts(answer, _OF_STEP)
-        self._record(_row(observation), action, float(reward))
+        self._record(_row(observation), action, _number(reward) if self._has_rewards else 0.0)
         self._ended = terminated or truncated
         if truncated and not (terminated or self.is_complete or self._wrong):
             self._is_cut = True
@@ -168,6 +172,15 @@ def _parts(answer: Any, names: tuple[str, ...]) -> tuple[Any, ...]:
     )
 
 
+def _number(reward: Any) -> float:
+    try:
+        return float(reward)
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(
+            f"the environment's step returned the reward {reward!r}; needed is a number"
+        ) from error
+
+
 def to_npz(episode: Episode, about: Mapping[str, Any], origin: str) -> bytes:
     """Return the `.npz` that the service takes: the measured columns, and the rewards."""
     data = recording(episode, about, origin)
@@ -216,7 +229,7 @@ def seed_of(task: Json) -> int:
 
 
 def _identity(task: Json) -> tuple[str, int, int]:
-    """Facts that distinguish the episodes of a run."""
+    """Facts of an episode that stay when it is run again; policies of one number share them."""
     return (task["kind"], task["number"], task["seed"])
 
 

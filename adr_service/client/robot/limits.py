@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adr_service.arrays import Vector
+from adr_service.errors import InvalidInput
 
 _STEP_S = 60.0  # after which a step, of milliseconds usually, means that the environment hangs
 _SLACK_S = 1.0  # beyond the owner's limit: the last step began within it
@@ -17,6 +18,12 @@ class Limits:
     seconds: float | None = None  # of an episode, by the clock and by its steps
     reset_seconds: float = 120.0
     actions: tuple[float, ...] = ()  # largest magnitudes: one for all, or one for each; (): none
+
+    def __post_init__(self) -> None:
+        """Raises InvalidInput for a time that is not positive and finite."""
+        for name, given in (("an episode", self.seconds), ("a reset", self.reset_seconds)):
+            if given is not None and not 0 < given < np.inf:
+                raise InvalidInput(f"{name} takes a positive and finite time; given {given} s")
 
     def allows(self, seconds: float) -> bool:
         """True if an episode may take so long."""

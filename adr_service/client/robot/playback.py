@@ -152,7 +152,7 @@ def _episode(
     start: Vector | None,
 ) -> _Episode:
     """One episode. Its last command is not sent: a measurement's last row has a state alone."""
-    rollout = Rollout(machine, watch, len(commands) - 1)
+    rollout = Rollout(machine, watch, len(commands) - 1, has_rewards=False)
     rollout.reset(number)
     shown = rollout.episode()
     if start is not None and not shown.wrong:

@@ -144,8 +144,8 @@ class Robot:
         _release(self._client, task, lease)  # for a robot that may move longer
         raise InvalidInput(
             f"{task['id']} asks for {longest:g} s, and this robot may move for "
-            f"{self._limits.seconds:g}: allow --max-seconds {_LEEWAY * longest:.3g}, or submit "
-            "runs of fewer transitions"
+            f"{self._limits.seconds:g}: allow --max-seconds {_LEEWAY * longest:.3g}. An episode "
+            "whose return counts has as many steps as its task"
         )
 
     def _close_and_release(self, task: Json, lease: str, watch: Watch) -> None:
@@ -177,15 +177,20 @@ class Robot:
 
     def _upload(self, task: Json, lease: str, episode: Episode, watch: Watch) -> bool:
         """Upload the trajectory; True if the service accepted it."""
-        counts = task["kind"] != "rollout"
-        if episode.is_broken or (counts and episode.is_cut):
-            self._close_and_release(task, lease, watch)  # for a robot that can do all of it
-            why = "see to the robot" if episode.is_broken else "their return counts"
-            raise InvalidInput(
-                f"{task['id']}: {episode.wrong} after {len(episode.actions)} of "
-                f"{task['transitions']} steps; {why}"
-            )
-        if episode.wrong and (counts or not len(episode.actions)):
+        counts, steps = task["kind"] != "rollout", len(episode.actions)
+
+        def leave(why: str) -> InvalidInput:  # the task to a robot that can do all of it
+            self._close_and_release(task, lease, watch)
+            after = f"{task['id']}: {episode.wrong} after {steps} of {task['transitions']} steps"
+            return InvalidInput(f"{after}; {why}")
+
+        if episode.is_broken:
+            raise leave("see to the robot")
+        if episode.is_cut and counts:
+            raise leave("their return counts")
+        if episode.is_cut and not steps:
+            raise leave("there is nothing to learn from")
+        if episode.wrong and (counts or not steps):
             self._fail(task, lease, episode.wrong)
             return False
         unsent = UnsentEpisode.written(task["id"], lease, to_npz(episode, self._about, self._name))
@@ -197,6 +202,8 @@ class Robot:
             if error.status not in _FINAL:
                 raise
             self._report(f"{task['id']}: {self._client.url} did not accept it, {error}")
+            if error.status == _UNUSABLE and episode.is_cut:
+                raise leave(str(error)) from error
             if error.status == _UNUSABLE:
                 self._fail(task, lease, f"the service refused the episode: {error}")
             return False

@@ -118,6 +118,7 @@ def test_options_that_play_does_not_obey_are_refused(adr_here, first):
     for more, message in (
         ([], "--play goes with --out"),
         (["--out", "a", "--episodes", "1"], "--ep"),
+        (["--out", "a", "--url", "http://127.0.0.1:1"], "--url go without --play"),
     ):
         status, _, errors = adr_here(*known, *more)
         assert (status, message in errors) == (2, True)

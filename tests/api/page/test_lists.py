@@ -1,13 +1,14 @@
 """The pages of robots and criticisms, without Ray."""
 
 import html
+import re
 from datetime import timedelta
 
 import pytest
 
 from api.page import lists
 from api.page import runs as run_page
-from db import runs
+from db import runs, visits
 from db.clock import SteadyClock
 from tests.api.standins import Service
 from tests.db.leases import LEASE_S, SPEC, START, claim, publish
@@ -46,6 +47,20 @@ def test_a_lease_that_has_ended_is_shown_as_free_for_another(service, run, late_
     page = shown(service, f"/runs/{run}")
     assert "robot-7’s lease has ended, so it is free for another" in page
     assert "is claimed by" not in page
+
+
+def test_a_visit_that_was_given_back_names_no_robot_and_no_steps(service):
+    run = runs.create_run(service.database, SPEC)
+    publish(service.database, run.id)
+    task = claim(service.database, "robot-7")
+    visits.heartbeat(service.database, task.id, task.lease, 57, START, LEASE_S)
+    assert "57 of " in shown(service, "/robots")
+    visits.release(service.database, task.id, task.lease)
+    page = shown(service, "/robots")
+    assert "robot-7" not in page
+    assert "57 of " not in page
+    assert re.search("It waits for a .*is pending", shown(service, f"/runs/{run.id}"))
+    assert "robot-7" not in shown(service, f"/runs/{run.id}")
 
 
 def shown(service, address):

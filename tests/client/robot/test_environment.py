@@ -2,6 +2,7 @@
 
 import signal
 
+import numpy as np
 import pytest
 from gymnasium.spaces import Box
 
@@ -79,3 +80,13 @@ def test_an_environment_that_takes_less_than_the_task_sends_needs_a_limit():
     check_environment(env, {**ARM, "action_low": [-1.0, -1.0]}, Limits(actions=(0.3,)))
     with pytest.raises(InvalidInput, match=r"would be sent .* limit them by --max-action"):
         check_environment(env, ARM, Limits(actions=(0.4,)))
+
+
+def test_an_environment_that_takes_all_that_a_plan_asks_for_is_accepted():
+    """It need not take what the task could ask for."""
+    env = load_environment("tests.robots:fast_arm")
+    env.action_space = Box(-0.3, 0.3, (2,))
+    arm = {**ARM, "action_low": [-1.0, -1.0]}
+    check_environment(env, arm, Limits(), (np.array([-0.3, 0.1]), np.array([0.2, 0.3])))
+    with pytest.raises(InvalidInput, match=r"would be sent \[-0\.3, 0\.1\] to \[0\.2, 0\.4\]"):
+        check_environment(env, arm, Limits(), (np.array([-0.3, 0.1]), np.array([0.2, 0.4])))

@@ -7,6 +7,7 @@ import pytest
 
 from adr_service.client.robot.episode import (
     Machine,
+    Rollout,
     random_actions,
     run_episode,
     seed_of,
@@ -228,3 +229,26 @@ def test_an_episode_that_should_stop_at_once_is_not_even_reset():
 def test_an_environment_of_older_gym_is_refused(call, message):
     with pytest.raises(InvalidInput, match=message):
         run(OldArm(call))
+
+
+class Unscored(SlowArm):
+    """A driver that knows no reward."""
+
+    def step(self, action):
+        observation, _, *rest = super().step(action)
+        return observation, None, *rest
+
+
+def test_a_reward_that_is_no_number_is_refused():
+    with pytest.raises(InvalidInput, match="step returned the reward None; needed is a number"):
+        run(Unscored(0.0))
+
+
+def test_where_rewards_are_not_recorded_they_may_be_anything():
+    rollout = Rollout(
+        Machine("here", Unscored(0.0), ABOUT, Limits()), Heart(), 3, has_rewards=False
+    )
+    rollout.reset(0)
+    while not rollout.is_over:
+        rollout.step(random_actions(TASK, ABOUT))
+    assert (len(rollout.episode().actions), rollout.episode().wrong) == (3, "")

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adr_service.client.robot.limits import Limits
+from adr_service.errors import InvalidInput
 
 numbers = st.floats(-1e6, 1e6)
 
@@ -41,3 +42,11 @@ def test_a_step_has_the_time_that_is_left_of_the_episode():
 
 def test_a_long_episode_leaves_a_step_no_more_time_than_a_step_may_take():
     assert Limits(seconds=1e4).left(0.0) == Limits().left(0.0)
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, np.nan, np.inf])
+def test_a_time_that_no_episode_and_no_reset_can_take_is_refused(seconds):
+    with pytest.raises(InvalidInput, match="an episode takes a positive and finite time; given"):
+        Limits(seconds=seconds)
+    with pytest.raises(InvalidInput, match="a reset takes a positive and finite time; given"):
+        Limits(reset_seconds=seconds)

@@ -129,6 +129,22 @@ def test_a_rollout_that_the_owner_cuts_is_uploaded():
     assert 0 < read_episode("arm", 20, rollout.uploads[0]).transitions < 20
 
 
+def test_a_rollout_that_the_owner_cuts_before_its_first_step_goes_back():
+    """Its run is somebody else's, and would fail."""
+    service = Service()
+    with pytest.raises(InvalidInput, match="after 0 of 20 steps; there is nothing to learn from"):
+        robot(service, limits=Limits(seconds=0.01)).work(1)
+    assert (service.released, service.uploads, service.failures) == (["task_a"], [], [])
+
+
+def test_a_rollout_that_the_owner_cuts_too_short_for_its_method_goes_back(folder):
+    service = Service(refusal=Refused(422, "learns from no fewer in a row"))
+    with pytest.raises(InvalidInput, match=r"--max-seconds.* steps; learns from no fewer in a row"):
+        robot(service, "slowest_arm", limits=Limits(seconds=0.45)).work(1)
+    assert (service.released, service.failures) == (["task_a"], [])
+    assert {path.name for path in folder.iterdir()} == ASIDE
+
+
 @pytest.mark.parametrize("kind", ["return", "evaluation"])
 def test_an_episode_that_the_environment_cuts_short_has_no_return(kind):
     service = Service(kind=kind)
