@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from matplotlib.collections import LineCollection
 
 from adr_service.benchmark.aggregate import ProfilePoint
 from adr_service.benchmark.comparison import InferenceCost, ParameterEstimate, Row
@@ -74,7 +75,9 @@ def test_a_reference_without_iterations_is_a_level_over_all_of_them():
 @pytest.mark.parametrize("method", ["udr", "prior"])
 def test_levels_alone_are_drawn_without_any_bar(method):
     axis = plot_returns([row(method=method, iteration=0)]).axes[0]
-    assert axis.lines
+    (level,) = [line for line in axis.lines if set(line.get_ydata()) != {1.0}]  # the threshold's
+    assert set(level.get_ydata()) == {row().normalised_return}
+    assert not [bars for bars in axis.collections if isinstance(bars, LineCollection)]
 
 
 def test_bars_and_bands_are_intervals_and_the_note_names_the_numbers_of_seeds():

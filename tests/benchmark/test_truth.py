@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, norm
 
 from adr_service.benchmark.truth import energy_score, estimation_error, log_score, true_values
-from adr_service.distributions import Gaussian, Uniform
+from adr_service.distributions import Gaussian, TruncatedGaussian, Uniform
 from adr_service.tasks.catalogue import catalogue, variant_of
 
 CASES = [(task, variant) for task, entry in catalogue().items() for variant in entry.variants]
@@ -38,6 +38,17 @@ def test_the_log_score_is_the_log_density_of_the_truth():
     expected = multivariate_normal(belief.mean, np.diag(belief.std**2)).logpdf(pair.truth)
     assert log_score("arm", "vanilla", belief) == pytest.approx(expected)
     assert log_score("arm", "vanilla", Uniform.point(pair.source.space, pair.truth)) is None
+
+
+def test_the_log_score_of_a_cut_belief_is_that_of_the_whole():
+    """The truth is beyond what DROPO draws, and may be by far: that is no density of nothing."""
+    pair = variant_of("arm", "vanilla")
+    space, truth = pair.source.space, pair.truth
+    std = np.full(len(space), 0.01)
+    belief = TruncatedGaussian(space, truth + 3 * std, std)
+    assert np.isneginf(belief.log_prob(truth[None])[0])
+    expected = norm.logpdf(3, scale=1).item() - np.log(0.01)
+    assert log_score("arm", "vanilla", belief) == pytest.approx(len(space) * expected)
 
 
 def test_a_points_energy_score_is_its_distance():
