@@ -1,7 +1,7 @@
 """The page of one run."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -120,8 +120,25 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
         ),
         events=[e for e in events if not isinstance(e.event, TrainingEvaluated)],
         words_of=words_of,
+        best_of=best_of,
         ray=service.dashboard_url,
     )
+
+
+def best_of(diagnostics: Mapping[str, Any]) -> str:
+    """The best of the values that were tried of a setting, and whether it is the last of them;
+    empty where the method chose among none."""
+    for name, tried in diagnostics.items():
+        _, by, setting = name.partition("_by_")
+        if not by or not isinstance(tried, dict):
+            continue
+        known = {v: c for v, c in tried.items() if isinstance(c, int | float)}
+        if len(known) > 1:
+            best = min(known, key=lambda value: known[value])
+            return f"{setting} {best}" + (
+                ", the last of those tried" if best == list(tried)[-1] else ""
+            )
+    return ""
 
 
 def words_of(event: RunEvent) -> str:

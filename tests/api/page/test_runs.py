@@ -4,7 +4,7 @@ import pytest
 
 from adr_service.benchmark.cost import Execution
 from adr_service.events import IterationFinished, RunFailed, RunSucceeded, StageFinished
-from api.page.runs import timeline, words_of
+from api.page.runs import best_of, timeline, words_of
 
 
 def stage(asked, placed, began, ended, preparing=None):
@@ -56,3 +56,16 @@ def test_events_are_told_in_words():
     assert words_of(StageFinished(kind="infer", digest="a" * 64)) == "infer aaaaaaaa"
     assert words_of(RunFailed(submission=1, code="x", message="why")) == "why"
     assert words_of(RunSucceeded()) == ""
+
+
+@pytest.mark.parametrize(
+    ("tried", "words"),
+    [
+        ({"1e-06": 3.0, "0.0001": 1.0, "0.01": 2.0}, "epsilon 0.0001"),
+        ({"1e-06": 3.0, "0.0001": None, "0.01": 2.0}, "epsilon 0.01, the last of those tried"),
+        ({"0.01": 2.0}, ""),
+        ("anything", ""),
+    ],
+)
+def test_the_best_of_several_settings_is_named_and_whether_it_is_the_last(tried, words):
+    assert best_of({"loss": 1.0, "mean_squared_error_by_epsilon": tried}) == words
