@@ -6,14 +6,18 @@ are replayed under each, and a mixture density network learns the parameters fro
 replay. Given the recording's summary, it is the posterior.
 
 Choices, and where we differ:
-- The prior is uniform over the search box, and is the proposal: there is one round.
+- The prior is uniform over the search box (the benchmark's is N(2, I)), and is the proposal: there
+  is one round.
 - We use the paper's plain network, without random features, with sbi's 50 units per layer and
   SimuRLacra's five components.
 - Replays are open loop and whole, as SimuRLacra's. `segment` sets them to the recorded state again.
 - Draws of the posterior beyond the search box are clipped, as a Gaussian's are, and so are the
-  means of its Gaussians (`moved_means` counts them).
+  means of its Gaussians (`moved_means` counts them, however little they weigh). Of one that was
+  moved half the draws are at the bound, and the others lie farther inside than the network said.
 - Statistics are scaled by their quartiles and compressed, because replays of a robot that falls
   have long tails.
+- Statistics are means over the rows of all trajectories. SimuRLacra concatenates those of each,
+  which must be of one length then, and tell more.
 - Replays that diverge are left out and counted.
 """
 

@@ -1,23 +1,29 @@
 """NPDR: samples of a posterior that a normalising flow learns in rounds.
 
-Muratore et al.: "Neural Posterior Domain Randomization", CoRL 2022. Sequential neural posterior
+Muratore et al.: "Neural Posterior Domain Randomization", CoRL 2021. Sequential neural posterior
 estimation (SNPE-C; Greenberg et al., arXiv 1905.07488): a first round draws parameters from the
 prior, the next ones from the posterior so far, where the recording's own parameters are likely.
 Replays are set to the recorded state at the start of each segment. Policies are trained on samples
 of the posterior.
 
 Choices, and where we differ:
-- The flow is SimuRLacra's: masked autoregressive, 5 transforms of 50 units, 10 atoms, and the
-  combined loss. It learns logits of the parameters in the search box, so that no sample leaves it:
+- The prior is uniform over the search box (the benchmark's is N(2, I)).
+- The flow is masked autoregressive, with 5 transforms, 10 atoms and the combined loss, as
+  SimuRLacra's. It is Zuko's and not nflows': each transform has five hidden layers of 50 units and
+  not two, and the order of parameters is reversed in place of permuted. It learns logits of the parameters in the search box, so that no sample leaves it:
   multi-round estimates leak otherwise (sbi, issue 287). Where fewer than 10 simulations are held
   out to end a training, the loss on these has as many atoms as there are (`validation_atoms`).
   It is trained as sbi does by default (batches of 200, learning rate 5e-4, a tenth held out);
   SimuRLacra's experiments set 50, 3e-4 and a fifth.
 - With one unknown parameter the flow's transforms are affine: the posterior of its logit is normal.
 - Summaries are BayesSim's, one of SimuRLacra's choices, scaled by quartiles and compressed.
+- Statistics are means over the rows of all trajectories. SimuRLacra concatenates those of each,
+  which must be of one length then, and tell more.
 - `draws` samples are trained on. SimuRLacra draws 10 * 2^d, which has no end for 30 parameters.
 - The paper runs it online too; here it is offline, and gets what SimOpt collects.
 - Replays that diverge are left out and counted.
+- `statistics_outside` counts, for each round, the statistics of the recording beyond those of this
+  round's replays: only the first round's are of the whole search box.
 """
 
 from typing import ClassVar, Literal

@@ -32,7 +32,7 @@ from torch.distributions import (
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.search.seeding import seeded
 
-_HIDDEN = 50  # units of a hidden layer, sbi's and NPDR's
+_HIDDEN = 50  # units of a hidden layer, sbi's
 _ATOMS = 10  # simulations that a loss of later rounds compares, sbi's and NPDR's
 _EDGE = 1e-7  # least distance of a sample from a bound
 _HALF = np.sqrt(3.0)  # half width of a uniform distribution whose deviation is 1
@@ -127,7 +127,7 @@ class FlowPosterior:
         """Points (n, d), given what was seen."""
         with seeded(self._rng), torch.no_grad():
             logits = self._posterior.sample((n,), show_progress_bars=False)
-        # float32 has no logits beyond these
+        # the prior has no density beyond these: float32's sigmoid is 0 or 1 there
         return np.clip(expit(_array(logits)), _EDGE, 1 - _EDGE)
 
 

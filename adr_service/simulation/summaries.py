@@ -131,5 +131,6 @@ class Scale:
 
 
 def outside(simulated: Matrix, recorded: Vector) -> int:
-    """Statistics of the recording beyond those of all simulations: the model cannot do this."""
+    """Statistics of the recording beyond those of all these simulations, which the model cannot do
+    where they are of its whole search box."""
     return int(np.sum((recorded < simulated.min(axis=0)) | (recorded > simulated.max(axis=0))))
