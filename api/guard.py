@@ -122,7 +122,8 @@ class Guard:
         if self._robot and hmac.compare_digest(given, self._robot.encode()):
             if _ROBOT_PATHS.fullmatch(path):
                 return None
-            return problem(403, "forbidden", "a robot's token opens /v1/target_tasks and /v1/tasks")
+            detail = "a robot's token opens /v1/target_tasks, /v1/tasks, /readyz and /version"
+            return problem(403, "forbidden", detail)
         detail = "send the service's token in the header 'Authorization: Bearer …'"
         refusal = problem(401, "unauthorised", detail)
         # a browser asks for it as a password, under any name

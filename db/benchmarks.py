@@ -75,7 +75,7 @@ def create_benchmark(
         once(session, key, row.id)
         insert_runs(session, members)
         check_live(session, accept)
-        return _record(row)
+        return BenchmarkRecord(row.number, row.id, row.created_at, spec)
 
 
 def get_benchmark(database: Database, benchmark_id: str) -> BenchmarkRecord:

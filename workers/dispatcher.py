@@ -305,6 +305,7 @@ class Dispatcher:
                     return
         log.info("there is a Ray again, of %d cores", self.cores)
         for job in self._jobs.running():
+            log.warning("stage lost: Ray has died", extra=job.ids)
             job.leave()
             self._jobs.lose(job, "Ray has died")
 

@@ -121,16 +121,20 @@ class Orchestrator:
     def cancel(self, *records: RunRecord) -> None:
         """Stop runs at their next stage, or at once where they have no thread yet."""
         unstarted: list[tuple[str, RunEvent]] = []
+        adopted: list[RunRecord] = []  # whose submission was stored without an answer
         with self._changing:
             for record in records:
                 live = self._live.get(_key(record))
                 if live is None:
+                    adopted += [] if record.is_finished else [record]
                     continue
                 live.cancelled.set()
                 if live.thread.cancel():
                     del self._live[_key(record)]
                     self._dispatcher.withdraw(record.id)  # of an earlier submission, if any
                     unstarted.append((record.id, RunStopped(submission=record.submission)))
+        for record in adopted:
+            self.submit(record)
         batches = run_store.batches(unstarted)
         try:
             event_store.append_events(self._database, next(batches, ()))

@@ -10,10 +10,11 @@ Choices, and where we differ:
 - The prior is uniform over the search box (the benchmark's is N(2, I)).
 - The flow is masked autoregressive, with 5 transforms, 10 atoms and the combined loss, as
   SimuRLacra's. It is Zuko's and not nflows': each transform has five hidden layers of 50 units and
-  not two, and the order of parameters is reversed in place of permuted. It learns logits of the parameters in the search box, so that no sample leaves it:
-  multi-round estimates leak otherwise (sbi, issue 287). Where fewer than 10 simulations are held
-  out to end a training, the loss on these has as many atoms as there are (`validation_atoms`).
-  It is trained as sbi does by default (batches of 200, learning rate 5e-4, a tenth held out);
+  not two, and the order of parameters is reversed in place of permuted.
+- It learns logits of the parameters in the search box, so that no sample leaves it: multi-round
+  estimates leak otherwise (sbi, issue 287). Where fewer than 10 simulations are held out to end a
+  training, the loss on these has as many atoms as there are (`validation_atoms`).
+- It is trained as sbi does by default (batches of 200, learning rate 5e-4, a tenth held out);
   SimuRLacra's experiments set 50, 3e-4 and a fifth.
 - With one unknown parameter the flow's transforms are affine: the posterior of its logit is normal.
 - Summaries are BayesSim's, one of SimuRLacra's choices, scaled by quartiles and compressed.

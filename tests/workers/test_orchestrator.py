@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adr_service.errors import AdrError, FailureCode, InvalidInput, StageFailed
+from adr_service.errors import AdrError, FailureCode, InvalidInput, RunCancelled, StageFailed
 from adr_service.events import RunFailed
 from adr_service.npz import write_arrays
 from adr_service.specs import BenchmarkSpec, RunSpec
@@ -95,6 +95,21 @@ def test_cancelling_many_runs_stops_them_in_batches(file_database):
     assert transactions.count("append_events") == 4
     assert transactions.count("request_cancel_all") == 1
     waiting.set()
+    orchestrator.close()
+
+
+def test_a_run_without_a_thread_can_be_cancelled(file_database):
+    """Its submission was stored, and the answer to that was lost."""
+
+    def program(spec, stages, recording):
+        until(stages.is_cancelled)
+        raise RunCancelled
+        yield
+
+    orchestrator = Orchestrator(file_database, RayOptions(), program)
+    run = runs.create_run(file_database, SPEC)
+    orchestrator.cancel(runs.request_cancel(file_database, run.id))
+    until(lambda: runs.get_run(file_database, run.id).state == "cancelled")
     orchestrator.close()
 
 
