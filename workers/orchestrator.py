@@ -126,7 +126,8 @@ class Orchestrator:
             for record in records:
                 live = self._live.get(_key(record))
                 if live is None:
-                    adopted += [] if record.is_finished else [record]
+                    if not record.is_finished:
+                        adopted.append(record)
                     continue
                 live.cancelled.set()
                 if live.thread.cancel():

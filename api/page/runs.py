@@ -135,9 +135,8 @@ def best_of(diagnostics: Mapping[str, Any]) -> str:
         known = {v: c for v, c in tried.items() if isinstance(c, int | float)}
         if len(known) > 1:
             best = min(known, key=lambda value: known[value])
-            return f"{setting} {best}" + (
-                ", the last of those tried" if best == list(tried)[-1] else ""
-            )
+            end = ", the last of those tried" if best == list(tried)[-1] else ""
+            return f"{setting} {best}{end}"
     return ""
 
 

@@ -41,7 +41,7 @@ def test_the_log_score_is_the_log_density_of_the_truth():
 
 
 def test_the_log_score_of_a_cut_belief_is_that_of_the_whole():
-    """The truth is beyond what DROPO draws, and may be by far: that is no density of nothing."""
+    """DROPO never draws this truth, and its own density of it is zero."""
     pair = variant_of("arm", "vanilla")
     space, truth = pair.source.space, pair.truth
     std = np.full(len(space), 0.01)
