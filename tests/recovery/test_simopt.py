@@ -50,9 +50,9 @@ def test_a_trajectory_of_another_policy_recovers_nothing():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("variant", ["vanilla", "noisy"])
-def test_simopt_moves_towards_hoppers_masses(variant):
-    """From .70 to .000 without noise and .30 with noise; tolerance, half a coordinate.
+@pytest.mark.parametrize(("variant", "tolerance"), [("vanilla", 0.02), ("noisy", 0.5)])
+def test_simopt_moves_towards_hoppers_masses(variant, tolerance):
+    """From .70 to .000 without noise and .30 with noise.
 
     The policy is linear, and leaps and falls after 75 steps. One that stands still tells less.
     """
@@ -63,7 +63,7 @@ def test_simopt_moves_towards_hoppers_masses(variant):
     start = method.start(problem)
     update = method.tell(problem, start, Evidence(policy, data), stream("x"), silent)
     mean = method.ask(problem, update.state).mean
-    assert distance(mean, pair.truth, pair.source.space) < 0.5
+    assert distance(mean, pair.truth, pair.source.space) < tolerance
 
 
 def leaping_policy(hopper):
