@@ -147,6 +147,6 @@ def _assignments(fields: dict[str, Any], path: str = "") -> list[str]:
     for name, value in fields.items():
         if isinstance(value, dict):
             lines += _assignments(value, f"{path}{name}.")
-        elif value is not None:
+        else:
             lines.append(f"{path}{name}={json.dumps(value)}")
     return lines

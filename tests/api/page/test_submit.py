@@ -22,6 +22,14 @@ def test_a_benchmark_comes_back_as_it_was_filled_in():
     assert as_filled_in(spec_of(given)) == given
 
 
+def test_a_setting_that_is_null_comes_back():
+    """A Gaussian policy, where the preset has bins."""
+    null = {"tasks": ["hopper"], "methods": ["udr"], "training": {"action_bins": None}}
+    spec = BenchmarkSpec.model_validate(null)
+    assert list(spec_of(as_filled_in(spec)).runs()) == list(spec.runs())
+    assert next(spec.runs()).training.action_bins is None
+
+
 def test_settings_of_methods_are_not_in_the_form():
     method = {"name": "dropo", "budget": 100}
     spec = BenchmarkSpec.model_validate({"tasks": ["arm"], "methods": [method]})
