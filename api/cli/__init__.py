@@ -33,16 +33,21 @@ from api.cli import (
 from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console, errors
 
-_USAGE, _NOT_FOUND, _REFUSED, _UNREACHABLE = 2, 3, 4, 5
-_STATUS = {"not_found": _NOT_FOUND, "unreachable": _UNREACHABLE}  # by an error's code
+_FAILED, _USAGE, _NOT_FOUND, _REFUSED, _UNREACHABLE = 1, 2, 3, 4, 5
+_STATUS = {  # by an error's code
+    **dict.fromkeys(("not_verified", "damaged", "service_did_not_start"), _FAILED),
+    "not_found": _NOT_FOUND,
+    "unreachable": _UNREACHABLE,
+}
 _BY_ANSWER = {404: _NOT_FOUND, 422: _USAGE}  # by the service's refusal; others are refused
 _BESIDE = ("mujoco", "ray", "torch", "stable-baselines3")  # whose versions change numbers
 
 app = SingleOptionApp(
     help="Benchmark adaptive domain randomization.",
     epilog=(
-        "Exit status: 0 done; 1 something that was watched failed, or the service could not go "
-        "on; 2 wrong use or input; 3 not found; 4 refused by the service; 5 no service answers. "
+        "Exit status: 0 done; 1 something that was watched or checked failed, or the service could "
+        "not start or go on; 2 wrong use or input; 3 not found; 4 refused by the service; 5 no "
+        "service answers. "
         "ADR_URL, or ADR_PORT on this machine, names the service to ask."
     ),
     no_args_is_help=True,

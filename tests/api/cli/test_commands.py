@@ -12,6 +12,9 @@ import adr_service
 from adr_service.client import Refused, Unreachable
 from adr_service.errors import InvalidInput
 from api.cli import app, status_of
+from api.cli.archive import NotVerified
+from api.cli.own_service import ServiceDidNotStart
+from api.cli.upkeep import Damaged
 from db.errors import NotFound
 
 COMMANDS = {
@@ -68,6 +71,9 @@ def test_a_file_that_the_system_refuses_is_told_without_its_number(adr_here, tmp
     [
         (InvalidInput("wrong"), 2),
         (OSError("no file"), 2),
+        (NotVerified("other results"), 1),
+        (Damaged("a page is missing"), 1),
+        (ServiceDidNotStart("it hung"), 1),
         (Refused(422, "wrong"), 2),
         (NotFound("run", "run_0"), 3),
         (Refused(404, "there is none"), 3),
