@@ -10,8 +10,9 @@ import typer
 from adr_service.client import Json, connect
 from adr_service.errors import InvalidInput
 from api.cli.files import check_writable
-from api.cli.follow import follow
-from api.cli.options import AsJson, Url
+from api.cli.follow import must_have_succeeded, show_results
+from api.cli.options import AsJson, Url, is_url_given
+from api.cli.progress import live
 from api.cli.single_options import SingleOptionApp
 from api.cli.steps import progress_on
 from api.cli.terminal import console, errors
@@ -67,6 +68,7 @@ class _Planned:
 
 @app.command()
 def criticise(
+    ctx: typer.Context,
     out: Out,
     data: Data = None,
     dataset: Dataset = None,
@@ -90,6 +92,8 @@ def criticise(
     if (limit or reach or start) and next_ is None:
         raise InvalidInput("--limit, --reach and --start go with --next")
     if data:
+        if is_url_given(ctx):
+            raise InvalidInput("--data is criticised here; --url goes with --dataset")
         given = (task, variant, model, free or [])
         planned = _Planned(next_, limit or [], reach or [], start or []) if next_ else None
         _criticise_here(data, out, given, seed, planned, as_json)
@@ -158,8 +162,13 @@ def _criticise_there(spec: Json, out: Path, url: str | None, as_json: bool) -> N
     with criticism_files.output_folder(out), connect(url) as client:
         id = client.submit_criticism(spec)["run"]["id"]
         told.print(id, highlight=False)
-        follow(client, id, as_json)
-        links = client.criticism(id)["links"]
-        names = [name for name in criticism_files.FILES if name in links]
+        final = live(told, client, id)
+        if not as_json:
+            show_results(client, final)
+        must_have_succeeded(final)
+        found = client.criticism(id)
+        names = [name for name in criticism_files.FILES if name in found["links"]]
         criticism_files.write(out, {name: client.criticism_file(id, name) for name in names})
+    if as_json:
+        console.print_json(data=found["verdict"])
     told.print(f"{out}: {', '.join(names)}")

@@ -19,6 +19,11 @@ def follow(client: AdrClient, id: str, as_json: bool = False) -> None:
         console.print_json(data=final)
     else:
         show_results(client, final)
+    must_have_succeeded(final)
+
+
+def must_have_succeeded(final: Json) -> None:
+    """Exit with status 1 unless all runs succeeded, and print why they did not."""
     states = final["states"] if "states" in final else {final["state"]: 1}
     for line in failures(final):
         errors.print(line, highlight=False, soft_wrap=True)

@@ -26,6 +26,18 @@ Id = Annotated[str, typer.Argument(help="Id of a run or a benchmark.", callback=
 Watch = Annotated[bool, typer.Option(help="Follow it to its end.")]
 
 
+def check_watch(dry_run: bool, watch: bool) -> None:
+    """Raise InvalidInput where there would be nothing to follow."""
+    if dry_run and watch:
+        raise InvalidInput("--dry-run starts nothing that --watch could follow; leave one out")
+
+
+def is_url_given(context: typer.Context) -> bool:
+    """Whether --url was given on the command line, and not by ADR_URL."""
+    source = context.get_parameter_source("url")
+    return source is not None and source.name == "COMMANDLINE"
+
+
 def members(**given: list[Any] | None) -> dict[str, list[Any]]:
     """Members of a benchmark from repeated options: `method` gives `methods`, if there are any."""
     return {f"{name}s": value for name, value in given.items() if value}

@@ -13,7 +13,7 @@ from adr_service.client import connect
 from adr_service.errors import InvalidInput
 from adr_service.whole_files import written_whole
 from api.cli.files import check_writable, naming, read
-from api.cli.options import Url
+from api.cli.options import Url, is_url_given
 from api.cli.signals import end_as_by_ctrl_c
 from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console
@@ -67,9 +67,7 @@ def robot(
     if (play is None) != (out is None):
         alone = "--out" if play is None else "--play"
         raise InvalidInput(f"--play goes with --out; given is {alone} alone")
-    source = ctx.get_parameter_source("url")
-    has_url = source is not None and source.name == "COMMANDLINE"  # and not from ADR_URL
-    if play is not None and (episodes is not None or name is not None or has_url):
+    if play is not None and (episodes is not None or name is not None or is_url_given(ctx)):
         raise InvalidInput(
             "--episodes, --name and --url go without --play, which sends all episodes of the plan, "
             "and tells no service"

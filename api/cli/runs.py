@@ -12,7 +12,7 @@ from adr_service.client import AdrClient, Json, connect, is_finished
 from adr_service.client.progress import label
 from adr_service.errors import InvalidInput
 from api.cli.follow import follow
-from api.cli.options import AsJson, Id, Url, Watch, members
+from api.cli.options import AsJson, Id, Url, Watch, check_watch, members
 from api.cli.single_options import SingleOptionApp
 from api.cli.tables import plan_table
 from api.cli.terminal import console, errors
@@ -60,6 +60,7 @@ def submit(
     as_json: AsJson = False,
 ) -> None:
     """Submit a run (by options), or a run or benchmark (by file)."""
+    check_watch(dry_run, watch)
     by_options: dict[str, Any] = {"task": task, "method": method, "variant": variant}
     by_options |= {"seed": seed, "preset": preset, "target": _recorded(dataset)}
     given = {name: value for name, value in by_options.items() if value is not None}
@@ -97,14 +98,13 @@ def _show(
     client: AdrClient, answer: Json, remark: str, dry_run: bool, watch: bool, as_json: bool
 ) -> None:
     """Print the answer to a request, with a remark, and follow what it started."""
-    is_followed = watch and not dry_run
-    if as_json and not is_followed:
+    if as_json and not watch:
         console.print_json(data=answer)
     elif dry_run:
         console.print(plan_table(answer["plan"]))
     elif not as_json:
         console.print(f"{answer['id']}{remark}")
-    if is_followed:
+    if watch:
         follow(client, answer["id"], as_json)
 
 
@@ -122,6 +122,7 @@ def extend(
     as_json: AsJson = False,
 ) -> None:
     """Add runs to a benchmark; its results so far stay."""
+    check_watch(dry_run, watch)
     if not id.startswith("bench_"):
         raise InvalidInput(f"only a benchmark can be extended; given {id}")
     extension = members(seed=seed, method=method, variant=variant, task=task, collector=collector)
@@ -154,7 +155,7 @@ def list_all(
         console.print("no such runs" if given else "no runs yet; `adr demo` makes some")
     for benchmark in benchmarks:
         states = ", ".join(f"{count} {state}" for state, count in benchmark["states"].items())
-        console.print(f"{benchmark['id']}, {_day(benchmark)}: {states}")
+        console.print(f"{benchmark['id']}, {_day(benchmark)} UTC: {states}")
         _print_runs([run for run in runs if run["benchmark_id"] == benchmark["id"]])
     if single := [run for run in runs if run["benchmark_id"] is None]:
         console.print("single runs")
@@ -162,7 +163,7 @@ def list_all(
 
 
 def _day(listed: Json) -> str:
-    """When a run or a benchmark was submitted, to the minute."""
+    """When a run or a benchmark was submitted, to the minute, UTC."""
     return str(listed["created_at"])[:16].replace("T", " ")
 
 
@@ -173,7 +174,7 @@ def _print_runs(runs: list[Json]) -> None:
 def runs_table(runs: list[Json]) -> Table:
     """A row for each run, which fits into 80 columns."""
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
-    for heading in ("id", "task, variant", "method", "seed", "state", "submitted"):
+    for heading in ("id", "task, variant", "method", "seed", "state", "at (UTC)"):
         table.add_column(heading, no_wrap=heading == "id", overflow="fold")
     for run in runs:
         spec = run["spec"]

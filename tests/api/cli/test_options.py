@@ -31,6 +31,9 @@ def test_a_recording_is_no_run(adr_here, command):
         ("results run_0 --figure returns", "a figure ends in .svg, .png, .csv; given returns"),
         ("criticise --data a.npz --seed -1", "greater than or equal to 0"),
         ("render a.gif --task arm --seed -1", "greater than or equal to 0"),
+        ("submit a.json --dry-run --watch", "--dry-run starts nothing that --watch could follow"),
+        ("extend bench_0 --seed 3 --dry-run --watch", "--dry-run starts nothing"),
+        ("criticise --out a --data a.npz --task arm --url http://a", "--url goes with --dataset"),
     ],
 )
 def test_options_that_cannot_be_obeyed_are_refused(adr_here, command, message):

@@ -30,7 +30,7 @@ HIDDEN = Effect("joint_coulomb_friction", "joint:elbow", (0.15,))
 def content():
     """The .npz of an arm with friction that its simulator lacks."""
     task, nominal = arm()
-    data = hide(task, nominal, np.random.default_rng(0), [HIDDEN]).episodes(range(12))
+    data = hide(task, nominal, np.random.default_rng(0), [HIDDEN]).episodes(range(8))
     np.savez(file := io.BytesIO(), **recorded(data))
     return file.getvalue()
 
@@ -51,7 +51,7 @@ def criticised(service: RunningService, uploaded):
 
 
 def test_a_measurement_is_a_dataset_with_counts_and_columns(uploaded):
-    assert (uploaded["transitions"], uploaded["episodes"], uploaded["actions"]) == (900, 12, 2)
+    assert (uploaded["transitions"], uploaded["episodes"], uploaded["actions"]) == (600, 8, 2)
     assert uploaded["columns"] == ["qpos_0", "qpos_1", "qvel_0", "qvel_1"]
 
 
@@ -146,5 +146,7 @@ def test_the_command_line_writes_the_files_of_a_criticism_by_the_service(
     assert done.exit_code == 0, done.output
     assert "joint_coulomb_friction" in done.output
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(FILES)
+    done = CliRunner().invoke(app, [*asked[:-1], str(tmp_path / "again"), *at, "--json"])
+    assert json.loads(done.stdout) == json.loads((tmp_path / "verdict.json").read_text())
     assert criticised in CliRunner().invoke(app, ["list", *at]).output
     assert "joint_coulomb_friction" in CliRunner().invoke(app, ["watch", criticised, *at]).output
