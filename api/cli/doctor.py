@@ -135,7 +135,7 @@ def _disk(folder: Path) -> Check:
     """Check the disk of a folder that the service writes to, or will make."""
     there = next(path for path in (folder, *folder.parents) if path.exists())
     free = shutil.disk_usage(there).free / 1e9
-    text = f"{free:.0f} GB free for {folder}; {_LEAST_DISK_GB:.0f} needed"
+    text = f"{free:.1f} GB free for {folder}; {_LEAST_DISK_GB:.0f} needed"
     return Check(free >= _LEAST_DISK_GB, text)
 
 

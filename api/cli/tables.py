@@ -94,7 +94,8 @@ def comparisons_table(results: Json) -> RenderableType:
         return Text("there are no two methods to compare yet")
     note = (
         "after the last iteration (before it has been reached: after the last that all seeds of "
-        "all methods have), seed by seed; ties count half; fewer than three seeds tell nothing"
+        "all methods have), seed by seed; ties count half; intervals of differences need "
+        "three seeds, of probabilities five"
     )
     if results["not_compared"]:
         note += f"; too few seeds of {', '.join(results['not_compared'])} have come so far"
