@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, TypeAlias
 
-from fastapi import Path, Query, Request, params
+from fastapi import Depends, Path, Query, Request, params
 from fastapi.dependencies.utils import get_flat_params
 from fastapi.exceptions import RequestValidationError
 from fastapi.routing import APIRoute
@@ -19,6 +19,13 @@ FileName: TypeAlias = Annotated[str, Path(description="one of the criticism's fi
 FileFormat: TypeAlias = Annotated[Format, Path(description="of an image, or its numbers")]
 TableFormat: TypeAlias = Annotated[Literal["json", "csv"], Query(description="of the answer")]
 ValidateOnly: TypeAlias = Annotated[bool, Query(description="tell the cost, and store nothing")]
+
+
+def _renewed(renewed: Annotated[int, Query(description="any number; another one asks anew")] = 0):
+    """What has changed has another address: a browser shows one address once."""
+
+
+RENEWED = Depends(_renewed)
 
 
 async def check_parameters(request: Request) -> None:

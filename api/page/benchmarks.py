@@ -53,6 +53,8 @@ def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -
         figures=drawable(outcomes),
         captions={name: kind.caption for name, kind in FIGURES.items()},
         lost=lost(outcomes),
+        iterations=len(outcomes),
+        is_guarded=bool(service.settings.token.get_secret_value()),
         spec=json.dumps(shown.spec.model_dump(mode="json", exclude_unset=True), indent=1),
         **_tables(service, shown, records, outcomes),
     )
@@ -159,14 +161,28 @@ def compare(
     if len(ids) > _MOST_COMPARED:
         raise InvalidInput(f"{len(ids)} ids are too many to compare; accepted are {_MOST_COMPARED}")
     rows: list[tuple[str, str, Json]] = []
+    without: list[str] = []
+    left: list[str] = []
+    unreadable: list[str] = []
     for each in ids:
         records = _runs_of(service, each)
         presets = {r.spec.preset for r in records if isinstance(r.spec, RunSpec)}
         outcomes = outcomes_of(service, records)
         final = final_rows(_rows(outcomes), outcomes)
+        without += [] if final else [each]
+        left += [f"{column} of {each}" for column in not_compared(outcomes)]
+        unreadable += [f"{each}: {reason}" for reason in lost(outcomes)]
         rows += [(each, ", ".join(sorted(presets)), row) for row in final]
     rows.sort(key=lambda row: (row[2]["task"], row[2]["variant"], row[2]["method"]))
-    return show(request, "compare.html", ids=ids, rows=rows)
+    return show(
+        request,
+        "compare.html",
+        ids=ids,
+        rows=rows,
+        without=without,
+        not_compared=left,
+        lost=unreadable,
+    )
 
 
 def _runs_of(service: Service, id: str) -> list[RunRecord]:

@@ -41,7 +41,10 @@ def overview(request: Request, service: ServiceDependency) -> Response:
     return show(
         request,
         "overview.html",
-        live=bool(activities) or len(leaders) < len(benchmarks),  # unfinished ones have none
+        # unfinished benchmarks have no leader, and between two stages a run has no activity
+        live=bool(activities)
+        or len(leaders) < len(benchmarks)
+        or not all(run.is_finished for run in single),
         cores=service.orchestrator.cores,
         free_disk=service.free_disk(),
         ray=service.dashboard_url,

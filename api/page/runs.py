@@ -89,6 +89,7 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
     trainings = training_views(service.database, run_id, events)
     finished = [e.event for e in events if isinstance(e.event, CriticismFinished)]
     criticism = criticism_view(shown, finished[-1]) if finished else None
+    has_policy = any(outcome.iteration.policies for outcome in outcomes)
     return show(
         request,
         "run.html",
@@ -107,7 +108,9 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
         presets=list(PRESETS),
         files={n: a for n, a in criticism.links.items() if "." in n} if criticism else {},
         rows=table(outcomes),
-        has_policy=any(outcome.iteration.policies for outcome in outcomes),
+        iterations=len(outcomes),
+        has_policy=has_policy,
+        hidden_links={"cost"} if has_policy else {"cost", "policy", "distribution"},
         figures=drawable(outcomes),
         captions={name: kind.caption for name, kind in FIGURES.items()},
         estimates=estimates(outcomes),

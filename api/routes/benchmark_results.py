@@ -8,7 +8,7 @@ from fastapi import APIRouter, Response
 from adr_service.benchmark.claims import reports
 from adr_service.benchmark.comparison import Outcome
 from adr_service.benchmark.figures import drawable
-from api.parameters import BenchmarkId, FigureName, FileFormat, TableFormat
+from api.parameters import RENEWED, BenchmarkId, FigureName, FileFormat, TableFormat
 from api.results import CostView, ResultsView, cost_of, outcomes_of, results_json
 from api.routes.downloads import CSV, bibtex_response, csv_response, figure_response
 from api.service import Service, ServiceDependency
@@ -52,7 +52,9 @@ def figures(benchmark_id: BenchmarkId, service: ServiceDependency) -> list[str]:
     return drawable(_outcomes(service, benchmark_id))
 
 
-@router.get("/{benchmark_id}/figures/{name}.{file_format}", response_class=Response)
+@router.get(
+    "/{benchmark_id}/figures/{name}.{file_format}", response_class=Response, dependencies=[RENEWED]
+)
 def figure(
     benchmark_id: BenchmarkId, name: FigureName, file_format: FileFormat, service: ServiceDependency
 ) -> Response:

@@ -7,7 +7,7 @@ from pydantic import BaseModel
 
 from adr_service.benchmark.comparison import Outcome, decode
 from adr_service.benchmark.figures import drawable
-from api.parameters import FigureName, FileFormat, RunId, TableFormat
+from api.parameters import RENEWED, FigureName, FileFormat, RunId, TableFormat
 from api.results import CostView, ResultsView, cost_of, outcomes_of, results_json
 from api.routes.downloads import (
     CSV,
@@ -94,7 +94,9 @@ def figures(run_id: RunId, service: ServiceDependency) -> list[str]:
     return drawable(_outcomes(service, run_id))
 
 
-@router.get("/{run_id}/figures/{name}.{file_format}", response_class=Response)
+@router.get(
+    "/{run_id}/figures/{name}.{file_format}", response_class=Response, dependencies=[RENEWED]
+)
 def figure(
     run_id: RunId, name: FigureName, file_format: FileFormat, service: ServiceDependency
 ) -> Response:
@@ -115,7 +117,7 @@ def policy(run_id: RunId, service: ServiceDependency) -> Response:
     return artifact_response(service, digest, f"{run_id}.safetensors")
 
 
-@router.get("/{run_id}/film.mp4", response_class=Response)
+@router.get("/{run_id}/film.mp4", response_class=Response, dependencies=[RENEWED])
 def film(run_id: RunId, service: ServiceDependency) -> Response:
     """An episode of the latest policy in the mean of its training distribution.
 

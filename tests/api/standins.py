@@ -7,6 +7,7 @@ from fastapi import FastAPI
 from fastapi.testclient import TestClient
 
 from api import errors
+from api.settings import Settings
 from db.clock import SteadyClock
 
 
@@ -30,6 +31,7 @@ class Service:
     """What routes call: a database, an orchestrator, and a queue that a test may fill."""
 
     dashboard_url = None
+    settings = Settings()
 
     def __init__(self, database):
         self.database, self.orchestrator = database, Orchestrator()

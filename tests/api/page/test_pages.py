@@ -21,8 +21,25 @@ def test_the_page_of_a_benchmark_shows_its_figures(http, benchmark):
     assert "dropo" in page
     for name in ("returns.svg", "spread.png", "cost.csv"):
         assert f"/v1/benchmarks/{benchmark}/figures/{name}" in page
+    assert shown_figure(page, benchmark) == len(iterations_of(http, benchmark))
     assert "these numbers mean nothing" in page
     assert benchmark in http.get("/").text
+
+
+def shown_figure(page, benchmark):
+    """The number in the address of a figure, with which another address has another figure."""
+    pattern = rf'<img src="/v1/benchmarks/{benchmark}/figures/returns.svg\?renewed=(\d+)"'
+    return int(re.search(pattern, page)[1])
+
+
+def iterations_of(http, benchmark):
+    """The run and number of every finished iteration."""
+    runs = [run["id"] for run in http.get(f"/v1/benchmarks/{benchmark}").json()["runs"]]
+    return [
+        (run, estimate["iteration"])
+        for run in runs
+        for estimate in http.get(f"/v1/runs/{run}/results").json()["rows"]
+    ]
 
 
 @pytest.mark.parametrize(
@@ -73,6 +90,22 @@ def test_a_benchmark_has_its_best_first_its_runs_and_how_to_repeat_it(http, benc
     compared = http.get("/compare", params={"id": [benchmark, benchmark]}).text
     assert re.search(few, compared)
     assert compared.count(">dropo<") == 1
+    figure = f"/v1/benchmarks/{benchmark}/figures/returns.svg"
+    assert http.get(figure, params={"renewed": 3}).status_code == 200
+    assert http.get(figure, params={"renew": 3}).status_code == 422
+
+
+def test_a_comparison_names_what_it_lacks(http, benchmark):
+    slow = {**SMOKE, "method": "prior", "seed": 82, "target": {"kind": "external"}}
+    run = http.post("/v1/runs", json=slow).json()["id"]
+    shown = http.get("/compare", params={"id": [benchmark, run]}).text
+    assert f"No policy of these has been evaluated yet: {run}." in shown
+    assert ">dropo<" in shown
+    page = http.get(f"/runs/{run}").text
+    assert f'href="/v1/runs/{run}/policy"' not in page
+    assert f'href="/v1/runs/{run}/distribution"' not in page
+    assert f'href="/v1/runs/{run}/events"' in page
+    http.post(f"/v1/runs/{run}/cancel")
 
 
 @pytest.mark.parametrize(
@@ -144,6 +177,8 @@ def test_the_page_of_a_run_shows_its_events(http, finished):
     assert page.count('<rect class="computes"') + int(left[1] if left else 0) > 2
     assert "safetensors</a>" in page
     assert f"/v1/runs/{finished}/figures/returns.svg" in page
+    assert f'href="/v1/runs/{finished}/policy"' in page
+    assert f"/v1/runs/{finished}/film.mp4?renewed=" in page
     assert f'href="/runs/{finished}"' in http.get("/").text
     assert http.get("/runs/run_0").status_code == 404
 
@@ -197,6 +232,7 @@ def test_a_run_that_waits_for_a_robot_says_so(service, http):
     run = service.client.submit_run(spec)["id"]
     wait = r'It waits for a <a href="/robots">robot</a>: (.*), and more\.</p>'
     found = until(lambda: re.search(wait, http.get(f"/runs/{run}").text))
+    assert 'hx-get="/"' in http.get("/").text  # no stage is computed, and yet it goes on
     http.post(f"/v1/runs/{run}/cancel")
     waiting = [f"evaluation {number} is pending" for number in range(10)]
     assert found[1] == ", ".join(waiting)
