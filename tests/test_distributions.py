@@ -89,6 +89,18 @@ def test_a_missing_field_is_named():
         distribution_from_json(SPACE, {"kind": "uniform", "low": [1.0, 1.0]})
 
 
+def test_a_field_that_the_kind_does_not_have_is_refused():
+    given = {"kind": "uniform", "low": [1.0, 1.0], "high": [2.0, 2.0], "hgih": [3.0, 3.0]}
+    with pytest.raises(InvalidInput, match=r"has low, high; given \['hgih'\] too"):
+        distribution_from_json(SPACE, given)
+
+
+@pytest.mark.parametrize("low", [["1", "1"], [True, True]])
+def test_words_are_no_numbers(low):
+    with pytest.raises(InvalidInput, match="low must be numbers"):
+        distribution_from_json(SPACE, {"kind": "uniform", "low": low, "high": [2.0, 2.0]})
+
+
 def test_the_prior_is_two_and_one_in_the_normalised_coordinates():
     prior = Gaussian.prior(SPACE)
     np.testing.assert_allclose(SPACE.normalise(prior.mean), 2.0)

@@ -55,6 +55,8 @@ def check_space(name: str, distribution: Distribution, space: ParameterSpace) ->
 def array_of(name: str, values: Any) -> Matrix:
     """The values as a read-only array. Raises InvalidInput unless they are numbers in a grid."""
     try:
+        if np.asarray(values).dtype.kind not in "iuf":
+            raise TypeError(f"given {values!r}")
         return frozen(values)
     except (TypeError, ValueError) as error:
         raise InvalidInput(f"{name} must be numbers, in rows of one length: {error}") from error

@@ -40,7 +40,7 @@ class Gaussian:
 
     @classmethod
     def prior(cls, space: ParameterSpace) -> "Gaussian":
-        """The prior N(2, I) in [0, 4] coordinates (Tiboni et al., Sec. 3.2)."""
+        """The prior N(2, I) in [0, 4] coordinates (Tiboni et al., Sec. 3.4)."""
         d = len(space)
         return cls(space, np.full(d, space.WIDTH / 2), np.eye(d))
 

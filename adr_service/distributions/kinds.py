@@ -29,6 +29,8 @@ def distribution_from_json(space: ParameterSpace, document: dict[str, Any]) -> D
     if kind not in KINDS:
         raise UnknownName("distribution kind", kind, KINDS)
     create, fields = KINDS[kind]
+    if unknown := sorted(document.keys() - {"kind", *fields}):
+        raise InvalidInput(f"a {kind} distribution has {', '.join(fields)}; given {unknown} too")
     if missing := [name for name in fields if name not in document]:
         raise InvalidInput(f"a {kind} distribution needs {', '.join(fields)}; not given: {missing}")
     return create(space, *(document[name] for name in fields))

@@ -24,6 +24,7 @@ from adr_service.errors import InvalidInput
 from adr_service.parameters import ParameterSpace
 from adr_service.simulation.batch import Simulations, control_period
 from adr_service.simulation.rendering import Camera
+from adr_service.simulation.rollout import check_rewards
 from adr_service.tasks.base import State
 from adr_service.tasks.catalogue import get_task, variant_of
 
@@ -31,8 +32,9 @@ from adr_service.tasks.catalogue import get_task, variant_of
 class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """One simulation of a task's variant.
 
-    `distribution` is the JSON document of an inferred distribution over `env.unwrapped.space`;
-    without one the dynamics are true. A diverged simulation ends its episode with an observation
+    `distribution` is the JSON document of an inferred distribution over `env.unwrapped.space`, or
+    the file of `adr results --distribution` that has it; without one the dynamics are true. A
+    diverged simulation ends its episode with an observation
     of zeros, no reward, and `info["diverged"]`.
     """
 
@@ -51,7 +53,7 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.space, self._truth = pair.source.space, pair.truth
         self._noise = np.sqrt(pair.hidden.noise_variance)
         self._frozen = set(pair.hidden.source.space.names) - set(self.space.names)
-        self._distribution = _distribution_of(self.space, distribution)
+        self._distribution = _distribution_of(task, self.space, distribution)
         self._simulations = Simulations(self._task, pair.source, 1)
         self._simulations.set_dynamics(self._truth[None])
         self._camera: Camera | None = None
@@ -92,8 +94,9 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if simulations.diverged[0]:
             nothing = np.zeros(len(task.columns))
             return nothing, 0.0, True, False, {"diverged": True}
-        reward = float(task.reward(before, action[None], after)[0])
-        return self._observe(after), reward, bool(task.terminated(after)[0]), False, {}
+        rewards = task.reward(before, action[None], after)
+        check_rewards(task, rewards)
+        return self._observe(after), float(rewards[0]), bool(task.terminated(after)[0]), False, {}
 
     # Gymnasium's own type allows lists of frames too, which we never return
     def render(self) -> np.ndarray | None:  # type: ignore[override]
@@ -151,7 +154,8 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             raise InvalidInput(f"{name} is frozen in this variant")
         least = self.space.feasible_low[self.space.index(name)]
         try:
-            number = float(value) if isinstance(value, Real) else math.nan
+            is_number = not isinstance(value, bool) and isinstance(value, Real)
+            number = float(value) if is_number else math.nan
         except OverflowError:
             number = math.inf
         if not least <= number < math.inf:
@@ -169,12 +173,33 @@ class RandomizedEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return values
 
 
-def _distribution_of(space: ParameterSpace, document: Any) -> Distribution | None:
-    """The distribution of a JSON document; None without one."""
+def _distribution_of(task: str, space: ParameterSpace, document: Any) -> Distribution | None:
+    """The distribution of a JSON document; None without one.
+
+    Raises InvalidInput for the file of another task, or of a variant with other search bounds, in
+    whose coordinates the same numbers are other dynamics.
+    """
     if document is None:
         return None
     if not isinstance(document, Mapping):
         raise InvalidInput(
             f"distribution must be the JSON document of one, or None; given {document!r}"
         )
-    return distribution_from_json(space, dict(cast(Mapping[str, Any], document)))
+    given = cast(Mapping[str, Any], document)
+    if "distributions" in given:
+        given = _only_one(task, space, given)
+    return distribution_from_json(space, dict(given))
+
+
+def _only_one(task: str, space: ParameterSpace, file: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The distribution in a file of `adr results --distribution`."""
+    origin = str(file.get("task")), str(file.get("variant"))
+    if origin[0] != task or variant_of(*origin).source.space != space:
+        raise InvalidInput(
+            f"distribution is of {' '.join(origin)}, whose parameters or search bounds are not "
+            f"those of this variant of {task}"
+        )
+    found = file["distributions"]
+    if len(found) != 1:
+        raise InvalidInput(f"{len(found)} distributions are given; choose one of them")
+    return cast(Mapping[str, Any], found[0])

@@ -99,6 +99,7 @@ def test_a_diverged_simulation_ends_its_episode_with_a_flag_in_info():
         ({"dynamics": {"torso_mass": 0.0}}, "from 0.1 up; given 0.0"),
         ({"dynamics": {"torso_mass": np.nan}}, "from 0.1 up; given nan"),
         ({"dynamics": {"torso_mass": "heavy"}}, "from 0.1 up; given 'heavy'"),
+        ({"dynamics": {"torso_mass": True}}, "from 0.1 up; given True"),
         ({"masses": {}}, "known: dynamics"),
         ({"dynamics": [3.0]}, "values by name"),
         ({"dynamics": {1: 3.0}}, "values by name; given the name 1"),
@@ -126,6 +127,48 @@ def test_refused_dynamics_leave_the_episode_and_the_random_numbers_as_they_were(
     np.testing.assert_array_equal(env.step(np.ones(3))[0], other.step(np.ones(3))[0])
     np.testing.assert_array_equal(env.reset()[0], other.reset()[0])
     assert env.dynamics == other.dynamics
+
+
+def file_of(variant, count=1):
+    """What `adr results --distribution` writes of a belief about Hopper."""
+    space = source_of("hopper", variant).space
+    belief = Uniform(space, space.low, space.high).to_json()
+    return {"task": "hopper", "variant": variant, "distributions": [belief] * count}
+
+
+def test_a_distribution_comes_from_its_file():
+    from_file, alone = (
+        gymnasium.make("adr/RandomHopper-v0", distribution=given).unwrapped
+        for given in (file_of("noisy"), file_of("noisy")["distributions"][0])
+    )
+    for env in (from_file, alone):
+        env.reset(seed=3)
+    assert from_file.dynamics == alone.dynamics
+
+
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        (file_of("edge"), "distribution is of hopper edge, whose parameters or search bounds"),
+        (file_of("unmodeled"), "of hopper unmodeled, whose"),
+        ({**file_of("vanilla"), "task": "walker2d"}, "is of walker2d vanilla"),
+        ({**file_of("vanilla"), "variant": "windy"}, "there is no variant"),
+        (file_of("vanilla", 2), "2 distributions are given; choose one"),
+    ],
+    ids=str,
+)
+def test_the_file_of_other_parameters_or_bounds_is_refused(file, message):
+    """The same coordinates would be other masses."""
+    with pytest.raises(InvalidInput, match=message):
+        gymnasium.make("adr/RandomHopper-v0", distribution=file)
+
+
+def test_a_reward_that_is_not_finite_is_refused():
+    env = gymnasium.make("adr/RandomHopper-v0").unwrapped
+    env.reset(seed=0)
+    message = "the reward of hopper must be finite"
+    with np.errstate(over="ignore"), pytest.raises(InvalidInput, match=message):
+        env.step(np.array([1e200, 0.0, 0.0]))
 
 
 @pytest.mark.parametrize("document", ["uniform", 3, ["uniform"]])
