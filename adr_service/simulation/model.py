@@ -116,13 +116,14 @@ def resolve(model: mujoco.MjModel, address: str) -> Slot:
 def check_written_once(model: mujoco.MjModel, source: Source) -> None:
     """Raise InvalidInput if two addresses of a source set one element, or one length.
 
-    Another address may set anew what a fixed value sets by a `*`.
+    Another address of the same attribute may set anew what a fixed value sets by a `*`.
     """
     owners: dict[tuple[str, tuple[int, ...]], str] = {}
     for address in addresses_of(source):
         for place in _places(model, address):
             first = owners.get(place)
-            if first is not None and not ("*" in first and first in source.fixed):
+            is_general = first is not None and "*" in first and first in source.fixed
+            if first is not None and not (is_general and _attribute(first) == _attribute(address)):
                 field, element = place
                 raise InvalidInput(
                     f"{first} and {address} both set {field}{list(element) or ''}; a value may "
@@ -137,6 +138,10 @@ def _places(model: mujoco.MjModel, address: str) -> list[tuple[str, tuple[int, .
         return [(address, ())]
     slot = resolve(model, address)
     return [(slot.field, element) for element in slot.elements]
+
+
+def _attribute(address: str) -> str:
+    return address.rpartition(".")[2]
 
 
 def unit_at(model: mujoco.MjModel, address: str) -> str:

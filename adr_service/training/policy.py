@@ -55,6 +55,13 @@ _SQUASHES: dict[Squash, Callable[[np.ndarray, int], np.ndarray]] = {
 _UNREADABLE = (SafetensorError, KeyError, TypeError, ValueError, RecursionError, OverflowError)
 
 
+def _numbers(tensor: np.ndarray) -> np.ndarray:
+    """The tensor; raises InvalidInput unless it has finite numbers in float32."""
+    if tensor.dtype != np.float32 or not np.isfinite(tensor).all():
+        raise InvalidInput(f"weights must be finite and float32; there are {tensor.dtype}")
+    return tensor
+
+
 @dataclass(frozen=True)
 class Policy:
     """An actor without noise: an MLP of the observation, squashed and scaled to the action bounds.
@@ -137,9 +144,14 @@ class Policy:
             header = json.loads(content[8 : 8 + length])
             description = json.loads(header["__metadata__"]["policy"])
             layers = tuple(
-                (tensors[f"layer_{i}.weight"], tensors[f"layer_{i}.bias"])
+                (
+                    _numbers(tensors.pop(f"layer_{i}.weight")),
+                    _numbers(tensors.pop(f"layer_{i}.bias")),
+                )
                 for i in range(description["layers"])
             )
+            if tensors:
+                raise InvalidInput(f"there are tensors beside its layers: {sorted(tensors)}")
             low, high = frozen(description["action_low"]), frozen(description["action_high"])
             squash = description.get("squash", "tanh")
             return cls(layers, description["activation"], low, high, squash)

@@ -265,6 +265,11 @@ def test_a_reward_may_be_undefined_where_the_episode_has_ended():
             r"joint:elbow.damping and joint:\*.damping both set dof_damping\[1\]",
         ),
         (
+            ["body:fore.inertial"],
+            {"body:*.mass": 2.0},
+            r"body:\*.mass and body:fore.inertial both set body_mass\[2\]",
+        ),
+        (
             ["link:fore.length"],
             {"link:fore.length": 1.0},
             "link:fore.length and link:fore.length both set",

@@ -33,6 +33,30 @@ def described(text):
     return safetensors.numpy.save({"x": np.zeros(1, np.float32)}, {"policy": text})
 
 
+def altered(**tensors):
+    """A policy's file with these tensors in the place of its own, or beside them."""
+    content = policy().to_bytes()
+    whole = safetensors.numpy.load(content)
+    header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    named = {name.replace("__", "."): tensor for name, tensor in tensors.items()}
+    return safetensors.numpy.save({**whole, **named}, header["__metadata__"])
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (altered(layer_0__bias=np.full(8, np.nan, np.float32)), "finite and float32"),
+        (altered(layer_0__bias=np.zeros(8, np.int64)), "float32; there are int64"),
+        (altered(layer_7__bias=np.zeros(8, np.float32)), r"beside its layers: \['layer_7.bias'\]"),
+        (policy().to_bytes().replace(b'\\"layers\\": 3', b'\\"layers\\": 1'), "beside its layers"),
+    ],
+    ids=["not finite", "integers", "another tensor", "fewer layers"],
+)
+def test_layers_of_other_numbers_and_other_tensors_are_refused(content, message):
+    with pytest.raises(InvalidInput, match=message):
+        Policy.from_bytes(content)
+
+
 @pytest.mark.parametrize(
     "content",
     [
