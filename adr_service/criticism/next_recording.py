@@ -119,12 +119,13 @@ def next_recording(
         Simulator(nominal, motions, *settings) as free,
     ):
         planned = followed(free, final)
+        base = final.simulator.base
+        possible = possible_motions(planned, recorded, allowed or {}, episodes, base)
         compared: list[tuple[_Comparison, _Comparison]] = []
         for one, other in pairs:
             if_one = _compare(one.fit, other.fit, before, free, settings)
             if_other = _compare(other.fit, one.fit, before, free, settings)
             compared.append((if_one, if_other))
-    possible = possible_motions(planned, recorded, allowed or {}, episodes, final.simulator.base)
     newly_shown: tuple[str, ...] = ()
     if compared:
         chosen = _best(compared, possible, episodes)
