@@ -4,9 +4,9 @@
 - `demo`: minutes, for the task `arm`: policies of 65,536 steps.
 - `quick`: a first look at a task, in half an hour to three hours on two cores: the trainings of
   `fast`, two iterations in the place of five, and smaller searches.
-- `fast`: the benchmark's protocol (Tiboni et al., Sec. 3.2), with trainings that need little CPU
+- `fast`: the benchmark's protocol (Tiboni et al., Sec. 3.4), with trainings that need little CPU
   time (docs/training.md).
-- `paper`: the same protocol with the published trainings (Sec. 3.4).
+- `paper`: the same protocol with the published trainings.
 
 `trainings` has the training of tasks that need one of their own.
 """

@@ -78,7 +78,7 @@ def freeze(space: ParameterSpace, truth: Sequence[float], names: Sequence[str]) 
 def benchmark_variants(
     space: ParameterSpace, truth: Sequence[float], noise_variance: float, unmodeled: Source
 ) -> Mapping[str, Variant]:
-    """The three variants of the benchmark (Tiboni et al., Sec. 4.1), of one truth and two sources,
+    """The three variants of the benchmark (Tiboni et al., Sec. 3.3), of one truth and two sources,
     and two of ours, in which the search for what `unmodeled` freezes ends at the truth (`edge`) and
     at 0.8 of it (`outside`).
 

@@ -188,8 +188,11 @@ class _OffPolicy(_Settings):
 
 
 class SacSettings(_OffPolicy):
-    """Soft Actor-Critic (Haarnoja et al., arXiv 1812.05905); defaults are the paper's of the
-    benchmark (Tiboni et al., Sec. 3.4), else SB3's."""
+    """Soft Actor-Critic (Haarnoja et al., arXiv 1812.05905).
+
+    Defaults are those of the benchmark's paper (Tiboni et al., Sec. 3.4), of its authors' code
+    (tanh between layers, which the paper does not mention), else SB3's.
+    """
 
     hidden: Widths = Field(
         [128, 128], description="units per hidden layer of the actor and of each critic"
