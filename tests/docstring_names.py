@@ -3,6 +3,7 @@
 import io
 from collections.abc import Generator
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -81,7 +82,7 @@ def arm_recording(folder: Path) -> Names:
 
 def arm_criticised(_: Path) -> Names:
     task, nominal = arm_and_nominal()
-    measurement = hide(task, nominal, np.random.default_rng(0), []).episodes(range(12))
+    measurement = hide(task, nominal, np.random.default_rng(0), []).episodes(range(8))
     names: Names = {"task": task, "nominal": nominal, "rng": np.random.default_rng(0)}
     return {**names, "measurement": measurement}
 
@@ -90,7 +91,7 @@ def arm_with_an_effect(folder: Path) -> Names:
     names = arm_criticised(folder)
     friction = Effect("joint_coulomb_friction", "joint:elbow", (0.15,))
     data = hide(names["task"], names["nominal"], np.random.default_rng(0), [friction])
-    return {**names, "measurement": data.episodes(range(12))}
+    return {**names, "measurement": data.episodes(range(8))}
 
 
 def simulated(folder: Path) -> Names:
@@ -106,10 +107,15 @@ def simulated(folder: Path) -> Names:
     return {**vars(responses), **vars(scan), **names}
 
 
-def fitted(folder: Path) -> Names:
+def fitted(_: Path) -> Names:
+    return {**_fitted(), "rng": np.random.default_rng(0)}
+
+
+@cache
+def _fitted() -> Names:
     from adr_service.criticism import evidence, probable_states
 
-    names = {**vars(evidence), **vars(probable_states), **simulated(folder)}
+    names = {**vars(evidence), **vars(probable_states), **simulated(Path())}
     baseline = probable_states.smoothed(evidence.fit(names["simulator"], names["sensor"]))
     effect = Effect("joint_coulomb_friction", "joint:elbow", (0.15,))
     return {**names, "baseline": baseline, "effect": effect}
@@ -131,10 +137,15 @@ def robots(folder: Path) -> Names:
 
 
 def scanned(folder: Path) -> Names:
-    names = fitted(folder)
+    return {**fitted(folder), **_scanned()}
+
+
+@cache
+def _scanned() -> Names:
+    names = _fitted()
     responses = names["Responses"](names["baseline"])
     candidates = names["scan"](names["baseline"], responses)
-    return {**names, "responses": responses, "candidates": candidates}
+    return {"responses": responses, "candidates": candidates}
 
 
 def random_motions(folder: Path) -> Names:

@@ -18,7 +18,7 @@ def data(tmp_path_factory):
     """The file of a measurement that hides an effect, short to be fast."""
     hidden = draw_case(*arm(), np.random.default_rng(100), 0.3)
     path = tmp_path_factory.mktemp("data") / "arm.npz"
-    np.savez(path, **recorded(hidden.measurement.episodes(range(12))))
+    np.savez(path, **recorded(hidden.measurement.episodes(range(8))))
     return path
 
 
@@ -41,6 +41,7 @@ def test_a_task_and_a_measurement_give_verdict_report_and_extended_model(data, t
     assert "The simulator lacks" in page
 
 
+@pytest.mark.slow  # tests/test_docs.py criticises a model of its own, too
 def test_a_model_of_ones_own_has_the_parameters_that_were_set_free(data, tmp_path):
     model = tmp_path / "arm.xml"
     model.write_text(get_task("arm").xml)

@@ -70,7 +70,7 @@ def planted(effect, episodes):
 
 
 def test_a_new_mechanism_is_scanned_planted_named_and_exported(pull):
-    nominal, data = arm()[1], planted(pull, 12)
+    nominal, data = arm()[1], planted(pull, 8)
     criticism = criticise(nominal, data, np.random.default_rng(0), threads=1)
     (cause,) = criticism.verdict.causes
     assert (cause.kind, cause.location) == (pull.kind, pull.location)

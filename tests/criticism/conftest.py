@@ -12,6 +12,8 @@ from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.probable_states import smoothed
+from adr_service.criticism.responses import Responses
+from adr_service.criticism.scan import scan
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
 from adr_service.parameters import ParameterSpace
@@ -46,7 +48,7 @@ def swinging():
 def clean():
     """The arrays of an arm without any effect; noise of 1 mrad and 10 mrad/s."""
     task, nominal = arm()
-    return recorded(hide(task, nominal, np.random.default_rng(403), []).episodes(range(12)))
+    return recorded(hide(task, nominal, np.random.default_rng(403), []).episodes(range(8)))
 
 
 @pytest.fixture(scope="session")
@@ -63,11 +65,23 @@ def hidden(friction):
 
 @pytest.fixture(scope="session")
 def baseline(hidden):
-    """A fit without the friction, to the first twelve episodes."""
-    data = hidden.episodes(range(12))
+    """A fit without the friction, to the first eight episodes."""
+    data = hidden.episodes(range(8))
     sensor = data.sensor_variance()
     with Simulator(arm()[1], data, threads=1, finer=3) as simulator:
         yield smoothed(fit(simulator, sensor))
+
+
+@pytest.fixture(scope="session")
+def responses(baseline):
+    """What every effect does to the fit without the friction."""
+    return Responses(baseline)
+
+
+@pytest.fixture(scope="session")
+def candidates(baseline, responses):
+    """What a scan of that fit finds, the best first."""
+    return scan(baseline, responses)
 
 
 @pytest.fixture(scope="session")
@@ -92,8 +106,17 @@ def pushed_and_rubbing():
 
 @pytest.fixture(scope="session")
 def criticism():
-    """A criticism that names one hidden effect, by twelve episodes."""
+    """A criticism that names one hidden effect, by the fewest episodes that are accepted."""
     case = draw_case(*arm(), np.random.default_rng(100), 0.3)
     return criticise(
+        case.nominal, case.measurement.episodes(range(8)), np.random.default_rng(0), threads=1
+    )
+
+
+@pytest.fixture(scope="session")
+def nothing():
+    """A case with nothing hidden, and a criticism of twelve episodes of it."""
+    case = draw_case(*arm(), np.random.default_rng(200), 0.3, count=0)
+    return case, criticise(
         case.nominal, case.measurement.episodes(range(12)), np.random.default_rng(0), threads=1
     )

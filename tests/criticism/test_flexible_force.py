@@ -27,10 +27,12 @@ def found(nominal, data, *effects):
         return unexplained(refine(baseline, effects))
 
 
+@pytest.mark.slow
 def test_a_flexible_force_gains_nothing_where_nothing_is_hidden(clean):
     assert not is_evidence(found(arm()[1], Measurement(**clean)).gains)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "ratio", "effect", "depends_on"),
     [(300, 1.0, "gain_drift", "time"), (302, 0.3, "disturbance", "frequency")],
@@ -67,6 +69,7 @@ def test_what_varies_about_a_named_mean_is_found_with_its_joint(kind, dof, size,
     assert (rest.where.location, rest.where.depends_on) == (joint, depends_on)
 
 
+@pytest.mark.slow
 def test_a_torque_ripple_that_is_not_named_depends_on_position():
     ripple = Effect("joint_torque_ripple", "joint:shoulder", (0.2, 0.0, 12.0))
     data = hide(*arm(), np.random.default_rng(5), [ripple]).episodes(range(12))
@@ -75,6 +78,7 @@ def test_a_torque_ripple_that_is_not_named_depends_on_position():
     assert (rest.where.location, rest.where.depends_on) == ("joint:shoulder", "position")
 
 
+@pytest.mark.slow
 def test_a_swing_is_found_at_its_frequency_where_every_fourth_episode_is_sealed():
     force = Force("disturbance", dof=1, actuator=1, other=0, size=0.3)
     learned, _ = split(hide(*arm(), np.random.default_rng(5), [], force))
@@ -105,7 +109,9 @@ def test_what_a_drive_does_is_found_however_it_pulls(drive, hidden, depends_on):
     assert (rest.where.location, rest.where.depends_on) == ("joint:slide", depends_on)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+)
 def test_forces_that_are_correlated_in_time_are_no_swing(seed):
     """First-order noise, which lasts for a tenth of a second."""
     nominal = Nominal.of_model(SWUNG.format(drive='joint="slide"'), ParameterSpace(()))
@@ -151,7 +157,7 @@ def test_a_flexible_force_adds_nothing_to_the_true_effect(refined):
 
 def test_every_episode_has_its_own_gain(baseline):
     gained = unexplained(baseline).gains
-    assert gained.shape == (12,)
+    assert gained.shape == (8,)
     assert np.all(np.isfinite(gained))
 
 

@@ -8,8 +8,6 @@ import pytest
 from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import tried
 from adr_service.criticism.naming import block_of, name_effects
-from adr_service.criticism.responses import Responses
-from adr_service.criticism.scan import scan
 from adr_service.effects.base import Effect
 from adr_service.progress import silent
 
@@ -17,11 +15,10 @@ SPRING = Effect("joint_spring", "joint:elbow", (0.05,))
 
 
 @pytest.fixture(scope="module")
-def search(baseline):
+def search(baseline, candidates, responses):
     """The named effects, the fit with them, and the probability of chance."""
-    responses, rng = Responses(baseline), np.random.default_rng(0)
-    candidates = scan(baseline, responses)[:8]
-    return name_effects(baseline, candidates, responses, None, rng, silent)
+    rng = np.random.default_rng(0)
+    return name_effects(baseline, candidates[:8], responses, None, rng, silent)
 
 
 def test_the_only_hidden_effect_is_the_only_one_that_is_named(search, friction):
@@ -47,9 +44,9 @@ def test_an_alternative_keeps_its_own_fit(search):
         assert each.newest == each.fit.effects
 
 
-def test_no_candidates_leave_the_fit_as_it_is(baseline):
+def test_no_candidates_leave_the_fit_as_it_is(baseline, responses):
     rng = np.random.default_rng(0)
-    named, final, chance = name_effects(baseline, [], Responses(baseline), None, rng, silent)
+    named, final, chance = name_effects(baseline, [], responses, None, rng, silent)
     assert (named, chance) == ([], 1.0)
     assert final is baseline
 
@@ -60,23 +57,26 @@ def block(baseline, friction):
     return block_of(baseline, ((friction,), (SPRING,)))
 
 
-def named_from(block, baseline):
-    responses, rng = Responses(baseline), np.random.default_rng(0)
-    candidates = scan(baseline, responses)[:8]
-    return name_effects(baseline, candidates, responses, block, rng, silent)[:2]
+@pytest.fixture
+def named_from(baseline, candidates, responses):
+    def search(block):
+        rng = np.random.default_rng(0)
+        return name_effects(baseline, candidates[:8], responses, block, rng, silent)[:2]
+
+    return search
 
 
-def test_a_block_that_gains_no_more_than_one_effect_alone_is_not_taken(block, search, baseline):
-    named, _ = named_from(block, baseline)
+def test_a_block_that_gains_no_more_than_one_effect_alone_is_not_taken(block, search, named_from):
+    named, _ = named_from(block)
     kinds = [[alike[0].effects[0].kind for alike in each] for each in (named, search[0])]
     assert kinds[0] == kinds[1]
 
 
 def test_a_group_that_the_others_make_superfluous_does_not_stand_and_takes_no_evidence(
-    block, baseline, friction
+    block, friction, named_from
 ):
     far = replace(block, gains=10 * block.gains)  # as if it explained much more
-    named, current = named_from(far, baseline)
+    named, current = named_from(far)
     (first,) = named[0]
     assert first.effects[0].kind == friction.kind
     assert first.effects[0].values == pytest.approx(friction.values, rel=0.05)

@@ -41,9 +41,15 @@ def poorly_recorded(hidden):
     return hidden, first, criticism
 
 
-def planned(tied, seed=0, **settings):
+def planned(tied, seed=0, seconds=0.5, **settings):
     rng = np.random.default_rng(seed)
-    return next_recording(tied[2], LIMITS, rng, threads=1, **settings)
+    return next_recording(tied[2], LIMITS, rng, threads=1, seconds=seconds, **settings)
+
+
+@pytest.fixture(scope="module")
+def near(tied):
+    """A plan for the tie that keeps to the positions of its recording."""
+    return planned(tied, episodes=5, seconds=1.0)
 
 
 @pytest.mark.slow
@@ -65,17 +71,16 @@ def test_explanations_that_no_motion_separates_are_not_promised_to_be():
     assert not pair.is_expected
 
 
-def test_commands_stay_within_their_limits(tied):
-    plan = planned(tied, episodes=5, seconds=1.0)
-    assert plan.commands.shape == (5, round(1.0 / plan.period), 2)
-    low, high = plan.commands.min(axis=(0, 1)), plan.commands.max(axis=(0, 1))
+def test_commands_stay_within_their_limits(near):
+    assert near.commands.shape == (5, round(1.0 / near.period), 2)
+    low, high = near.commands.min(axis=(0, 1)), near.commands.max(axis=(0, 1))
     assert np.all(low >= LIMITS[:, 0])
     assert np.all(high <= LIMITS[:, 1])
-    assert np.ptp(plan.commands[..., 0]) > 1
+    assert np.ptp(near.commands[..., 0]) > 1
 
 
-def test_a_joint_stays_within_the_positions_that_it_is_allowed(tied):
-    near, far = planned(tied), planned(tied, allowed={0: (-1.0, 3.0), 1: (-9.0, 9.0)}, episodes=4)
+def test_a_joint_stays_within_the_positions_that_it_is_allowed(tied, near):
+    far = planned(tied, allowed={0: (-1.0, 3.0), 1: (-9.0, 9.0)}, episodes=4, seconds=1.0)
     assert far.reach[0, 0] >= -1.0
     assert far.reach[0, 1] <= 3.0
     assert np.ptp(far.reach[1]) > np.ptp(near.reach[1])
@@ -128,13 +133,12 @@ def test_a_plan_is_the_same_for_the_same_seed_and_a_file(tied):
     assert len(np.unique(arrays["episode"])) == 12
 
 
-def test_without_a_tie_motions_are_chosen_that_show_many_effects(clean):
-    data = Measurement(**clean)
-    criticism = criticise(arm()[1], data, np.random.default_rng(0), threads=1)
-    assert not any(criticism.verdict.tied)
-    limits = recorded_limits(criticism.final.simulator)
-    np.testing.assert_array_equal(limits[:, 1], data.ctrl.max(axis=0))
-    plan = next_recording(criticism, limits, np.random.default_rng(0), threads=1)
+def test_without_a_tie_motions_are_chosen_that_show_many_effects(nothing):
+    _, criticism = nothing
+    simulator = criticism.final.simulator
+    limits = recorded_limits(simulator)
+    np.testing.assert_array_equal(limits[:, 1], simulator.data.ctrl[simulator.starts].max(axis=0))
+    plan = next_recording(criticism, limits, np.random.default_rng(0), threads=1, seconds=0.5)
     assert plan.separations == ()
     assert np.all(plan.reach[:, 0] < plan.reach[:, 1])
 
@@ -177,7 +181,8 @@ def test_a_difference_that_refitting_can_absorb_is_no_evidence():
 
 def test_an_actuator_that_rests_may_rest_again(tied):
     limits = np.array([[-1.0, 1.0], [0.0, 0.0]])
-    plan = next_recording(tied[2], limits, np.random.default_rng(0), threads=1)
+    rng = np.random.default_rng(0)
+    plan = next_recording(tied[2], limits, rng, threads=1, seconds=0.5, episodes=3)
     np.testing.assert_array_equal(plan.commands[..., 1], 0.0)
 
 

@@ -119,7 +119,7 @@ def test_friction_that_varies_about_the_models_own_is_a_candidate():
     )
     assert rough.model(rough.start).joint("elbow").frictionloss[0] == 0.1
     means = []
-    for seed in range(4):
+    for seed in range(2):
         wave = Effect(kind, place, (0.0, 0.05, 0.03, 9.0))
         data = hide(task, rough, np.random.default_rng(seed), [wave]).episodes(range(12))
         with Simulator(rough, data, threads=1, finer=3) as simulator:

@@ -46,7 +46,7 @@ def test_states_that_make_every_episode_less_likely_are_approached_by_half(basel
     monkeypatch.setattr(probable_states, "linearised", spoiling)
     found = smoothed(baseline)
     assert shares == [1.0, 1.0, 0.5]
-    np.testing.assert_array_equal(found.states, linearised(baseline, np.ones(12)).states)
+    np.testing.assert_array_equal(found.states, linearised(baseline, np.ones(8)).states)
 
 
 def test_a_parameter_at_its_bound_stays_there_as_states_are_chosen(baseline):

@@ -39,6 +39,7 @@ def test_more_noise_than_was_stated_is_seen(clean):
     assert cause.strengths[0].low < np.sqrt(0.01**2 - 0.005**2) < cause.strengths[0].high
 
 
+@pytest.mark.slow
 def test_the_last_digits_of_a_file_are_no_steps(clean):
     rounded = {**clean, "qpos": np.round(clean["qpos"], 4)}
     assert criticised(rounded).verdict.conclusion == "none"

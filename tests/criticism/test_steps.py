@@ -28,28 +28,34 @@ def sticking():
 @pytest.fixture(scope="module")
 def in_thirds(sticking):
     """A fit with the friction, in a third of the model's step."""
-    data = sticking.episodes(range(12))
+    data = sticking.episodes(range(8))
     with Simulator(arm()[1], data, threads=1, finer=3) as simulator:
         baseline = smoothed(fit(simulator, data.sensor_variance()))
         yield smoothed(refine(baseline, [STRONG]))
 
 
-def test_a_friction_that_sticks_asks_for_finer_steps_which_bring_it_nearer_to_the_truth(in_thirds):
-    finer = in_finer_steps(in_thirds, 1)
+@pytest.fixture(scope="module")
+def finer(in_thirds):
+    """The same fit in the steps that it asks for."""
+    return in_finer_steps(in_thirds, 1)
+
+
+def test_a_friction_that_sticks_asks_for_finer_steps_which_bring_it_nearer_to_the_truth(
+    in_thirds, finer
+):
     assert finer.simulator.finer == 9
     fall, finer_fall = (each.effects[0].values[1] for each in (in_thirds, finer))
     assert abs(finer_fall - STRONG.values[1]) < 0.5 * abs(fall - STRONG.values[1])
     np.testing.assert_allclose(finer.effects[0].values, STRONG.values, rtol=0.03)
 
 
-def test_finer_steps_are_not_tried_again_where_they_are_fine_enough(in_thirds):
-    finer = in_steps_of(in_thirds, in_thirds.simulator.in_finer_steps)
+def test_finer_steps_are_not_tried_again_where_they_are_fine_enough(finer):
     assert in_finer_steps(finer, 1) is finer
     assert "in_finer_steps" not in vars(finer.simulator)
 
 
 def test_finer_steps_that_are_not_likelier_beyond_chance_are_refused(in_thirds, monkeypatch):
-    monkeypatch.setattr(steps, "gained", lambda finer, current: np.full(12, 0.1))
+    monkeypatch.setattr(steps, "gained", lambda finer, current: np.full(8, 0.1))
     assert in_finer_steps(in_thirds, 1) is in_thirds
 
 

@@ -144,20 +144,20 @@ def test_steps_and_noise_are_those_of_the_final_fit(baseline, refined):
 
 def test_every_transition_is_counted_once(baseline):
     residual = residual_of(baseline, baseline, [], (), left(0.0))
-    assert (residual.used, residual.diverged) == (12 * 75, 0)
+    assert (residual.used, residual.diverged) == (8 * 75, 0)
     mask = baseline.linear.chain.mask.copy()
     mask[0, :3] = False
     chain = baseline.linear.chain.where(mask)
     fewer = replace(baseline, linear=replace(baseline.linear, chain=chain))
     residual = residual_of(baseline, fewer, [], (), left(0.0))
-    assert (residual.used, residual.diverged) == (12 * 75 - 3, 3)
+    assert (residual.used, residual.diverged) == (8 * 75 - 3, 3)
 
 
 def test_an_interval_has_at_least_half_the_episodes_as_degrees_of_freedom(refined, friction):
     (strength,) = named_cause(refined, slice(0, 1), weighed(refined, friction)).strengths
     covariance = refined.normal.covariance()
     (variance,) = np.diagonal(covariance)[refined.columns_of(slice(0, 1))]
-    assert len(covariance) > 6  # of 12 episodes, fewer than half would be left
-    freedom = 6
+    assert len(covariance) > 4  # of 8 episodes, fewer than half would be left
+    freedom = 4
     reach = (strength.high - strength.value) / np.sqrt(variance)
     assert reach == pytest.approx(stats.t.ppf(0.975, freedom))

@@ -10,8 +10,6 @@ from adr_service.criticism import weighing
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import gained, held_out_without, refine
 from adr_service.criticism.probable_states import smoothed
-from adr_service.criticism.responses import Responses
-from adr_service.criticism.scan import scan
 from adr_service.criticism.weighing import (
     Weighed,
     close_to_best,
@@ -23,11 +21,6 @@ from adr_service.criticism.weighing import (
 )
 from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
-
-
-@pytest.fixture(scope="module")
-def candidates(baseline):
-    return scan(baseline, Responses(baseline))
 
 
 def weighed(fit, *effects, gains=None):

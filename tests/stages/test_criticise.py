@@ -14,12 +14,14 @@ from adr_service.stages.base import compute
 from adr_service.stages.criticise import Criticise
 from tests.hidden import arm, recorded
 
+pytestmark = pytest.mark.slow  # tests/api/routes/test_criticisms.py computes one too
+
 
 @pytest.fixture(scope="module")
 def stage():
     """A criticism of an arm that hides one effect."""
     case = draw_case(*arm(), np.random.default_rng(100), 0.3)
-    data = write_arrays(recorded(case.measurement.episodes(range(10))))
+    data = write_arrays(recorded(case.measurement.episodes(range(8))))
     return Criticise(task="arm", variant="vanilla", seed=0, data=data)
 
 
@@ -38,7 +40,6 @@ def test_its_verdict_is_the_one_in_the_file_without_the_time_that_it_took(result
     assert result.verdict["seconds"] is None
 
 
-@pytest.mark.slow  # another criticism
 def test_it_is_the_same_to_the_byte_when_it_is_computed_again(stage, result):
     assert stage.read(compute(stage)) == result
 

@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from adr_service.blind_test import planting
 from adr_service.blind_test.files import read_key
 
 
@@ -11,6 +12,7 @@ from adr_service.blind_test.files import read_key
 def made(adr_here, tmp_path, monkeypatch):
     """Two cases of the arm in the working directory, and their key."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(planting, "EPISODES", 8)
     where = ["--out", "cases", "--key", "key.json"]
     status, shown, errors = adr_here(
         "criticise-bench", "make", *where, "--cases", "2", "--seed", "9"
