@@ -28,16 +28,16 @@ class LocalStages:
     run_id = "local"
 
     def __init__(self) -> None:
-        self._memory: dict[str, StageResult] = {}
+        self.results: dict[str, StageResult] = {}
         self.executed: list[Stage[Any]] = []
 
     def all(self, stages: Sequence[Stage[R]]) -> Generator[RunEvent, None, list[R]]:
         results: list[R] = []
         for stage in stages:
-            if stage.digest not in self._memory:
-                self._memory[stage.digest] = compute(stage)
+            if stage.digest not in self.results:
+                self.results[stage.digest] = compute(stage)
                 self.executed.append(stage)
-            results.append(stage.read(self._memory[stage.digest]))
+            results.append(stage.read(self.results[stage.digest]))
             yield from events_of(stage, results[-1])
         return results
 

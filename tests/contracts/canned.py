@@ -25,7 +25,7 @@ class CannedStages:
         results = []
         for stage in stages:
             self.asked.append((stage.kind, stage.digest))
-            self.results[stage.digest] = canned(stage)
+            self.results[stage.digest] = self.answer(stage)
             result = stage.read(self.results[stage.digest])
             yield from events_of(stage, result)
             results.append(result)
@@ -33,6 +33,9 @@ class CannedStages:
 
     def run(self, stage):
         return (yield from self.all([stage]))[0]
+
+    def answer(self, stage):
+        return canned(stage)
 
 
 def canned(stage):

@@ -84,7 +84,7 @@ def test_the_batch_equals_a_plain_loop_bit_for_bit(task, variant):
     source, rng = source_of(task.name, variant), np.random.default_rng(0)
     draws = rng.uniform(source.space.low, source.space.high, (5, len(source.space)))
     initial = task.initial(5, rng)
-    actions = rng.uniform(task.action_low, task.action_high, (200, 5, len(task.action_low)))
+    actions = rng.uniform(task.action_low, task.action_high, (60, 5, len(task.action_low)))
     simulations = Simulations(task, source, 5)
     simulations.set_dynamics(draws)
     simulations.set_state(initial)
