@@ -23,6 +23,7 @@ _TOGETHER = {
     "tests/client/": "service",
     "tests/acceptance/test_lease_history": "service",
     "tests/benchmark/": "benchmark",
+    "tests/programs/": "programs",
     "tests/criticism/": "fits",
 }
 

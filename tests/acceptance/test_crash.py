@@ -11,7 +11,8 @@ from adr_service.stages.local import LocalStages
 from tests.programs.smoke import iterations
 from tests.service import RunningService, start_service, wait_until_finished
 
-pytestmark = pytest.mark.ray
+# faster: tests/workers/test_schedules.py, and test_upkeep.py, which starts a service anew
+pytestmark = [pytest.mark.ray, pytest.mark.slow]
 BENCHMARK = {
     "tasks": ["arm"],
     "methods": ["simopt", "dropo"],
@@ -19,8 +20,7 @@ BENCHMARK = {
     "preset": "smoke",
     "training": {"max_steps": 1800, "evaluate_every": 900, "start": "previous"},
 }
-SLOW = [pytest.param(n, marks=pytest.mark.slow) for n in (1, 2, 3, 5, 6, 7, 8, 9, 10)]
-KILL_AFTER = [4, *SLOW]  # finished stages, of twelve
+KILL_AFTER = range(1, 11)  # finished stages, of twelve
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,6 @@ def test_a_killed_service_goes_on_where_it_was(tmp_path, uninterrupted, after):
     assert len(set(first_log) | set(second_log)) == stages
 
 
-@pytest.mark.slow
 def test_one_core_gives_the_same_bytes_as_two(tmp_path, uninterrupted):
     with start_service(tmp_path, cpus=1) as running:
         id = running.client.submit_benchmark(BENCHMARK)["id"]
@@ -60,7 +59,6 @@ def test_one_core_gives_the_same_bytes_as_two(tmp_path, uninterrupted):
         assert len(running.started_stages) == uninterrupted[1]
 
 
-@pytest.mark.slow
 def test_a_service_that_is_stopped_in_good_order_goes_on_as_well(tmp_path, uninterrupted):
     with start_service(tmp_path, cpus=2) as running:
         id = running.client.submit_benchmark(BENCHMARK)["id"]

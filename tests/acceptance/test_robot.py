@@ -43,7 +43,8 @@ EPISODES = 8  # two rollouts, and two evaluations after each of 0, 1 and 2
 @pytest.fixture(scope="module")
 def service(tmp_path_factory):
     folder = tmp_path_factory.mktemp("robots")
-    with start_service(folder, cpus=2, environment={"ADR_LEASE_S": str(LEASE_S)}) as running:
+    leases = {"ADR_LEASE_S": str(LEASE_S)}
+    with start_service(folder, cpus=2, environment=leases) as running:
         yield running
 
 
@@ -176,7 +177,10 @@ def test_a_robot_stops_within_a_control_step_of_hearing_that_its_run_is_cancelle
 @pytest.mark.parametrize(
     ("factory", "options", "is_cancelled", "message"),
     [
-        ("stuck_arm", ["--max-seconds", "6"], False, "step did not return within"),
+        pytest.param(
+            *("stuck_arm", ["--max-seconds", "6"], False, "step did not return within"),
+            marks=pytest.mark.slow,
+        ),
         ("stuck_reset", ["--max-reset-seconds", "2"], False, "reset did not return within 2.0 s"),
         pytest.param(
             *("stuck_arm", [], True, "and the environment's step does not return"),

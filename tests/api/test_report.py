@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 import pytest
 
 from adr_service.benchmark.archive import ArchiveReader
-from adr_service.client import Refused
+from adr_service.client import AdrClient, Refused
 from api.report import write_report
 
 pytestmark = pytest.mark.ray
@@ -20,6 +20,12 @@ CHROMIUM = shutil.which("chromium")
 def page(service, benchmark, tmp_path_factory):
     """The page of a benchmark's report."""
     return write_report(service.client, benchmark, tmp_path_factory.mktemp("report"))
+
+
+@pytest.fixture
+def one_figure(monkeypatch):
+    """A report draws this one alone: the others cost seconds, and `page` has them."""
+    monkeypatch.setattr(AdrClient, "figures", lambda client, id: ["cost"])
 
 
 class References(HTMLParser):
@@ -65,6 +71,7 @@ def test_the_report_has_the_results_costs_versions_and_spec(service, benchmark, 
         assert archive.manifest.benchmark == benchmark
 
 
+@pytest.mark.usefixtures("one_figure")
 def test_archives_of_parts_are_linked_and_listed(service, benchmark, tmp_path):
     parts = {"study.adr": {"seeds": ["0"]}, "study-dropo.adr": {"methods": ["dropo"]}}
     text = write_report(service.client, benchmark, tmp_path, parts).read_text()
@@ -94,6 +101,7 @@ class WithFailure:
         return found
 
 
+@pytest.mark.usefixtures("one_figure")
 def test_the_report_names_a_run_that_failed(service, benchmark, tmp_path):
     text = write_report(WithFailure(service.client), benchmark, tmp_path / "report").read_text()
     spec = service.client.get(benchmark)["runs"][0]["spec"]
@@ -120,6 +128,7 @@ def test_a_browser_shows_the_page_from_disk_without_errors(page, width, tmp_path
     assert (tmp_path / "page.png").stat().st_size > 10_000
 
 
+@pytest.mark.usefixtures("one_figure")
 def test_a_report_overwrites_nothing_and_is_of_a_benchmark(adr_here, service, benchmark, page):
     def report(id, out):
         return adr_here("report", id, "--out", str(out), "--url", service.client.url)

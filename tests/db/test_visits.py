@@ -352,13 +352,18 @@ class Machine(RuleBasedStateMachine):
 
 TestMachine = Machine.TestCase
 TestMachine.settings = settings(
-    max_examples=15,
+    max_examples=6,
     stateful_step_count=30,
     deadline=None,
     derandomize=True,
     phases=[Phase.generate],  # to shrink a story takes minutes
     suppress_health_check=list(HealthCheck),
 )
+
+
+@pytest.mark.slow
+class TestManyStories(TestMachine):
+    settings = settings(TestMachine.settings, max_examples=60)
 
 
 def test_of_eight_claimers_that_sleep_over_their_leases_one_is_accepted_for_each_task(

@@ -11,8 +11,8 @@ PPO = {
     "rollout_steps": 8,
     "batch_size": 32,
     "epochs": 2,
-    "max_steps": 9600,
-    "evaluate_every": 4800,
+    "max_steps": 4800,
+    "evaluate_every": 2400,
 }
 
 

@@ -16,6 +16,7 @@ def test_the_settings_of_a_method_name_a_program(name):
     assert callable(import_module(methods()[name].program).run)
 
 
+@pytest.mark.anew
 def test_a_run_repeats_to_the_last_digit():
     first, second = (list(run(smoke("dropo"), LocalStages())) for _ in range(2))
     assert first == second

@@ -17,7 +17,9 @@ def test_droid_recovers_planted_dynamics(noise, tolerance):
     assert distance(estimate.distribution.mean) < tolerance
 
 
-@pytest.mark.parametrize("recording", ["hopper_clean", "hopper_noisy"])
+@pytest.mark.parametrize(
+    "recording", [pytest.param("hopper_clean", marks=pytest.mark.slow), "hopper_noisy"]
+)
 @pytest.mark.parametrize("episode", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_droid_recovers_hoppers_masses_from_a_hundred_transitions(request, recording, episode):
     """Tolerance: three times the worst of four episodes, .0018.

@@ -37,6 +37,7 @@ def test_simopt_finds_planted_dynamics_and_narrows(seed):
     assert np.all(after.std < 0.1 * before.std)
 
 
+@pytest.mark.slow
 def test_simopt_moves_towards_planted_dynamics_from_a_noisy_recording():
     """The distance is .174; tolerance, a quarter of the prior's."""
     _, after = beliefs(noise=0.003)

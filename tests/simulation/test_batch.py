@@ -37,7 +37,7 @@ def simulated(task, variant, dynamics, initial, actions, threads=1):
 
 @pytest.mark.parametrize(("task", "variant"), CASES, ids=IDS)
 def test_the_number_of_threads_changes_nothing(task, variant):
-    case = (task, variant, *drawn(task, variant, steps=200))
+    case = (task, variant, *drawn(task, variant, steps=60))
     np.testing.assert_array_equal(simulated(*case), simulated(*case, threads=3))
 
 

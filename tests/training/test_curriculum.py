@@ -119,7 +119,7 @@ def test_the_environment_reports_the_dynamics_and_the_return_of_episodes_that_en
 
 @pytest.mark.parametrize("algorithm", ["ppo", pytest.param("sac", marks=pytest.mark.slow)])
 def test_a_training_draws_from_its_curriculum_and_is_judged_on_the_distribution(algorithm):
-    given = settings(algorithm, max_steps=9600, evaluate_every=4800, stop_at_threshold=False)
+    given = settings(algorithm, max_steps=5760, evaluate_every=2880, stop_at_threshold=False)
     walk = Walk(episodes=12)
     moved = train(ARM, SOURCE, BOX, given, stream("one"), curriculum=walk)
     assert len(moved.phases) == len(walk.moves) + 1 > 2
@@ -129,12 +129,11 @@ def test_a_training_draws_from_its_curriculum_and_is_judged_on_the_distribution(
     assert [phase.mean_return for phase in moved.phases[:-1]] == pytest.approx(
         [returns.mean() for returns in walk.moves]
     )
-    again = train(ARM, SOURCE, BOX, given, stream("one"), curriculum=Walk(episodes=12))
-    assert again.policy.to_bytes() == moved.policy.to_bytes()
-    assert again.phases == moved.phases
     middle = Uniform.point(BOX.space, BOX.mean)
     elsewhere = train(ARM, SOURCE, middle, given, stream("one"), curriculum=Walk(episodes=12))
-    assert elsewhere.phases == moved.phases  # it has trained on the same
+    # it has trained on the same, and learned the same of it
+    assert elsewhere.phases == moved.phases
+    np.testing.assert_equal(elsewhere.networks, moved.networks)
     assert elsewhere.curve != moved.curve
 
 

@@ -70,11 +70,16 @@ class Tell(Wait):
             time.sleep(0.01)
 
 
+@pytest.fixture(scope="module")
+def only_board(cluster):
+    return ray.remote(Board).options(num_cpus=0).remote()
+
+
 @pytest.fixture
-def board(cluster):
-    board = ray.remote(Board).options(num_cpus=0).remote()
-    yield board
-    ray.kill(board)
+def board(only_board):
+    """A board without news, to which every stage is wanted."""
+    ray.get(only_board.news.remote(set()))
+    return only_board
 
 
 @pytest.fixture

@@ -42,7 +42,7 @@ def started(ray_folder):
         dashboard=False,
         compile_cache=ray_folder / "jax",
         folder=ray_folder,
-        keep_idle_s=8,
+        keep_idle_s=30,
     )
     dispatcher = Dispatcher(options, store)
     dispatcher.start()
@@ -133,12 +133,12 @@ def test_a_running_stage_shows_life(started):
 
 def test_a_stage_is_stopped_only_when_nobody_wants_it(started):
     dispatcher, store = started
-    stage = training(30, max_steps=8_000, evaluate_every=8_000)
+    stage = training(30, max_steps=3_000, evaluate_every=3_000)
     dispatcher.submit(stage, "run_gone")
     wanted = dispatcher.submit(stage, "run_stays")
     until(lambda: running(dispatcher, "run_stays"))
     dispatcher.withdraw("run_gone")
-    assert wanted.result(120).values["steps"] >= 8_000
+    assert wanted.result(120).values["steps"] >= 3_000
     assert store.commits[-1][3] == ["run_stays"]
 
 
@@ -154,7 +154,7 @@ def test_a_withdrawn_stage_stops_and_frees_its_core(started):
 
 def test_a_lost_process_means_another_attempt_with_the_same_bytes(started):
     dispatcher, store = started
-    stage = training(50, max_steps=8_000, evaluate_every=8_000)
+    stage = training(50, max_steps=3_000, evaluate_every=3_000)
     future = dispatcher.submit(stage, "run_lost")
     pid = until(lambda: _pid(dispatcher, "run_lost"))
     os.kill(pid, signal.SIGKILL)

@@ -6,7 +6,14 @@ import json
 import pytest
 from rich.console import Console
 
+from api.cli import doctor
 from api.cli.doctor import Check, report
+
+
+@pytest.fixture
+def without_simulator(monkeypatch):
+    """Without the check that simulates every task, which takes a second."""
+    monkeypatch.setattr(doctor, "_simulator", lambda: iter(()))
 
 
 def shown(*checks):
@@ -34,6 +41,7 @@ def test_this_machine_is_fit_though_no_service_answers(adr_here, tmp_path):
     assert "note no service answers at http://127.0.0.1:9" in text
 
 
+@pytest.mark.usefixtures("without_simulator")
 def test_settings_that_are_not_valid_are_named(adr_here, monkeypatch):
     monkeypatch.setenv("ADR_PORT", "many")
     status, text, _ = adr_here("doctor", "--url", "http://127.0.0.1:9")
@@ -41,6 +49,7 @@ def test_settings_that_are_not_valid_are_named(adr_here, monkeypatch):
     assert "the ADR_… settings are not valid: ADR_PORT" in text
 
 
+@pytest.mark.usefixtures("without_simulator")
 def test_an_address_that_is_none_does_not_end_the_report(adr_here):
     status, text, _ = adr_here("doctor", "--url", "http://127.0.0.1:abc")
     assert status == 1
@@ -54,6 +63,7 @@ def test_a_service_is_looked_for_where_the_other_commands_do(adr, service):
     assert f"a service answers at {service.client.url}" in text
 
 
+@pytest.mark.usefixtures("without_simulator")
 def test_as_json_a_program_can_read_every_check(adr_here):
     status, out, _ = adr_here("doctor", "--json", "--url", "http://127.0.0.1:9")
     found = json.loads(out)
@@ -61,6 +71,7 @@ def test_as_json_a_program_can_read_every_check(adr_here):
     assert status == (0 if all(each["is_good"] or not each["is_needed"] for each in found) else 1)
 
 
+@pytest.mark.usefixtures("without_simulator")
 def test_misspelt_variables_and_too_many_cores_are_notes(adr_here, monkeypatch):
     monkeypatch.setenv("ADR_TOKENS", "s" * 16)
     monkeypatch.setenv("ADR_CPUS", "9999")
@@ -70,6 +81,7 @@ def test_misspelt_variables_and_too_many_cores_are_notes(adr_here, monkeypatch):
     assert "note ADR_CPUS is 9999, but" in text
 
 
+@pytest.mark.usefixtures("without_simulator")
 def test_the_disks_of_the_data_and_of_the_database_are_checked(adr_here, monkeypatch, tmp_path):
     monkeypatch.setenv("ADR_DATA_DIR", str(tmp_path / "data"))
     monkeypatch.setenv("ADR_DATABASE_URL", f"sqlite:///{tmp_path}/small/adr.sqlite")

@@ -60,12 +60,15 @@ def test_the_command_films_a_recording(tmp_path):
         ),
     ],
 )
-def test_impossible_films_are_refused_with_the_reason(tmp_path, arguments, message):
+def test_impossible_films_are_refused_with_the_reason(
+    adr_here, tmp_path, monkeypatch, arguments, message
+):
+    monkeypatch.chdir(ROOT)
     data = tmp_path / "data.npz"
     data.write_bytes(recording("hopper", 3).to_npz())
-    done = adr("render", *(str(data) if a == "DATA" else a for a in arguments))
-    assert done.returncode == 2
-    assert message in done.stdout + done.stderr
+    status, _, errors = adr_here("render", *(str(data) if a == "DATA" else a for a in arguments))
+    assert status == 2
+    assert message in " ".join(errors.split())
 
 
 @pytest.mark.parametrize(
