@@ -10,7 +10,7 @@ from adr_service.errors import InvalidInput
 
 TASKS, METHODS = "adr_service.tasks", "adr_service.methods"  # our groups
 # inputs of stages that name a package: the group that it adds to, and the input that it adds
-PACKAGES = {  # inputs of a stage that name a package, and what it adds
+PACKAGES = {
     "package": (TASKS, "task"),
     "method_package": (METHODS, "method"),
     "curriculum_package": (METHODS, "curriculum"),

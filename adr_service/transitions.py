@@ -185,7 +185,7 @@ class TransitionDataset:
         names = ("observations", "actions", "nextobservations", "terminals")
         try:
             arrays = {n: np.load(f"{prefix}_{n}.npy", allow_pickle=False) for n in names}
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, EOFError) as error:
             raise InvalidInput(f"{prefix}_*.npy cannot be read: {error}") from error
         return cls(
             observations=arrays["observations"],

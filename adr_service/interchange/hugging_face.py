@@ -86,6 +86,8 @@ def _dynamics(method: str) -> str:
         return "the target's own dynamics"
     if known.learns_from == "nothing":
         return f"dynamics that know nothing of the target (`{method}`)"
+    if known.learns_from == "returns":
+        return f"dynamics that `{method}` chose by returns on the target"
     return f"dynamics that `{method}` inferred from data of the target"
 
 

@@ -36,8 +36,9 @@ def write_zoo_folder(
     name = env.replace("/", "-")
     folders = (logs / algorithm / f"{name}_{number}" for number in count(1))
     folder = next(each for each in folders if not each.exists())
+    model = as_sb3(policy, task, variant)
     (folder / name).mkdir(parents=True)
-    as_sb3(policy, task, variant).save(folder / "best_model.zip")
+    model.save(folder / "best_model.zip")
     np.savez(
         folder / "evaluations.npz",
         timesteps=np.array([point["steps"] for point in curve], dtype=np.int64),

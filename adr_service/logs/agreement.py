@@ -21,6 +21,7 @@ _SURE = 3.0  # standard errors
 _SMALL, _LARGE = 0.5, 2.0  # slopes that friction or a wrong mass seldom make
 _NONE = 0.05  # slope below which a joint hardly obeys
 _FEWEST = 3  # episodes
+_ROUNDING = 1e-9  # of a command, the most that computing moves it
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,8 @@ def _slope(needed: Vector, given: Vector, episodes: Vector) -> tuple[float, floa
     for number in numbers:
         drive[episodes == number] -= drive[episodes == number].mean()
     square = float(drive @ drive)
-    if len(numbers) < _FEWEST or square == 0 or not np.isfinite(needed).all():
+    is_constant = square <= len(given) * (_ROUNDING * np.abs(given).max(initial=0.0)) ** 2
+    if len(numbers) < _FEWEST or is_constant or not np.isfinite(needed).all():
         return None
     slope = float(drive @ needed) / square
     left = drive * (needed - slope * drive)

@@ -62,7 +62,7 @@ def _places(name: str, column: Any) -> dict[str, Vector] | str:
 def _what_it_holds(column: Any) -> str:
     """Describe a column without numbers: the first odd cell of a text, else its type.
 
-    The odd cell is one without a number, or else any, such as one with another decimal mark.
+    The odd cell is one without a number, or else any; or one cell with each of two decimal marks.
     """
     import pyarrow as pa
     from pyarrow import csv
@@ -75,13 +75,17 @@ def _what_it_holds(column: Any) -> str:
     cells = column.filter(pc.invert(pc.is_in(column, empty)))
     if not len(cells):
         return f"it holds {kind}"
-    are_numbers = pc.match_substring_regex(cells, _NUMBER)
-    odd = cells[max(pc.index(are_numbers, False).as_py(), 0)]
-    row = pc.index(column, odd).as_py() + 1
-    return (
-        f"it holds the text {odd.as_py()[:_SHOWN]!r}, first in row {row} below the header; "
-        "accepted are numbers"
-    )
+
+    def first(found: Any) -> str:
+        row = pc.index(column, found).as_py() + 1
+        return f"{found.as_py()[:_SHOWN]!r}, first in row {row} below the header"
+
+    odd = pc.index(pc.match_substring_regex(cells, _NUMBER), False).as_py()
+    marks = [cells.filter(pc.match_substring(cells, mark)) for mark in ",."]
+    if odd < 0 and all(map(len, marks)):
+        comma, point = (first(each[0]) for each in marks)
+        return f"it has two decimal marks: {comma}, and {point}; accepted is one"
+    return f"it holds the text {first(cells[max(odd, 0)])}; accepted are numbers"
 
 
 def _is_fixed(kind: Any) -> bool:

@@ -18,7 +18,7 @@ from adr_service.arrays import Indices, Vector
 from adr_service.errors import InvalidInput, UnknownName
 
 UNKNOWN = "?"  # of a drafted map, for a column that nobody named yet
-MOST_NUMBERS = 2**25  # in all columns of a log: 256 MB
+MOST_NUMBERS = 2**25  # in all columns of a log: 256 MB, and some 2 GB while a bag is read
 MOST_COLUMNS = 4096
 MOST_BYTES = 2**30  # of a file, and of what it unpacks to
 _CROWDED = 0.5  # of the usual spacing: readings closer than that are as good as one
@@ -43,6 +43,7 @@ class Signal:
     time: Vector  # (n,) [s], increasing
     value: Vector  # (n,) in the log's unit
     crowded: int = 0  # readings that were left out because others came too soon before, or at once
+    timeless: int = 0  # readings that were left out because their rows have no time
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,8 @@ class Log:
         return [name for stream in self.streams for name in stream.columns]
 
     def signal(self, column: str, clock: Clock) -> Signal:
-        """The readings of a column; rows in which it has none (NaN) are left out.
+        """The readings of a column; rows in which it has none (NaN) are left out, and counted where
+        they have a reading and no time.
 
         Of those that come too soon after another the first is kept. Raises InvalidInput if there is
         no such column, if a reading is infinite, if its time runs backwards, and if fewer than two
@@ -109,6 +111,7 @@ class Log:
         value = stream.columns[column]
         self._check_finite(stream, column)
         rows = np.flatnonzero(np.isfinite(value) & np.isfinite(time))
+        timeless = int(np.isfinite(value).sum()) - len(rows)
         time, value = time[rows], value[rows]
         if (back := np.flatnonzero(np.diff(time) < 0)).size:
             row = int(back[0])
@@ -123,7 +126,7 @@ class Log:
                 f"{self.source}: column {column!r} has {len(kept)} readings with a time of their "
                 f"own; needed: {least} or more"
             )
-        return Signal(time[kept], value[kept], len(time) - len(kept))
+        return Signal(time[kept], value[kept], len(time) - len(kept), timeless)
 
     def parts(self, column: str) -> list["Log"]:
         """One log for each stretch of rows with one value of a column, such as a trial's number.

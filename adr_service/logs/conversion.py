@@ -70,6 +70,7 @@ class Column:
     quantity: str  # shoulder.position, motor.command, …
     readings: int
     crowded: int  # readings that came too soon after the one before, left out
+    timeless: int  # readings in rows without a time, left out
     spacing: tuple[float, float, float]  # [s] smallest, median, largest; NaN for one reading
     reach: tuple[float, float]  # in the model's units
     way: str  # parabola, spline, hold or line
@@ -307,6 +308,7 @@ def _column(track: Track, way: str) -> Column:
         track.quantity,
         len(time),
         track.signal.crowded,
+        track.signal.timeless,
         (float(steps.min()), float(np.median(steps)), float(steps.max())),
         (float(value.min()), float(value.max())),
         way,

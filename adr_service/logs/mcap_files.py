@@ -10,6 +10,7 @@ received them. A bag that was split into several files is read as one.
 
 import io
 import json
+import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, cast
@@ -24,7 +25,9 @@ _DEEPEST, _LONGEST = 6, 256  # of nested fields; places of a list that are read
 _WIDEST = 1024  # columns of a topic
 _STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"))
 _NAMES = ("name", "names", "joint_names")
-_LATE_S = 1.0  # a message may arrive so much later than one that was sent after it
+# a message may arrive so much later than one that was sent after it, and so many of them in a row:
+# more are of a clock that was set back
+_LATE_S, _LATE = 1.0, 3
 
 
 @dataclass
@@ -58,9 +61,18 @@ class _Topic:
             columns[name][list(values)] = list(values.values())
         stamps = np.array(self.stamps)
         order = np.arange(len(stamps))
-        if np.all(np.diff(stamps) > -_LATE_S):  # bags are in order of arrival
+        if _are_late_ones(stamps):  # bags are in order of arrival
             order = np.argsort(stamps, kind="stable")
         return Stream({name: values[order] for name, values in columns.items()}, stamps[order])
+
+
+def _are_late_ones(stamps: Vector) -> bool:
+    """True unless stamps (n,), in order of arrival, go back further than by late messages."""
+    is_late = np.zeros(len(stamps) + 2, dtype=np.int64)
+    is_late[2:-1] = stamps[1:] < np.maximum.accumulate(stamps)[:-1]
+    ends = np.diff(is_late).nonzero()[0].reshape(-1, 2)
+    longest = np.diff(ends, axis=1).max(initial=0)
+    return bool(longest <= _LATE and np.all(np.diff(stamps) > -_LATE_S))
 
 
 @dataclass
@@ -115,8 +127,15 @@ def read_split_mcap(source: str, parts: Iterable[tuple[str, bytes]]) -> Log:
         except AdrError:
             raise
         except Exception as error:  # parsers of damaged messages raise anything
-            raise InvalidInput(f"{name} is no bag that can be read: {error}") from error
+            raise InvalidInput(f"{name} is no bag that can be read: {_reason(error)}") from error
     return bag.log()
+
+
+def _reason(error: Exception) -> str:
+    """What a parser says of a damaged bag, in words."""
+    if type(error).__name__ == "EndOfFile" or isinstance(error, struct.error):
+        return "it is cut short, as by a recorder that was killed; `mcap recover` may save it"
+    return str(error) or repr(error)
 
 
 def _add_part(bag: _Bag, name: str, content: bytes) -> None:
@@ -131,14 +150,18 @@ def _add_part(bag: _Bag, name: str, content: bytes) -> None:
     decoders: dict[int, Callable[[bytes], Any] | None] = {}
     reader = SeekingReader(io.BytesIO(content), validate_crcs=True, record_size_limit=MOST_BYTES)
     _check_unpacked(name, content)
-    for schema, channel, message in reader.iter_messages():
+    for schema, channel, message in reader.iter_messages(log_time_order=False):
         if channel.topic in bag.too_wide:
             continue
         if channel.id not in decoders:
             decoders[channel.id] = _decoder(ros, channel.message_encoding, schema)
         decode = decoders[channel.id]
         if decode is None:
-            bag.unread[channel.topic] = f"its messages are in {channel.message_encoding!r}"
+            how = f"by a schema in {schema.encoding!r}" if schema else "without a schema"
+            bag.unread[channel.topic] = (
+                f"its messages are in {channel.message_encoding!r}, {how}; accepted are those of "
+                "'ros2msg', and JSON"
+            )
             continue
         bag.add(channel.topic, decode(message.data), message.log_time * 1e-9)
 
@@ -201,6 +224,7 @@ def _places(
     path: str, values: list[Any], names: Any, depth: int
 ) -> Iterator[tuple[str, float | str]]:
     is_named = isinstance(names, list | tuple) and len(cast(list[Any], names)) == len(values)
+    is_named = is_named and len(set(map(str, names))) == len(values)  # two robots may share names
     for i, value in enumerate(values):
         place = f"{path}.{names[i]}" if is_named else f"{path}_{i}"
         if isinstance(value, bool | int | float | np.integer | np.floating):

@@ -170,6 +170,8 @@ def _read(record: Record) -> str:
             "the one before (half the usual time, or none). Of commands that came at one time, the "
             "last holds.</p>"
         )
+    if timeless := max(column.timeless for column in record.columns):
+        lines.append(f"<p>{timeless} readings of a column were left out: no time was logged.</p>")
     return "".join(lines)
 
 

@@ -7,6 +7,7 @@ import typer
 
 from adr_service.client import AdrClient, Json, connect
 from adr_service.errors import InvalidInput
+from adr_service.whole_files import written_whole
 from api.cli.files import check_new
 from api.cli.options import Id, Url
 from api.cli.single_options import SingleOptionApp
@@ -32,7 +33,8 @@ def onnx(
     check_new(file)
     with connect(url) as client:
         spec, policy = _spec(client, run), Policy.from_bytes(client.policy(run))
-    file.write_bytes(to_onnx(policy, get_task(spec["task"]), {"run": run}))
+    with written_whole(file) as part:
+        part.write_bytes(to_onnx(policy, get_task(spec["task"]), {"run": run}))
     typer.echo(file)
 
 

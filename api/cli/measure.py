@@ -7,7 +7,7 @@ import typer
 from rich.text import Text
 
 from adr_service.errors import InvalidInput
-from api.cli.files import check_absent
+from api.cli.files import check_writable
 from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console
 
@@ -42,7 +42,7 @@ def measure(
         return
     if out.suffix != ".npz":
         raise InvalidInput(f"--out is a file that ends on .npz; given {out}")
-    check_absent(out, out.with_suffix(".html"))
+    check_writable(out, out.with_suffix(".html"))
     with console.status("reading"):
         converted = measured_files.measure_files(logs, task, model, map, out)
     data = converted.measurement

@@ -12,6 +12,7 @@ from adr_service.logs.conversion import Converted, convert
 from adr_service.logs.drafting import draft
 from adr_service.logs.mapping import LogMap
 from adr_service.logs.report import report_page
+from adr_service.whole_files import written_whole
 from api.cli.criticism_files import check_differ, nominal_of
 from api.cli.files import naming, read_text
 
@@ -33,9 +34,10 @@ def measure_files(
         columns = LogMap.from_toml(text)
     converted = convert(_read(logs), columns, robot)
     page = _page(converted, nominal, ", ".join(log.name for log in logs), name)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_bytes(converted.measurement.to_npz())
-    out.with_suffix(".html").write_text(page)
+    with written_whole(out.with_suffix(".html")) as part:
+        part.write_text(page)
+    with written_whole(out) as part:
+        part.write_bytes(converted.measurement.to_npz())
     return converted
 
 

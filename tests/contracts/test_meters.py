@@ -2,7 +2,7 @@
 
 import pytest
 
-from adr_service.methods.catalogue import methods
+from adr_service.methods.catalogue import methods, names_of
 from adr_service.stages.base import StageResult
 from adr_service.stages.infer import unpacked
 from adr_service.stages.local import LocalStages
@@ -34,11 +34,14 @@ class TargetStages(CannedStages):
 @pytest.mark.parametrize(
     "stages_of", [TargetStages, pytest.param(LocalStages, marks=pytest.mark.slow)]
 )
-@pytest.mark.parametrize("name", LEARNING)
-@pytest.mark.parametrize("collector", ["simopt", "random_matched"])
+@pytest.mark.parametrize(
+    ("name", "collector"),
+    [
+        *((name, "simopt") for name in LEARNING),
+        *((name, "random_matched") for name in names_of("recordings")),
+    ],
+)
 def test_no_method_reads_more_of_the_target_than_its_meter_shows(name, collector, stages_of):
-    if collector != "simopt" and methods()[name].learns_from != "recordings":
-        pytest.skip("only offline methods learn from what others collect")
     stages = stages_of()
     spec = smoke(name, variant="noisy", collector=collector, iterations=2)
     events = iterations(spec, stages)

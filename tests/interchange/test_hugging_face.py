@@ -52,6 +52,21 @@ def test_the_files_hold_the_same_policy(folder, policy, task):
     assert json.loads((folder / "spec.json").read_text())["seed"] == 3
 
 
+@pytest.mark.parametrize(
+    ("method", "dynamics"),
+    [
+        ("dropo", "dynamics that `dropo` inferred from data of the target"),
+        ("bayrn", "dynamics that `bayrn` chose by returns on the target"),
+        ("udr", "dynamics that know nothing of the target (`udr`)"),
+        ("oracle", "the target's own dynamics"),
+    ],
+)
+def test_the_card_says_what_the_dynamics_come_from(policy, task, tmp_path, method, dynamics):
+    spec = {**SPEC, "method": {"name": method}}
+    write_model_folder(tmp_path / "card", policy, task, spec, ROWS)
+    assert dynamics in " ".join((tmp_path / "card/README.md").read_text().split())
+
+
 def test_a_folder_with_something_in_it_is_refused(folder, policy, task):
     with pytest.raises(InvalidInput, match="not empty; name a new folder"):
         write_model_folder(folder, policy, task, SPEC, ROWS)

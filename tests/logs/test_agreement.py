@@ -73,6 +73,14 @@ def test_a_right_map_has_slopes_of_one_and_no_warning(measured):
     assert warnings(measured) == ["", ""]
 
 
+@pytest.mark.parametrize("command", [0.3, 0.37])
+def test_a_command_that_never_changes_says_nothing(measured, command):
+    """The mean of many equal numbers is another one, by rounding."""
+    ctrl = np.column_stack([np.full(len(measured.time), command), measured.ctrl[:, 1]])
+    model = mujoco.MjModel.from_xml_string(PLAIN)
+    assert [each.joint for each in agreements(replace(measured, ctrl=ctrl), model)] == ["elbow"]
+
+
 @pytest.mark.parametrize("mirrored", ["qpos", "ctrl"])
 def test_a_mirrored_encoder_or_motor_is_pointed_out(measured, mirrored):
     turned = getattr(measured, mirrored) * np.array([1.0, -1.0])

@@ -30,6 +30,13 @@ def test_readings_too_soon_after_another_are_left_out_and_counted():
     assert signal.crowded == 2
 
 
+def test_readings_without_a_time_are_left_out_and_counted():
+    columns = {"time": np.array([0.0, np.nan, 1, 2]), "q": np.array([5.0, 6, np.nan, 8])}
+    signal = log(columns).signal("q", SECONDS)
+    np.testing.assert_array_equal(signal.value, [5, 8])
+    assert (signal.timeless, signal.crowded) == (1, 0)
+
+
 def test_commands_that_hold_are_all_kept_but_for_the_last_of_one_time_alone():
     time = np.array([0.0, 2, 2.4, 4.4, 4.4, 6.4, 6.9, 9, 9])
     columns = {"time": time, "u": np.arange(9.0)}

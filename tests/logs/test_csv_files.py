@@ -17,6 +17,14 @@ def text(cell, row=1):
     return f"it holds the text {cell!r}, first in row {row} below the header; accepted are numbers"
 
 
+def test_two_decimal_marks_in_a_column_are_both_shown():
+    _, unread = columns("time;q\n0;1\n1;2,5\n2;3.5\n")
+    assert unread["q"] == (
+        "it has two decimal marks: '2,5', first in row 2 below the header, and '3.5', first in row "
+        "3 below the header; accepted is one"
+    )
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -90,7 +90,10 @@ def test_messages_in_json_are_read_and_those_in_unknown_encodings_listed():
     writer.finish()
     log = read_mcap("run.mcap", buffer.getvalue())
     assert sorted(log.names) == ["/state.arm.on", "/state.arm.q"]
-    assert log.unread == {"/secret": "its messages are in 'mystery'"}
+    assert log.unread == {
+        "/secret": "its messages are in 'mystery', by a schema in 'jsonschema'; accepted are those "
+        "of 'ros2msg', and JSON"
+    }
 
 
 def json_bag(*messages):
@@ -153,6 +156,39 @@ def test_a_bag_whose_stamps_begin_again_is_refused():
     log = read_mcap("run.mcap", bag(stamps=lambda i: 1_700_000_000 + 2 * (i < 125) + 0.002 * i))
     with pytest.raises(InvalidInput, match="goes back by"):
         log.signal("/joint_states.position.shoulder", CLOCK)
+
+
+@pytest.mark.parametrize("back", [0.5, 0.5017])
+def test_a_clock_that_was_set_back_is_refused(back):
+    """By less than the second that a message may be late. Sorting would mix the two stretches."""
+    log = read_mcap("run.mcap", bag(stamps=lambda i: 1_700_000_000 - back * (i > 120) + 0.02 * i))
+    with pytest.raises(InvalidInput, match="goes back by"):
+        log.signal("/joint_states.position.shoulder", CLOCK)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_messages_that_are_late_are_put_where_they_belong(count):
+    """Each second of a few takes the stamp of the message before."""
+    late = dict(zip(range(100, 100 + count), range(100 + count, 100, -1), strict=True))
+    order = [late.get(i, i) for i in range(250)]
+    order[100 + count] = 100
+    log = read_mcap("run.mcap", bag(stamps=lambda i: 1_700_000_000 + 0.02 * order[i]))
+    signal = log.signal("/joint_states.position.shoulder", CLOCK)
+    assert np.all(np.diff(signal.time) > 0)
+    assert signal.value[order[100]] == pytest.approx(1.0)
+
+
+def test_places_with_one_name_are_numbered():
+    """Two robots whose drivers publish to one topic."""
+    twice = {"name": ["a", "a"], "position": [1.0, 2.0]}
+    log = read_mcap("run.mcap", json_bag(twice))
+    assert log.names == ["/state.position_0", "/state.position_1"]
+
+
+@pytest.mark.parametrize("end", [0, -1000])
+def test_a_bag_of_a_recorder_that_was_killed_says_so(end):
+    with pytest.raises(InvalidInput, match="it is cut short, as by a recorder that was killed"):
+        read_mcap("run.mcap", bag()[:end])
 
 
 def test_a_bag_that_unpacks_to_too_much_is_refused(monkeypatch):
