@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from adr_service.arrays import Array3, Mask, Matrix, Vector
-from adr_service.criticism.bounded_steps import limited, moved, shorter
+from adr_service.criticism.bounded_steps import Bounds, shorter
 from adr_service.criticism.layout import Layout
 from adr_service.criticism.linear import (
     Linear,
@@ -36,15 +36,25 @@ from adr_service.criticism.linearisation import (
     tiny_root,
     with_priors,
 )
-from adr_service.criticism.noise import Chain, Noise, at_start, lifted, misfit_variance
+from adr_service.criticism.noise import (
+    Chain,
+    Noise,
+    Whitener,
+    at_start,
+    lifted,
+    misfit_variance,
+)
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
-from adr_service.effects.models import amounts, plausible_of, sensible, typical_of
+from adr_service.effects.catalogue import get_mechanism
+from adr_service.effects.models import amounts, plausible_of, typical_of
 
 _STEPS, _REFUSED = 15, 3  # at most; and so many that were refused, one after the other
 _CONVERGED = 0.3  # [nats] that a step gains at least
 NEAR = 0.25  # of a value, or of a typical strength: so far, derivatives by it hardly change
-_HELD = 1e-6  # of its range, the deviation of a parameter that goes no further
+# of its range, or of a plausible strength, the deviation of what goes no further than its bound
+_HELD = 1e-6
+_NEARLY = 0.9  # of the way to nothing, which a strength beside others could never leave again
 
 
 @dataclass(frozen=True)
@@ -69,7 +79,14 @@ class Fit:
     @cached_property
     def settled(self) -> "Fit":
         """The fit with its own effects, its strengths and noise settled around its states."""
-        return refine(self, self.effects) or self
+        found = refine(self, self.effects) or self
+        vars(found)["settled"] = found  # nothing is left to settle
+        return found
+
+    @property
+    def simulated(self) -> int:
+        """Number of transitions that it simulates to their end."""
+        return int(self.linear.chain.mask.sum())
 
     @property
     def stated(self) -> Mask:
@@ -178,11 +195,19 @@ def residuals_of(fit: Fit, simulator: Simulator) -> tuple[Chain, Array3]:
 
 
 def expected_errors(fit: Fit) -> Vector:
-    """Typical deviation (m,) of a one-step error by a fit; NaN for columns that nobody measured."""
-    chain, noise = fit.linear.chain, fit.noise
-    variance = (chain.transition[chain.mask] ** 2) @ noise.sensor + noise.sensor
+    """Typical deviation (m,) of a one-step error by a fit; NaN for columns that nobody measured.
+
+    Predictions start from readings, and from inferred states where there is no reading.
+    """
+    chain, noise, measured = fit.linear.chain, fit.noise, fit.simulator.data.is_measured()
+    start = noise.sensor
+    if not measured.all():
+        _, covariance = Whitener.of(chain, noise).sensor_errors(fit.left)
+        inferred = np.diagonal(fit.layout.by_row(fit.simulator, covariance), axis1=1, axis2=2)
+        start = np.where(measured, start, np.median(inferred, axis=0))
+    variance = (chain.transition[chain.mask] ** 2) @ start + noise.sensor
     variance = np.median(variance + misfit_variance(chain, noise)[chain.mask], axis=0)
-    return np.where(fit.simulator.data.is_measured(), np.sqrt(variance), np.nan)
+    return np.where(measured, np.sqrt(variance), np.nan)
 
 
 def refine(fit: Fit, effects: Sequence[Effect]) -> Fit | None:
@@ -203,15 +228,19 @@ def tried(fit: Fit, effects: Sequence[Effect]) -> Fit | None:
 def improved(fit: Fit, first: Fit) -> Fit:
     """A fit that was `tried`, after steps to better strengths.
 
-    A step that makes the data less probable is shortened. The derivatives by parameters, and by
-    effects that the fit has already, stay as well, those by new strengths while these stay near.
+    Steps end at bounds, and one that makes the data less probable is shortened. The derivatives by
+    parameters, and by effects that the fit has already, stay as well, those by new strengths while
+    these stay near.
     """
     best, about, step = first, first.effects, first.normal.change()[0]
-    space, refused = fit.simulator.nominal.space, 0
+    refused, columns = 0, fit.integration
     for _ in range(_STEPS):
-        within = limited(space, best.parameters, step)
-        parameters = moved(space, best.parameters, within)
-        effects = _strengthened(best.effects, step[fit.integration.stop :])
+        at = best.parameters, best.effects
+        bounds, values = _bounds_of(fit, *at), _values_of(*at)
+        within = bounds.limited(values, step)
+        after = bounds.moved(values, within)
+        parameters = after[: columns.start]
+        effects = _with_strengths(best.effects, after[columns.stop :])
         known = best if are_near(fit.simulator, about, effects) else None
         other = _evaluated(fit, parameters, effects, best.noise, known)
         more = -np.inf if other is None else _likelier_by(other, best)
@@ -269,7 +298,7 @@ def _evaluated(
     linear = with_effect_priors(fit, linear, effects)
     try:
         start = _likelier(fit, linear) if noise is None else noise
-        linear, noise, normal = estimate_within_bounds(fit, parameters, linear, start)
+        linear, noise, normal = estimate_within_bounds(fit, parameters, effects, linear, start)
     except np.linalg.LinAlgError:  # what it leaves has no finite variance beside exact readings
         return None
     return replace(
@@ -284,25 +313,57 @@ def _evaluated(
 
 
 def estimate_within_bounds(
-    fit: Fit, parameters: Vector, linear: Linear, start: Noise
+    fit: Fit, parameters: Vector, effects: Sequence[Effect], linear: Linear, start: Noise
 ) -> tuple[Linear, Noise, Normal]:
-    """`estimate`, with the parameters held that would leave their bounds.
+    """`estimate`, with the parameters and strengths held that would leave their bounds.
 
-    So misfit that only a parameter beyond its bounds would explain stays, as evidence.
+    So misfit that only a parameter beyond its bounds would explain stays, as evidence, and a
+    strength gains nothing by what only a negative one would explain.
     """
-    space = fit.simulator.nominal.space
-    low, high = parameters <= space.feasible_low, parameters >= space.high
-    held = np.zeros(len(parameters), dtype=np.bool_)
+    bounds, values = _bounds_of(fit, parameters, effects), _values_of(parameters, effects)
+    held = np.zeros(len(values), dtype=np.bool_)
     while True:
         start, normal = estimate(linear, start, fit.stated)
-        change = normal.change()[0][: len(parameters)]
-        leaving = ~held & ((low & (change < 0)) | (high & (change > 0)))
+        leaving = ~held & bounds.leaving(values, normal.change()[0])
         if not leaving.any():
             return linear, start, normal
         held |= leaving
-        precision = linear.precision.copy()
-        precision[: len(held)][held] = 1 / (_HELD * (space.high - space.low)[held]) ** 2
-        linear = replace(linear, precision=precision)
+        mean, precision = linear.mean.copy(), linear.precision.copy()
+        mean[held], precision[held] = 0.0, 1 / (_HELD * _scales_of(fit, effects)[held]) ** 2
+        linear = replace(linear, mean=mean, precision=precision)
+
+
+def _values_of(parameters: Vector, effects: Sequence[Effect]) -> Vector:
+    """(p,) values of all columns, those of integration as 0."""
+    strengths = [effect.values for effect in effects]
+    return np.concatenate([parameters, np.zeros(INTEGRATION), *strengths])
+
+
+def _bounds_of(fit: Fit, parameters: Vector, effects: Sequence[Effect]) -> Bounds:
+    """Bounds (p,) of all columns; of parameters, at most what they are or their space has."""
+    space = fit.simulator.nominal.space
+    free = np.full(INTEGRATION, np.inf)
+    low = np.concatenate([space.feasible_low, -free, *(_least_of(each) for each in effects)])
+    high = np.full(len(low), np.inf)
+    high[: len(parameters)] = np.maximum(space.high, parameters)
+    return Bounds(low, high, (np.arange(len(low)) < len(parameters)) & (low > 0))
+
+
+def _least_of(effect: Effect) -> Vector:
+    """(k,) the least strengths that a step leads to.
+
+    One of several that was nothing would stay so, because nothing can be said of it then.
+    """
+    low = np.array([strength.low for strength in get_mechanism(effect.kind).strengths])
+    nearly = (1 - _NEARLY) * np.array(effect.values)
+    return np.where((len(low) > 1) & (low == 0), np.maximum(nearly, 0.0), low)
+
+
+def _scales_of(fit: Fit, effects: Sequence[Effect]) -> Vector:
+    """(p,) ranges of parameters, and plausible strengths."""
+    space, base = fit.simulator.nominal.space, fit.simulator.base
+    likely = [plausible_of(base, effect) for effect in effects]
+    return np.concatenate([space.high - space.low, np.ones(INTEGRATION), *likely])
 
 
 def _sensitivities(
@@ -378,11 +439,7 @@ def _first_noise(linear: Linear, sensor: Vector) -> Noise:
     return at_start(linear.chain, linear.residual - linear.columns @ change, sensor)
 
 
-def _strengthened(effects: tuple[Effect, ...], change: Vector) -> tuple[Effect, ...]:
-    """Effects with changed strengths."""
-    moved: list[Effect] = []
-    for effect in effects:
-        count = len(effect.values)
-        moved.append(sensible(effect, np.array(effect.values) + change[:count]))
-        change = change[count:]
-    return tuple(moved)
+def _with_strengths(effects: tuple[Effect, ...], values: Vector) -> tuple[Effect, ...]:
+    """Effects with other strengths, in one row."""
+    left: Iterator[float] = iter(values.tolist())
+    return tuple(replace(e, values=tuple(next(left) for _ in e.values)) for e in effects)

@@ -55,17 +55,24 @@ def unexplained(fit: Fit) -> Unexplained:
     """The best flexible force beside a fit, if only by chance."""
     responses = responses_to_forces(fit)
     swing = _swing(fit, responses)
-    best = max(
-        _regressions(fit, responses, swing),
-        key=lambda each: (each.normal.left_out() - fit.held_out).sum() / each.excess,
-    )
-    known = fit.stated
-    noise, normal = estimate(best.linear, fit.noise, known)
-    flexible = replace(fit, linear=best.linear, noise=noise, normal=normal)
-    gains = gained(flexible, fit) / best.excess
+    asked = list(_regressions(fit, responses, swing))
+    if fit.persistence.share == 0:  # else what wins under white noise may win nothing beside it
+        asked = [max(asked, key=lambda each: _roughly_gained(fit, each))]
+    gains, best = max(((_gained(fit, each), each) for each in asked), key=lambda one: one[0].sum())
     is_swing = best.depends_on == "frequency"
     where = Rest(_location(fit, best), best.depends_on, swing.hertz if is_swing else None)
     return Unexplained(gains, where)
+
+
+def _roughly_gained(fit: Fit, one: "_Regression") -> float:
+    """[nats] under the noise of the fit without the force."""
+    return float((one.normal.left_out() - fit.held_out).sum()) / one.excess
+
+
+def _gained(fit: Fit, one: "_Regression") -> Vector:
+    """(E,) nats, with the noise estimated anew."""
+    noise, normal = estimate(one.linear, fit.noise, fit.stated)
+    return gained(replace(fit, linear=one.linear, noise=noise, normal=normal), fit) / one.excess
 
 
 def _regressions(fit: Fit, responses: Sequence[Matrix], swing: "_Swing") -> Iterator[_Regression]:

@@ -205,7 +205,7 @@ def _likelihood(begun: tuple[Fit, Block | None]) -> tuple[int, float]:
     """Number of transitions that can be simulated, and how likely they are at best."""
     start, block = begun
     more = 0.0 if block is None else max(block.fair_gain, 0.0)
-    return int(start.linear.chain.mask.sum()), float(start.held_out.sum()) + more
+    return start.simulated, float(start.held_out.sum()) + more
 
 
 def _opened(

@@ -17,7 +17,6 @@ from adr_service.criticism.evidence import (
     estimate_within_bounds,
     with_effect_priors,
 )
-from adr_service.criticism.linear import estimate
 from adr_service.criticism.linearisation import linearise, root_of, tiny_root
 from adr_service.criticism.noise import Whitener, lifted
 
@@ -42,10 +41,12 @@ def smoothed(fit: Fit) -> Fit:
             break
     small = 0  # gains, one after the other
     for _ in range(_PASSES):
-        other, is_likelier = _likelier_of(fit, _within(linearised(fit, share)))
+        other, is_likelier = _likelier_of(fit, linearised(fit, share))
         gain = float(other.held_out.sum() - fit.held_out.sum())
-        fit = other if gain > 0 else fit
-        share = np.where(is_likelier & (gain > 0), 1.0, share / 2)
+        more = other.simulated - fit.simulated  # whose likelihoods count beside no others
+        is_better = more > 0 or (more == 0 and gain > 0)
+        fit = other if is_better else fit
+        share = np.where(is_likelier & is_better, 1.0, share / 2)
         small = small + 1 if gain < _SMOOTH else 0
         if small == 2 or (small == 1 and is_likelier.all()):
             break
@@ -71,11 +72,8 @@ def linearised(fit: Fit, share: Vector) -> Fit:
     root = root_of(layout.by_row(simulator, covariance), tiny_root(simulator))
     linear, predicted = linearise(simulator, layout, fit.parameters, fit.effects, states, root)
     linear = with_effect_priors(fit, linear, fit.effects)
-    start = lifted(fit.noise, linear.chain, linear.residual, fit.stated)
-    noise, normal = estimate(linear, start, fit.stated)
-    return replace(
-        fit, states=states, predicted=predicted, linear=linear, noise=noise, normal=normal
-    )
+    noise = lifted(fit.noise, linear.chain, linear.residual, fit.stated)
+    return _within(replace(fit, states=states, predicted=predicted, linear=linear, noise=noise))
 
 
 def _likelier_of(fit: Fit, other: Fit) -> tuple[Fit, Mask]:
@@ -115,7 +113,8 @@ def _likelier_of(fit: Fit, other: Fit) -> tuple[Fit, Mask]:
 
 def _within(fit: Fit) -> Fit:
     """A fit with its noise estimated anew, where no parameter leaves its bounds."""
-    linear, noise, normal = estimate_within_bounds(fit, fit.parameters, fit.linear, fit.noise)
+    known = (fit.parameters, fit.effects)
+    linear, noise, normal = estimate_within_bounds(fit, *known, fit.linear, fit.noise)
     return replace(fit, linear=linear, noise=noise, normal=normal)
 
 

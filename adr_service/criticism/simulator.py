@@ -26,7 +26,7 @@ from adr_service.effects.models import elements_of
 from adr_service.effects.signals import acts_on_commands, behind, obeyed, shown, uses_rates
 
 FINER = 3  # how much smaller a step shows what numerical integration adds
-_KEPT = 32  # compiled models
+_KEPT = 32  # compiled models, and commands after effects
 _MISSED = 0.1  # most of a force's response that coarser steps may miss
 
 
@@ -60,8 +60,7 @@ class Simulator:
         self._engine = Engine(self.base, threads)
         self.simulated_steps = 0  # control steps, of all predictions
         self._past: dict[int, Matrix] = {}  # by position
-        self._rough = finer  # steps that `predict_quickly` takes for one of the model's
-        self._take_larger_steps_if_enough()
+        self._commands = lru_cache(_KEPT)(self._commands_after)
 
     def __enter__(self) -> "Simulator":
         return self
@@ -170,10 +169,9 @@ class Simulator:
         `predict_quickly` (N, 2 nv); NaN where it diverges."""
         known = (values, effects, states)
         predicted = self.predict_quickly(*known)
-        sizes = 0.01 * self.base.dof_M0 / self.period
         return [
             (self.predict_pushed(*known, dof, size) - predicted) / size
-            for dof, size in enumerate(sizes.tolist())
+            for dof, size in enumerate(self._sizes.tolist())
         ]
 
     def predict_unclamped(
@@ -190,6 +188,9 @@ class Simulator:
 
     def commands(self, effects: Sequence[Effect], steps: int) -> Array3:
         """(N, steps, nu) what the actuators obey in each of so many steps between two rows."""
+        return self._commands(tuple(e for e in effects if acts_on_commands([e])), steps)
+
+    def _commands_after(self, effects: tuple[Effect, ...], steps: int) -> Array3:
         count = self.data.ctrl.shape[1]  # without actuators that an extension added
         limited = obeys_limits(self.base)[:count]
         bounds = self.base.actuator_ctrlrange[:count].T
@@ -199,11 +200,12 @@ class Simulator:
             within = self.data.ctrl[:, None]
         given = np.clip(within[self.starts], low, high)  # as the simulator would
         commands = np.repeat(given, steps // given.shape[1], axis=1)
-        if acts_on_commands(effects):
+        if effects:
             for first, last in self.transitions():
                 episode = commands[first:last].reshape(1, -1, count)
                 changed = obeyed(self.base, effects, episode, self.period / steps)
                 commands[first:last] = changed.reshape(last - first, steps, count)
+        commands.flags.writeable = False  # they are kept
         return commands
 
     def rates(self, values: Vector, effects: Sequence[Effect], states: Matrix) -> Matrix:
@@ -254,26 +256,39 @@ class Simulator:
         model.opt.timestep /= self.finer
         return model
 
-    def _take_larger_steps_if_enough(self) -> None:
-        """Predict quickly in larger steps, if forces move their joints in these about as in the
-        finer ones."""
-        if self.finer == 1:
-            return
-        fine = self._own_velocities()
-        self._rough = max(1, self.finer // FINER)
-        missed = np.linalg.norm(self._own_velocities() - fine, axis=0)
-        if not np.all(missed <= _MISSED * np.linalg.norm(fine, axis=0)):
-            self._rough = self.finer
+    @cached_property
+    def _rough(self) -> int:
+        """Steps that `predict_quickly` takes for one of the model's: larger ones than its own, if
+        forces move their joints in these about as in the finer ones."""
+        larger = max(1, self.finer // FINER)
+        if larger == self.finer:
+            return larger
+        fine, coarse = (self._own_velocities(each) for each in (self.finer, larger))
+        simulated = np.all(np.isfinite(fine) & np.isfinite(coarse), axis=1)
+        missed = np.linalg.norm((coarse - fine)[simulated], axis=0)
+        is_enough = np.all(missed <= _MISSED * np.linalg.norm(fine[simulated], axis=0))
+        return larger if is_enough else self.finer
 
-    def _own_velocities(self) -> Matrix:
-        """(N, nv) velocity that a unit of force gives each joint, predicted quickly."""
-        responses = self.responses_to_forces(self.nominal.start, (), self.measured)
-        own = (response[:, self.base.nq + dof] for dof, response in enumerate(responses))
-        return np.stack(list(own), axis=1)
+    def _own_velocities(self, finer: int) -> Matrix:
+        """(N, nv) velocity that a unit of force gives each joint, in so many steps for one."""
+        model = self._quick(self.nominal.start, (), finer)
+        predicted = self._predict((), self.measured, model)
+        own: list[Vector] = []
+        for dof, size in enumerate(self._sizes.tolist()):
+            pushed = self._predict((), self.measured, model, _Added(dof=dof, force=size))
+            own.append((pushed - predicted)[:, self.base.nq + dof] / size)
+        return np.stack(own, axis=1)
 
-    def _quick(self, values: Vector, effects: Sequence[Effect]) -> mujoco.MjModel:
+    @property
+    def _sizes(self) -> Vector:
+        """(nv,) forces [N or N m] that each move a joint a little within a control step."""
+        return 0.01 * self.base.dof_M0 / self.period
+
+    def _quick(
+        self, values: Vector, effects: Sequence[Effect], rough: int | None = None
+    ) -> mujoco.MjModel:
         model = self._model(values, effects)
-        model.opt.timestep *= self.finer / self._rough
+        model.opt.timestep *= self.finer / (rough or self._rough)
         if not is_first_order(model):
             model.opt.integrator = other_integrator(model.opt.integrator)
         return model

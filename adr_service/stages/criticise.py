@@ -67,8 +67,11 @@ class Criticise(Stage[Criticised]):
     # chance, softness of contacts and offsets of references tried at more sizes, and effects that
     # were too strong again at half, intervals of short recordings that hold less, detection
     # limits by the nearest size, two places of a group of three named apart, and effects that
-    # forces ask for refined only where they predict better than none
-    version: ClassVar = 20
+    # forces ask for refined only where they predict better than none, 21: strengths that would
+    # leave their bounds are held there, and steps end at bounds without another direction, fits
+    # that simulate other transitions are not compared by likelihood, errors to expect of velocities
+    # that nobody measured, and a flexible force chosen beside persisting misfit
+    version: ClassVar = 21
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 

@@ -1,34 +1,51 @@
-"""Steps of parameters to their bounds, and shorter ones."""
+"""Steps of values to their bounds, and shorter ones."""
 
 import numpy as np
 import pytest
 
-from adr_service.criticism.bounded_steps import limited, moved, shorter
-from adr_service.parameters import Parameter, ParameterSpace
+from adr_service.criticism.bounded_steps import Bounds, shorter
+
+
+def bounds_of(low, high, positive):
+    return Bounds(*(np.array(each) for each in (low, high, positive)))
 
 
 @pytest.mark.parametrize("low", [0.0, 0.05])
 @pytest.mark.parametrize("seed", range(20))
 def test_a_step_beyond_a_bound_ends_there_to_the_last_bit(low, seed):
-    """A parameter that rounding left just before it would not be held."""
+    """A value that rounding left just before it would not be held."""
     start, high = np.sort(np.random.default_rng(seed).uniform(0.05, 3.0, 2))
-    space = ParameterSpace((Parameter("x", "joint:x.damping", "", low, high, low),))
+    bounds = bounds_of([low, -np.inf], [high, np.inf], [low > 0, False])
     for step, end in ((100.0, high), (-100.0, low)):
-        values = np.array([start])
+        values = np.array([start, 1.0])
         for _ in range(5):  # by a factor of e² at most
-            within = limited(space, values, np.array([step, 7.0]))
+            within = bounds.limited(values, np.array([step, 7.0]))
             assert within[1] == 7.0
-            values = moved(space, values, within)
+            values = bounds.moved(values, within)
         assert values[0] == end
+        assert values[1] == 36.0
 
 
-def test_a_positive_parameter_moves_in_proportion_and_others_by_sums():
-    bounds = ((0.1, 0.1), (0.0, 0.0))
-    space = ParameterSpace(
-        tuple(Parameter(f"x{low}", f"joint:x{low}.damping", "", low, 9.0, f) for low, f in bounds)
-    )
-    after = moved(space, np.array([2.0, 2.0]), np.array([1.0, 1.0]))
+def test_a_positive_value_moves_in_proportion_and_others_by_sums():
+    bounds = bounds_of([0.1, 0.0], [9.0, 9.0], [True, False])
+    after = bounds.moved(np.array([2.0, 2.0]), np.array([1.0, 1.0]))
     np.testing.assert_allclose(after, [2 * np.exp(0.5), 3.0])
+
+
+def test_a_value_with_a_least_one_alone_has_no_end_above():
+    bounds = bounds_of([0.5], [np.inf], [False])
+    for step, end in ((-3.0, 0.5), (1e9, 1e9 + 2.0)):
+        assert (
+            bounds.moved(np.array([2.0]), bounds.limited(np.array([2.0]), np.array([step]))) == end
+        )
+
+
+def test_only_a_value_at_a_bound_leaves_it():
+    bounds = bounds_of([0.0, 0.0, 0.0, -np.inf], [1.0, 1.0, np.inf, np.inf], [False] * 4)
+    values = np.array([0.0, 1.0, 0.0, 5.0])
+    down, up = (bounds.leaving(values, np.full(4, step)) for step in (-1.0, 1.0))
+    assert down.tolist() == [True, False, True, False]
+    assert up.tolist() == [False, True, False, False]
 
 
 def test_a_refused_step_is_shortened_as_a_whole_and_then_halved():

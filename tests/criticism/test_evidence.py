@@ -84,6 +84,46 @@ def test_what_only_a_parameter_beyond_its_bounds_would_explain_is_evidence(turne
     assert not is_evidence(beside.held_out - free.held_out)
 
 
+def rubbing(*effects, loss=0.0):
+    """A hinge with a friction in its model, whose robot has these effects instead."""
+    xml = hinge(0.1, 0.0, 1.0).replace("armature", f'frictionloss="{loss}" armature')
+    nominal, bare = (Nominal.of_model(each, space()) for each in (xml, hinge(0.1, 0.0, 1.0)))
+    data = Measurement(**driven(bare.model(bare.start, effects), 1e-4)).episodes(range(6))
+    return Simulator(nominal, data, threads=1)
+
+
+def test_what_only_a_negative_strength_would_explain_is_no_evidence_for_it():
+    """The model has more friction than the robot, and no effect takes any away."""
+    friction = Effect("joint_coulomb_friction", "joint:x", (0.01,))
+    with rubbing(loss=0.02) as simulator:
+        baseline = smoothed(fit(simulator, simulator.data.sensor_variance())).settled
+        refined = refine(baseline, [friction])
+    assert refined.effects[0].values == (0.0,)
+    assert not is_evidence(refined.held_out - baseline.held_out)
+
+
+@pytest.mark.parametrize("start", [(0.03, 0.3), (0.05, 0.02)], ids=str)
+def test_strengths_that_must_not_be_negative_are_recovered_together(start):
+    """A step that leads beyond a bound is cut as a whole; cut alone, one would stay at nothing."""
+    truth = Effect("joint_stribeck_friction", "joint:x", (0.1, 0.05))
+    with rubbing(truth) as simulator:
+        baseline = smoothed(fit(simulator, simulator.data.sensor_variance()))
+        refined = refine(baseline, [replace(truth, values=start)])
+    assert refined.effects[0].values == pytest.approx(truth.values, rel=0.05)
+
+
+def test_errors_are_expected_of_inferred_states_where_nobody_measured_them(turned):
+    """The spread of velocities, in which no sensor was read, is no error."""
+    unread = replace(turned, qvel_std=np.full(1, np.inf))
+    nominal = Nominal.of_model(hinge(0.5, 0.0, 1.0), space())
+    expected = []
+    for data in (turned, unread):
+        with Simulator(nominal, data, threads=1) as simulator:
+            expected.append(expected_errors(smoothed(fit(simulator, data.sensor_variance()))))
+    assert np.isnan(expected[1][1])
+    assert expected[0][0] < expected[1][0] < 3 * expected[0][0]
+
+
 def test_a_missing_effect_is_recovered_from_half_of_its_strength(refined):
     assert refined.effects[0].values[0] == pytest.approx(0.1, rel=0.1)
 
