@@ -22,7 +22,7 @@ ValidateOnly: TypeAlias = Annotated[bool, Query(description="tell the cost, and 
 
 
 def _renewed(renewed: Annotated[int, Query(description="any number; another one asks anew")] = 0):
-    """What has changed has another address: a browser shows one address once."""
+    """Ignored: with a new number, a browser loads a figure again."""
 
 
 RENEWED = Depends(_renewed)

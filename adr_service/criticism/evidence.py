@@ -54,6 +54,7 @@ _CONVERGED = 0.3  # [nats] that a step gains at least
 NEAR = 0.25  # of a value, or of a typical strength: so far, derivatives by it hardly change
 # of its range, or of a plausible strength, the deviation of what goes no further than its bound
 _HELD = 1e-6
+_AT_BOUND = 1e-3  # of a plausible strength: what is nearer to its bound is at it
 _NEARLY = 0.9  # of the way to nothing, which a strength beside others could never leave again
 
 
@@ -76,11 +77,15 @@ class Fit:
     normal: Normal
     known: int = 0  # of the effects, the first ones, that are there for sure, however strong
 
-    @cached_property
+    @property
     def settled(self) -> "Fit":
         """The fit with its own effects, its strengths and noise settled around its states."""
+        return self if "_is_settled" in vars(self) else self._settled
+
+    @cached_property
+    def _settled(self) -> "Fit":
         found = refine(self, self.effects) or self
-        vars(found)["settled"] = found  # nothing is left to settle
+        vars(found)["_is_settled"] = True  # which no fit with other values inherits
         return found
 
     @property
@@ -235,8 +240,8 @@ def improved(fit: Fit, first: Fit) -> Fit:
     best, about, step = first, first.effects, first.normal.change()[0]
     refused, columns = 0, fit.integration
     for _ in range(_STEPS):
-        at = best.parameters, best.effects
-        bounds, values = _bounds_of(fit, *at), _values_of(*at)
+        bounds = _bounds_of(fit, best.parameters, [_least_of(each) for each in best.effects])
+        values = _values_of(best.parameters, best.effects)
         within = bounds.limited(values, step)
         after = bounds.moved(values, within)
         parameters = after[: columns.start]
@@ -320,16 +325,18 @@ def estimate_within_bounds(
     So misfit that only a parameter beyond its bounds would explain stays, as evidence, and a
     strength gains nothing by what only a negative one would explain.
     """
-    bounds, values = _bounds_of(fit, parameters, effects), _values_of(parameters, effects)
+    bounds = _bounds_of(fit, parameters, [_lowest(effect) for effect in effects])
+    values, scales = _values_of(parameters, effects), _scales_of(fit, effects)
+    reach = np.where(np.arange(len(values)) < len(parameters), 0.0, _AT_BOUND * scales)
     held = np.zeros(len(values), dtype=np.bool_)
     while True:
         start, normal = estimate(linear, start, fit.stated)
-        leaving = ~held & bounds.leaving(values, normal.change()[0])
+        leaving = ~held & bounds.leaving(values, normal.change()[0], reach)
         if not leaving.any():
             return linear, start, normal
         held |= leaving
         mean, precision = linear.mean.copy(), linear.precision.copy()
-        mean[held], precision[held] = 0.0, 1 / (_HELD * _scales_of(fit, effects)[held]) ** 2
+        mean[held], precision[held] = 0.0, 1 / (_HELD * scales[held]) ** 2
         linear = replace(linear, mean=mean, precision=precision)
 
 
@@ -339,11 +346,12 @@ def _values_of(parameters: Vector, effects: Sequence[Effect]) -> Vector:
     return np.concatenate([parameters, np.zeros(INTEGRATION), *strengths])
 
 
-def _bounds_of(fit: Fit, parameters: Vector, effects: Sequence[Effect]) -> Bounds:
-    """Bounds (p,) of all columns; of parameters, at most what they are or their space has."""
+def _bounds_of(fit: Fit, parameters: Vector, least: Sequence[Vector]) -> Bounds:
+    """Bounds (p,) of all columns, with the least strengths of each effect; of parameters, at most
+    what they are or their space has."""
     space = fit.simulator.nominal.space
     free = np.full(INTEGRATION, np.inf)
-    low = np.concatenate([space.feasible_low, -free, *(_least_of(each) for each in effects)])
+    low = np.concatenate([space.feasible_low, -free, *least])
     high = np.full(len(low), np.inf)
     high[: len(parameters)] = np.maximum(space.high, parameters)
     return Bounds(low, high, (np.arange(len(low)) < len(parameters)) & (low > 0))
@@ -354,9 +362,14 @@ def _least_of(effect: Effect) -> Vector:
 
     One of several that was nothing would stay so, because nothing can be said of it then.
     """
-    low = np.array([strength.low for strength in get_mechanism(effect.kind).strengths])
+    low = _lowest(effect)
     nearly = (1 - _NEARLY) * np.array(effect.values)
     return np.where((len(low) > 1) & (low == 0), np.maximum(nearly, 0.0), low)
+
+
+def _lowest(effect: Effect) -> Vector:
+    """(k,) the least strengths that make sense."""
+    return np.array([strength.low for strength in get_mechanism(effect.kind).strengths])
 
 
 def _scales_of(fit: Fit, effects: Sequence[Effect]) -> Vector:

@@ -47,7 +47,7 @@ def smoothed(fit: Fit) -> Fit:
         is_better = more > 0 or (more == 0 and gain > 0)
         fit = other if is_better else fit
         share = np.where(is_likelier & is_better, 1.0, share / 2)
-        small = small + 1 if gain < _SMOOTH else 0
+        small = small + 1 if more == 0 and gain < _SMOOTH else 0
         if small == 2 or (small == 1 and is_likelier.all()):
             break
     return fit.settled

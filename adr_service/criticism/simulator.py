@@ -26,7 +26,7 @@ from adr_service.effects.models import elements_of
 from adr_service.effects.signals import acts_on_commands, behind, obeyed, shown, uses_rates
 
 FINER = 3  # how much smaller a step shows what numerical integration adds
-_KEPT = 32  # compiled models, and commands after effects
+_KEPT, _KEPT_COMMANDS = 32, 4  # compiled models, and commands after effects, which may be large
 _MISSED = 0.1  # most of a force's response that coarser steps may miss
 
 
@@ -60,7 +60,7 @@ class Simulator:
         self._engine = Engine(self.base, threads)
         self.simulated_steps = 0  # control steps, of all predictions
         self._past: dict[int, Matrix] = {}  # by position
-        self._commands = lru_cache(_KEPT)(self._commands_after)
+        self._commands = lru_cache(_KEPT_COMMANDS)(self._commands_after)
 
     def __enter__(self) -> "Simulator":
         return self
@@ -68,6 +68,7 @@ class Simulator:
     def __exit__(self, *_: object) -> None:
         """End its threads; it predicts nothing more."""
         self._engine.close()
+        self._commands.cache_clear()
         if "in_finer_steps" in vars(self):
             self.in_finer_steps.__exit__()
 
@@ -264,10 +265,11 @@ class Simulator:
         if larger == self.finer:
             return larger
         fine, coarse = (self._own_velocities(each) for each in (self.finer, larger))
-        simulated = np.all(np.isfinite(fine) & np.isfinite(coarse), axis=1)
-        missed = np.linalg.norm((coarse - fine)[simulated], axis=0)
-        is_enough = np.all(missed <= _MISSED * np.linalg.norm(fine[simulated], axis=0))
-        return larger if is_enough else self.finer
+        simulated = np.all(np.isfinite(fine), axis=1)
+        fine, coarse = fine[simulated], coarse[simulated]
+        missed = np.linalg.norm(coarse - fine, axis=0)  # NaN where they alone diverge
+        is_enough = np.all(missed <= _MISSED * np.linalg.norm(fine, axis=0))
+        return larger if simulated.any() and is_enough else self.finer
 
     def _own_velocities(self, finer: int) -> Matrix:
         """(N, nv) velocity that a unit of force gives each joint, in so many steps for one."""

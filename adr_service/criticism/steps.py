@@ -33,8 +33,8 @@ def in_finer_steps(current: Fit, newest: int) -> Fit:
         and _nats_of_finer_steps(current, newest) > THRESHOLD
     ):
         finer = in_steps_of(current, current.simulator.in_finer_steps)
-        # transitions that one of them alone simulates would count as so much likelier
-        if finer.simulated != current.simulated or not beats(gained(finer, current), 0.0):
+        more = finer.simulated - current.simulated  # whose likelihoods count beside no others
+        if more < 0 or (more == 0 and not beats(gained(finer, current), 0.0)):
             break
         current = finer
     return current

@@ -61,7 +61,8 @@ class _Topic:
             columns[name][list(values)] = list(values.values())
         stamps = np.array(self.stamps)
         order = np.arange(len(stamps))
-        if _are_late_ones(stamps):  # bags are in order of arrival
+        # bags are in order of arrival; one that is early is a late one, read backwards
+        if _are_late_ones(stamps) or _are_late_ones(-stamps[::-1]):
             order = np.argsort(stamps, kind="stable")
         return Stream({name: values[order] for name, values in columns.items()}, stamps[order])
 
@@ -132,7 +133,7 @@ def read_split_mcap(source: str, parts: Iterable[tuple[str, bytes]]) -> Log:
 
 
 def _reason(error: Exception) -> str:
-    """What a parser says of a damaged bag, in words."""
+    """Reason why a bag cannot be read, in words."""
     if type(error).__name__ == "EndOfFile" or isinstance(error, struct.error):
         return "it is cut short, as by a recorder that was killed; `mcap recover` may save it"
     return str(error) or repr(error)

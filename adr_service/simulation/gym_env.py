@@ -200,6 +200,8 @@ def _only_one(task: str, space: ParameterSpace, file: Mapping[str, Any]) -> Mapp
             f"those of this variant of {task}"
         )
     found = file["distributions"]
+    if not isinstance(found, list) or not all(isinstance(one, Mapping) for one in found):
+        raise InvalidInput(f"distributions must be a list of documents; given {found!r}")
     if len(found) != 1:
         raise InvalidInput(f"{len(found)} distributions are given; choose one of them")
     return cast(Mapping[str, Any], found[0])

@@ -57,8 +57,10 @@ _UNREADABLE = (SafetensorError, KeyError, TypeError, ValueError, RecursionError,
 
 def _numbers(tensor: np.ndarray) -> np.ndarray:
     """The tensor; raises InvalidInput unless it has finite numbers in float32."""
-    if tensor.dtype != np.float32 or not np.isfinite(tensor).all():
-        raise InvalidInput(f"weights must be finite and float32; there are {tensor.dtype}")
+    if tensor.dtype != np.float32:
+        raise InvalidInput(f"weights must be float32; there are {tensor.dtype}")
+    if not np.isfinite(tensor).all():
+        raise InvalidInput("weights must be finite; there are NaN or infinite ones")
     return tensor
 
 

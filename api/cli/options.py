@@ -33,7 +33,7 @@ def check_watch(dry_run: bool, watch: bool) -> None:
 
 
 def is_url_given(context: typer.Context) -> bool:
-    """Whether --url was given on the command line, and not by ADR_URL."""
+    """True if --url stands on the command line; it may come from ADR_URL, too."""
     source = context.get_parameter_source("url")
     return source is not None and source.name == "COMMANDLINE"
 

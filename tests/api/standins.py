@@ -31,11 +31,10 @@ class Service:
     """What routes call: a database, an orchestrator, and a queue that a test may fill."""
 
     dashboard_url = None
-    settings = Settings()
 
     def __init__(self, database):
         self.database, self.orchestrator = database, Orchestrator()
-        self.refusal = None
+        self.refusal, self.settings = None, Settings()
         self.comparing = defaultdict(Lock)
 
     def check_queue(self, live):

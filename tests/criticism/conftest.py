@@ -74,13 +74,13 @@ def baseline(hidden):
 
 @pytest.fixture(scope="session")
 def responses(baseline):
-    """What every effect does to the fit without the friction."""
+    """Responses of the fit without the friction to every effect."""
     return Responses(baseline)
 
 
 @pytest.fixture(scope="session")
 def candidates(baseline, responses):
-    """What a scan of that fit finds, the best first."""
+    """Effects that a scan of that fit finds, the best first."""
     return scan(baseline, responses)
 
 

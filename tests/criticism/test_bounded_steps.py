@@ -43,9 +43,17 @@ def test_a_value_with_a_least_one_alone_has_no_end_above():
 def test_only_a_value_at_a_bound_leaves_it():
     bounds = bounds_of([0.0, 0.0, 0.0, -np.inf], [1.0, 1.0, np.inf, np.inf], [False] * 4)
     values = np.array([0.0, 1.0, 0.0, 5.0])
-    down, up = (bounds.leaving(values, np.full(4, step)) for step in (-1.0, 1.0))
+    at = np.zeros(4)
+    down, up = (bounds.leaving(values, np.full(4, step), at) for step in (-1.0, 1.0))
     assert down.tolist() == [True, False, True, False]
     assert up.tolist() == [False, True, False, False]
+
+
+def test_a_value_within_reach_of_a_bound_is_at_it():
+    bounds = bounds_of([0.0], [np.inf], [False])
+    for value, step, leaves in ((1e-9, -1.0, True), (1e-9, -1e-10, False), (0.5, -1.0, False)):
+        found = bounds.leaving(np.array([value]), np.array([step]), np.array([1e-3]))
+        assert found.tolist() == [leaves]
 
 
 def test_a_refused_step_is_shortened_as_a_whole_and_then_halved():

@@ -168,7 +168,7 @@ def test_a_clock_that_was_set_back_is_refused(back):
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_messages_that_are_late_are_put_where_they_belong(count):
-    """Each second of a few takes the stamp of the message before."""
+    """Two messages come in the wrong order, or four."""
     late = dict(zip(range(100, 100 + count), range(100 + count, 100, -1), strict=True))
     order = [late.get(i, i) for i in range(250)]
     order[100 + count] = 100
@@ -176,6 +176,13 @@ def test_messages_that_are_late_are_put_where_they_belong(count):
     signal = log.signal("/joint_states.position.shoulder", CLOCK)
     assert np.all(np.diff(signal.time) > 0)
     assert signal.value[order[100]] == pytest.approx(1.0)
+
+
+def test_one_stamp_that_is_far_ahead_is_put_where_it_belongs():
+    log = read_mcap("run.mcap", bag(stamps=lambda i: 1_700_000_000 + 0.02 * (i + 10 * (i == 100))))
+    signal = log.signal("/joint_states.position.shoulder", CLOCK)
+    assert np.all(np.diff(signal.time) > 0)
+    assert 1.0 in signal.value[105:115].round(6)
 
 
 def test_places_with_one_name_are_numbered():

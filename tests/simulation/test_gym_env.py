@@ -130,7 +130,7 @@ def test_refused_dynamics_leave_the_episode_and_the_random_numbers_as_they_were(
 
 
 def file_of(variant, count=1):
-    """What `adr results --distribution` writes of a belief about Hopper."""
+    """The file that `adr results --distribution` writes of a belief about Hopper."""
     space = source_of("hopper", variant).space
     belief = Uniform(space, space.low, space.high).to_json()
     return {"task": "hopper", "variant": variant, "distributions": [belief] * count}
@@ -154,6 +154,8 @@ def test_a_distribution_comes_from_its_file():
         ({**file_of("vanilla"), "task": "walker2d"}, "is of walker2d vanilla"),
         ({**file_of("vanilla"), "variant": "windy"}, "there is no variant"),
         (file_of("vanilla", 2), "2 distributions are given; choose one"),
+        ({**file_of("vanilla"), "distributions": 3}, "must be a list of documents; given 3"),
+        ({**file_of("vanilla"), "distributions": ["x"]}, "must be a list of documents"),
     ],
     ids=str,
 )

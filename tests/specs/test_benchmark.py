@@ -21,7 +21,7 @@ class TestBenchmark:
         assert len(list(self.spec(references=False, seeds=[0]).runs())) == 2
 
     def test_as_json_it_has_the_same_runs(self):
-        """What a method's settings leave out is the preset's, in the answer of the service too."""
+        """The preset fills settings that were not given, and the class's defaults do not."""
         spec = self.spec(methods=[{"name": "dropo", "budget": 50}, "udr"], seeds=[0])
         assert spec.model_dump(mode="json")["methods"] == [{"name": "dropo", "budget": 50}, "udr"]
         again = BenchmarkSpec.model_validate_json(spec.model_dump_json())

@@ -27,13 +27,13 @@ def test_the_page_of_a_benchmark_shows_its_figures(http, benchmark):
 
 
 def shown_figure(page, benchmark):
-    """The number in the address of a figure, with which another address has another figure."""
+    """The number that makes a browser load the figure again."""
     pattern = rf'<img src="/v1/benchmarks/{benchmark}/figures/returns.svg\?renewed=(\d+)"'
     return int(re.search(pattern, page)[1])
 
 
 def iterations_of(http, benchmark):
-    """The run and number of every finished iteration."""
+    """Run and number of every finished iteration."""
     runs = [run["id"] for run in http.get(f"/v1/benchmarks/{benchmark}").json()["runs"]]
     return [
         (run, estimate["iteration"])
