@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Collection
 from itertools import chain
 from pathlib import Path
-from typing import Any, ParamSpec
+from typing import Any, ParamSpec, TypeVar
 
 from adr_service.client import AdrClient, Json, Refused, Unreachable, is_finished
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec, members_of
@@ -29,8 +29,9 @@ from api.cli.ports import free_port
 from api.report import write_report
 
 _EXPORT_S = 1800.0
-_TRIES, _PAUSE_S = 5, 60.0
-P = ParamSpec("P")
+_TRIES, _PAUSE_S = 30, 60.0
+_POLL_S = 2.0
+P, T = ParamSpec("P"), TypeVar("T")
 _KINDS = BenchmarkExtension.model_fields  # of members
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -128,7 +129,8 @@ def finish(
 ) -> None:
     """Wait until all runs have ended, and publish now and then; raises Stopped at the deadline."""
     published, shown = time.monotonic(), None
-    for seen in client.watch(id):
+    while True:
+        seen = patiently(client.get, id)
         if seen["states"] != shown:
             shown = seen["states"]
             print(shown, flush=True)
@@ -139,19 +141,18 @@ def finish(
         if time.monotonic() > published + _EXPORT_S:
             patiently(publish, client, id, folder, parts)
             published = time.monotonic()
+        time.sleep(_POLL_S)
 
 
-def patiently(act: Callable[P, object], *given: P.args, **more: P.kwargs) -> None:
-    """Do something with a service that may be busy for some minutes."""
+def patiently(act: Callable[P, T], *given: P.args, **more: P.kwargs) -> T:
+    """Do something with a service that may be busy for half an hour, as beside other work."""
     for _ in range(_TRIES):
         try:
-            act(*given, **more)
+            return act(*given, **more)
         except (Refused, Unreachable) as error:
             print(f"{error}; trying again", file=sys.stderr, flush=True)
             time.sleep(_PAUSE_S)
-        else:
-            return
-    act(*given, **more)
+    return act(*given, **more)
 
 
 def publish(client: AdrClient, id: str, folder: Path, parts: dict[str, Json]) -> None:

@@ -13,7 +13,9 @@ from pathlib import Path
 import pytest
 
 from adr_service.benchmark.archive import ArchiveReader
+from adr_service.client import Unreachable
 from adr_service.specs import BenchmarkExtension, BenchmarkPart, BenchmarkSpec
+from benchmarks import study as study_module
 from benchmarks.study import parts_of
 from db.benchmarks import grid_of
 
@@ -69,6 +71,34 @@ def test_an_extension_of_two_kinds_is_refused():
     """Its runs would be no grid, and an archive has a grid."""
     with pytest.raises(SystemExit, match="adds members of one kind"):
         parts_of({**STUDY, "then": [{"methods": ["udr"], "seeds": [1]}]})
+
+
+@pytest.mark.parametrize("refusals", [0, 3])
+def test_a_service_that_is_busy_is_asked_again(monkeypatch, refusals):
+    """Once a study died because other work on its machine left it no time for five minutes."""
+    monkeypatch.setattr(study_module, "_PAUSE_S", 0.0)
+    answers = iter([Unreachable("busy")] * refusals)
+
+    def ask(id):
+        if (error := next(answers, None)) is not None:
+            raise error
+        return {"id": id}
+
+    assert study_module.patiently(ask, "bench_a") == {"id": "bench_a"}
+
+
+def test_a_service_that_never_answers_is_given_up(monkeypatch):
+    monkeypatch.setattr(study_module, "_PAUSE_S", 0.0)
+    monkeypatch.setattr(study_module, "_TRIES", 4)
+    asked = []
+
+    def ask():
+        asked.append(1)
+        raise Unreachable("gone")
+
+    with pytest.raises(Unreachable, match="gone"):
+        study_module.patiently(ask)
+    assert len(asked) == 5
 
 
 @pytest.mark.ray
