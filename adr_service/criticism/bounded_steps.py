@@ -39,10 +39,9 @@ class Bounds:
         is_low, is_high = step <= _WHOLE * to_low, step >= _WHOLE * to_high
         return np.where(is_low, self.low, np.where(is_high, self.high, after))
 
-    def leaving(self, values: Vector, step: Vector, reach: Vector) -> Mask:
-        """True where a value at a bound, or within `reach` above the lower one, would be moved
-        beyond it."""
-        below = (values <= self.low + reach) & (values + step < self.low)
+    def leaving(self, values: Vector, step: Vector, is_near: Mask) -> Mask:
+        """True where a value at a bound, or near the lower one, would be moved beyond it."""
+        below = (is_near | (values <= self.low)) & (values + step < self.low)
         return below | ((values >= self.high) & (step > 0))
 
     def _ways(self, values: Vector) -> tuple[Vector, Vector]:

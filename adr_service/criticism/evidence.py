@@ -327,17 +327,30 @@ def estimate_within_bounds(
     """
     bounds = _bounds_of(fit, parameters, [_lowest(effect) for effect in effects])
     values, scales = _values_of(parameters, effects), _scales_of(fit, effects)
-    reach = np.where(np.arange(len(values)) < len(parameters), 0.0, _AT_BOUND * scales)
+    is_near = np.zeros(len(values), dtype=np.bool_)
+    is_near[len(parameters) + INTEGRATION :] = nearly_at_bounds(fit, effects)
+    above = np.where(is_near, values - bounds.low, 0.0)
     held = np.zeros(len(values), dtype=np.bool_)
     while True:
         start, normal = estimate(linear, start, fit.stated)
-        leaving = ~held & bounds.leaving(values, normal.change()[0], reach)
+        leaving = ~held & bounds.leaving(values, normal.change()[0], is_near)
         if not leaving.any():
             return linear, start, normal
         held |= leaving
         mean, precision = linear.mean.copy(), linear.precision.copy()
-        mean[held], precision[held] = 0.0, 1 / (_HELD * scales[held]) ** 2
+        mean[held], precision[held] = 0.0, 1 / np.maximum(_HELD * scales, above)[held] ** 2
         linear = replace(linear, mean=mean, precision=precision)
+
+
+def nearly_at_bounds(fit: Fit, effects: Sequence[Effect]) -> Mask:
+    """(k,) true for strengths that are so near to their least that they may be that, which one
+    beside others never reaches."""
+    found = [np.empty(0, dtype=np.bool_)]
+    for effect in effects:
+        above = np.array(effect.values) - _lowest(effect)
+        reach = _AT_BOUND * plausible_of(fit.simulator.base, effect)
+        found.append((len(above) > 1) & (above <= reach))
+    return np.concatenate(found)
 
 
 def _values_of(parameters: Vector, effects: Sequence[Effect]) -> Vector:

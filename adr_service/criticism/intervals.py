@@ -7,7 +7,7 @@ may_be_nothing(fit, slice(0, 1))        # True if all of them may be zero at onc
 import numpy as np
 from scipy import stats
 
-from adr_service.criticism.evidence import Fit
+from adr_service.criticism.evidence import Fit, nearly_at_bounds
 from adr_service.criticism.verdict import StrengthInterval
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import shapes_of, unit_of
@@ -22,13 +22,15 @@ def intervals(fit: Fit, slot: slice) -> tuple[StrengthInterval, ...]:
     reach = float(stats.t.ppf(0.5 + INTERVAL / 2, fit.normal.freedom))
     variances = np.diagonal(covariance)[fit.columns_of(slot)].tolist()
     found: list[StrengthInterval] = []
+    is_near = nearly_at_bounds(fit, effects).tolist()
     for effect in effects:
         for strength, value in zip(
             get_mechanism(effect.kind).strengths, effect.values, strict=True
         ):
             variance = variances[len(found)]
             error = reach * float(np.sqrt(max(variance, 0.0)))
-            bounds = (max(value - error, strength.low), value + error)
+            low = strength.low if is_near[len(found)] else max(value - error, strength.low)
+            bounds = (low, value + error)
             unit = unit_of(fit.simulator.base, effect.location, strength.unit)
             name = strength.name if len(effects) == 1 else f"{effect.name} {strength.name}"
             low, high = bounds if variance != 0 else (-np.inf, np.inf)  # zero: not identifiable
@@ -38,7 +40,8 @@ def intervals(fit: Fit, slot: slice) -> tuple[StrengthInterval, ...]:
 
 def may_be_nothing(fit: Fit, slot: slice) -> bool:
     """True if the 95 % region of the strengths of some effects holds zero; shapes are no part of
-    it, nor is what the data do not identify. Of one strength that is its interval.
+    it, nor are strengths nearly at their bounds, nor is what the data do not identify. Of one
+    strength that is its interval.
 
     Strengths of a group may be unsure one by one, and sure together (Wald's test, with Fisher's F
     for few episodes).
@@ -48,7 +51,7 @@ def may_be_nothing(fit: Fit, slot: slice) -> bool:
     values = np.concatenate([effect.values for effect in effects])
     columns = np.arange(len(covariance))[fit.columns_of(slot)]
     is_shape = np.concatenate([shapes_of(effect.kind) for effect in effects])
-    known = ~is_shape & (np.diagonal(covariance)[columns] > 0)
+    known = ~is_shape & ~nearly_at_bounds(fit, effects) & (np.diagonal(covariance)[columns] > 0)
     count = int(known.sum())
     if count == 0:
         return True

@@ -43,16 +43,16 @@ def test_a_value_with_a_least_one_alone_has_no_end_above():
 def test_only_a_value_at_a_bound_leaves_it():
     bounds = bounds_of([0.0, 0.0, 0.0, -np.inf], [1.0, 1.0, np.inf, np.inf], [False] * 4)
     values = np.array([0.0, 1.0, 0.0, 5.0])
-    at = np.zeros(4)
-    down, up = (bounds.leaving(values, np.full(4, step), at) for step in (-1.0, 1.0))
+    nowhere = np.zeros(4, dtype=bool)
+    down, up = (bounds.leaving(values, np.full(4, step), nowhere) for step in (-1.0, 1.0))
     assert down.tolist() == [True, False, True, False]
     assert up.tolist() == [False, True, False, False]
 
 
-def test_a_value_within_reach_of_a_bound_is_at_it():
+def test_a_value_near_a_bound_leaves_it_by_a_step_beyond_it():
     bounds = bounds_of([0.0], [np.inf], [False])
-    for value, step, leaves in ((1e-9, -1.0, True), (1e-9, -1e-10, False), (0.5, -1.0, False)):
-        found = bounds.leaving(np.array([value]), np.array([step]), np.array([1e-3]))
+    for step, is_near, leaves in ((-1.0, True, True), (-0.1, True, False), (-1.0, False, False)):
+        found = bounds.leaving(np.array([0.5]), np.array([step]), np.array([is_near]))
         assert found.tolist() == [leaves]
 
 

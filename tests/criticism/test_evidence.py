@@ -8,6 +8,7 @@ import pytest
 
 from adr_service.criticism.decision import is_evidence
 from adr_service.criticism.evidence import expected_errors, fit, gained, held_out_without, refine
+from adr_service.criticism.intervals import intervals
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.probable_states import smoothed
@@ -113,6 +114,7 @@ def test_nor_is_it_where_the_strength_stands_beside_others():
         baseline = smoothed(fit(simulator, simulator.data.sensor_variance())).settled
         refined = refine(baseline, [wind])
     assert refined.effects[0].values[0] == pytest.approx(0.0, abs=0.1)
+    assert intervals(refined, slice(0, 1))[0].low <= 0
     assert (refined.held_out - baseline.held_out).sum() < 60
 
 

@@ -36,13 +36,17 @@ def test_a_group_is_something_if_one_of_its_places_is(both):
 
 
 @pytest.mark.parametrize(("correlation", "is_nothing"), [(-0.99, False), (0.0, True)])
-def test_two_strengths_may_be_sure_together_that_are_unsure_apart(correlation, is_nothing):
+def test_two_strengths_may_be_sure_together_that_are_unsure_apart(
+    correlation, is_nothing, baseline
+):
     """Each is 1.5 of its deviations away from zero; of their sum that is 21 if they trade."""
     frictions = tuple(
-        Effect("joint_coulomb_friction", f"joint:{joint}", (1.5,)) for joint in ("x", "y")
+        Effect("joint_coulomb_friction", f"joint:{joint}", (1.5,))
+        for joint in ("shoulder", "elbow")
     )
     covariance = np.array([[1.0, correlation], [correlation, 1.0]])
     fit = SimpleNamespace(
+        simulator=baseline.simulator,
         effects=frictions,
         normal=SimpleNamespace(covariance=lambda: covariance, freedom=38),
         columns_of=lambda slot: slot,
