@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from adr_service.arrays import Array3, Mask, Matrix, Vector
-from adr_service.criticism.bounded_steps import Bounds, shorter
+from adr_service.criticism.bounded_steps import shorter
 from adr_service.criticism.layout import Layout
 from adr_service.criticism.linear import (
     Linear,
@@ -45,17 +45,17 @@ from adr_service.criticism.noise import (
     misfit_variance,
 )
 from adr_service.criticism.simulator import Simulator
+from adr_service.criticism.within_bounds import (
+    bounds_of_steps,
+    estimate_within_bounds,
+    values_of,
+)
 from adr_service.effects.base import Effect
-from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import amounts, plausible_of, typical_of
 
 _STEPS, _REFUSED = 15, 3  # at most; and so many that were refused, one after the other
 _CONVERGED = 0.3  # [nats] that a step gains at least
 NEAR = 0.25  # of a value, or of a typical strength: so far, derivatives by it hardly change
-# of its range, or of a plausible strength, the deviation of what goes no further than its bound
-_HELD = 1e-6
-_AT_BOUND = 1e-3  # of a plausible strength: what is nearer to its bound is at it
-_NEARLY = 0.9  # of the way to nothing, which a strength beside others could never leave again
 
 
 @dataclass(frozen=True)
@@ -240,8 +240,8 @@ def improved(fit: Fit, first: Fit) -> Fit:
     best, about, step = first, first.effects, first.normal.change()[0]
     refused, columns = 0, fit.integration
     for _ in range(_STEPS):
-        bounds = _bounds_of(fit, best.parameters, [_least_of(each) for each in best.effects])
-        values = _values_of(best.parameters, best.effects)
+        at = best.parameters, best.effects
+        bounds, values = bounds_of_steps(fit.simulator, *at), values_of(*at)
         within = bounds.limited(values, step)
         after = bounds.moved(values, within)
         parameters = after[: columns.start]
@@ -303,7 +303,8 @@ def _evaluated(
     linear = with_effect_priors(fit, linear, effects)
     try:
         start = _likelier(fit, linear) if noise is None else noise
-        linear, noise, normal = estimate_within_bounds(fit, parameters, effects, linear, start)
+        known = (parameters, effects, linear, start, fit.stated)
+        linear, noise, normal = estimate_within_bounds(fit.simulator, *known)
     except np.linalg.LinAlgError:  # what it leaves has no finite variance beside exact readings
         return None
     return replace(
@@ -315,81 +316,6 @@ def _evaluated(
         noise=noise,
         normal=normal,
     )
-
-
-def estimate_within_bounds(
-    fit: Fit, parameters: Vector, effects: Sequence[Effect], linear: Linear, start: Noise
-) -> tuple[Linear, Noise, Normal]:
-    """`estimate`, with the parameters and strengths held that would leave their bounds.
-
-    So misfit that only a parameter beyond its bounds would explain stays, as evidence, and a
-    strength gains nothing by what only a negative one would explain.
-    """
-    bounds = _bounds_of(fit, parameters, [_lowest(effect) for effect in effects])
-    values, scales = _values_of(parameters, effects), _scales_of(fit, effects)
-    is_near = np.zeros(len(values), dtype=np.bool_)
-    is_near[len(parameters) + INTEGRATION :] = nearly_at_bounds(fit, effects)
-    above = np.where(is_near, values - bounds.low, 0.0)
-    held = np.zeros(len(values), dtype=np.bool_)
-    while True:
-        start, normal = estimate(linear, start, fit.stated)
-        leaving = ~held & bounds.leaving(values, normal.change()[0], is_near)
-        if not leaving.any():
-            return linear, start, normal
-        held |= leaving
-        mean, precision = linear.mean.copy(), linear.precision.copy()
-        mean[held], precision[held] = 0.0, 1 / np.maximum(_HELD * scales, above)[held] ** 2
-        linear = replace(linear, mean=mean, precision=precision)
-
-
-def nearly_at_bounds(fit: Fit, effects: Sequence[Effect]) -> Mask:
-    """(k,) true for strengths that are so near to their least that they may be that, which one
-    beside others never reaches."""
-    found = [np.empty(0, dtype=np.bool_)]
-    for effect in effects:
-        above = np.array(effect.values) - _lowest(effect)
-        reach = _AT_BOUND * plausible_of(fit.simulator.base, effect)
-        found.append((len(above) > 1) & (above <= reach))
-    return np.concatenate(found)
-
-
-def _values_of(parameters: Vector, effects: Sequence[Effect]) -> Vector:
-    """(p,) values of all columns, those of integration as 0."""
-    strengths = [effect.values for effect in effects]
-    return np.concatenate([parameters, np.zeros(INTEGRATION), *strengths])
-
-
-def _bounds_of(fit: Fit, parameters: Vector, least: Sequence[Vector]) -> Bounds:
-    """Bounds (p,) of all columns, with the least strengths of each effect; of parameters, at most
-    what they are or their space has."""
-    space = fit.simulator.nominal.space
-    free = np.full(INTEGRATION, np.inf)
-    low = np.concatenate([space.feasible_low, -free, *least])
-    high = np.full(len(low), np.inf)
-    high[: len(parameters)] = np.maximum(space.high, parameters)
-    return Bounds(low, high, (np.arange(len(low)) < len(parameters)) & (low > 0))
-
-
-def _least_of(effect: Effect) -> Vector:
-    """(k,) the least strengths that a step leads to.
-
-    One of several that was nothing would stay so, because nothing can be said of it then.
-    """
-    low = _lowest(effect)
-    nearly = (1 - _NEARLY) * np.array(effect.values)
-    return np.where((len(low) > 1) & (low == 0), np.maximum(nearly, 0.0), low)
-
-
-def _lowest(effect: Effect) -> Vector:
-    """(k,) the least strengths that make sense."""
-    return np.array([strength.low for strength in get_mechanism(effect.kind).strengths])
-
-
-def _scales_of(fit: Fit, effects: Sequence[Effect]) -> Vector:
-    """(p,) ranges of parameters, and plausible strengths."""
-    space, base = fit.simulator.nominal.space, fit.simulator.base
-    likely = [plausible_of(base, effect) for effect in effects]
-    return np.concatenate([space.high - space.low, np.ones(INTEGRATION), *likely])
 
 
 def _sensitivities(

@@ -7,8 +7,9 @@ may_be_nothing(fit, slice(0, 1))        # True if all of them may be zero at onc
 import numpy as np
 from scipy import stats
 
-from adr_service.criticism.evidence import Fit, nearly_at_bounds
+from adr_service.criticism.evidence import Fit
 from adr_service.criticism.verdict import StrengthInterval
+from adr_service.criticism.within_bounds import nearly_at_bounds
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import shapes_of, unit_of
 
@@ -22,7 +23,7 @@ def intervals(fit: Fit, slot: slice) -> tuple[StrengthInterval, ...]:
     reach = float(stats.t.ppf(0.5 + INTERVAL / 2, fit.normal.freedom))
     variances = np.diagonal(covariance)[fit.columns_of(slot)].tolist()
     found: list[StrengthInterval] = []
-    is_near = nearly_at_bounds(fit, effects).tolist()
+    is_near = nearly_at_bounds(fit.simulator, effects).tolist()
     for effect in effects:
         for strength, value in zip(
             get_mechanism(effect.kind).strengths, effect.values, strict=True
@@ -51,7 +52,11 @@ def may_be_nothing(fit: Fit, slot: slice) -> bool:
     values = np.concatenate([effect.values for effect in effects])
     columns = np.arange(len(covariance))[fit.columns_of(slot)]
     is_shape = np.concatenate([shapes_of(effect.kind) for effect in effects])
-    known = ~is_shape & ~nearly_at_bounds(fit, effects) & (np.diagonal(covariance)[columns] > 0)
+    known = (
+        ~is_shape
+        & ~nearly_at_bounds(fit.simulator, effects)
+        & (np.diagonal(covariance)[columns] > 0)
+    )
     count = int(known.sum())
     if count == 0:
         return True

@@ -14,11 +14,11 @@ from adr_service.criticism.evidence import (
     NEAR,
     Fit,
     are_near,
-    estimate_within_bounds,
     with_effect_priors,
 )
 from adr_service.criticism.linearisation import linearise, root_of, tiny_root
 from adr_service.criticism.noise import Whitener, lifted
+from adr_service.criticism.within_bounds import estimate_within_bounds
 
 _SMOOTHINGS = 10  # at most, until parameters and strengths stay where they are
 _PASSES = 5  # over the states alone, at most
@@ -113,8 +113,8 @@ def _likelier_of(fit: Fit, other: Fit) -> tuple[Fit, Mask]:
 
 def _within(fit: Fit) -> Fit:
     """A fit with its noise estimated anew, where no parameter leaves its bounds."""
-    known = (fit.parameters, fit.effects)
-    linear, noise, normal = estimate_within_bounds(fit, *known, fit.linear, fit.noise)
+    known = (fit.parameters, fit.effects, fit.linear, fit.noise, fit.stated)
+    linear, noise, normal = estimate_within_bounds(fit.simulator, *known)
     return replace(fit, linear=linear, noise=noise, normal=normal)
 
 
