@@ -73,7 +73,7 @@ def test_a_hidden_effect_is_named_or_tied_with_what_equals_it(seed):
 
 
 def test_the_least_that_is_accepted_is_enough(criticism):
-    """Eight episodes, of which two are sealed."""
+    """Two of the eight episodes are sealed."""
     assert_named(criticism.verdict, case(100))
     assert criticism.verdict.residual.used == 6 * 75
 

@@ -170,7 +170,7 @@ def test_one_update_is_the_same_in_both_backends(no_noise, algorithm, weights, a
     ("algorithm", "stock", "updates"),
     [
         ("sac", "SAC", 4),
-        ("crossq", "CrossQ", 2),  # of which one is of the actor too
+        ("crossq", "CrossQ", 2),  # one of them moves the actor too
         pytest.param("crossq", "CrossQ", 13, marks=pytest.mark.slow),
     ],
 )

@@ -12,7 +12,7 @@ from api.cli.doctor import Check, report
 
 @pytest.fixture
 def without_simulator(monkeypatch):
-    """Without the check that simulates every task, which takes a second."""
+    """Leave out the check that simulates every task: it takes a second."""
     monkeypatch.setattr(doctor, "_simulator", lambda: iter(()))
 
 
