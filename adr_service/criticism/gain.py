@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import t as student
 
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.criticism.evidence import Fit, expected_errors, residuals_of
@@ -12,7 +13,7 @@ from adr_service.criticism.simulator import Simulator
 from adr_service.criticism.verdict import Gain, Trace
 
 _HORIZONS = (1, 5, 25)  # control steps
-_DRAWS, _BEYOND = 1000, 0.025  # of a bootstrap; share that is beyond each end of an interval
+_BEYOND = 0.025  # probability beyond each end of an interval
 _WEIGHINGS = 5
 
 _Residuals = tuple[Chain, Array3]  # (E, T, m) of one fit
@@ -22,10 +23,9 @@ def measure_gain(
     before: Fit,
     after: Fit,
     sealed: Measurement,
-    rng: np.random.Generator,
     threads: int | None = None,
 ) -> Gain:
-    """Errors of two fits on sealed episodes.
+    """Errors of two fits on sealed episodes, at least two.
 
     For one step, innovations: what a Kalman filter with the final noise did not see coming. For
     more steps, errors from measured states.
@@ -35,18 +35,19 @@ def measure_gain(
         horizons = _horizons(simulator, before, after)
         trace = _trace(simulator, before, after)
     diverged = [len(simulator.starts) - int(chain.mask.sum()) for chain, _ in left]
-    whole, draws = _sums(_innovations(left, after.noise, sealed.is_measured()), rng)
+    without, extended, count = _innovations(left, after.noise, sealed.is_measured()).T
     # noise alone leaves one per number, or less where outliers weigh less
-    noise = min(1.0, float(whole[1] / whole[2]))
-    explained, drawn = float(_explained(whole, noise)), _explained(draws, noise)
-    is_noise = np.isnan(explained) or np.mean(np.isnan(drawn)) > _BEYOND
-    removed, low, high = _removed_within(whole, draws)
+    noise = min(1.0, float(extended.sum() / count.sum()))
+    explainable = without - noise * count
+    is_noise = explainable.sum() <= _reach(explainable)
+    explained = None if is_noise else share_within(without - extended, explainable)
+    removed, low, high = share_within(without - extended, without)
     return Gain(
         sse_removed=removed,
         low=low,
         high=high,
-        explainable_fraction=None if is_noise else explained,
-        explainable_interval=None if is_noise else _interval(drawn),
+        explainable_fraction=explained and explained[0],
+        explainable_interval=explained and explained[1:],
         horizons=horizons,
         diverged=(diverged[0], diverged[1]),
         trace=trace,
@@ -57,29 +58,34 @@ def share_removed(
     before: Fit,
     after: Fit,
     sealed: Measurement,
-    rng: np.random.Generator,
     threads: int | None = None,
 ) -> tuple[float, float, float]:
     """`sse_removed` of `measure_gain`, with its interval, for a fraction of the simulations."""
     with _simulator_of(before, sealed, threads) as simulator:
         left = [residuals_of(fit, simulator) for fit in (before, after)]
-    whole, draws = _sums(_innovations(left, after.noise, sealed.is_measured()), rng)
-    return _removed_within(whole, draws)
+    without, extended, _ = _innovations(left, after.noise, sealed.is_measured()).T
+    return share_within(without - extended, without)
 
 
-def _removed_within(whole: Vector, draws: Matrix) -> tuple[float, float, float]:
-    """The share that the effects remove, and its interval."""
-    return float(_removed(whole)), *_interval(_removed(draws))
+def share_within(part: Vector, whole: Vector) -> tuple[float, float, float]:
+    """The share of sums over episodes (E,), and its 95 % interval, which ends at one at most.
+
+    Student's of the linearised ratio (Cochran, Sampling Techniques, ch. 6): a bootstrap of a few
+    episodes is too short, and of two has their own shares as its ends.
+    """
+    share = float(part.sum() / whole.sum())
+    reach = _reach(part - share * whole) / float(whole.sum())
+    return share, share - reach, min(share + reach, 1.0)
+
+
+def _reach(values: Vector) -> float:
+    """How far the 95 % interval of a sum over episodes (E,) reaches to either side."""
+    count = len(values)
+    return float(student.isf(_BEYOND, count - 1) * values.std(ddof=1) * np.sqrt(count))
 
 
 def _simulator_of(fit: Fit, sealed: Measurement, threads: int | None) -> Simulator:
     return Simulator(fit.simulator.nominal, sealed, threads, fit.simulator.finer)
-
-
-def _sums(errors: Matrix, rng: np.random.Generator) -> tuple[Vector, Matrix]:
-    """Sums (3,) over all episodes, and (draws, 3) over bootstraps of them."""
-    drawn = errors[rng.integers(len(errors), size=(_DRAWS, len(errors)))]
-    return errors.sum(axis=0), drawn.sum(axis=1)
 
 
 def _innovations(left: list[_Residuals], noise: Noise, measured: np.ndarray) -> Matrix:
@@ -93,24 +99,6 @@ def _innovations(left: list[_Residuals], noise: Noise, measured: np.ndarray) -> 
     white = (Whitener.of(chain, noise).whiten(r[..., None])[..., 0] for chain, r in both)
     squares = [np.sum(z[..., measured] ** 2, axis=(1, 2)) for z in white]
     return np.column_stack([*squares, mask.sum(axis=1) * measured.sum()])
-
-
-def _removed(errors: np.ndarray) -> np.ndarray:
-    """(...) share of squared innovations (..., 3) that the effects remove."""
-    return 1 - errors[..., 1] / errors[..., 0]
-
-
-def _explained(errors: np.ndarray, noise: float) -> np.ndarray:
-    """(...) share that they remove of what is not `noise` in each number; NaN: nothing is."""
-    without, with_effects, count = np.moveaxis(errors, -1, 0)
-    explainable = without - noise * count
-    return (without - with_effects) / np.where(explainable > 0, explainable, np.nan)
-
-
-def _interval(shares: Vector) -> tuple[float, float]:
-    """95 % interval of bootstrapped shares, those that are numbers."""
-    low, high = np.nanquantile(shares, [_BEYOND, 1 - _BEYOND]).tolist()
-    return low, high
 
 
 def _horizons(simulator: Simulator, before: Fit, after: Fit) -> dict[int, tuple[float, float]]:

@@ -127,7 +127,7 @@ def criticise(
             chance = min(1 - _confidence_in([alike], []) for alike in found)
         remarks = (*on_commands(base, data), *on_untried(base), *on_undetermined(unsure))
         outcome = _Outcome(named, final, chance, None, remarks)
-        outcome = _opened(outcome, baseline, sealed, rng, threads)
+        outcome = _opened(outcome, baseline, sealed, threads)
         judgement = _judged(outcome, baseline)
         confused = indistinguishable(baseline, responses, first)
         verdict = _verdict(judgement, baseline, first, confused)
@@ -208,17 +208,11 @@ def _likelihood(begun: tuple[Fit, Block | None]) -> tuple[int, float]:
     return start.simulated, float(start.held_out.sum()) + more
 
 
-def _opened(
-    outcome: _Outcome,
-    baseline: Fit,
-    sealed: Measurement,
-    rng: np.random.Generator,
-    threads: int | None,
-) -> _Outcome:
+def _opened(outcome: _Outcome, baseline: Fit, sealed: Measurement, threads: int | None) -> _Outcome:
     """The outcome with its gain on the sealed episodes, which may refute the effects."""
     if not outcome.named:
         return outcome
-    gain = measure_gain(baseline, outcome.final, sealed, rng, threads)
+    gain = measure_gain(baseline, outcome.final, sealed, threads)
     is_refuted = gain.high < 0
     if not is_refuted:
         return replace(outcome, gain=gain)

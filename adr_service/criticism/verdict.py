@@ -215,12 +215,12 @@ class Gain:
     """Errors on the sealed episodes, without the causes and with them."""
 
     sse_removed: float  # share of the squared innovations
-    low: float  # 95 % bootstrap over episodes
+    low: float  # 95 % interval over episodes, Student's
     high: float
     # share removed of the error beyond the final noise, in which is the misfit that stays; None:
     # there is no such error
     explainable_fraction: float | None
-    explainable_interval: tuple[float, float] | None  # 95 % bootstrap of that
+    explainable_interval: tuple[float, float] | None  # 95 % interval of that
     # control steps -> error without and with, in expected errors of one step
     horizons: dict[int, tuple[float, float]]
     diverged: tuple[int, int]  # transitions that cannot be simulated, without and with

@@ -70,8 +70,9 @@ class Criticise(Stage[Criticised]):
     # forces ask for refined only where they predict better than none, 21: strengths that would
     # leave their bounds are held there, and steps end at bounds without another direction, fits
     # that simulate other transitions are not compared by likelihood, errors to expect of velocities
-    # that nobody measured, and a flexible force chosen beside persisting misfit
-    version: ClassVar = 21
+    # that nobody measured, and a flexible force chosen beside persisting misfit, 22: Student's
+    # intervals of gains, so that two sealed episodes refute a cause as rarely as twenty
+    version: ClassVar = 22
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 
