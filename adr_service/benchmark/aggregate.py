@@ -8,8 +8,8 @@ else is after Agarwal et al., arXiv 2108.13264, Sec. 4: the scores of all cells 
 bootstrap that draws seeds within each cell. A cell is a task's variant. Policies that were trained
 for one variant and evaluated on others as well are drawn alike in all of these. Only cells that all
 methods have count, after the iteration of `final_outcomes`, and with SimOpt's data. A method that
-lacks a cell that most others have is left out, so that one which has just begun does not empty the
-tables.
+has learned nothing yet has the prior's policy there, and no cell. One that lacks a cell that most
+others have is left out, so that one which has just begun does not empty the tables.
 """
 
 from collections import Counter
@@ -115,7 +115,10 @@ def _share_above(scores: Matrix, level: float) -> Vector:
 
 def _common(outcomes: Sequence[Outcome]) -> dict[str, list[_Cell]]:
     """Returns by method, in the cells that all these methods have; see the module."""
-    cells = dict(sorted(final_outcomes(outcomes).items()))
+    cells = {
+        cell: {name: found for name, found in columns.items() if not _is_untaught(found[0])}
+        for cell, columns in sorted(final_outcomes(outcomes).items())
+    }
     having = {name: {c for c in cells if name in cells[c]} for name in methods()}
     having = {name: own for name, own in having.items() if own}
     held = Counter(cell for own in having.values() for cell in own)
@@ -125,6 +128,11 @@ def _common(outcomes: Sequence[Outcome]) -> dict[str, list[_Cell]]:
     if not shared:
         return {}
     return {name: [_cell(columns[name]) for columns in shared] for name in names}
+
+
+def _is_untaught(outcome: Outcome) -> bool:
+    learns = outcome.spec.method.learns_from != "nothing"
+    return learns and outcome.iteration.iteration == 0
 
 
 def _cell(outcomes: Sequence[Outcome]) -> _Cell:

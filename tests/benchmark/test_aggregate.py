@@ -97,6 +97,17 @@ def test_methods_are_taken_after_the_iteration_at_which_they_are_compared():
     assert [each.method for each in aggregates(found)] == ["simopt"]
 
 
+def test_what_has_learned_nothing_yet_is_not_ranked_by_the_priors_policy():
+    """As in a benchmark that was cancelled after its first trainings."""
+    curriculum = [outcome(0.8, method="udr", seed=seed, iteration=0) for seed in range(3)]
+    begun = [
+        outcome(0.9, method=method, seed=seed, iteration=0)
+        for method in ("simopt", "dropo")
+        for seed in range(3)
+    ]
+    assert [each.method for each in aggregates([*begun, *curriculum])] == ["udr"]
+
+
 def test_a_cell_of_two_seeds_has_no_interval():
     few = {key: values[:2] for key, values in TWO.items()}
     assert {(each.low, each.high) for each in aggregates(world(few))} == {(None, None)}
