@@ -67,8 +67,22 @@ def test_the_report_has_the_results_costs_versions_and_spec(service, benchmark, 
     assert "mujoco 4" in text
     assert f"adr extend {benchmark} --seed 1" in text
     assert "these numbers mean nothing" in text
+    assert "Fewer than three seeds have no interval." in text
+    assert "would exclude zero" not in text
+    assert "It had not finished" not in text
     with ArchiveReader(io.BytesIO((page.parent / "study.adr").read_bytes())) as archive:
         assert archive.manifest.benchmark == benchmark
+
+
+@pytest.mark.usefixtures("one_figure")
+def test_the_report_of_a_cancelled_benchmark_says_that_it_is_not_whole(
+    service, benchmark, tmp_path, monkeypatch
+):
+    cancelled = {**service.client.get(benchmark), "states": {"succeeded": 3, "cancelled": 1}}
+    assert cancelled["is_finished"]
+    monkeypatch.setattr(AdrClient, "get", lambda client, id: cancelled)
+    text = write_report(service.client, benchmark, tmp_path).read_text()
+    assert "It had not finished when this was written: more will be known." in text
 
 
 @pytest.mark.usefixtures("one_figure")
