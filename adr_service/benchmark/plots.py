@@ -169,14 +169,19 @@ def _returns_panel(axis: Axes, rows: Sequence[Row], *, with_intervals: bool) -> 
 
 
 def _last_panel(axis: Axes, rows: Sequence[Row]) -> None:
-    """Each method's mean and interval after its last iteration."""
+    """Each method's mean and interval after its last iteration, named where others have more."""
     names = _names(rows)
+    most = max((row.iteration for row in rows), default=0)
+    labels: list[str] = []
     for x, method in enumerate(names):
         last = max((row for row in rows if row.method == method), key=lambda row: row.iteration)
         axis.plot([x], [last.normalised_return], "o", color=_colour(method), markersize=4)
         _bars(axis, [x], [last], _colour(method))
+        is_level = methods()[method].learns_from == "nothing"
+        is_behind = last.iteration < most and not is_level
+        labels.append(_label(method) + (f" (after {last.iteration})" if is_behind else ""))
     axis.axhline(1.0, color="black", linewidth=0.5)
-    axis.set_xticks(range(len(names)), map(_label, names), rotation=90, fontsize=7)
+    axis.set_xticks(range(len(names)), labels, rotation=90, fontsize=7)
 
 
 def _collection_panel(axis: Axes, rows: Sequence[Row]) -> None:

@@ -114,6 +114,15 @@ def test_of_many_methods_the_intervals_stand_beside_the_lines_and_at_the_end_alo
     assert last.get_xticklabels()[names.index("dropo")].get_text() == "DROPO"
 
 
+def test_a_method_that_has_fewer_iterations_says_after_which_it_is_shown():
+    behind = {"dropo": 2, "udr": 0}
+    rows = [row(method=name, iteration=behind.get(name, 5)) for name in methods()]
+    _, last = plot_returns(rows).axes
+    shown = dict(zip(methods(), (t.get_text() for t in last.get_xticklabels()), strict=True))
+    assert (shown["dropo"], shown["udr"]) == ("DROPO (after 2)", "UDR")
+    assert shown["simopt"] == "SimOpt"
+
+
 @pytest.mark.parametrize(("count", "bands"), [(6, 6), (7, 0)])
 def test_a_profile_has_bands_of_a_few_methods(count, bands):
     chosen = list(methods())[:count]
