@@ -9,6 +9,7 @@ from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.responses import HTMLResponse, RedirectResponse
 from pydantic import ValidationError
 
+from adr_service.benchmark.budgets import changes
 from adr_service.benchmark.claims import reports
 from adr_service.benchmark.comparison import Outcome, final_outcomes, lost, not_compared, table
 from adr_service.benchmark.figures import FIGURES, drawable
@@ -18,7 +19,7 @@ from adr_service.json_values import explain
 from adr_service.methods.catalogue import methods, names_of
 from adr_service.specs import BenchmarkExtension, RunSpec
 from api.durations import in_words
-from api.page.names import numbers_in, titles
+from api.page.names import apart_of, numbers_in, titles
 from api.page.rendering import SEE_OTHER, show
 from api.results import outcomes_of, results_json
 from api.routes import benchmarks as routes
@@ -166,13 +167,12 @@ def compare(
     unreadable: list[str] = []
     for each in ids:
         records = _runs_of(service, each)
-        presets = {r.spec.preset for r in records if isinstance(r.spec, RunSpec)}
         outcomes = outcomes_of(service, records)
         final = final_rows(_rows(outcomes), outcomes)
         without += [] if final else [each]
         left += [f"{column} of {each}" for column in not_compared(outcomes)]
         unreadable += [f"{each}: {reason}" for reason in lost(outcomes)]
-        rows += [(each, ", ".join(sorted(presets)), row) for row in final]
+        rows += [(each, experiment_of(row, outcomes), row) for row in final]
     rows.sort(key=lambda row: (row[2]["task"], row[2]["variant"], row[2]["method"]))
     return show(
         request,
@@ -183,6 +183,19 @@ def compare(
         not_compared=left,
         lost=unreadable,
     )
+
+
+def experiment_of(row: Json, outcomes: Sequence[Outcome]) -> str:
+    """The preset of a row's runs, with what they have set otherwise, and with an unusual target."""
+    column = ("task", "variant", "collector")
+    own = [
+        outcome
+        for outcome in outcomes
+        if outcome.spec.method.name == row["method"]
+        and all(getattr(outcome.spec, name) == row[name] for name in column)
+    ]
+    changed = [f"{name} = {value}" for name, value in changes(own).items()]
+    return ", ".join([own[0].spec.preset, *changed]) + apart_of(own[0].spec)
 
 
 def _runs_of(service: Service, id: str) -> list[RunRecord]:

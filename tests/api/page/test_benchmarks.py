@@ -1,15 +1,21 @@
 """The pages of one benchmark and of several side by side, without Ray."""
 
+from dataclasses import asdict
+
 import pytest
 
+from adr_service.benchmark.comparison import table
 from adr_service.events import RunFailed
 from adr_service.specs import BenchmarkSpec
 from api.page import benchmarks as page
+from api.page.benchmarks import experiment_of
 from api.routes.submissions import start_benchmark
 from db.benchmarks import runs_of
 from db.events import append_event
 from tests.api.standins import Service
+from tests.benchmark.test_claims import outcome
 
+VISCOUS = {"kind": "joint_viscous_friction", "location": "joint:foot_joint", "values": [0.5]}
 NEEDS_SBI = {"tasks": ["arm"], "methods": ["npdr"], "seeds": [0], "preset": "smoke"}
 
 
@@ -47,3 +53,21 @@ def test_more_ids_than_can_be_compared_are_refused_however_they_are_given(servic
     assert at_most.status_code == 404  # the first of them is not there
     assert too_many.status_code == 422
     assert too_many.json()["detail"] == "51 ids are too many to compare; accepted are 50"
+
+
+@pytest.mark.parametrize(
+    ("given", "experiment"),
+    [
+        ({}, "demo"),
+        ({"settings": {"samples": 60}}, "demo, simopt.samples = 60"),
+        ({"training": {"max_steps": 7000}}, "demo, training.max_steps = 7000"),
+        (
+            {"target": {"kind": "simulated", "effects": [VISCOUS]}},
+            "demo, on a target with effects of its own",
+        ),
+    ],
+)
+def test_a_row_tells_the_experiment_that_it_is_of(given, experiment):
+    asked = [outcome(1.0, **given), outcome(1.0, method="prior", iteration=0)]
+    (row,) = [r for r in (asdict(r) for r in table(asked)) if r["method"] == "simopt"]
+    assert experiment_of(row, asked) == experiment

@@ -90,6 +90,7 @@ def test_a_benchmark_has_its_best_first_its_runs_and_how_to_repeat_it(http, benc
     compared = http.get("/compare", params={"id": [benchmark, benchmark]}).text
     assert re.search(few, compared)
     assert compared.count(">dropo<") == 1
+    assert ">smoke<" in compared
     figure = f"/v1/benchmarks/{benchmark}/figures/returns.svg"
     assert http.get(figure, params={"renewed": 3}).status_code == 200
     assert http.get(figure, params={"renew": 3}).status_code == 422
