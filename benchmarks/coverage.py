@@ -25,7 +25,7 @@ import numpy as np
 from adr_service.arrays import Vector
 from adr_service.benchmark.comparison import Outcome, returns_of
 from adr_service.benchmark.statistics import Interval, bootstrap_interval, seed_interval
-from adr_service.events import IterationFinished
+from adr_service.events import IterationFinished, RunState
 from adr_service.specs import RunSpec
 from db.events import events_of
 from db.runs import list_runs
@@ -102,7 +102,7 @@ def resampled(deviations: Vector, rng: np.random.Generator, count: int) -> Vecto
 def deviations_of(archive: Path) -> Iterator[float]:
     """Deviations of an archive's seeds from their method's mean, each method at its last iteration.
 
-    Enlarged as an unbiased variance is.
+    Enlarged as an unbiased variance is. Runs that have not succeeded are at other iterations.
     """
     cells: dict[tuple[str, ...], dict[int, Outcome]] = {}
     with (
@@ -110,7 +110,7 @@ def deviations_of(archive: Path) -> Iterator[float]:
         archive.open("rb") as file,
         staged(file, Path(folder)) as archived,
     ):
-        for record in list_runs(archived.database, limit=None):
+        for record in list_runs(archived.database, state=RunState.SUCCEEDED, limit=None):
             events = [each.event for each in events_of(archived.database, record.id)]
             finished = [e for e in events if isinstance(e, IterationFinished) and e.returns]
             if finished and isinstance(spec := record.spec, RunSpec):
