@@ -92,10 +92,13 @@ def _dynamics(method: str) -> str:
 
 
 def _circumstances(spec: Mapping[str, Any]) -> str:
-    """Words for a run's seed and data; a recording has no budget."""
+    """Words for a run's seed and data; a budget in transitions is one of methods that see any."""
     known = f"variant `{spec['variant']}`, seed {spec['seed']}"
-    if spec["target"]["kind"] == "recorded":
+    learns_from = methods()[spec["method"]["name"]].learns_from
+    if spec["target"]["kind"] == "recorded" or learns_from == "nothing":
         return known
+    if learns_from == "returns":
+        return f"{known}, {spec['iterations']} iterations with full episodes on the target"
     return (
         f"{known}, {spec['iterations']} iterations of {spec['transitions']} transitions of the "
         "target at most"

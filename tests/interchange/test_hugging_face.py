@@ -67,6 +67,21 @@ def test_the_card_says_what_the_dynamics_come_from(policy, task, tmp_path, metho
     assert dynamics in " ".join((tmp_path / "card/README.md").read_text().split())
 
 
+@pytest.mark.parametrize(
+    ("method", "data"),
+    [
+        ("simopt", "seed 3, 1 iterations of 200 transitions of the target at most)"),
+        ("bayrn", "seed 3, 1 iterations with full episodes on the target)"),
+        ("udr", "seed 3)"),
+    ],
+)
+def test_the_card_states_the_target_data_that_the_method_may_use(
+    policy, task, tmp_path, method, data
+):
+    write_model_folder(tmp_path / "card", policy, task, {**SPEC, "method": {"name": method}}, ROWS)
+    assert data in " ".join((tmp_path / "card/README.md").read_text().split())
+
+
 def test_a_folder_with_something_in_it_is_refused(folder, policy, task):
     with pytest.raises(InvalidInput, match="not empty; name a new folder"):
         write_model_folder(folder, policy, task, SPEC, ROWS)
