@@ -259,8 +259,8 @@ def _gaps(one: dict[int, float], other: dict[int, float]) -> dict[int, float]:
 
 def _for_every(holds: Sequence[bool], line: str) -> Evidence:
     """A condition that must hold for each of several seeds."""
-    several = len(holds) > 1
-    needed = 2.0 if all(holds) or not any(holds) else float("inf")
+    several = len(holds) >= FEWEST_SEEDS
+    needed = float(FEWEST_SEEDS) if all(holds) or not any(holds) else float("inf")
     return Evidence(
         0.0 if all(holds) and several else 1.0,
         0.0 if not any(holds) and several else 1.0,

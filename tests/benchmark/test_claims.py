@@ -183,16 +183,18 @@ def test_widths_and_costs_must_hold_for_every_seed():
             for seed, std in enumerate(stds)
         ]
 
-    assert verdict("U5", droid(0.01, 0.02)) == "supported"
-    assert verdict("U5", droid(0.5, 0.4)) == "contradicted"
-    assert verdict("U5", droid(0.01, 0.4)) == "undecided"
+    assert verdict("U5", droid(0.01, 0.02, 0.01)) == "supported"
+    assert verdict("U5", droid(0.5, 0.4, 0.5)) == "contradicted"
+    assert verdict("U5", droid(0.01, 0.4, 0.01)) == "undecided"
+    assert verdict("U5", droid(0.01, 0.02)) == verdict("U5", droid(0.5, 0.4)) == "undecided"
+    assert finding("U5", droid(0.01, 0.02)).seeds_needed == 3
     given = {"iteration": 1, "seed": 0}
     steps = {**STEPS, "dropo": 10}
     cheap = [
         outcome(1.0, steps=steps[m], method=m, task=t, **{**given, "seed": s})
         for m in ("dropo", "simopt", "droid")
         for t in TASKS
-        for s in (0, 1)
+        for s in (0, 1, 2)
     ]
     assert verdict("C1", cheap) == "contradicted"
 
