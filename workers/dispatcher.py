@@ -26,6 +26,7 @@ from ray.exceptions import RayError, RayTaskError
 from adr_service.benchmark.cost import Execution
 from adr_service.errors import AdrError, FailureCode, InvalidInput, RunCancelled
 from adr_service.stages.base import AnyStage, StageResult
+from db.session import RETRY_S
 from workers.actors import Ending, Failed
 from workers.cluster import Cluster, ClusterUnavailable, RayOptions
 from workers.demand import Demand
@@ -222,8 +223,19 @@ class Dispatcher:
             ended=now,
             cores=self.cores,
         )
-        job.place(actor, actor.handle.compute.remote(job.stage, placed, self._heartbeats.board))
-        log.info("stage begun", extra={**job.ids, "actor": actor.name})
+        try:
+            ref = actor.handle.compute.remote(job.stage, placed, self._heartbeats.board)
+        except RayError as error:  # as of a store that is full
+            log.warning("the stage could not be sent just now: %s", error, extra=job.ids)
+            self._pool.give_back(actor)
+            job.not_before = time.monotonic() + RETRY_S
+        except Exception as error:  # noqa: BLE001 - a method may hold what cannot be packed
+            self._pool.give_back(actor)
+            message = f"it cannot be sent to another process: {error.__cause__ or error}"
+            self._jobs.end([(job, Failed(FailureCode.INTERNAL, message))])
+        else:
+            job.place(actor, ref)
+            log.info("stage begun", extra={**job.ids, "actor": actor.name})
 
     def _collect(self) -> None:
         """Take up what actors have finished."""

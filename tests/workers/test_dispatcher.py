@@ -72,6 +72,23 @@ def test_inputs_that_are_no_json_end_the_run_that_has_them_alone(started):
     assert dispatcher.submit(training(97), "run_b").result(60) == compute(training(97))
 
 
+class Unsendable(int):
+    """An input that is JSON, and holds what cannot be packed for another process, as a lock."""
+
+    def __reduce__(self):
+        raise TypeError("cannot pickle a lock")
+
+
+def test_a_stage_that_cannot_be_sent_fails_alone(started):
+    """It stopped the dispatcher as well."""
+    dispatcher, _ = started
+    stage = replace(training(98), seed=Unsendable(98))
+    with pytest.raises(StageFailed, match=r"cannot be sent to another process: .*a lock") as failed:
+        dispatcher.submit(stage, "run_a").result(60)
+    assert failed.value.cause == "internal"
+    assert dispatcher.submit(training(97), "run_b").result(60) == compute(training(97))
+
+
 def test_a_training_reports_its_checkpoint_while_it_goes_on(started):
     dispatcher, store = started
     stage = training(5, max_steps=10_000_000, evaluate_every=1000)
