@@ -19,7 +19,7 @@ from adr_service.progress import Checkpoint
 from adr_service.stages.base import AnyStage, StageResult, events_of
 from db import stages as stage_store
 from db import visits as visit_store
-from db.errors import DatabaseUnavailable
+from db.errors import DatabaseUnavailable, NotPossible
 from db.events import append_to_all
 from db.session import RETRY_S, Database
 
@@ -56,7 +56,8 @@ class Results(Protocol):
     def find(self, stage: AnyStage, run_id: str) -> StageResult | None:
         """A stored result, to which this run refers from now on as well.
 
-        Without one, a robot's stage is offered to robots.
+        Without one, a robot's stage is offered to robots. Raises NotPossible if its run has ended,
+        as by a robot that could not do the visit: nobody would bring a result.
         """
         ...
 
@@ -92,6 +93,8 @@ class DatabaseResults:
             result = stage_store.find_result(session, stage.digest)
             if result is not None:
                 append_to_all(session, [run_id], events_of(stage, stage.read(result)))
+            elif stage.role == "robot" and visit_store.has_ended(session, run_id):
+                raise NotPossible(f"{run_id} has ended, and visits no robot")
             elif stage.role == "robot" and visit_store.is_wanted(session, run_id):
                 visit_store.publish(session, stage, run_id, datetime.now(UTC))
             return result

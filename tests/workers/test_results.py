@@ -4,7 +4,8 @@ from concurrent.futures import Future
 
 import pytest
 
-from adr_service.events import TrainingEvaluated
+from adr_service.errors import StageFailed
+from adr_service.events import RunFailed, TrainingEvaluated
 from adr_service.progress import Checkpoint
 from adr_service.stages.base import StageResult
 from db import events, runs, stages, visits
@@ -101,6 +102,21 @@ def test_a_robots_stage_is_not_offered_for_a_run_that_was_asked_to_stop(database
     store, run_id = DatabaseResults(database), runs.create_run(database, SPEC).id
     runs.request_cancel(database, run_id)
     assert store.find(episode(run_id), run_id) is None
+    assert visits.list_visits(database) == []
+
+
+@pytest.mark.parametrize("is_deleted", [False, True])
+def test_the_question_of_a_run_that_has_ended_has_an_answer(database, is_deleted):
+    """A robot that cannot do a visit may say so before the run's thread asks for it again."""
+    store, run_id = DatabaseResults(database), runs.create_run(database, SPEC).id
+    failed = RunFailed(submission=1, code="target_failed", message="the gripper is broken")
+    events.append_event(database, run_id, failed)
+    if is_deleted:
+        runs.delete_run(database, run_id)
+    table, future = JobTable(store), Future()
+    table.accept(episode(run_id), run_id, future)
+    with pytest.raises(StageFailed, match=f"{run_id} has ended, and visits no robot"):
+        future.result(timeout=0)
     assert visits.list_visits(database) == []
 
 
