@@ -29,7 +29,8 @@ from adr_service.json_values import encodable
 from adr_service.programs import run
 from adr_service.specs import AnyRun, LostRun, RunSpec
 from adr_service.stages.base import Stages
-from adr_service.stages.target_episode import read_episode
+from adr_service.stages.target_episode import RobotEpisode, read_episode
+from adr_service.transitions import TransitionDataset
 from db import datasets as dataset_store
 from db import events as event_store
 from db import runs as run_store
@@ -149,7 +150,7 @@ class Orchestrator:
         visit = visit_store.claimed_by(self._database, id, lease)  # before anything is unpacked
         episode = read_episode(visit.task, visit.inputs["transitions"], content)
         if visit.inputs["purpose"] == "rollout":
-            self._check_long_enough(visit, episode.transitions)
+            self._check_useful(visit, episode)
         finished = StageFinished(kind=visit.kind, digest=visit.digest)
         try:
             return visit_store.complete(
@@ -164,18 +165,21 @@ class Orchestrator:
         finally:  # a server that fails while it answers may have stored the episode
             self._dispatcher.arrived(visit.digest)
 
-    def _check_long_enough(self, visit: Visit, transitions: int) -> None:
-        """Refuse a rollout that is too short for the run's method, before it is stored.
+    def _check_useful(self, visit: Visit, episode: RobotEpisode) -> None:
+        """Refuse a rollout that the run's method cannot learn from, before it is stored.
 
-        Of several random episodes, which it learns from together, any may be.
+        Of several random episodes, which it learns from together, any may be too short.
         """
         spec = run_store.get_run(self._database, visit.run_id).spec
-        if not isinstance(spec, RunSpec) or spec.collector == "random_matched":
+        if not isinstance(spec, RunSpec):
             return
-        if transitions < (least := spec.method.least_transitions):
+        if spec.method.replay_from == "smoothed":
+            TransitionDataset.from_npz(episode.data).check_chained("smoothing")
+        least = spec.method.least_transitions
+        if episode.transitions < least and spec.collector != "random_matched":
             raise InvalidInput(
-                f"the rollout has {transitions} transitions; {spec.method.name} with steps = "
-                f"{least} learns from no fewer in a row"
+                f"the rollout has {episode.transitions} transitions; {spec.method.name} with "
+                f"steps = {least} learns from no fewer in a row"
             )
 
     def fail_task(self, id: str, lease: str, message: str) -> Visit:
@@ -259,7 +263,8 @@ class Orchestrator:
             return None
         except AdrError as error:
             return _failure(record.submission, error.code, str(error))
-        except Exception as error:  # the last place that can put a defect on the run's record
+        # the last place that can put a defect on the run's record; a method may even exit
+        except (Exception, SystemExit) as error:
             log.exception("run %s failed", record.id)
             return _failure(
                 record.submission, FailureCode.INTERNAL, f"{type(error).__name__}: {error}"
@@ -312,6 +317,7 @@ def _key(record: RunRecord) -> tuple[str, int]:
 
 
 def _failure(submission: int, code: str, message: str) -> RunFailed:
+    code = str(code)  # that of a stranger's error may be anything
     if len(code) > LONGEST_CODE:
         code, message = FailureCode.INTERNAL, f"{code}: {message}"
     text = message.replace("\0", "\\0")  # PostgreSQL cannot store a NUL, nor JSON half a letter

@@ -142,6 +142,21 @@ def test_a_rollout_that_is_too_short_for_its_method_is_not_stored(database):
     assert upload(10).state == "done"
 
 
+def test_a_rollout_that_cannot_be_smoothed_is_not_stored_for_a_method_that_smooths(database):
+    """A client's next observations may be readings of their own: smoothing refuses them later."""
+    given = {"task": "arm", "preset": "smoke", "target": {"kind": "external"}}
+    run = runs.create_run(database, RunSpec.model_validate({**given, "method": "dropo_smoothed"}))
+    leases.publish(database, run.id)
+    task, orchestrator = leases.claim(database, "a"), Orchestrator(database, RayOptions())
+    arrays = recorded(waving_policy(), episodes=1, steps=10).to_arrays()
+    arrays["rewards"] = np.zeros(10)
+    again = {**arrays, "next_observations": arrays["next_observations"] + 1e-9}
+    with pytest.raises(InvalidInput, match="smoothing needs each next observation"):
+        orchestrator.complete_task(task.id, task.lease, write_arrays(again))
+    content = write_arrays(arrays)
+    assert orchestrator.complete_task(task.id, task.lease, content).state == "done"
+
+
 def test_one_of_several_random_episodes_may_be_shorter_than_its_method_needs(database):
     """The last of them is asked for no more than is still missing."""
     given = {"task": "arm", "preset": "smoke", "target": {"kind": "external"}}
@@ -179,6 +194,10 @@ class LongWinded(AdrError):
     code = "an_error" * 11
 
 
+class Numbered(AdrError):
+    code = 7
+
+
 @pytest.mark.parametrize(
     ("error", "code"),
     [
@@ -188,6 +207,8 @@ class LongWinded(AdrError):
         (RuntimeError("a NUL \0, which PostgreSQL cannot store"), "internal"),
         (RuntimeError("a name \udcff that is no UTF-8"), "internal"),
         (LongWinded("of a user"), "internal"),  # PostgreSQL has 80 characters for a code
+        (Numbered("of another user"), "7"),
+        (SystemExit("a method's module parses the command line"), "internal"),
     ],
 )
 def test_an_error_of_the_program_is_on_the_runs_record(database, error, code, caplog):
