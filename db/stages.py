@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from pydantic import FiniteFloat, TypeAdapter, ValidationError
-from sqlalchemy import ColumnElement, Row, Select, delete, exists, func, select
+from sqlalchemy import ColumnElement, Row, Select, String, cast, delete, exists, func, select
 from sqlalchemy.orm import Session
 
 from adr_service.benchmark.cost import Execution
@@ -45,7 +45,6 @@ _NUMBERS = TypeAdapter(dict[str, bool | int | FiniteFloat | None])
 _UNMENTIONED = ~exists().where(_MENTIONED)
 _IMPORTED = exists().where(ImportedStageRow.digest == StageRow.digest)
 _MEASURED = StageRow.timing.is_not(None)
-_DIGEST = 64  # characters
 _LATEST = 4e9  # seconds since 1970: the year 2096
 _STORED_LATE_S = 3600.0  # a result is stored at most so long after it was computed
 
@@ -277,10 +276,10 @@ def has_unreferenced(session: Session) -> bool:
 def delete_unmentioned(session: Session) -> None:
     """Delete results and checkpoints that no run's events mention; inside a transaction."""
     session.execute(delete(StageRow).where(_UNMENTIONED))
-    # of a key "training_evaluated:DIGEST:STEPS"; gathered once, as no index finds it by its part
-    trained = func.substr(EventRow.key, len("training_evaluated:") + 1, _DIGEST)
-    evaluated = select(trained).where(EventRow.type == "training_evaluated")
-    session.execute(delete(CheckpointRow).where(CheckpointRow.digest.not_in(evaluated)))
+    # `note_checkpoint` comes with that point of the learning curve, which an index finds
+    steps = cast(CheckpointRow.steps, String)
+    point = "training_evaluated:" + CheckpointRow.digest + ":" + steps
+    session.execute(delete(CheckpointRow).where(~exists().where(EventRow.key == point)))
 
 
 def delete_unused_artifacts(session: Session) -> None:
