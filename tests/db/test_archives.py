@@ -530,6 +530,7 @@ HOSTILE = {
     "a timing of other things": ("stages", _first(timing='{"evil":1}'), "unreadable execution"),
     "a provenance of numbers": ("stages", _first(provenance='{"cpu":5}'), "unreadable execution"),
     "a result of no number": ("stages", _first(result='{"a":NaN}'), "no JSON object"),
+    "a result without end": ("stages", _first(result='{"a":1e999}'), "no JSON object"),
     "half a character": ("runs", _first(spec="\ud800"), "surrogates"),
     "a long id": ("runs", _first(id="run_" + "0" * 100), "characters at most"),
     "an id of a path": ("runs", _first(id="../../etc/passwd"), "contradicts itself"),
