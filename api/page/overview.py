@@ -22,6 +22,7 @@ from db.models import OPEN_VISIT
 
 router = APIRouter(include_in_schema=False)
 _SHOWN = 50  # of each list; the API has the rest
+_MOST_ACTIVITIES = 20
 _MOST_VISITS = 1000  # that are counted
 _PATIENCE_S = 2.0  # for comparisons of benchmarks, which take seconds each once
 log = logging.getLogger(__name__)
@@ -35,7 +36,7 @@ def overview(request: Request, service: ServiceDependency) -> Response:
     visits = visit_store.list_visits(
         service.database, states=OPEN_VISIT, external=True, limit=_MOST_VISITS
     )
-    now = service.orchestrator.clock.now()
+    shown, now = activities[:_MOST_ACTIVITIES], service.orchestrator.clock.now()
     # one whose lease has ended is free for another robot
     waiting = [visit for visit in visits if visit.expires_at is None or visit.expires_at <= now]
     return show(
@@ -49,8 +50,9 @@ def overview(request: Request, service: ServiceDependency) -> Response:
         free_disk=service.free_disk(),
         ray=service.dashboard_url,
         robots=len(waiting),
-        activities=sorted(activities, key=lambda each: each.state),
-        owners=titles(service, (each.started_by for each in activities)),
+        activities=activities,
+        shown=shown,
+        owners=titles(service, (each.started_by for each in shown)),
         benchmarks=benchmarks,
         leaders=leaders,
         runs=single,
