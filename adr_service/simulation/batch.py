@@ -16,6 +16,7 @@ integration step, as in Gymnasium's environments.
 
 from collections.abc import Callable, Sequence
 from copy import copy
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -259,12 +260,26 @@ def control_period(task: Task) -> float:
     return compiled(task.xml).opt.timestep * task.frame_skip
 
 
-def in_batches(simulate: Callable[[Matrix], np.ndarray], dynamics: Matrix, n: int) -> np.ndarray:
-    """What `simulate` gives for batches of n dynamics, in one array with a row for each of them.
+class Batches:
+    """Simulations of one source under any number of dynamics, at most `most` at a time.
 
-    The last batch is filled with copies of its last row, whose results are left out.
+    What is left over has a batch of its own size, so that nothing is simulated in vain.
     """
-    parts = [dynamics[first : first + n] for first in range(0, len(dynamics), n)]
-    padding = parts[-1][[-1] * (n - len(parts[-1]))]
-    parts[-1] = np.concatenate([parts[-1], padding])
-    return np.concatenate([simulate(part) for part in parts])[: len(dynamics)]
+
+    def __init__(self, task: Task, source: Source, most: int, threads: int = 1):
+        self._made = partial(Simulations, task, source, threads=threads)
+        self._whole = self._rest = self._made(most)
+
+    def run(self, simulate: Callable[[Simulations], np.ndarray], dynamics: Matrix) -> np.ndarray:
+        """What `simulate` gives for simulations with dynamics (n, d), a row for each of them."""
+        most = self._whole.n
+        parts = [dynamics[first : first + most] for first in range(0, len(dynamics), most)]
+        return np.concatenate([simulate(self._under(part)) for part in parts])
+
+    def _under(self, dynamics: Matrix) -> Simulations:
+        count = len(dynamics)
+        if count not in (self._whole.n, self._rest.n):
+            self._rest = self._made(count)
+        simulations = self._whole if count == self._whole.n else self._rest
+        simulations.set_dynamics(dynamics)
+        return simulations

@@ -4,7 +4,7 @@ import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.errors import InvalidInput
-from adr_service.simulation.batch import Simulations, control_period, in_batches
+from adr_service.simulation.batch import Batches, Simulations, control_period
 from adr_service.tasks.base import Source, State, Task
 from adr_service.transitions import TransitionDataset, unnamed
 
@@ -39,7 +39,7 @@ class Replay:
             raise InvalidInput(f"no episode has {length} consecutive transitions: {data!r}")
         self._states = task.state(data.observations[self._starts])
         self._actions = data.actions
-        self._simulations = Simulations(task, source, n, threads)
+        self._batches = Batches(task, source, n, threads)
         self.targets = data.next_observations[self._starts + length - 1]  # (w, s), measured
 
     def predict(self, dynamics: Matrix) -> Array3:
@@ -48,12 +48,11 @@ class Replay:
         Only the first state of a window comes from the data. Any number of dynamics is
         simulated in batches of the constructor's `n`; the batch size changes no bit.
         """
-        return in_batches(self._predict, dynamics, self._simulations.n)
+        return self._batches.run(self._predict, dynamics)
 
-    def _predict(self, dynamics: Matrix) -> Array3:
-        simulations, n, measured = self._simulations, len(dynamics), self._task.measured
-        simulations.set_dynamics(dynamics)
-        predictions = np.empty((n, len(self._starts), self.targets.shape[1]))
+    def _predict(self, simulations: Simulations) -> Array3:
+        measured = self._task.measured
+        predictions = np.empty((simulations.n, len(self._starts), self.targets.shape[1]))
         for window, start in enumerate(self._starts):
             qpos, qvel = self._states.qpos[window], self._states.qvel[window]
             simulations.set_state(State(qpos, qvel))

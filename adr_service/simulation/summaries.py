@@ -14,7 +14,7 @@ import numpy as np
 
 from adr_service.arrays import Array3, Mask, Matrix, Vector
 from adr_service.errors import InvalidInput
-from adr_service.simulation.batch import Simulations, in_batches
+from adr_service.simulation.batch import Batches, Simulations
 from adr_service.simulation.replay import check_replayable
 from adr_service.tasks.base import Source, State, Task
 from adr_service.transitions import TransitionDataset
@@ -32,7 +32,7 @@ class SummarisedReplays:
         self, task: Task, source: Source, data: TransitionDataset, n: int, length: int | None
     ):
         check_replayable(task, data, length)
-        self._task, self._simulations = task, Simulations(task, source, n)
+        self._task, self._batches = task, Batches(task, source, n)
         self._actions = data.actions
         self._observations = data.observations
         self._starts = _starts(data, length)
@@ -41,7 +41,7 @@ class SummarisedReplays:
 
     def simulate(self, dynamics: Matrix) -> Matrix:
         """Summaries (n, k) of replays under dynamics (n, d), in batches of the constructor's n."""
-        return in_batches(self._simulate, dynamics, self._simulations.n)
+        return self._batches.run(self._simulate, dynamics)
 
     def usable(self, dynamics: Matrix) -> tuple[Mask, Matrix]:
         """A mask (n,) of the dynamics (n, d) whose replays stay finite, and the summaries of those.
@@ -57,17 +57,16 @@ class SummarisedReplays:
             )
         return held, simulated[held]
 
-    def _simulate(self, dynamics: Matrix) -> Matrix:
-        simulations, measured = self._simulations, self._task.measured
-        simulations.set_dynamics(dynamics)
-        changes = np.empty((len(dynamics), len(self._actions), measured))
-        before = np.empty((len(dynamics), measured))
+    def _simulate(self, simulations: Simulations) -> Matrix:
+        measured = self._task.measured
+        changes = np.empty((simulations.n, len(self._actions), measured))
+        before = np.empty((simulations.n, measured))
         for row, action in enumerate(self._actions):
             if row in self._starts:
                 recorded = self._observations[row : row + 1]
                 state = self._task.state(recorded)
                 simulations.set_state(State(state.qpos, state.qvel))
-                before = np.repeat(recorded[:, :measured], len(dynamics), axis=0)
+                before = np.repeat(recorded[:, :measured], simulations.n, axis=0)
             simulations.step(action)
             after = self._task.observe(simulations.state)[:, :measured]
             changes[:, row], before = after - before, after

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adr_service.errors import InvalidInput
-from adr_service.simulation.batch import Simulations, control_period
+from adr_service.simulation.batch import Batches, Simulations, control_period
 from adr_service.tasks.base import State
 from adr_service.tasks.catalogue import get_task, source_of, variants_of
 from tests.tasks.cases import CASES, IDS, NAMES, TASKS
@@ -106,6 +106,19 @@ def test_actions_of_the_wrong_shape_or_not_finite_are_refused(actions):
     simulations = Simulations(get_task("hopper"), source_of("hopper", "vanilla"), 5)
     with pytest.raises(InvalidInput, match=r"finite, of shape \(5, 3\)"):
         simulations.step(actions)
+
+
+def test_no_more_dynamics_are_simulated_than_were_asked_for():
+    batches = Batches(get_task("arm"), source_of("arm", "vanilla"), 3)
+    asked, simulated = np.arange(1.0, 29.0).reshape(7, 4), []
+
+    def simulate(simulations):
+        simulated.append(simulations.n)
+        return simulations.dynamics.copy()
+
+    for count in (7, 1, 3, 5):
+        np.testing.assert_array_equal(batches.run(simulate, asked[:count]), asked[:count])
+    assert simulated == [3, 3, 1, 1, 3, 3, 2]
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
