@@ -173,6 +173,9 @@ class MethodSettings(Wire):
         """Number of consecutive transitions of an episode that the method needs at least."""
         return 1
 
+    def check_parameters(self, count: int) -> None:
+        """Raise ValueError if the method cannot infer so many parameters with these settings."""
+
     @property
     def each(self) -> "list[Self]":
         """These settings once per value of the grid's list, each with that one value."""

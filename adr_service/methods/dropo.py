@@ -12,6 +12,7 @@ Where we differ from that code, and why:
 - One set of random numbers (a Latin hypercube) serves all candidates. So the objective is a
   deterministic function of the distribution, and the best evaluation is not a lucky one.
 - Every recorded transition counts, also the last of an episode: its next observation is recorded.
+  With `steps` above 1, what is left over at the end of an episode is no window, and does not.
 - One diverged draw makes a candidate the worst, and so do draws so wide that rounding loses
   epsilon. Diagnostics count both as `diverged_evaluations`.
 - pycma's transformation keeps its search inside the bounds, not the 'bouncing' of nevergrad.

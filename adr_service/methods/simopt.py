@@ -72,7 +72,8 @@ class _Settings(OnlineSettings):
         1000, ge=10, le=100_000, description="simulated parameter samples per update"
     )
     # guided policy search's defaults
-    kl_threshold: float = Field(1.0, gt=0, description="trust region of one update [nat]")
+    # found to 1e-5 nat, the tolerance of its search
+    kl_threshold: float = Field(1.0, ge=1e-3, description="trust region of one update [nat]")
     covariance_damping: float = Field(
         0.0,
         ge=0,
@@ -110,6 +111,13 @@ class _Settings(OnlineSettings):
                 "of the scale; give 0, or at least 1"
             )
         return self
+
+    def check_parameters(self, count: int) -> None:
+        if self.covariance_damping == 0 and self.samples <= count:
+            raise ValueError(
+                f"{self.samples} samples of {count} parameters have no spread in some direction; "
+                "SimOpt needs more samples than parameters, or covariance_damping above 0"
+            )
 
     def create(self) -> "SimOpt":
         return SimOpt(self)

@@ -1,4 +1,8 @@
-"""Methods that learn from returns: those of UDR's policies, then of one more per iteration."""
+"""Methods that learn from returns: those of UDR's policies, then of one more per iteration.
+
+An iteration's cost is that of the proposal after its returns. The proposal that chose the first
+policy beyond UDR's is in no iteration's.
+"""
 
 from collections.abc import Generator, Sequence
 from dataclasses import replace

@@ -44,7 +44,7 @@ def belief(es: "cma.CMAEvolutionStrategy") -> tuple[Vector, Matrix]:
 
     The search draws x ~ N(m, s² C) (eq. 5), with `stds` s sqrt(diag C), and pycma's transformation
     moves x into the box. The mean is transformed, the covariance is not. The transformation is
-    quadratic within .05 of 0 and within (1 + width) / 20 of the width, .25 of 4, and the identity
+    quadratic within .05 of 0 and within max(1, width) / 20 of the width, .2 of 4, and the identity
     between. The covariance is that of the draws, with two exceptions. Near a bound its deviations
     are too large, without limit as the search narrows. While the search is as wide as the box, it
     is off by a third (20 parameters, 15 generations).

@@ -96,7 +96,8 @@ class RunSpec(Wire):
         return self
 
     def _check_task(self) -> None:
-        """Refuse effects that the task's simulator cannot have, and rollouts beyond its horizon."""
+        """Refuse effects that the task's simulator cannot have, methods that cannot infer its
+        parameters, and rollouts beyond its horizon."""
         pair, task = variant_of(self.task, self.variant), get_task(self.task)
         for name, source, effects in (
             ("extension", pair.source, self.extension),
@@ -105,6 +106,12 @@ class RunSpec(Wire):
             try:
                 check_effects(task, replace(source, effects=tuple(effects)))
             except AdrError as error:
+                raise ValueError(f"{name}: {error}") from error
+        for name, settings in (("method", self.method), ("simopt", self.simopt)):
+            try:
+                if settings is not None:
+                    settings.check_parameters(len(pair.source.space))
+            except ValueError as error:
                 raise ValueError(f"{name}: {error}") from error
         if self.method.replay_from == "smoothed":
             try:

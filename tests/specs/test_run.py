@@ -49,6 +49,14 @@ def test_what_is_given_wins_over_the_preset_field_by_field():
             "method: dropo_smoothed cannot smooth the states of humanoid: the model has 24",
         ),
         (
+            {"task": "humanoid", "method": {"name": "simopt", "samples": 30}},
+            "method: 30 samples of 30 parameters have no spread in some direction",
+        ),
+        (
+            {"task": "humanoid", "method": "dropo", "simopt": {"samples": 30}},
+            "simopt: 30 samples of 30 parameters have no spread in some direction",
+        ),
+        (
             {"task": "hoper"},
             "there is no task 'hoper'; did you mean 'hopper'? accepted: arm, hopper",
         ),
