@@ -136,6 +136,7 @@ def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
     damped.
     """
     whitener, normal = _judged(linear, start)
+    whitener.kept()
     reached, damping = normal.best_log_likelihood(), _DAMPING[0]
     for _ in range(_MOST_STEPS):
         left = linear.residual - linear.columns @ normal.change()[0]
@@ -153,7 +154,7 @@ def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
         if reached - before < _SETTLED:
             break
         damping = max(damping / _EASIER, _DAMPING[0])
-    return whitener.noise, normal
+    return whitener.kept().noise, normal
 
 
 @dataclass(frozen=True)
@@ -193,9 +194,11 @@ def likelihood(linear: Linear, noise: Noise, columns: slice = slice(None)) -> fl
     """Log-likelihood of all residuals under a noise, with the best coefficients of these columns;
     minus infinity for variances that are too far apart."""
     try:
-        return _judged(linear, noise)[1].best_log_likelihood(columns)
+        whitener, normal = _judged(linear, noise)
     except np.linalg.LinAlgError:
         return -np.inf
+    whitener.kept()
+    return normal.best_log_likelihood(columns)
 
 
 def products(one: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -20,6 +20,7 @@ Arrays are (E episodes, T transitions, ...), padded; `mask` says which there are
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -32,6 +33,7 @@ _LIFTED = 1e-3  # least variance at the start, relative to that of typical resid
 _HIDDEN = 1e-3  # least variance of the misfit, relative to the sensor's
 _ROUGHLY = 1e-6  # floor on the information of a variance, which may not be identifiable
 _FURTHEST = 3.0  # largest step of the logarithm of a variance
+_KEPT, _LARGEST_KEPT = 4, 3_000_000  # factorisations of a chain, each of so many numbers at most
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,11 @@ class Chain:
     measured: Mask  # (m,) true for sensors that have readings
     exact: Vector  # (m,) variance below which residuals are errors of computing them
     memory: Memory | None = None  # None: each transition's misfit is its own
+
+    @cached_property
+    def factors(self) -> "dict[bytes, Factor]":
+        """Of its covariance under some noises, by `Noise.key`, the latest last."""
+        return {}
 
     def where(self, mask: Mask) -> "Chain":
         """The chain with these transitions alone."""
@@ -104,20 +111,23 @@ class Noise:
     misfit: Matrix  # (2, m) Q, of free and of stiff transitions
     weights: Matrix  # (E, T) of the t distribution; small: an outlier
 
+    @property
+    def key(self) -> bytes:
+        """Equal for equal noises of one chain."""
+        return b"".join(part.tobytes() for part in (self.sensor, self.misfit, self.weights))
+
 
 @dataclass(frozen=True)
-class Whitener:
-    """Makes residuals of whole episodes independent, with variance one."""
+class Factor:
+    """The Cholesky factor of a chain's covariance under a noise, by blocks."""
 
-    chain: Chain
-    noise: Noise
     inverse: np.ndarray  # (E, T, m, m) of the factor's diagonal blocks
     below: np.ndarray  # (E, T, m, m) the factor's blocks left of the diagonal
     further: np.ndarray | None  # (E, T, m, m) and left of those; None without memory
     log_determinant: Vector  # (E,) of the covariance
 
     @classmethod
-    def of(cls, chain: Chain, noise: Noise) -> "Whitener":
+    def of(cls, chain: Chain, noise: Noise) -> "Factor":
         diagonal, left, further = _covariances(chain, noise)
         inverse, below = np.empty_like(diagonal), np.zeros_like(diagonal)
         log_determinant = np.zeros(len(diagonal))
@@ -133,17 +143,43 @@ class Whitener:
             factor = np.linalg.cholesky(block)
             inverse[:, k] = np.linalg.inv(factor)
             log_determinant += 2 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-        return cls(chain, noise, inverse, below, further, log_determinant)
+        return cls(inverse, below, further, log_determinant)
+
+    def of_episodes(self, which: slice) -> "Factor":
+        """The same for some of the episodes."""
+        further = None if self.further is None else self.further[which]
+        return Factor(self.inverse[which], self.below[which], further, self.log_determinant[which])
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Makes residuals of whole episodes independent, with variance one."""
+
+    chain: Chain
+    noise: Noise
+    factor: Factor
+
+    @classmethod
+    def of(cls, chain: Chain, noise: Noise) -> "Whitener":
+        """The chain is not factorised again under a noise whose whitener was `kept` of late."""
+        return cls(chain, noise, chain.factors.get(noise.key) or Factor.of(chain, noise))
+
+    def kept(self) -> "Whitener":
+        """The same, whose factor the chain keeps for the next to ask for it."""
+        if self.factor.inverse.size <= _LARGEST_KEPT:
+            known = self.chain.factors
+            known.pop(self.noise.key, None)
+            known[self.noise.key] = self.factor  # the latest is the last
+            while len(known) > _KEPT:
+                del known[next(iter(known))]
+        return self
 
     def of_episodes(self, which: slice) -> "Whitener":
         """The same for some of the episodes."""
         return Whitener(
             self.chain.of_episodes(which),
             replace(self.noise, weights=self.noise.weights[which]),
-            self.inverse[which],
-            self.below[which],
-            None if self.further is None else self.further[which],
-            self.log_determinant[which],
+            self.factor.of_episodes(which),
         )
 
     def whiten(self, columns: np.ndarray) -> np.ndarray:
@@ -152,10 +188,10 @@ class Whitener:
         for k in range(columns.shape[1]):
             rest = columns[:, k]
             if k > 0:
-                rest = rest - self.below[:, k] @ white[:, k - 1]
-            if self.further is not None and k > 1:
-                rest = rest - self.further[:, k] @ white[:, k - 2]
-            white[:, k] = self.inverse[:, k] @ rest
+                rest = rest - self.factor.below[:, k] @ white[:, k - 1]
+            if self.factor.further is not None and k > 1:
+                rest = rest - self.factor.further[:, k] @ white[:, k - 2]
+            white[:, k] = self.factor.inverse[:, k] @ rest
         return white
 
     def adjoint(self, white: Array3) -> Array3:
@@ -164,27 +200,29 @@ class Whitener:
         for k in reversed(range(white.shape[1])):
             rest = white[:, k]
             if k + 1 < white.shape[1]:
-                rest = rest - np.einsum("eij,ei->ej", self.below[:, k + 1], whole[:, k + 1])
-            if self.further is not None and k + 2 < white.shape[1]:
-                rest = rest - np.einsum("eij,ei->ej", self.further[:, k + 2], whole[:, k + 2])
-            whole[:, k] = np.einsum("eij,ei->ej", self.inverse[:, k], rest)
+                rest = rest - np.einsum("eij,ei->ej", self.factor.below[:, k + 1], whole[:, k + 1])
+            if self.factor.further is not None and k + 2 < white.shape[1]:
+                rest = rest - np.einsum(
+                    "eij,ei->ej", self.factor.further[:, k + 2], whole[:, k + 2]
+                )
+            whole[:, k] = np.einsum("eij,ei->ej", self.factor.inverse[:, k], rest)
         return whole
 
     def inverse_blocks(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Diagonal blocks (E, T, m, m) of the inverse covariance, those left of them and, with
         memory, those left of these (Takahashi's recursion)."""
-        diagonal, left = np.zeros_like(self.inverse), np.zeros_like(self.inverse)
-        outer = None if self.further is None else np.zeros_like(self.inverse)
-        last = self.inverse.shape[1] - 1
+        diagonal, left = np.zeros_like(self.factor.inverse), np.zeros_like(self.factor.inverse)
+        outer = None if self.factor.further is None else np.zeros_like(self.factor.inverse)
+        last = self.factor.inverse.shape[1] - 1
         for k in reversed(range(last + 1)):
-            own = self.inverse[:, k]
+            own = self.factor.inverse[:, k]
             middle = np.eye(own.shape[1])
             if k < last:
-                below = self.below[:, k + 1]
+                below = self.factor.below[:, k + 1]
                 left[:, k + 1] = -diagonal[:, k + 1] @ below @ own
                 middle = middle + below.swapaxes(1, 2) @ diagonal[:, k + 1] @ below
-            if outer is not None and self.further is not None and k + 1 < last:
-                below, further = self.below[:, k + 1], self.further[:, k + 2]
+            if outer is not None and self.factor.further is not None and k + 1 < last:
+                below, further = self.factor.below[:, k + 1], self.factor.further[:, k + 2]
                 near = left[:, k + 2].swapaxes(1, 2) @ further
                 far = left[:, k + 2] @ below + diagonal[:, k + 2] @ further
                 left[:, k + 1] -= near @ own
@@ -201,7 +239,7 @@ class Whitener:
         count = mask.sum(axis=1) * white.shape[2]
         square = np.sum(white**2, axis=(1, 2))
         prior = DEGREES / 2 * (np.log(weights) - weights)
-        normal = -0.5 * (square + self.log_determinant + count * np.log(2 * np.pi))
+        normal = -0.5 * (square + self.factor.log_determinant + count * np.log(2 * np.pi))
         return normal + np.sum(prior * mask, axis=1)
 
     def sensor_errors(self, residual: Array3) -> tuple[Array3, np.ndarray]:

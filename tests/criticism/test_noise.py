@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adr_service.criticism.linear import Linear, estimate
-from adr_service.criticism.noise import Ascent, Chain, Noise, Whitener, at_start, lifted
+from adr_service.criticism.noise import Ascent, Chain, Factor, Noise, Whitener, at_start, lifted
 
 EPISODES, STEPS, WIDTH = 20, 30, 2
 EXACT = np.full(WIDTH, 1e-24)
@@ -81,7 +81,9 @@ def test_an_episode_is_whitened_as_its_dense_covariance_says(episode, share):
     flat = residual[episode, there].ravel()
     expected = np.linalg.solve(np.linalg.cholesky(covariance), flat)
     np.testing.assert_allclose(white[episode, there].ravel(), expected, atol=1e-9)
-    assert whitener.log_determinant[episode] == pytest.approx(np.linalg.slogdet(covariance)[1])
+    assert whitener.factor.log_determinant[episode] == pytest.approx(
+        np.linalg.slogdet(covariance)[1]
+    )
     errors, variance = whitener.sensor_errors(residual)
     blame = np.tile(SENSOR, STEPS + 1) * (mixing.T @ np.linalg.solve(covariance, flat))
     np.testing.assert_allclose(errors[episode].ravel(), blame, atol=1e-8)
@@ -217,3 +219,27 @@ def test_some_episodes_are_whitened_as_among_all(share):
     np.testing.assert_array_equal(part.whiten(residual[which, ..., None]), white[which])
     likely = whitener.log_likelihood(white[..., 0])[which]
     np.testing.assert_array_equal(part.log_likelihood(white[which, ..., 0]), likely)
+
+
+def test_a_chain_is_factorised_once_under_each_of_the_latest_noises_that_are_kept(monkeypatch):
+    chain, computed, factorise = drawn(SENSOR, MISFIT, np.random.default_rng(9))[0], [], Factor.of
+
+    def counted(chain, noise):
+        computed.append(noise.sensor[0])
+        return factorise(chain, noise)
+
+    monkeypatch.setattr(Factor, "of", counted)
+
+    def whitener(size):
+        return Whitener.of(chain, Noise(size * SENSOR, MISFIT, np.ones(chain.mask.shape)))
+
+    first = whitener(1.0).kept()
+    assert whitener(1.0).factor is first.factor  # of another noise that is equal
+    whitener(2.0)
+    whitener(2.0).kept()
+    assert len(computed) == 3  # what was not kept is computed again
+    for size in (3.0, 4.0, 5.0):
+        whitener(size).kept()
+    assert whitener(2.0).factor is whitener(2.0).factor
+    assert whitener(1.0).factor is not first.factor
+    assert whitener(2.0).chain.of_episodes(slice(0, 2)).factors == {}
