@@ -166,18 +166,19 @@ def _possible(model: mujoco.MjModel) -> Iterator[Effect]:
 def missing_forces(simulator: Simulator, effects: Sequence[Effect]) -> Matrix:
     """(N, nv) generalised forces that the measured motion needs beyond those of the actuators, with
     the model's own parameters."""
-    nominal, states = simulator.nominal, simulator.measured
-    model = nominal.model(nominal.start, effects)
+    states = simulator.measured
+    model = simulator.model(simulator.nominal.start, effects)
     data, nv = mujoco.MjData(model), model.nv
     before, after = (states[simulator.starts + k] for k in (0, 1))
     middle, rate = (before + after) / 2, (after - before)[:, nv:] / simulator.period
     commands = simulator.commands((), 1)[:, 0]
+    # each access to a field of MuJoCo's data makes an array anew
+    qpos, qvel, qacc, ctrl = data.qpos, data.qvel, data.qacc, data.ctrl[: commands.shape[1]]
+    inverse, actuator = data.qfrc_inverse, data.qfrc_actuator
     forces = np.empty((len(middle), nv))
     for row, state in enumerate(middle):
-        data.qpos[:], data.qvel[:] = state[:nv], state[nv:]
-        data.ctrl[: commands.shape[1]] = commands[row]
-        data.qacc[:] = rate[row]
+        qpos[:], qvel[:], qacc[:], ctrl[:] = state[:nv], state[nv:], rate[row], commands[row]
         mujoco.mj_inverse(model, data)
         mujoco.mj_fwdActuation(model, data)
-        forces[row] = data.qfrc_inverse - data.qfrc_actuator
+        forces[row] = inverse - actuator
     return forces

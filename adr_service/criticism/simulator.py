@@ -82,14 +82,14 @@ class Simulator:
 
         NaN where the simulation diverged.
         """
-        return self._predict(effects, states, self._model(values, effects))
+        return self._predict(effects, states, self.model(values, effects))
 
     def follow(self, values: Vector, effects: Sequence[Effect]) -> Matrix:
         """Measured states (rows, 2 nv), whole episodes simulated from their first rows on.
 
         NaN where the simulation diverged.
         """
-        model = self._model(values, effects)
+        model = self.model(values, effects)
         commands = self.commands(effects, self.steps)
         true = self._true(effects, self.measured, model)
         followed, spans = self.measured.copy(), self.data.spans()
@@ -143,7 +143,7 @@ class Simulator:
         integrator: int,
     ) -> Matrix:
         """`predict` with a step `finer` times smaller, by one of MuJoCo's integrators."""
-        model = self._model(values, effects)
+        model = self.model(values, effects)
         model.opt.timestep /= finer
         model.opt.integrator = integrator
         return self._predict(effects, states, model)
@@ -201,11 +201,10 @@ class Simulator:
             within = self.data.ctrl[:, None]
         given = np.clip(within[self.starts], low, high)  # as the simulator would
         commands = np.repeat(given, steps // given.shape[1], axis=1)
-        if effects:
-            for first, last in self.transitions():
-                episode = commands[first:last].reshape(1, -1, count)
-                changed = obeyed(self.base, effects, episode, self.period / steps)
-                commands[first:last] = changed.reshape(last - first, steps, count)
+        for rows in self._of_equal_length() if effects else ():
+            given = commands[rows].reshape(len(rows), -1, count)
+            changed = obeyed(self.base, effects, given, self.period / steps)
+            commands[rows] = changed.reshape(*rows.shape, steps, count)
         commands.flags.writeable = False  # they are kept
         return commands
 
@@ -249,7 +248,8 @@ class Simulator:
         rates[first] = rates[first + 1]
         return rates
 
-    def _model(self, values: Vector, effects: Sequence[Effect]) -> mujoco.MjModel:
+    def model(self, values: Vector, effects: Sequence[Effect]) -> mujoco.MjModel:
+        """A model of the caller's own with these parameters and effects, and with its step."""
         nominal = self.nominal
         with quiet():
             bare = self._bare(nominal.lengths(values), elements_of(effects))
@@ -289,7 +289,7 @@ class Simulator:
     def _quick(
         self, values: Vector, effects: Sequence[Effect], rough: int | None = None
     ) -> mujoco.MjModel:
-        model = self._model(values, effects)
+        model = self.model(values, effects)
         model.opt.timestep *= self.finer / (rough or self._rough)
         if not is_first_order(model):
             model.opt.integrator = other_integrator(model.opt.integrator)
@@ -334,6 +334,13 @@ class Simulator:
             (self.base.body_inertia[before], model.body_inertia[after]),
         )
         return all(np.all((now > mujoco.mjMINVAL) | (was == 0)) for was, now in pairs)
+
+    def _of_equal_length(self) -> list[Indices]:
+        """Transitions (e, n) of all episodes that have n of them, for each n."""
+        by_length: dict[int, list[Indices]] = {}
+        for first, last in self.transitions():
+            by_length.setdefault(last - first, []).append(np.arange(first, last))
+        return [np.stack(rows) for rows in by_length.values()]
 
     def transitions(self) -> list[tuple[int, int]]:
         """Half-open ranges of each episode's transitions among `starts`."""

@@ -85,6 +85,23 @@ def test_actuators_obey_their_limits(good):
     np.testing.assert_array_equal(obeyed, harmless)
 
 
+def test_commands_of_each_episode_are_changed_by_themselves(good):
+    """Episodes of one length together, and others with their own."""
+    data = Measurement(**good)
+    rows = np.concatenate(
+        [np.arange(*span)[: 20 + number % 2] for number, span in (enumerate(data.spans()[:5]))]
+    )
+    short = Measurement(**{name: values[rows] for name, values in good.items()})
+    lag = [Effect("actuator_lag", "actuator:elbow", (0.02,))]
+    with Simulator(arm()[1], short, threads=1) as simulator:
+        together, ranges = simulator.commands(lag, 2), simulator.transitions()
+        assert {last - first for first, last in ranges} == {19, 20}
+    for number, (first, last) in enumerate(ranges):
+        with Simulator(arm()[1], short.episodes([number]), threads=1) as alone:
+            # whose period has other last digits
+            np.testing.assert_allclose(alone.commands(lag, 2), together[first:last], rtol=1e-9)
+
+
 def test_a_model_that_does_not_cut_commands_obeys_them_all(good):
     spec = mujoco.MjSpec.from_string(arm()[1].xml)
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
