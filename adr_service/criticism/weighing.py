@@ -84,7 +84,8 @@ def weigh(
     """The best of effects or groups beside a fit's, with all that explain as much (none without
     evidence), and the probability that it is chance; `alive` is called before each.
 
-    Those that a first look shows far below the best are left out.
+    Those that a first look shows far below the best are left out, and all others where the best
+    one is not worth a look even at its best strengths.
     """
     without = current.settled.held_out
     looks: list[Weighed] = []
@@ -93,10 +94,7 @@ def weigh(
         first = _first_look(current, effects, without)
         if first is not None:
             looks.append(first)
-    best = max((look.fair_gain for look in looks), default=0.0)
-    hopeful = [look for look in looks if look.fair_gain >= min(best, _HOPEFUL * best)]
-    weighed = [_at_best(look, current, without, alive) for look in hopeful]
-    weighed = _beside_persistence(weighed, current)
+    weighed = _beside_persistence(_hopeful_at_best(looks, current, without, alive), current)
     fair = [each.gains + (each.fair_gain - each.gain) / len(without) for each in weighed]
     decision = decide(np.reshape(fair, (len(weighed), len(without))), rng)
     *likely, chance = decision.confidence.tolist()
@@ -116,6 +114,24 @@ def _first_look(current: Fit, effects: Sequence[Effect], without: Vector) -> Wei
         if first is not None and first.gain > THRESHOLD:
             break
     return first
+
+
+def _hopeful_at_best(
+    looks: Sequence[Weighed], current: Fit, without: Vector, alive: Callable[[], None]
+) -> list[Weighed]:
+    """Those that may be the best, after steps to better strengths."""
+    if not looks:
+        return []
+    best = max(looks, key=lambda look: look.fair_gain)
+    first = _at_best(best, current, without, alive)
+    if max(best.fair_gain, first.fair_gain) < _PROMISING:
+        return [first]
+    least = min(best.fair_gain, _HOPEFUL * best.fair_gain)
+    return [
+        first if look is best else _at_best(look, current, without, alive)
+        for look in looks
+        if look.fair_gain >= least
+    ]
 
 
 def _at_best(look: Weighed, current: Fit, without: Vector, alive: Callable[[], None]) -> Weighed:

@@ -71,7 +71,8 @@ class Criticise(Stage[Criticised]):
     # leave their bounds are held there, and steps end at bounds without another direction, fits
     # that simulate other transitions are not compared by likelihood, errors to expect of velocities
     # that nobody measured, and a flexible force chosen beside persisting misfit, 22: Student's
-    # intervals of gains, so that two sealed episodes refute a cause as rarely as twenty
+    # intervals of gains, so that two sealed episodes refute a cause as rarely as twenty, and
+    # nothing refined beside a best candidate that stays hopeless
     version: ClassVar = 22
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
