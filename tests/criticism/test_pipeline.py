@@ -276,7 +276,6 @@ def test_an_effect_with_which_sealed_episodes_are_predicted_worse_is_not_named(
         _Outcome(named, final, 0.0, None, ()),
         baseline,
         hidden.episodes(range(12, 16)),
-        np.random.default_rng(0),
         threads=1,
     )
     assert bool(outcome.named) == (outcome.gain is not None) == is_named
