@@ -30,7 +30,8 @@ def test_a_body_without_mass_is_predicted_as_nan(good):
             assert np.isnan(simulator.predict(nominal.start, [gone], simulator.measured)).all()
 
 
-@pytest.mark.parametrize(("stiffness", "is_quick"), [(0, False), (1e5, True)])
+# in the coarser steps of the last one alone, it diverges
+@pytest.mark.parametrize(("stiffness", "is_quick"), [(0, False), (1e5, True), (8e6, True)])
 def test_quick_predictions_take_finer_steps_where_joints_are_stiff(swinging, stiffness, is_quick):
     """Coarser ones would move the joint otherwise than what they are to explain."""
     nominal, data = swinging
@@ -39,6 +40,7 @@ def test_quick_predictions_take_finer_steps_where_joints_are_stiff(swinging, sti
         assert simulator.is_quick is is_quick
         known = (nominal.start, [], simulator.measured)
         one, other = simulator.predict_quickly(*known), simulator.predict(*known)
+    assert np.isfinite(one).all()
     assert np.array_equal(one, other) is is_quick
 
 

@@ -59,6 +59,29 @@ def test_finer_steps_that_are_not_likelier_beyond_chance_are_refused(in_thirds, 
     assert in_finer_steps(in_thirds, 1) is in_thirds
 
 
+@pytest.mark.parametrize(("before", "after"), [(0, 1), (1, 0)])
+def test_steps_that_simulate_more_transitions_are_taken_and_others_never(
+    in_thirds, monkeypatch, before, after
+):
+    """Likelihoods of other transitions are compared with nothing."""
+
+    def without(fit, count):
+        mask = fit.linear.chain.mask.copy()
+        mask[0, :count] = False
+        linear = replace(fit.linear, chain=replace(fit.linear.chain, mask=mask))
+        return replace(fit, linear=linear)
+
+    def finer_steps(fit, simulator):
+        return without(replace(in_thirds, simulator=simulator), after)
+
+    monkeypatch.setattr(steps, "in_steps_of", finer_steps)
+    monkeypatch.setattr(steps, "_nats_of_finer_steps", lambda current, newest: np.inf)
+    monkeypatch.setattr(steps, "gained", None)  # would be called for equal numbers alone
+    begun = without(in_thirds, before)
+    found = in_finer_steps(begun, 1)
+    assert found.simulator.finer == (9 if before > after else 3)
+
+
 def test_an_integrator_of_fourth_order_keeps_its_steps(in_thirds, monkeypatch):
     fourth = mujoco.mjtIntegrator.mjINT_RK4
     monkeypatch.setattr(in_thirds.simulator.base.opt, "integrator", fourth)
