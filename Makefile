@@ -67,7 +67,7 @@ bench-calibration: setup
 bench-budgets: setup
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.budgets
 
-# a day on two cores; it goes on where it was stopped, here or elsewhere
+# two to three days on two cores; it goes on where it was stopped, here or elsewhere
 study: setup
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.study docs/studies/hopper.json results/hopper
 
