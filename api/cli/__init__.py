@@ -35,7 +35,7 @@ from api.cli.terminal import console, errors
 
 _FAILED, _USAGE, _NOT_FOUND, _REFUSED, _UNREACHABLE = 1, 2, 3, 4, 5
 _STATUS = {  # by an error's code
-    **dict.fromkeys(("not_verified", "damaged", "service_did_not_start"), _FAILED),
+    **dict.fromkeys(("not_verified", "damaged", "service_did_not_start", "robot_failed"), _FAILED),
     "not_found": _NOT_FOUND,
     "unreachable": _UNREACHABLE,
 }
@@ -45,9 +45,9 @@ _BESIDE = ("mujoco", "ray", "torch", "stable-baselines3")  # whose versions chan
 app = SingleOptionApp(
     help="Benchmark adaptive domain randomization.",
     epilog=(
-        "Exit status: 0 done; 1 something that was watched or checked failed, or the service could "
-        "not start or go on; 2 wrong use or input; 3 not found; 4 refused by the service; 5 no "
-        "service answers. "
+        "Exit status: 0 done; 1 something that was watched or checked failed, a robot did, or the "
+        "service could not start or go on; 2 wrong use or input; 3 not found; 4 refused by the "
+        "service; 5 no service answers. "
         "ADR_URL, or ADR_PORT on this machine, names the service to ask."
     ),
     no_args_is_help=True,

@@ -8,7 +8,7 @@ import numpy as np
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.client.robot.environment import Env
-from adr_service.client.robot.episode import Machine, Rollout, recording, slowness
+from adr_service.client.robot.episode import Machine, RobotFailed, Rollout, recording, slowness
 from adr_service.client.robot.heart import Watch
 from adr_service.client.robot.limits import Limits
 from adr_service.criticism.compatibility import check_state
@@ -85,10 +85,11 @@ class Player:
 
         `start` (nq,) is the pose from which the plan begins: nothing is sent from another one. An
         episode ends early where the environment ends it, or after the owner's `limits.seconds`. An
-        observation that is not finite, or of another shape than the task's, ends the plan. Where a
-        call of the environment does not return, another thread calls `hangs` with the reason.
-        Raises InvalidInput for commands beyond the task's bounds before anything moves, if the
-        first episode begins in another pose, and if none has a transition.
+        observation that is not finite, or of another shape than the task's, ends the plan with
+        RobotFailed, as an OSError of the environment does. Where a call of the environment does not
+        return, another thread calls `hangs` with the reason. Raises InvalidInput for commands
+        beyond the task's bounds before anything moves, if the first episode begins in another pose,
+        and if none has a transition.
         """
         check_commands(self._task, plan)
         model = compiled(self._task.xml)
@@ -105,7 +106,8 @@ class Player:
                 if (played := self.played) is not None:
                     self._keep(played)
                 if episode.is_broken:  # to go on is to move a robot that is blind
-                    break
+                    where = f"episode {number + 1} of {len(plan)}"
+                    raise RobotFailed(f"{where}: {episode.why_short}; see to the robot")
         if self.played is None:
             why = self._episodes[0].why_short
             raise InvalidInput(f"no episode of the plan has a single transition: {why}")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import adr_service  # noqa: F401, as it registers the environments
+from adr_service.client.robot.episode import RobotFailed
 from adr_service.client.robot.limits import Limits
 from adr_service.client.robot.playback import Player, check_commands
 from adr_service.criticism.measurements import Measurement
@@ -142,7 +143,7 @@ class Broken(gymnasium.Wrapper):
 def test_what_was_played_is_there_when_the_robot_fails(robot):
     kept = []
     player = Player(Broken(robot), TASK, Limits(), kept.append)
-    with pytest.raises(OSError, match="the bus is gone"):
+    with pytest.raises(RobotFailed, match="reset failed, OSError: the bus is gone; see to the"):
         player.play(read_plan(plan(), 2, PERIOD)[0], never)
     assert len(player.played.measurement.spans()) == 2
     # after each episode, because a process that is killed does nothing in the end
@@ -253,16 +254,17 @@ class Narrowing(SlowArm):
 
 def test_an_episode_whose_observations_change_their_shape_is_the_last():
     commands, env = read_plan(plan(episodes=3), 2, PERIOD)[0], Narrowing(0.0)
-    played = play(env, TASK, Limits(), commands, never)
+    player = Player(env, TASK, Limits(), keep=lambda played: None)
+    why = r"the robot showed an observation of shape \(3,\); arm has \(4,\)"
+    with pytest.raises(RobotFailed, match=f"episode 2 of 3: {why}.*; see to the robot"):
+        player.play(commands, never)
     assert len(env.actions) == 41
-    assert [last - first for first, last in played.measurement.spans()] == [30, 12]
-    [why] = played.shortened
-    assert why.startswith("the robot showed an observation of shape (3,); arm has (4,)")
+    assert [last - first for first, last in player.played.measurement.spans()] == [30, 12]
 
 
 @pytest.mark.parametrize("start", [None, np.zeros(2)])
 def test_a_robot_that_shows_too_few_numbers_is_sent_nothing(start):
     env, commands = NarrowArm(0.0), read_plan(plan(episodes=2), 2, PERIOD)[0]
-    with pytest.raises(InvalidInput, match=r"single transition: the robot showed .* shape \(3,\)"):
+    with pytest.raises(RobotFailed, match=r"episode 1 of 2: the robot showed .* shape \(3,\)"):
         play(env, TASK, Limits(), commands, never, start)
     assert env.actions == []

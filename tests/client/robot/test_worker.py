@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from adr_service.client.connection import Refused, Unreachable
+from adr_service.client.robot.episode import RobotFailed
 from adr_service.client.robot.limits import Limits
 from adr_service.client.robot.worker import Robot
 from adr_service.errors import InvalidInput, UnknownName
@@ -259,6 +260,16 @@ def test_a_robot_that_breaks_is_closed_before_the_service_is_told():
         service.robot.work(1)
     assert service.released == [("task_a", 1)]
     assert service.robot._env.closed == 1
+
+
+def test_a_drivers_error_of_the_system_is_named_as_the_robots():
+    """A broken pipe of its own looked like a closed output, and ended the client without a word."""
+    service = Service()
+    worker = robot(service)
+    worker._env.step = raising(BrokenPipeError(32, "Broken pipe"))
+    with pytest.raises(RobotFailed, match=r"step failed, BrokenPipeError: .*; see to the robot"):
+        worker.work(1)
+    assert len(service.released) == 1
 
 
 def test_a_robot_is_closed_where_nobody_can_be_told_that_it_waits():
