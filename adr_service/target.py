@@ -205,6 +205,12 @@ class Recording:
             data = data.first_episodes(asked.episodes)
         if spec.method.replay_from == "smoothed":
             data.check_chained("smoothing")
+        least = spec.method.least_transitions
+        if not len(data.windows(least)):
+            raise InvalidInput(
+                f"no episode of {asked.dataset} has {least} transitions in a row; "
+                f"{spec.method.name} with steps = {least} learns from no fewer"
+            )
         self.data = data.to_npz()
         self.rollouts, self.transitions = data.episode_count, len(data)
 

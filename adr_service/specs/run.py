@@ -121,7 +121,8 @@ class RunSpec(Wire):
                     f"method: {self.method.name} cannot smooth the states of {self.task}: {error}; "
                     "the method without `_smoothed` can be run"
                 ) from error
-        if self.transitions > task.horizon:
+        uses_rollouts = self.method.infers and not isinstance(self.target, RecordedTarget)
+        if uses_rollouts and self.transitions > task.horizon:
             raise ValueError(
                 f"transitions: {self.transitions} given, but an episode of {self.task} has "
                 f"{task.horizon} steps at most"

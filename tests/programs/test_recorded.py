@@ -45,3 +45,10 @@ def test_states_with_two_readings_are_refused_before_anything_is_computed():
         list(run(spec(content, "sysid_smoothed"), stages, content))
     assert not stages.executed
     assert list(run(spec(content), stages, content))
+
+
+def test_episodes_shorter_than_a_method_replays_are_refused_before_anything_is_computed():
+    stages, long = LocalStages(), spec(method={"name": "sysid_smoothed", "steps": 31})
+    with pytest.raises(InvalidInput, match="has 31 transitions in a row; sysid_smoothed with ste"):
+        list(run(long, stages, RECORDED))
+    assert not stages.executed

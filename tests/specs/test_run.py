@@ -104,6 +104,12 @@ def test_a_mistake_is_one_error_at_its_field_with_what_is_accepted(change, messa
     assert place[0] in change or "'sed'" in error["msg"]
 
 
+def test_only_methods_that_use_rollouts_need_them_within_the_horizon():
+    """A preset has 200 transitions, of which a task may have fewer; UDR uses none."""
+    for method in ("udr", "bayrn", "doraemon"):
+        RunSpec.model_validate({**GOOD, "method": method, "transitions": 201})
+
+
 def test_values_of_ours_are_as_good_as_their_json():
     assert RunSpec.model_validate({**GOOD, "target": ExternalTarget()}).target == ExternalTarget()
     for named in (SimOptSettings(samples=40), SimOptSettings(name="simopt", samples=40)):
