@@ -36,6 +36,7 @@ from adr_service.progress import Progress
 from adr_service.simulation.model import not_a_model, unit_at
 from adr_service.tasks.base import Task
 from adr_service.tasks.catalogue import get_task, variant_of
+from adr_service.whole_files import written_whole
 from api.cli.files import check_writable, naming, read, read_text
 
 T = TypeVar("T")
@@ -167,7 +168,8 @@ def plan_file(
     rng = np.random.default_rng(seed)
     plan = next_recording(criticism, commands, rng, allowed=allowed, start=start or None)
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_bytes(plan.to_npz())
+    with written_whole(out) as part:
+        part.write_bytes(plan.to_npz())
     episodes, rows, _ = plan.commands.shape
     lines = [f"{out}: commands of {episodes} episodes, {rows * plan.period:.2g} s each"]
     for each in plan.separations:
@@ -299,7 +301,8 @@ def write(out: Path, files: Mapping[str, bytes]) -> None:
     """Write the files of a criticism."""
     out.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
-        (out / name).write_bytes(content)
+        with written_whole(out / name) as part:
+            part.write_bytes(content)
 
 
 def _measurement(path: Path, task: Task | None) -> Measurement:

@@ -9,6 +9,7 @@ import typer
 
 from adr_service.client import AdrClient, connect
 from adr_service.errors import InvalidInput
+from adr_service.whole_files import written_whole
 from api.cli.files import check_absent, check_new
 from api.cli.follow import is_criticism, show_results
 from api.cli.options import AsJson, Id, Url
@@ -107,7 +108,8 @@ def _write_figures(client: AdrClient, id: str, folder: Path) -> None:
 
 
 def _write(file: Path, content: bytes) -> None:
-    file.write_bytes(content)
+    with written_whole(file) as part:
+        part.write_bytes(content)
     typer.echo(file)
 
 
@@ -122,7 +124,7 @@ def _show_cost(client: AdrClient, id: str, as_json: bool) -> None:
 def _show_table(client: AdrClient, id: str, csv: bool, as_json: bool, compare: bool) -> None:
     if csv:
         typer.echo(client.results_csv(id), nl=False)
-    elif compare:
+    elif compare and not as_json:
         console.print(comparisons_table(client.results(id)))
     elif not as_json:
         show_results(client, client.get(id))

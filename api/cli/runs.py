@@ -102,8 +102,8 @@ def _show(
         console.print_json(data=answer)
     elif dry_run:
         console.print(plan_table(answer["plan"]))
-    elif not as_json:
-        console.print(f"{answer['id']}{remark}")
+    else:  # beside a document that comes at the end, so that who interrupts it knows the id
+        (errors if as_json else console).print(f"{answer['id']}{remark}")
     if watch:
         follow(client, answer["id"], as_json)
 

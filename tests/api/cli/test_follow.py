@@ -69,6 +69,19 @@ def test_the_results_of_a_criticism_are_its_verdict(adr_here, monkeypatch):
     assert "run_a is a criticism, which has a verdict and nothing for --compare" in errors
 
 
+def test_a_comparison_as_json_is_a_document(adr_here, monkeypatch):
+    monkeypatch.setattr(results, "connect", lambda url: nullcontext(Service("succeeded")))
+    status, shown, _ = adr_here("results", "run_a", "--compare", "--json")
+    assert (status, json.loads(shown)) == (0, {"rows": [], "estimates": []})
+
+
+def test_the_id_of_what_is_watched_is_known_before_the_document_at_its_end(capsys):
+    runs._show(Service("succeeded"), {"id": "run_a"}, ", as before", False, True, True)
+    shown = capsys.readouterr()
+    assert shown.err.startswith("run_a, as before")
+    assert json.loads(shown.out)["id"] == "run_a"
+
+
 class Stopping:
     """A client whose run stops when it has been looked at some times."""
 
