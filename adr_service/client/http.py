@@ -8,6 +8,7 @@ from pydantic import BaseModel, ValidationError
 from adr_service.errors import AdrError, InvalidInput
 
 _LEAST_OF_A_PROXY = 502  # our own 503 and 507 have a Retry-After
+_LEAST_S = 0.5  # that we wait, whatever a proxy says: it may say 0 for minutes
 _SLOW, _SLOW_S = 408, 2.0  # a request that came too slowly, and seconds until it may be sent again
 
 
@@ -60,7 +61,7 @@ def check_answer(response: httpx2.Response, url: str) -> None:
     if not response.is_error:
         return
     wait = response.headers.get("Retry-After")
-    after = float(wait) if wait is not None and wait.isdigit() else None
+    after = max(float(wait), _LEAST_S) if wait is not None and wait.isdigit() else None
     status = response.status_code
     if after is None and status == _SLOW:
         after = _SLOW_S

@@ -63,6 +63,13 @@ RUNNING, ENDED = b'{"state": "running"}', b'{"state": "succeeded"}'
 BUSY = (503, {"Retry-After": "0"}, b'{"detail": "the database is busy"}')
 
 
+def test_a_server_that_says_not_to_wait_is_not_asked_without_a_pause():
+    refused = pytest.raises(Refused, match="the database is busy")
+    with server(500, answers=[BUSY]) as url, AdrClient(url) as client, refused as error:
+        client.ready()
+    assert error.value.retry_after_s == 0.5
+
+
 def test_who_watches_waits_while_the_service_is_busy_or_restarts(monkeypatch):
     monkeypatch.setattr(connection, "_POLL_S", 0.0)
     answers = [(200, {}, RUNNING), BUSY, (502, {}, b""), (200, {}, RUNNING), (200, {}, ENDED)]
