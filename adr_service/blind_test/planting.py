@@ -116,9 +116,14 @@ def plantable(model: mujoco.MjModel) -> list[tuple[str, str]]:
     return [
         (kind, place)
         for kind, mechanism in MECHANISMS.items()
-        if not mechanism.only_spreads and kind not in _ELSEWHERE
+        if may_be_hidden(kind)
         for place in mechanism.locations(model)
     ]
+
+
+def may_be_hidden(kind: str) -> bool:
+    """True if cases of a blind test hide effects of this kind."""
+    return not get_mechanism(kind).only_spreads and kind not in _ELSEWHERE
 
 
 @dataclass(frozen=True)
@@ -205,8 +210,10 @@ class _Robot:
         """A measurement by the robot's sensors."""
         if commands is None:
             commands = np.stack([_commands(rng, self._task, STEPS + 1) for _ in range(EPISODES)])
+        # sensors are late, and joints cross their gaps, between two rows as well
         states = self._run(rng, commands, effects, force)
-        shown = recorded(self._base, effects, states, self._period)
+        fine = self._period / self._steps
+        shown = recorded(self._base, effects, states, fine)[:, :: self._steps]
         nq = self._base.nq
         scale = np.repeat([_POSITION_NOISE, _VELOCITY_NOISE], nq)
         return self._measurement(shown + scale * rng.standard_normal(shown.shape), commands)
@@ -214,6 +221,11 @@ class _Robot:
     @property
     def _period(self) -> float:
         return self._base.opt.timestep * self._task.frame_skip
+
+    @property
+    def _steps(self) -> int:
+        """Steps from one row to the next."""
+        return self._task.frame_skip * _FINER
 
     def _ratio_of(self, effect: Effect) -> float:
         pilot = self._pilot
@@ -235,7 +247,7 @@ class _Robot:
         """A recording without any effect and without noise, to size effects with."""
         rng = np.random.default_rng(0)  # the same for all cases of a robot
         commands = np.stack([_commands(rng, self._task, STEPS + 1) for _ in range(8)])
-        states = self._run(rng, commands, [], None)
+        states = self._run(rng, commands, [], None)[:, :: self._steps]
         simulator = Simulator(self._nominal, self._measurement(states, commands), threads=1)
         start = self._nominal.start
         predicted = simulator.predict(start, (), simulator.measured)
@@ -266,22 +278,23 @@ class _Robot:
         effects: Sequence[Effect],
         force: Push | None,
     ) -> Array3:
-        """True states (episodes, rows, 2 nv); raises InvalidInput where they diverge."""
+        """True states (episodes, rows * steps, 2 nv) at the beginning of each step; raises
+        InvalidInput where they diverge."""
         model = self._nominal.model(self._nominal.start, effects)
         model.opt.timestep /= _FINER
         model.opt.integrator = other_integrator(self._base.opt.integrator)
-        skip, (episodes, rows) = self._task.frame_skip * _FINER, commands.shape[:2]
+        skip, (episodes, rows) = self._steps, commands.shape[:2]
         initial = self._task.initial(episodes, rng)
         finer = np.repeat(commands, skip, axis=1)
         applied = obeyed(self._base, effects, finer, model.opt.timestep)
         length = episodes * rows * self._period
-        data, states = mujoco.MjData(model), np.empty((episodes, rows, 2 * model.nv))
+        data, states = mujoco.MjData(model), np.empty((episodes, rows * skip, 2 * model.nv))
         losses, has_friction = Losses(model, effects), varies(effects)
         for episode in range(episodes):
             _place(model, data, initial, episode, rng)
             for row in range(rows):
-                states[episode, row] = np.concatenate([data.qpos, data.qvel])
                 for step in range(row * skip, (row + 1) * skip):
+                    states[episode, step] = np.concatenate([data.qpos, data.qvel])
                     data.ctrl[: applied.shape[2]] = applied[episode, step]
                     if force is not None:
                         now = (episode * rows + row) * self._period

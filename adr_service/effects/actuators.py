@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector
-from adr_service.effects.base import Commands, Mechanism, Strength, is_added
+from adr_service.effects.base import Commands, Mechanism, Strength, delayed, is_added
 
 # (n,) at n positions and velocities (n,) of a joint, under commands (n, nu)
 Torque: TypeAlias = Callable[[Vector, Vector, Matrix], Vector]
@@ -174,12 +174,7 @@ BIAS = Mechanism(
 
 def _delay(commands: Commands, values: Vector) -> Matrix:
     """Late commands, averaged over each simulator step; an episode's first held before it."""
-    steps = values[0] / commands.timestep
-    whole = int(steps)
-    part, before = steps - whole, np.repeat(commands.values[:, :1], whole + 1, axis=1)
-    known = np.concatenate([before, commands.values], axis=1)
-    count = commands.values.shape[1]
-    return (1 - part) * known[:, 1 : count + 1] + part * known[:, :count]
+    return delayed(commands.values, values[0] / commands.timestep)
 
 
 DELAY = Mechanism(

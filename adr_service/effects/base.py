@@ -252,6 +252,15 @@ def sensors(model: mujoco.MjModel) -> list[str]:
     return [f"{n}.position" for n in names] + [f"{n}.velocity" for n in names]
 
 
+def delayed(values: Matrix, steps: float) -> Matrix:
+    """Values (episodes, T) a number of steps late, between two of them on a line; an episode's
+    first is held before it."""
+    whole, count = int(steps), values.shape[1]
+    part, before = steps - whole, np.repeat(values[:, :1], whole + 1, axis=1)
+    known = np.concatenate([before, values], axis=1)
+    return (1 - part) * known[:, 1 : count + 1] + part * known[:, :count]
+
+
 def is_added(name: str) -> bool:
     """True if a mechanism added the element; nobody commands such an actuator."""
     return name.startswith(ADDED)

@@ -1,14 +1,14 @@
 """Effects in sensors: how each moves a reading, how to undo it, and what it records exactly.
 
 A criticism judges single steps, so `offset` may approximate (a delay by the rate of change). A
-hidden robot shares no such approximation: its readings come from `record`.
+hidden robot shares no such approximation: its readings come from `record`, in its own fine steps.
 """
 
 import mujoco
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.effects.base import SENSOR_SIZE, Mechanism, Motion, Sensing, Strength
+from adr_service.effects.base import SENSOR_SIZE, Mechanism, Motion, Sensing, Strength, delayed
 
 
 def _bias(motion: Motion, values: Vector) -> Vector:
@@ -65,11 +65,16 @@ ENCODER_SCALE = Mechanism(
 
 
 def _lateness(motion: Motion, values: Vector) -> Vector:
-    return -values[0] * motion.rates[:, motion.column]
+    """By a position's own velocity, and by how fast a velocity has changed since the row before."""
+    velocity = motion.column + motion.states.shape[1] // 2
+    is_position = velocity < motion.states.shape[1]
+    rate = motion.states[:, velocity] if is_position else motion.rates[:, motion.column]
+    return -values[0] * rate
 
 
 def _late(truth: Matrix, values: Vector, period: float) -> Matrix:
-    return truth - values[0] * (np.diff(truth, axis=1, prepend=truth[:, :1]) / period)
+    """Between two readings on a line; an episode's first is held before it."""
+    return delayed(truth, values[0] / period)
 
 
 DELAY = Mechanism(

@@ -72,7 +72,8 @@ class Criticise(Stage[Criticised]):
     # that simulate other transitions are not compared by likelihood, errors to expect of velocities
     # that nobody measured, and a flexible force chosen beside persisting misfit, 22: Student's
     # intervals of gains, so that two sealed episodes refute a cause as rarely as twenty, and
-    # nothing refined beside a best candidate that stays hopeless
+    # nothing refined beside a best candidate that stays hopeless, late positions behind by their
+    # own velocities
     version: ClassVar = 22
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised

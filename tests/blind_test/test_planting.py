@@ -105,6 +105,20 @@ def test_a_bias_of_a_sensor_moves_its_readings_and_no_others():
     np.testing.assert_array_equal(biased.qvel, plain.qvel)
 
 
+def test_a_sensor_is_late_by_the_motion_at_its_moment_and_not_by_the_rows_before():
+    """Late readings of a position differ from it by its velocity then, which changes fast."""
+    task, nominal = arm()
+    delay = 1e-4
+    late = Effect("sensor_delay", "sensor:elbow.position", (delay,))
+    plain, shown = (hide(task, nominal, np.random.default_rng(7), e) for e in ([], [late]))
+    inside = np.flatnonzero(np.diff(plain.episode, prepend=-1) == 0)
+    velocity = plain.qvel[inside, 1]  # with noise of .01 rad/s, of several rad/s
+    before = (plain.qpos[inside, 1] - plain.qpos[inside - 1, 1]) / plain.period()
+    found = (plain.qpos - shown.qpos)[inside, 1] / delay
+    errors = [np.sqrt(np.mean((found - each) ** 2)) for each in (velocity, before)]
+    assert errors[0] < 0.2 * errors[1]
+
+
 def test_a_larger_ratio_is_a_larger_effect():
     strengths = []
     for ratio in (0.1, 0.3):

@@ -246,7 +246,8 @@ def test_backlash_much_wider_than_the_noise_is_measured_and_not_called_a_late_se
     with Simulator(nominal, data, threads=1, finer=3) as simulator:
         baseline = smoothed(fit(simulator, sensor))
         fits = [refine(baseline, [effect]) for effect in (gap, late)]
-    assert fits[0].effects[0].values == pytest.approx(gap.values, rel=0.1)
+    # too small: the motion between two rows is known by its ends alone (docs/criticism.md)
+    assert fits[0].effects[0].values == pytest.approx(gap.values, rel=0.15)
     assert fits[0].held_out.sum() > fits[1].held_out.sum() + 4 * THRESHOLD
 
 

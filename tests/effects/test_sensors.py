@@ -16,6 +16,7 @@ PERIOD, NO_PAST = 0.5, np.empty((4, 0))
         ("sensor_bias", 0.1, [[0.1, 1.1, 3.1, 3.1]]),
         ("sensor_scale", 0.1, [[0.0, 1.1, 3.3, 3.3]]),
         ("sensor_delay", 0.25, [[0.0, 0.5, 2.0, 3.0]]),
+        ("sensor_delay", 0.75, [[0.0, 0.0, 0.5, 2.0]]),  # a step and a half
     ],
 )
 def test_readings_are_those_that_a_reader_computes_by_hand(kind, strength, expected):
@@ -27,9 +28,17 @@ def test_readings_are_those_that_a_reader_computes_by_hand(kind, strength, expec
 def test_an_offset_is_the_difference_between_record_and_truth(kind):
     sensing, values = MECHANISMS[kind].sensing, np.array([0.1])
     rates = np.diff(TRUTH[0], prepend=0.0) / PERIOD
-    motion = Motion(TRUTH.T, rates[:, None], column=0, past=NO_PAST)
+    states, no_rates = np.column_stack([TRUTH[0], rates]), np.full((4, 2), np.nan)
+    motion = Motion(states, no_rates, column=0, past=NO_PAST)
     expected = (sensing.record(TRUTH, values, PERIOD) - TRUTH)[0]
     np.testing.assert_allclose(sensing.offset(motion, values), expected, atol=1e-15)
+
+
+def test_a_velocity_is_late_by_how_fast_it_changes():
+    rates = np.column_stack([np.full(4, np.nan), [1.0, 2.0, 4.0, 0.0]])
+    motion = Motion(np.zeros((4, 2)), rates, column=1, past=NO_PAST)
+    offset = MECHANISMS["sensor_delay"].sensing.offset(motion, np.array([0.1]))
+    np.testing.assert_allclose(offset, [-0.1, -0.2, -0.4, 0.0])
 
 
 def test_a_delay_alone_uses_rates():
