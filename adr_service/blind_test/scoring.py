@@ -4,7 +4,8 @@
     lines["one effect, ratio 0.3: named"]       # as "9 of 12 = 75 % [43, 95]"
 
 An effect is named if the verdict is `cause` or `tie` and has its kind at its place, alone or in a
-tie of three at most, and nothing that is not hidden there. A case without an answer counts as wrong
+tie of three at most (of kinds that may be hidden; others make no tie larger), and nothing that is
+not hidden there. A case without an answer counts as wrong
 in every line.
 """
 
@@ -17,6 +18,7 @@ from scipy import stats
 
 from adr_service.blind_test.cases import RATIOS, Hidden
 from adr_service.blind_test.files import Answer, Key
+from adr_service.blind_test.planting import may_be_hidden
 from adr_service.criticism.verdict import Conclusion
 from adr_service.effects.catalogue import get_mechanism
 
@@ -44,7 +46,12 @@ def is_named(case: Marked, most_tied: int = _MOST_TIED) -> bool:
     if case.answer is None or case.answer.verdict not in (Conclusion.CAUSE, Conclusion.TIE):
         return False
     groups, hidden = case.answer.groups(), _hidden(case)
-    return all(hidden & set(group) and len(group) <= most_tied for group in groups)
+    return all(hidden & set(group) and _size(group) <= most_tied for group in groups)
+
+
+def _size(group: Sequence[tuple[str, str]]) -> int:
+    """Number of tied effects that may be hidden."""
+    return sum(may_be_hidden(kind) for kind, _ in group)
 
 
 def are_all_named(case: Marked) -> bool:

@@ -66,6 +66,12 @@ def test_a_tie_of_three_names_its_effects_and_a_larger_one_only_if_asked():
     assert is_named(four, most_tied=4)
 
 
+def test_what_is_never_hidden_makes_no_tie_too_large():
+    others = [named(Effect("body_load", f"body:{n}", (1.0, 0.0, 0.0, 0.0))) for n in range(3)]
+    assert is_named(Marked(hidden(), answer(named(BIAS), tied=[others])))
+    assert not is_named(Marked(hidden(), answer(named(BIAS), others[0])))
+
+
 def test_of_two_effects_both_have_to_be_named():
     assert not are_all_named(Marked(TWO, answer(named(SPRING))))
     assert is_named(Marked(TWO, answer(named(SPRING))))
