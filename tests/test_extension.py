@@ -120,6 +120,14 @@ def test_what_a_robot_would_feel_in_its_observations_is_refused():
         Simulations(get_task("humanoid"), replace(source, effects=push), 1)
 
 
+def test_a_body_that_would_shift_the_columns_of_an_observation_is_refused():
+    """The reward of Humanoid found another body's numbers where its own progress had been."""
+    source = source_of("humanoid", "vanilla")
+    load = (Effect("body_load", "body:torso", (1.0, 0.0, 0.0, 0.0)),)
+    with pytest.raises(InvalidInput, match=r"observes cinert, cvel, cfrc_ext, .* its bodies"):
+        Simulations(get_task("humanoid"), replace(source, effects=load), 1)
+
+
 def test_lengths_cannot_be_combined_with_effects():
     source = source_of("walker2d", "vanilla")
     spring = (Effect("joint_spring", "joint:leg_joint", (1.0,)),)

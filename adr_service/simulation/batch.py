@@ -195,6 +195,13 @@ class _Effects:
                 f"{task.name} observes its actuators' forces, among which effects that "
                 "are actuators of their own would stand: they are not possible there"
             )
+        alone, whole = (mujoco.MjData(each) for each in (compiled(task.xml), self.base))
+        changed = [n for n in task.derived if getattr(alone, n).size != getattr(whole, n).size]
+        if changed:
+            raise InvalidInput(
+                f"{task.name} observes {', '.join(changed)} of all its bodies, among which those "
+                "that effects add would stand: such effects are not possible there"
+            )
         if min(self.base.body_mass.min(), self.base.body_inertia.min()) < 0:
             raise InvalidInput(f"effects {source.effects} leave a body with a negative mass")
         self._slots = [resolve(self._bare, address) for address in addresses_of(source)]
