@@ -63,7 +63,7 @@ RUNNING, ENDED = b'{"state": "running"}', b'{"state": "succeeded"}'
 BUSY = (503, {"Retry-After": "0"}, b'{"detail": "the database is busy"}')
 
 
-def test_a_server_that_says_not_to_wait_is_not_asked_without_a_pause():
+def test_a_proxy_that_says_not_to_wait_is_asked_again_after_half_a_second():
     refused = pytest.raises(Refused, match="the database is busy")
     with server(500, answers=[BUSY]) as url, AdrClient(url) as client, refused as error:
         client.ready()

@@ -15,7 +15,7 @@ import numpy as np
 from adr_service.arrays import Vector
 from adr_service.client.robot.heart import Watch
 from adr_service.client.robot.limits import Limits
-from adr_service.errors import InvalidInput
+from adr_service.errors import AdrError, InvalidInput
 
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _ROUNDED = 1e-6  # relative; bounds stored as float32 differ by so much
@@ -42,10 +42,29 @@ def load_environment(path: str) -> Env:
         inspect.signature(make).bind()
     except TypeError as error:
         raise InvalidInput(f"{path} is called without arguments: {error}") from error
-    env = make()
+    with as_the_robots("creation"):
+        env = make()
     if not isinstance(env, gymnasium.Env):
         raise InvalidInput(f"{path} makes a {type(env).__name__}; needed is a gymnasium.Env")
     return env
+
+
+class RobotFailed(AdrError):
+    """The robot's driver failed, or its observation is not finite or has the wrong shape."""
+
+    code = "robot_failed"
+
+
+@contextmanager
+def as_the_robots(call: str) -> Generator[None]:
+    """Raise RobotFailed for an OSError of the environment: else its driver's broken pipe looks like
+    a closed output of ours, and ends the process without a word."""
+    try:
+        yield
+    except OSError as error:
+        raise RobotFailed(
+            f"the environment's {call} failed, {type(error).__name__}: {error}; see to the robot"
+        ) from error
 
 
 class Closable(Protocol):
@@ -61,7 +80,12 @@ def closing_in_time(
     try:
         yield
     finally:
-        with uninterrupted(), Watch(hangs).running() as watch, watch.watching("close", seconds):
+        with (
+            uninterrupted(),
+            Watch(hangs).running() as watch,
+            watch.watching("close", seconds),
+            as_the_robots("close"),
+        ):
             robot.close()
 
 

@@ -1,8 +1,7 @@
 """One episode on a robot, and its trajectory."""
 
 import time
-from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +9,10 @@ import numpy as np
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.client.connection import Json
-from adr_service.client.robot.environment import Env
+from adr_service.client.robot.environment import Env, as_the_robots
 from adr_service.client.robot.heart import Watch
 from adr_service.client.robot.limits import Limits
-from adr_service.errors import AdrError, InvalidInput
+from adr_service.errors import InvalidInput
 from adr_service.npz import write_arrays
 from adr_service.randomness import stream
 from adr_service.transitions import TransitionDataset
@@ -21,12 +20,6 @@ from adr_service.transitions import TransitionDataset
 _SLOW = 1.5  # times the control period
 _OF_RESET = ("observation", "info")
 _OF_STEP = ("observation", "reward", "terminated", "truncated", "info")
-
-
-class RobotFailed(AdrError):
-    """The robot failed, or shows what is no observation."""
-
-    code = "robot_failed"
 
 
 @dataclass(frozen=True)
@@ -96,7 +89,7 @@ class Rollout:
 
     def reset(self, seed: int) -> None:
         seconds = self._machine.limits.reset_seconds
-        with self._watch.watching("reset", seconds), _named("reset"):
+        with self._watch.watching("reset", seconds), as_the_robots("reset"):
             answer = self._machine.env.reset(seed=seed)
         observation, _ = _parts(answer, _OF_RESET)
         self._observations.append(_row(observation))
@@ -121,7 +114,7 @@ class Rollout:
         action = limits.apply(wanted)
         self._limited += not np.array_equal(action, wanted)
         self._sent.append(time.monotonic())
-        with self._watch.watching("step", limits.left(passed)), _named("step"):
+        with self._watch.watching("step", limits.left(passed)), as_the_robots("step"):
             answer = self._machine.env.step(action.copy())
         observation, reward, terminated, truncated, _ = _parts(answer, _OF_STEP)
         self._record(_row(observation), action, _number(reward) if self._has_rewards else 0.0)
@@ -240,18 +233,6 @@ def seed_of(task: Json) -> int:
 def _identity(task: Json) -> tuple[str, int, int]:
     """Facts of an episode that stay when it is run again; policies of one number share them."""
     return (task["kind"], task["number"], task["seed"])
-
-
-@contextmanager
-def _named(call: str) -> Generator[None]:
-    """Raise RobotFailed for an OSError of the environment: else its driver's broken pipe looks like
-    a closed output of ours, and ends the process without a word."""
-    try:
-        yield
-    except OSError as error:
-        raise RobotFailed(
-            f"the environment's {call} failed, {type(error).__name__}: {error}; see to the robot"
-        ) from error
 
 
 def _row(observation: Any) -> Vector:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.client.robot.environment import Env
-from adr_service.client.robot.episode import Machine, RobotFailed, Rollout, recording, slowness
+from adr_service.client.robot.environment import Env, RobotFailed
+from adr_service.client.robot.episode import Machine, Rollout, recording, slowness
 from adr_service.client.robot.heart import Watch
 from adr_service.client.robot.limits import Limits
 from adr_service.criticism.compatibility import check_state

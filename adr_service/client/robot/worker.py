@@ -10,6 +10,8 @@ from typing import Any
 from adr_service.arrays import Matrix
 from adr_service.client.connection import AdrClient, Json, Refused, Unreachable
 from adr_service.client.robot.environment import (
+    RobotFailed,
+    as_the_robots,
     check_environment,
     closing_in_time,
     load_environment,
@@ -103,7 +105,7 @@ class Robot:
     def close(self) -> None:
         """Close the environment, once."""
         if not self._is_closed:
-            with uninterrupted():
+            with uninterrupted(), as_the_robots("close"):
                 self._is_closed = True
                 self._env.close()
 
@@ -179,17 +181,17 @@ class Robot:
         """Upload the trajectory; True if the service accepted it."""
         counts, steps = task["kind"] != "rollout", len(episode.actions)
 
-        def leave(why: str) -> InvalidInput:  # the task to a robot that can do all of it
+        def leave(why: str) -> str:  # the task to a robot that can do all of it
             self._close_and_release(task, lease, watch)
             after = f"{task['id']}: {episode.wrong} after {steps} of {task['transitions']} steps"
-            return InvalidInput(f"{after}; {why}")
+            return f"{after}; {why}"
 
         if episode.is_broken:
-            raise leave("see to the robot")
+            raise RobotFailed(leave("see to the robot"))
         if episode.is_cut and counts:
-            raise leave("their return counts")
+            raise InvalidInput(leave("their return counts"))
         if episode.is_cut and not steps:
-            raise leave("there is nothing to learn from")
+            raise InvalidInput(leave("there is nothing to learn from"))
         if episode.wrong and (counts or not steps):
             self._fail(task, lease, episode.wrong)
             return False
@@ -203,7 +205,7 @@ class Robot:
                 raise
             self._report(f"{task['id']}: {self._client.url} did not accept it, {error}")
             if error.status == _UNUSABLE and episode.is_cut:
-                raise leave(str(error)) from error
+                raise InvalidInput(leave(str(error))) from error
             if error.status == _UNUSABLE:
                 self._fail(task, lease, f"the service refused the episode: {error}")
             return False

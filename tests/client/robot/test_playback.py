@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import adr_service  # noqa: F401, as it registers the environments
-from adr_service.client.robot.episode import RobotFailed
+from adr_service.client.robot.environment import RobotFailed
 from adr_service.client.robot.limits import Limits
 from adr_service.client.robot.playback import Player, check_commands
 from adr_service.criticism.measurements import Measurement
