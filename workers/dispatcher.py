@@ -226,13 +226,14 @@ class Dispatcher:
         try:
             ref = actor.handle.compute.remote(job.stage, placed, self._heartbeats.board)
         except RayError as error:  # as of a store that is full
-            log.warning("the stage could not be sent just now: %s", error, extra=job.ids)
+            log.warning("the stage could not be sent: %s", error, extra=job.ids)
             self._pool.give_back(actor)
             job.not_before = time.monotonic() + RETRY_S
+            self._jobs.lose(job, str(error))
         except Exception as error:  # noqa: BLE001 - a method may hold what cannot be packed
             self._pool.give_back(actor)
-            message = f"it cannot be sent to another process: {error.__cause__ or error}"
-            self._jobs.end([(job, Failed(FailureCode.INTERNAL, message))])
+            why = f"its inputs cannot be pickled for another process: {error.__cause__ or error}"
+            self._jobs.end([(job, Failed(FailureCode.INTERNAL, why))])
         else:
             job.place(actor, ref)
             log.info("stage begun", extra={**job.ids, "actor": actor.name})

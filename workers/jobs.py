@@ -49,7 +49,7 @@ class Job:
     losses: int = 0  # attempts whose process was lost
     lost_on: str | None = None  # the node of the last one
     lost_at: float = 0.0
-    not_before: float = 0.0  # the database could not be used
+    not_before: float = 0.0  # the database, or Ray's store, could not be used
 
     @property
     def role(self) -> Role:

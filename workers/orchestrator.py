@@ -168,7 +168,7 @@ class Orchestrator:
     def _check_useful(self, visit: Visit, episode: RobotEpisode) -> None:
         """Refuse a rollout that the run's method cannot learn from, before it is stored.
 
-        Of several random episodes, which it learns from together, any may be too short.
+        One of several random episodes may be too short: the method learns from them together.
         """
         spec = run_store.get_run(self._database, visit.run_id).spec
         if not isinstance(spec, RunSpec):
@@ -317,7 +317,7 @@ def _key(record: RunRecord) -> tuple[str, int]:
 
 
 def _failure(submission: int, code: str, message: str) -> RunFailed:
-    code = str(code)  # that of a stranger's error may be anything
+    code = str(code)  # a user's error class may have one of any type
     if len(code) > LONGEST_CODE:
         code, message = FailureCode.INTERNAL, f"{code}: {message}"
     text = message.replace("\0", "\\0")  # PostgreSQL cannot store a NUL, nor JSON half a letter

@@ -165,6 +165,9 @@ def attempted(
     except DatabaseUnavailable as error:
         outages.warning("%s just now: %s", trouble, error, extra=dict(ids))
         return Unavailable()
+    except NotPossible as error:  # the run has ended meanwhile
+        log.info("%s: %s", trouble, error, extra=dict(ids))
+        return Refused(error)
     except Exception as error:  # the database's trouble must not stop other runs
         log.exception(trouble, extra=dict(ids))
         return Refused(error)

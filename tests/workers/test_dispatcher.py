@@ -10,6 +10,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from ray.exceptions import OutOfDiskError
 
 from adr_service.errors import InvalidInput, RunCancelled, StageFailed
 from adr_service.programs import run
@@ -83,10 +84,25 @@ def test_a_stage_that_cannot_be_sent_fails_alone(started):
     """It stopped the dispatcher as well."""
     dispatcher, _ = started
     stage = replace(training(98), seed=Unsendable(98))
-    with pytest.raises(StageFailed, match=r"cannot be sent to another process: .*a lock") as failed:
+    with pytest.raises(StageFailed, match=r"be pickled for another process: .*a lock") as failed:
         dispatcher.submit(stage, "run_a").result(60)
     assert failed.value.cause == "internal"
     assert dispatcher.submit(training(97), "run_b").result(60) == compute(training(97))
+
+
+class Unstorable(int):
+    """An input for which Ray's store has no room."""
+
+    def __reduce__(self):
+        raise OutOfDiskError("the disk is full")
+
+
+def test_a_stage_that_ray_does_not_take_is_tried_three_times(started):
+    dispatcher, _ = started
+    stage = replace(training(99), seed=Unstorable(99))
+    with pytest.raises(StageFailed, match="3 times; last: the disk is full") as failed:
+        dispatcher.submit(stage, "run_a").result(60)
+    assert failed.value.cause == "worker_lost"
 
 
 def test_a_training_reports_its_checkpoint_while_it_goes_on(started):

@@ -106,7 +106,7 @@ def test_a_robots_stage_is_not_offered_for_a_run_that_was_asked_to_stop(database
 
 
 @pytest.mark.parametrize("is_deleted", [False, True])
-def test_the_question_of_a_run_that_has_ended_has_an_answer(database, is_deleted):
+def test_a_robots_stage_of_a_run_that_has_ended_fails_at_once(database, is_deleted):
     """A robot that cannot do a visit may say so before the run's thread asks for it again."""
     store, run_id = DatabaseResults(database), runs.create_run(database, SPEC).id
     failed = RunFailed(submission=1, code="target_failed", message="the gripper is broken")
