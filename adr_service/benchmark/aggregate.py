@@ -116,7 +116,7 @@ def _share_above(scores: Matrix, level: float) -> Vector:
 def _common(outcomes: Sequence[Outcome]) -> dict[str, list[_Cell]]:
     """Returns by method, in the cells that all these methods have; see the module."""
     cells = {
-        cell: {name: found for name, found in columns.items() if not _is_untaught(found[0])}
+        cell: {name: found for name, found in columns.items() if not _has_learned_nothing(found[0])}
         for cell, columns in sorted(final_outcomes(outcomes).items())
     }
     having = {name: {c for c in cells if name in cells[c]} for name in methods()}
@@ -130,7 +130,7 @@ def _common(outcomes: Sequence[Outcome]) -> dict[str, list[_Cell]]:
     return {name: [_cell(columns[name]) for columns in shared] for name in names}
 
 
-def _is_untaught(outcome: Outcome) -> bool:
+def _has_learned_nothing(outcome: Outcome) -> bool:
     learns = outcome.spec.method.learns_from != "nothing"
     return learns and outcome.iteration.iteration == 0
 

@@ -8,6 +8,8 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 
+from pydantic import ValidationError
+
 from adr_service.benchmark.comparison import Outcome
 from adr_service.json_values import canonical_json
 from adr_service.specs import RunSpec
@@ -62,8 +64,12 @@ def _collection(spec: RunSpec) -> dict[str, object]:
 
 
 def _changes_of(spec: RunSpec, facts: _Facts) -> dict[str, object]:
-    """The facts of a run that are not the preset's: these differ between tasks."""
-    usual = facts(_usual(spec.task, spec.preset, spec.method.name, spec.collector))
+    """The facts of a run that are not the preset's: these differ between tasks. All of them where
+    the preset itself is not possible, as with more transitions than an episode has."""
+    try:
+        usual = facts(_usual(spec.task, spec.preset, spec.method.name, spec.collector))
+    except ValidationError:
+        usual = {}
     return {name: value for name, value in facts(spec).items() if usual.get(name) != value}
 
 

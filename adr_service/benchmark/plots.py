@@ -169,7 +169,8 @@ def _returns_panel(axis: Axes, rows: Sequence[Row], *, with_intervals: bool) -> 
 
 
 def _last_panel(axis: Axes, rows: Sequence[Row]) -> None:
-    """Each method's mean and interval after its last iteration, named where others have more."""
+    """Each method's mean and interval after its last iteration, with its number where others have
+    more."""
     names = _names(rows)
     most = max((row.iteration for row in rows), default=0)
     labels: list[str] = []

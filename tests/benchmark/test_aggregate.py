@@ -97,7 +97,7 @@ def test_methods_are_taken_after_the_iteration_at_which_they_are_compared():
     assert [each.method for each in aggregates(found)] == ["simopt"]
 
 
-def test_what_has_learned_nothing_yet_is_not_ranked_by_the_priors_policy():
+def test_a_method_that_has_only_the_priors_policy_is_not_ranked():
     """As in a benchmark that was cancelled after its first trainings."""
     curriculum = [outcome(0.8, method="udr", seed=seed, iteration=0) for seed in range(3)]
     begun = [
