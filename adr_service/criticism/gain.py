@@ -68,12 +68,12 @@ def share_removed(
 
 
 def share_within(part: Vector, whole: Vector) -> tuple[float, float, float]:
-    """The share of sums over episodes (E,), and its 95 % interval, which ends at one at most.
+    """The ratio of two sums over episodes (E,), with Student's 95 % interval, both one at most.
 
-    Student's of the linearised ratio (Cochran, Sampling Techniques, ch. 6): a bootstrap of a few
-    episodes is too short, and of two has their own shares as its ends.
+    That of the linearised ratio (Cochran, Sampling Techniques, ch. 6). A bootstrap over two
+    episodes would end at their two shares.
     """
-    share = float(part.sum() / whole.sum())
+    share = min(float(part.sum() / whole.sum()), 1.0)  # rounding may make a whole a bit more
     reach = _reach(part - share * whole) / float(whole.sum())
     return share, share - reach, min(share + reach, 1.0)
 

@@ -136,7 +136,7 @@ def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
     damped.
     """
     whitener, normal = _judged(linear, start)
-    whitener.kept()
+    whitener.keep()
     reached, damping = normal.best_log_likelihood(), _DAMPING[0]
     for _ in range(_MOST_STEPS):
         left = linear.residual - linear.columns @ normal.change()[0]
@@ -154,7 +154,8 @@ def estimate(linear: Linear, start: Noise, known: Mask) -> tuple[Noise, Normal]:
         if reached - before < _SETTLED:
             break
         damping = max(damping / _EASIER, _DAMPING[0])
-    return whitener.kept().noise, normal
+    whitener.keep()
+    return whitener.noise, normal
 
 
 @dataclass(frozen=True)
@@ -197,7 +198,7 @@ def likelihood(linear: Linear, noise: Noise, columns: slice = slice(None)) -> fl
         whitener, normal = _judged(linear, noise)
     except np.linalg.LinAlgError:
         return -np.inf
-    whitener.kept()
+    whitener.keep()
     return normal.best_log_likelihood(columns)
 
 

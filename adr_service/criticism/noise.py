@@ -33,7 +33,7 @@ _LIFTED = 1e-3  # least variance at the start, relative to that of typical resid
 _HIDDEN = 1e-3  # least variance of the misfit, relative to the sensor's
 _ROUGHLY = 1e-6  # floor on the information of a variance, which may not be identifiable
 _FURTHEST = 3.0  # largest step of the logarithm of a variance
-_KEPT, _LARGEST_KEPT = 4, 3_000_000  # factorisations of a chain, each of so many numbers at most
+_KEPT, _LARGEST_KEPT = 4, 1_000_000  # factors of a chain; numbers in each of their arrays
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Chain:
 
     @cached_property
     def factors(self) -> "dict[bytes, Factor]":
-        """Of its covariance under some noises, by `Noise.key`, the latest last."""
+        """Factors of its covariance, by `Noise.key`, the latest last."""
         return {}
 
     def where(self, mask: Mask) -> "Chain":
@@ -161,18 +161,17 @@ class Whitener:
 
     @classmethod
     def of(cls, chain: Chain, noise: Noise) -> "Whitener":
-        """The chain is not factorised again under a noise whose whitener was `kept` of late."""
+        """Takes the factor that `keep` has stored for an equal noise, if there is one."""
         return cls(chain, noise, chain.factors.get(noise.key) or Factor.of(chain, noise))
 
-    def kept(self) -> "Whitener":
-        """The same, whose factor the chain keeps for the next to ask for it."""
+    def keep(self) -> None:
+        """Let the chain have its factor for the next whitener of an equal noise."""
         if self.factor.inverse.size <= _LARGEST_KEPT:
             known = self.chain.factors
             known.pop(self.noise.key, None)
             known[self.noise.key] = self.factor  # the latest is the last
             while len(known) > _KEPT:
                 del known[next(iter(known))]
-        return self
 
     def of_episodes(self, which: slice) -> "Whitener":
         """The same for some of the episodes."""

@@ -26,7 +26,7 @@ from adr_service.effects.base import Effect
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import sensible, shapes_of
 
-_PROMISING = THRESHOLD / 4  # [nats] by the scan; refining adds little more
+_PROMISING = THRESHOLD / 4  # [nats]; refining adds little more
 _CLOSE, _MOST_REFINED = 0.9, 10  # of the best gain; candidates
 _HOPEFUL = 0.4  # of the best gain at a first look; steps to better strengths add to it
 _OTHER_STARTS = (0.5, 2.0)  # times the estimated strengths
@@ -84,8 +84,8 @@ def weigh(
     """The best of effects or groups beside a fit's, with all that explain as much (none without
     evidence), and the probability that it is chance; `alive` is called before each.
 
-    Those that a first look shows far below the best are left out, and all others where the best
-    one is not worth a look even at its best strengths.
+    Those that a first look shows far below the best are left out. If the best one stays below
+    `_PROMISING` after refinement, no other is refined.
     """
     without = current.settled.held_out
     looks: list[Weighed] = []

@@ -233,13 +233,14 @@ def test_a_chain_is_factorised_once_under_each_of_the_latest_noises_that_are_kep
     def whitener(size):
         return Whitener.of(chain, Noise(size * SENSOR, MISFIT, np.ones(chain.mask.shape)))
 
-    first = whitener(1.0).kept()
+    first = whitener(1.0)
+    first.keep()
     assert whitener(1.0).factor is first.factor  # of another noise that is equal
     whitener(2.0)
-    whitener(2.0).kept()
+    whitener(2.0).keep()
     assert len(computed) == 3  # what was not kept is computed again
     for size in (3.0, 4.0, 5.0):
-        whitener(size).kept()
+        whitener(size).keep()
     assert whitener(2.0).factor is whitener(2.0).factor
     assert whitener(1.0).factor is not first.factor
     assert whitener(2.0).chain.of_episodes(slice(0, 2)).factors == {}

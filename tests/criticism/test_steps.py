@@ -60,7 +60,7 @@ def test_finer_steps_that_are_not_likelier_beyond_chance_are_refused(in_thirds, 
 
 
 @pytest.mark.parametrize(("before", "after"), [(0, 1), (1, 0)])
-def test_steps_that_simulate_more_transitions_are_taken_and_others_never(
+def test_finer_steps_are_taken_for_more_transitions_and_refused_for_fewer(
     in_thirds, monkeypatch, before, after
 ):
     """Likelihoods of other transitions are compared with nothing."""
