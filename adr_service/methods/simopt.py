@@ -72,8 +72,9 @@ class _Settings(OnlineSettings):
         1000, ge=10, le=100_000, description="simulated parameter samples per update"
     )
     # guided policy search's defaults
-    # found to 1e-5 nat, the tolerance of its search
-    kl_threshold: float = Field(1.0, ge=1e-3, description="trust region of one update [nat]")
+    kl_threshold: float = Field(
+        1.0, gt=0, description="trust region of one update [nat], kept to 1e-5 nat"
+    )
     covariance_damping: float = Field(
         0.0,
         ge=0,
@@ -114,10 +115,7 @@ class _Settings(OnlineSettings):
 
     def check_parameters(self, count: int) -> None:
         if self.covariance_damping == 0 and self.samples <= count:
-            raise ValueError(
-                f"{self.samples} samples of {count} parameters have no spread in some direction; "
-                "SimOpt needs more samples than parameters, or covariance_damping above 0"
-            )
+            raise ValueError(_without_spread(self.samples, count))
 
     def create(self) -> "SimOpt":
         return SimOpt(self)
@@ -291,9 +289,13 @@ def reps(
             # S_new = (tr(S_old^-1 S) / d)^(1 / damping) S_old: the shape stays
             return mean, _conditioned(ratio ** (1 / settings.covariance_damping) * covariance), eta
         eta *= 2  # too few samples have the weight for a spread in every direction
-    raise InvalidInput(
-        f"{len(samples)} samples of {len(covariance)} parameters have no spread in some direction; "
-        "SimOpt needs more samples than parameters, or covariance_damping above 0"
+    raise InvalidInput(_without_spread(len(samples), len(covariance)))
+
+
+def _without_spread(samples: int, parameters: int) -> str:
+    return (
+        f"{samples} samples of {parameters} parameters have no spread in some direction; SimOpt "
+        "needs more samples than parameters, or covariance_damping above 0"
     )
 
 
