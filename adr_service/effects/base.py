@@ -161,7 +161,7 @@ class Sensing:
     """Difference between the readings of one sensor, or of several alike, and the truth."""
 
     offset: Offset  # (n,) reading minus truth, by the true motion
-    # readings (episodes, rows) of whole true episodes at a period [s], without approximation;
+    # readings (episodes, rows) of whole true episodes at a period [s], exact in its steps;
     # None: readings spread, but none moves on average
     record: Record | None
     offset_shown: Offset | None = None  # `offset` by the motion as sensors show it, if it differs

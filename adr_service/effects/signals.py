@@ -98,7 +98,7 @@ def _motion(sensing: Sensing, states: Matrix, rates: Matrix, column: int, past: 
 def recorded(
     model: mujoco.MjModel, effects: Sequence[Effect], states: Array3, period: float
 ) -> Array3:
-    """Readings of whole true episodes (episodes, rows, 2 nv), without approximation."""
+    """Readings of whole true episodes (episodes, rows, 2 nv), exact in their period."""
     readings = states.copy()
     for effect, sensing in _in_sensors(effects):
         if sensing.record is None:

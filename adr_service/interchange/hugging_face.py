@@ -92,7 +92,7 @@ def _dynamics(method: str) -> str:
 
 
 def _circumstances(spec: Mapping[str, Any]) -> str:
-    """Words for a run's seed and data; a budget in transitions is one of methods that see any."""
+    """Words for a run's seed and data; only methods that see transitions have a budget."""
     known = f"variant `{spec['variant']}`, seed {spec['seed']}"
     learns_from = methods()[spec["method"]["name"]].learns_from
     if spec["target"]["kind"] == "recorded" or learns_from == "nothing":

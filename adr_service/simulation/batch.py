@@ -196,11 +196,11 @@ class _Effects:
                 "are actuators of their own would stand: they are not possible there"
             )
         alone, whole = (mujoco.MjData(each) for each in (compiled(task.xml), self.base))
-        changed = [n for n in task.derived if getattr(alone, n).size != getattr(whole, n).size]
-        if changed:
+        shifted = [n for n in task.derived if getattr(alone, n).size != getattr(whole, n).size]
+        if shifted:
             raise InvalidInput(
-                f"{task.name} observes {', '.join(changed)} of all its bodies, among which those "
-                "that effects add would stand: such effects are not possible there"
+                f"{task.name} observes {', '.join(shifted)} of all its bodies, and the effects add "
+                "bodies, which would shift these columns: give effects that add none"
             )
         if min(self.base.body_mass.min(), self.base.body_inertia.min()) < 0:
             raise InvalidInput(f"effects {source.effects} leave a body with a negative mass")
@@ -278,7 +278,7 @@ class Batches:
         self._whole = self._rest = self._made(most)
 
     def run(self, simulate: Callable[[Simulations], np.ndarray], dynamics: Matrix) -> np.ndarray:
-        """What `simulate` gives for simulations with dynamics (n, d), a row for each of them."""
+        """Simulate dynamics (n, d) in batches, and return one row for each of them."""
         most = self._whole.n
         parts = [dynamics[first : first + most] for first in range(0, len(dynamics), most)]
         return np.concatenate([simulate(self._under(part)) for part in parts])

@@ -102,7 +102,7 @@ def _show(
         console.print_json(data=answer)
     elif dry_run:
         console.print(plan_table(answer["plan"]))
-    else:  # beside a document that comes at the end, so that who interrupts it knows the id
+    else:  # with a document at the end, at once, so that a user who interrupts knows the id
         (errors if as_json else console).print(f"{answer['id']}{remark}")
     if watch:
         follow(client, answer["id"], as_json)

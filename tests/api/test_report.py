@@ -69,7 +69,8 @@ def test_the_report_has_the_results_costs_versions_and_spec(service, benchmark, 
     assert "these numbers mean nothing" in text
     assert "Fewer than three seeds have no interval." in text
     assert "would exclude zero" not in text
-    assert "It had not finished" not in text
+    assert "had not finished" not in text
+    assert "were cancelled" not in text
     with ArchiveReader(io.BytesIO((page.parent / "study.adr").read_bytes())) as archive:
         assert archive.manifest.benchmark == benchmark
 
@@ -82,7 +83,7 @@ def test_the_report_of_a_cancelled_benchmark_says_that_it_is_not_whole(
     assert cancelled["is_finished"]
     monkeypatch.setattr(AdrClient, "get", lambda client, id: cancelled)
     text = write_report(service.client, benchmark, tmp_path).read_text()
-    assert "It had not finished when this was written: more will be known." in text
+    assert "1 of its runs were cancelled: their results, or some of them, are missing." in text
 
 
 @pytest.mark.usefixtures("one_figure")

@@ -75,11 +75,14 @@ def test_a_comparison_as_json_is_a_document(adr_here, monkeypatch):
     assert (status, json.loads(shown)) == (0, {"rows": [], "estimates": []})
 
 
-def test_the_id_of_what_is_watched_is_known_before_the_document_at_its_end(capsys):
-    runs._show(Service("succeeded"), {"id": "run_a"}, ", as before", False, True, True)
-    shown = capsys.readouterr()
-    assert shown.err.startswith("run_a, as before")
-    assert json.loads(shown.out)["id"] == "run_a"
+def test_the_id_of_what_is_watched_is_on_the_error_stream_before_it_is_asked_for(capsys):
+    class Watched(Service):
+        def watch(self, id):
+            assert capsys.readouterr().err.startswith("run_a, as before")
+            yield self.end
+
+    runs._show(Watched("succeeded"), {"id": "run_a"}, ", as before", False, True, True)
+    assert json.loads(capsys.readouterr().out)["id"] == "run_a"
 
 
 class Stopping:

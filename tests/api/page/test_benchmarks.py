@@ -67,7 +67,7 @@ def test_more_ids_than_can_be_compared_are_refused_however_they_are_given(servic
         ),
     ],
 )
-def test_a_row_tells_the_experiment_that_it_is_of(given, experiment):
+def test_a_comparison_shows_settings_that_differ_from_the_preset(given, experiment):
     asked = [outcome(1.0, **given), outcome(1.0, method="prior", iteration=0)]
     (row,) = [r for r in (asdict(r) for r in table(asked)) if r["method"] == "simopt"]
     assert experiment_of(row, asked) == experiment
