@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from adr_service.client import AdrClient, Refused
-from adr_service.client.robot import Limits, Robot
+from adr_service.client.robot import Limits, Robot, RobotFailed
 from adr_service.errors import InvalidInput
 from adr_service.transitions import TransitionDataset
 from tests.service import start_service, until, wait_until_finished
@@ -222,7 +222,7 @@ def test_a_sensor_that_fails_ends_the_client_and_the_run_waits_for_another(servi
     client = service.client
     run_id = client.submit_run({**RUN, "seed": 7})["id"]
     robot, _ = in_this_process(client, "tests.robots:blind_arm")
-    with pytest.raises(InvalidInput, match=r"the robot showed \[nan, nan.* after 10 of"):
+    with pytest.raises(RobotFailed, match=r"the robot showed \[nan, nan.* after 10 of"):
         robot.work()
     assert len(robot._env.actions) == 11
     assert {task["state"] for task in tasks_of(client, run_id)} == {"pending"}

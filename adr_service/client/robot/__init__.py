@@ -5,7 +5,8 @@ returns one control period later. The client never sends an action beyond its ow
 stops within one control step once it has lost its lease or its run is cancelled.
 """
 
+from adr_service.client.robot.environment import RobotFailed
 from adr_service.client.robot.limits import Limits
 from adr_service.client.robot.worker import Robot
 
-__all__ = ["Limits", "Robot"]
+__all__ = ["Limits", "Robot", "RobotFailed"]

@@ -83,7 +83,8 @@ class Robot:
         """Run tasks as they come: `episodes` of them, or without an end.
 
         First it sends the episodes that an earlier client left in the working directory. However it
-        ends, the environment is closed; raises InvalidInput if it is closed already.
+        ends, the environment is closed. Raises InvalidInput if it is closed already, and
+        RobotFailed where the robot's driver or its sensors fail.
         """
         if self._is_closed:
             raise InvalidInput("this robot is closed; make another Robot")
