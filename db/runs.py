@@ -22,7 +22,7 @@ from adr_service.specs import MAX_RUNS, AnyRun, LostRun
 from adr_service.specs.lost import reason_of
 from db.errors import DatabaseDamaged, NotPossible
 from db.events import append
-from db.models import DatasetRow, EventRow, RunRow, get_row
+from db.models import DatasetRow, EventRow, RunRow, find_row, get_row
 from db.references import delete_unreferenced
 from db.requests import RequestKey, once
 from db.results import delete_results
@@ -109,6 +109,12 @@ def unfinished_runs(database: Database) -> list[RunRecord]:
     query = select(RunRow).where(RunRow.state.not_in(FINISHED)).order_by(RunRow.number)
     with database.read() as session:
         return [record_of(row) for row in session.scalars(query)]
+
+
+def has_ended(session: Session, run_id: str) -> bool:
+    """True if the run has ended, or was deleted; inside a transaction."""
+    row = find_row(session, RunRow, run_id)
+    return row is None or row.state in FINISHED
 
 
 def begin(database: Database, record: RunRecord) -> RunRecord | None:

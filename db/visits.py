@@ -224,12 +224,6 @@ def is_wanted(session: Session, run_id: str) -> bool:
     return bool(session.scalar(select(exists().where(RunRow.id == run_id, *_GOES_ON))))
 
 
-def has_ended(session: Session, run_id: str) -> bool:
-    """True if the run has ended, or was deleted."""
-    goes_on = exists().where(RunRow.id == run_id, RunRow.state.not_in(FINISHED))
-    return not session.scalar(select(goes_on))
-
-
 def withdraw(session: Session, run_id: str) -> None:
     """Withdraw the open visits of a run that has ended; inside a transaction."""
     mine = (TargetTaskRow.run_id == run_id, TargetTaskRow.external)

@@ -17,6 +17,7 @@ from adr_service.benchmark.cost import Execution
 from adr_service.json_values import canonical_json
 from adr_service.progress import Checkpoint
 from adr_service.stages.base import AnyStage, StageResult, events_of
+from db import runs as run_store
 from db import stages as stage_store
 from db import visits as visit_store
 from db.errors import DatabaseUnavailable, NotPossible
@@ -93,7 +94,7 @@ class DatabaseResults:
             result = stage_store.find_result(session, stage.digest)
             if result is not None:
                 append_to_all(session, [run_id], events_of(stage, stage.read(result)))
-            elif stage.role == "robot" and visit_store.has_ended(session, run_id):
+            elif stage.role == "robot" and run_store.has_ended(session, run_id):
                 raise NotPossible(f"{run_id} has ended, and visits no robot")
             elif stage.role == "robot" and visit_store.is_wanted(session, run_id):
                 visit_store.publish(session, stage, run_id, datetime.now(UTC))

@@ -79,7 +79,7 @@ def share_within(part: Vector, whole: Vector) -> tuple[float, float, float]:
 
 
 def _reach(values: Vector) -> float:
-    """How far the 95 % interval of a sum over episodes (E,) reaches to either side."""
+    """Half the width of the 95 % interval of a sum over episodes (E,)."""
     count = len(values)
     return float(student.isf(_BEYOND, count - 1) * values.std(ddof=1) * np.sqrt(count))
 

@@ -119,7 +119,7 @@ def _first_look(current: Fit, effects: Sequence[Effect], without: Vector) -> Wei
 def _hopeful_at_best(
     looks: Sequence[Weighed], current: Fit, without: Vector, alive: Callable[[], None]
 ) -> list[Weighed]:
-    """Those that may be the best, after steps to better strengths."""
+    """Looks that may turn out best, after steps to better strengths."""
     if not looks:
         return []
     best = max(looks, key=lambda look: look.fair_gain)

@@ -1,4 +1,4 @@
-"""What runs have set otherwise than their presets."""
+"""Settings of runs that differ from their presets."""
 
 from adr_service.benchmark import budgets
 from adr_service.specs import RunSpec

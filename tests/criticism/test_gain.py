@@ -94,7 +94,7 @@ def test_a_gain_has_no_nan_in_json(gain):
 
 @pytest.mark.parametrize("episodes", [2, 3, 8])
 def test_a_share_is_within_its_interval_as_often_as_it_says(episodes):
-    """Also with two episodes, of which a bootstrap has half of the truths between their shares."""
+    """A bootstrap over two episodes covers half of the truths."""
     rng = np.random.default_rng(0)
     whole = rng.uniform(80, 120, (4000, episodes))
     part = 0.6 * whole + rng.normal(0, 10, whole.shape)

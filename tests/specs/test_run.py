@@ -105,7 +105,7 @@ def test_a_mistake_is_one_error_at_its_field_with_what_is_accepted(change, messa
 
 
 def test_only_methods_that_use_rollouts_need_them_within_the_horizon():
-    """A preset has 200 transitions, of which a task may have fewer; UDR uses none."""
+    """A preset's 200 transitions may be more than an episode of a task has."""
     for method in ("udr", "bayrn", "doraemon"):
         RunSpec.model_validate({**GOOD, "method": method, "transitions": 201})
 
