@@ -12,7 +12,6 @@ code, or a spec's `training`.
 """
 
 import contextlib
-import os
 import statistics
 import sys
 import tempfile
@@ -108,8 +107,6 @@ def tune(
     cores, none for longer than `cpu_seconds`.
     """
     trainings = [_spec(given, changes, seed) for changes in _combinations(grid) for seed in seeds]
-    # Tune's own end of an interrupted search looks like that of a finished one
-    os.environ["TUNE_DISABLE_SIGINT_HANDLER"] = "1"
     cluster = Cluster(options)
     cluster.start()
     try:

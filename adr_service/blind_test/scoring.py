@@ -5,8 +5,7 @@
 
 An effect is named if the verdict is `cause` or `tie` and has its kind at its place, alone or in a
 tie of three at most (of kinds that may be hidden; others make no tie larger), and nothing that is
-not hidden there. A case without an answer counts as wrong
-in every line.
+not hidden there. A case without an answer counts as wrong in every line.
 """
 
 from collections.abc import Callable, Sequence

@@ -274,8 +274,8 @@ class Batches:
     """
 
     def __init__(self, task: Task, source: Source, most: int, threads: int = 1):
-        self._made = partial(Simulations, task, source, threads=threads)
-        self._whole = self._rest = self._made(most)
+        self._simulations_of = partial(Simulations, task, source, threads=threads)
+        self._whole = self._rest = self._simulations_of(most)
 
     def run(self, simulate: Callable[[Simulations], np.ndarray], dynamics: Matrix) -> np.ndarray:
         """Simulate dynamics (n, d) in batches, and return one row for each of them."""
@@ -286,7 +286,7 @@ class Batches:
     def _under(self, dynamics: Matrix) -> Simulations:
         count = len(dynamics)
         if count not in (self._whole.n, self._rest.n):
-            self._rest = self._made(count)
+            self._rest = self._simulations_of(count)
         simulations = self._whole if count == self._whole.n else self._rest
         simulations.set_dynamics(dynamics)
         return simulations

@@ -55,6 +55,8 @@ def tune(
     from workers.tuning import tune as tune_on_ray
 
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray reports usage by default
+    # Tune's own end of an interrupted search looks like that of a finished one
+    os.environ.setdefault("TUNE_DISABLE_SIGINT_HANDLER", "1")
     options = RayOptions(cpus=cpus, dashboard=False)
     tried = range(first_seed, first_seed + seeds)
     trials = tune_on_ray(spec, grid, tried, options, seconds)

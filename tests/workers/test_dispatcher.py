@@ -74,35 +74,32 @@ def test_inputs_that_are_no_json_end_the_run_that_has_them_alone(started):
 
 
 class Unsendable(int):
-    """An input that is JSON, and holds what cannot be packed for another process, as a lock."""
+    """An input that is JSON, and that Ray cannot take."""
+
+    def __new__(cls, error):
+        number = super().__new__(cls, 98)
+        number.error = error
+        return number
 
     def __reduce__(self):
-        raise TypeError("cannot pickle a lock")
+        raise self.error
 
 
-def test_a_stage_that_cannot_be_sent_fails_alone(started):
+@pytest.mark.parametrize(
+    ("error", "message", "cause"),
+    [
+        (TypeError("a lock"), r"cannot be pickled for another process: .*a lock", "internal"),
+        (OutOfDiskError("the disk is full"), "3 times; last: the disk is full", "worker_lost"),
+    ],
+)
+def test_a_stage_that_ray_cannot_take_fails_alone(started, error, message, cause):
     """It stopped the dispatcher as well."""
     dispatcher, _ = started
-    stage = replace(training(98), seed=Unsendable(98))
-    with pytest.raises(StageFailed, match=r"be pickled for another process: .*a lock") as failed:
+    stage = replace(training(98), seed=Unsendable(error))
+    with pytest.raises(StageFailed, match=message) as failed:
         dispatcher.submit(stage, "run_a").result(60)
-    assert failed.value.cause == "internal"
+    assert failed.value.cause == cause
     assert dispatcher.submit(training(97), "run_b").result(60) == compute(training(97))
-
-
-class Unstorable(int):
-    """An input for which Ray's store has no room."""
-
-    def __reduce__(self):
-        raise OutOfDiskError("the disk is full")
-
-
-def test_a_stage_that_ray_does_not_take_is_tried_three_times(started):
-    dispatcher, _ = started
-    stage = replace(training(99), seed=Unstorable(99))
-    with pytest.raises(StageFailed, match="3 times; last: the disk is full") as failed:
-        dispatcher.submit(stage, "run_a").result(60)
-    assert failed.value.cause == "worker_lost"
 
 
 def test_a_training_reports_its_checkpoint_while_it_goes_on(started):
