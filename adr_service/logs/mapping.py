@@ -187,6 +187,11 @@ class LogMap(Wire):
                 f"actuators.{name}.wrap is for a set-point of a joint whose readings wrap; "
                 f"{'it moves no joint' if joint is None else f'joints.{joint} has no wrap'}"
             )
+        if drive.wrap is not None and not _is_servo(model, name):
+            raise InvalidInput(
+                f"actuators.{name}.wrap is for a set-point; its command is no position of "
+                f"joints.{joint}. Remove it"
+            )
         if turns and drive.wrap is None and drive.command is not None and _is_servo(model, name):
             raise InvalidInput(
                 f"the readings of joints.{joint} wrap, so actuators.{name}, whose command is a "

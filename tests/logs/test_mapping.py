@@ -65,6 +65,13 @@ def test_a_set_point_of_a_joint_that_wraps_needs_a_wrap_as_well(robot):
         given.check(mujoco.MjModel.from_xml_string(servo))
 
 
+def test_a_torque_has_no_turns(robot):
+    """It was put next to its joint's angle."""
+    wraps = MAP.replace('"q1"', '"q1"\nwrap = 6.3').replace('"u"', '"u"\nwrap = 6.3')
+    with pytest.raises(InvalidInput, match=r"motor.wrap is .* no position of joints.shoulder"):
+        LogMap.from_toml(wraps).check(robot)
+
+
 @pytest.mark.parametrize(
     ("unit", "is_slide", "size"),
     [
