@@ -34,7 +34,8 @@ _LATE_S, _LATE = 1.0, 3
 class _Topic:
     """Messages of one topic, so far."""
 
-    stamps: list[float] = field(default_factory=list[float])
+    stamps: list[float] = field(default_factory=list[float])  # NaN where there is none
+    arrivals: list[float] = field(default_factory=list[float])
     columns: dict[str, dict[int, float]] = field(default_factory=dict[str, dict[int, float]])
     unread: dict[str, str] = field(default_factory=dict[str, str])  # why, by field
 
@@ -42,10 +43,13 @@ class _Topic:
     def width(self) -> int:
         return len(self.columns) + len(self.unread)
 
-    def add(self, stamp: float, values: Iterator[tuple[str, float | str]]) -> int:
+    def add(
+        self, stamp: float | None, arrived: float, values: Iterator[tuple[str, float | str]]
+    ) -> int:
         """Add a message of numbers, and of reasons why fields have none; return how many."""
         row, count = len(self.stamps), 0
-        self.stamps.append(stamp)
+        self.stamps.append(stamp or np.nan)  # a stamp of zero was never set
+        self.arrivals.append(arrived)
         for name, value in values:
             if isinstance(value, str):
                 self.unread[name] = value
@@ -60,9 +64,11 @@ class _Topic:
             columns[name] = np.full(len(self.stamps), np.nan)
             columns[name][list(values)] = list(values.values())
         stamps = np.array(self.stamps)
-        order = np.arange(len(stamps))
+        if np.all(np.isnan(stamps)):
+            stamps = np.array(self.arrivals)
+        order, known = np.arange(len(stamps)), stamps[np.isfinite(stamps)]
         # bags are in order of arrival; one that is early is a late one, read backwards
-        if _are_late_ones(stamps) or _are_late_ones(-stamps[::-1]):
+        if _are_late_ones(known) or _are_late_ones(-known[::-1]):
             order = np.argsort(stamps, kind="stable")
         return Stream({name: values[order] for name, values in columns.items()}, stamps[order])
 
@@ -93,8 +99,7 @@ class _Bag:
             self.unread[topic] = "its header.stamp has no sec and nanosec"
             return
         messages = self.topics.setdefault(topic, _Topic())
-        # a stamp of zero was never set
-        self.count += messages.add(stamp or arrived, _flat(topic, decoded))
+        self.count += messages.add(stamp, arrived, _flat(topic, decoded))
         if messages.width > _WIDEST:
             self.too_wide.add(topic)
             self.unread[topic] = f"it has more than {_WIDEST:,} columns"

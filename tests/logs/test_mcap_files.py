@@ -146,6 +146,16 @@ def test_stamps_of_other_systems_are_read(whole, rest):
     assert read_mcap("run.mcap", never_set).streams[0].stamps == [5]
 
 
+def test_stamps_before_a_clock_was_set_are_no_times():
+    """A node with simulated time stamps zero until the first message of the clock."""
+    stamps = [{"sec": sec, "nanosec": 0} for sec in (0, 0, 12, 13)]
+    messages = [{"header": {"stamp": stamp}, "q": i} for i, stamp in enumerate(stamps)]
+    (stream,) = read_mcap("run.mcap", json_bag(*messages)).streams
+    known = np.isfinite(stream.stamps)
+    np.testing.assert_array_equal(stream.stamps[known], [12, 13])
+    np.testing.assert_array_equal(stream.columns["/state.q"][known], [2, 3])
+
+
 def test_a_topic_with_stamps_that_cannot_be_read_is_listed():
     log = read_mcap("run.mcap", json_bag({"header": {"stamp": "noon"}, "q": 1}))
     assert log.unread == {"/state": "its header.stamp has no sec and nanosec"}
