@@ -30,7 +30,6 @@ from adr_service.logs.overlaps import check_logs_apart
 from adr_service.logs.resampling import edges, held, interpolated, sampled, scatter
 from adr_service.logs.tracks import (
     DENSER,
-    LEAST_READINGS,
     LEAST_ROWS,
     MANY_TURNS,
     PREFERRED,
@@ -171,15 +170,15 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
 
 
 def _parts(logs: Sequence[Log], column: str | None) -> tuple[list[Log], list[Log]]:
-    """Recordings by a column's value, and those with fewer than `LEAST_READINGS` rows.
+    """Recordings by a column's value, and those with fewer rows than an episode needs.
 
     The short ones are left out, unless all are short.
     """
     if column is None:
         return list(logs), []
     parts = [part for log in logs for part in log.parts(column)]
-    long = [part for part in parts if part.rows >= LEAST_READINGS]
-    short = [part for part in parts if part.rows < LEAST_READINGS]
+    long = [part for part in parts if part.rows >= LEAST_ROWS]
+    short = [part for part in parts if part.rows < LEAST_ROWS]
     return (long, short) if long else (parts, [])
 
 

@@ -304,6 +304,26 @@ def test_a_trial_that_is_too_short_is_left_out_with_a_warning(robot, even):
     ]
 
 
+def test_a_trial_that_is_too_short_decides_nothing_about_the_others(robot, even):
+    """Neither how far apart rows are, nor that a slower sensor needs readings in it."""
+    given = changed(('command = "u"', 'command = "u"\n[rows]\nepisode = "trial"'))
+    trials = np.zeros(len(even["time"]))
+    trials[-6:] = 1
+    q2 = even["q2"].copy()
+    q2[-5:] = np.nan
+    time = even["time"].copy()
+    time[-6:] = time[-7] + 0.1 * np.arange(1, 7)
+    whole, cut = (
+        convert([log({**each, "trial": trials[:n]})], given, robot)
+        for n, each in (
+            (len(time), {**even, "q2": q2, "time": time}),
+            (len(time) - 6, {name: values[:-6] for name, values in even.items()}),
+        )
+    )
+    assert whole.period == cut.period
+    np.testing.assert_array_equal(whole.measurement.qpos, cut.measurement.qpos)
+
+
 def test_a_recording_without_an_episode_does_not_hide_the_noise_of_others(robot, even, given):
     few = {name: values[:4] for name, values in even.items()}
     converted = convert([log(even), log(few, "short.csv")], given, robot)
