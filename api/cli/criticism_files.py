@@ -271,13 +271,15 @@ def _bounds(
         raise UnknownName(kind, name, names)
     try:
         given = float(low), float(high)
+        number = names.index(name)
     except ValueError as error:
+        example = next(iter(names), kind)
         raise InvalidInput(
-            f"--{option} {text!r} is not NAME=LOW:HIGH, as in {names[0]}=-0.5:0.5"
+            f"--{option} {text!r} is not NAME=LOW:HIGH, as in {example}=-0.5:0.5"
         ) from error
     if not given[0] <= given[1]:
         raise InvalidInput(f"--{option} {text!r}: the lower bound comes first")
-    return names.index(name), given
+    return number, given
 
 
 @contextmanager
