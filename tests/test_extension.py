@@ -107,6 +107,21 @@ def test_effects_that_no_training_can_simulate_are_refused(effect, message, wher
         RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke", **fields})
 
 
+@pytest.mark.parametrize(
+    ("variant", "mass"),
+    [
+        ("vanilla", -1.0),  # of 3.5 kg in the file, and of 0.1 kg at least in a draw
+        ("unmodeled", -3.0),  # of 2.8 kg in all draws
+    ],
+)
+def test_effects_that_leave_no_mass_in_some_draw_are_refused(variant, mass):
+    lighter = {"kind": "body_mass", "location": "body:torso", "values": [mass]}
+    given = {"task": "hopper", "variant": variant, "method": "prior", "preset": "smoke"}
+    with pytest.raises(ValueError, match="leave torso with a negative mass"):
+        RunSpec.model_validate({**given, "extension": [lighter]})
+    RunSpec.model_validate({**given, "extension": [{**lighter, "values": [mass / 20]}]})
+
+
 def test_a_variant_names_no_effects_of_its_own():
     given = {"task": "arm", "method": "prior", "preset": "smoke"}
     with pytest.raises(ValueError, match="variant of arm"):

@@ -202,10 +202,9 @@ class _Effects:
                 f"{task.name} observes {', '.join(shifted)} of all its bodies, and the effects add "
                 "bodies, which would shift these columns: give effects that add none"
             )
-        if min(self.base.body_mass.min(), self.base.body_inertia.min()) < 0:
-            raise InvalidInput(f"effects {source.effects} leave a body with a negative mass")
         self._slots = [resolve(self._bare, address) for address in addresses_of(source)]
         self._fixed = list(source.fixed.values())
+        _check_masses(self._extended(source.space.feasible_low.tolist()), source)
         changed = {name for name in MODEL_FIELDS if differs(self._bare, self.base, name)}
         # an effect on what a parameter gives may show no difference at the file's own value
         given = {name for slot in self._slots for name in (slot.field, slot.scaled) if name}
@@ -219,12 +218,29 @@ class _Effects:
     def write(self, dynamics: Matrix, rows: Indices) -> None:
         """Give simulations `rows` the effects, a row of `dynamics` each."""
         for row, draw in zip(rows.tolist(), dynamics.tolist(), strict=True):
-            model = copy(self._bare)
-            for slot, value in zip(self._slots, [*self._fixed, *draw], strict=True):
-                write(model, slot, value)
-            apply(model, self._added)
+            model = self._extended(draw)
             for array, name in zip(self._expanded, self._fields, strict=True):
                 array[row] = getattr(model, name)
+
+    def _extended(self, draw: Sequence[float]) -> mujoco.MjModel:
+        model = copy(self._bare)
+        for slot, value in zip(self._slots, [*self._fixed, *draw], strict=True):
+            write(model, slot, value)
+        apply(model, self._added)
+        return model
+
+
+def _check_masses(model: mujoco.MjModel, source: Source) -> None:
+    """Raise InvalidInput if a body of the lightest robot that may be drawn has a negative mass."""
+    masses = np.minimum(model.body_mass, model.body_inertia.min(axis=1))
+    if masses.min() < 0:
+        name = model.body(int(masses.argmin())).name
+        lowest = dict(zip(source.space.names, source.space.feasible_low.tolist(), strict=True))
+        raise InvalidInput(
+            f"effects {source.effects} leave {name} with a negative mass or inertia where the "
+            f"parameters are smallest ({lowest}): accepted are effects that take less, or a source "
+            "that draws no such robot"
+        )
 
 
 def _slots(model: mujoco.MjModel, addresses: Sequence[str]) -> dict[int, Slot]:
