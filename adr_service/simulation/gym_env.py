@@ -199,6 +199,11 @@ def _only_one(task: str, space: ParameterSpace, file: Mapping[str, Any]) -> Mapp
             f"distribution is of {' '.join(origin)}, whose parameters or search bounds are not "
             f"those of this variant of {task}"
         )
+    if file.get("extension"):
+        raise InvalidInput(
+            f"distribution is of {' '.join(origin)} with effects {file['extension']}, which this "
+            "environment lacks"
+        )
     found = file["distributions"]
     if not isinstance(found, list) or not all(isinstance(one, Mapping) for one in found):
         raise InvalidInput(f"distributions must be a list of documents; given {found!r}")

@@ -62,10 +62,16 @@ def film_beside_target(scene: Scene, file: Path, distribution: Path, out: Path) 
 def _mean(distribution: Path) -> dict[str, Any]:
     """Means of a distribution's parameters, by name; of the first, if there are several."""
     try:
-        parameters = json.loads(read(distribution))["parameters"]
-        return {each["name"]: each["mean"][0] for each in parameters}
+        found = json.loads(read(distribution))
+        mean = {each["name"]: each["mean"][0] for each in found["parameters"]}
+        extension = found.get("extension", [])
     except (ValueError, LookupError, TypeError) as error:
         raise InvalidInput(f"{distribution} is no file of adr results --distribution") from error
+    if extension:
+        raise InvalidInput(
+            f"films show a task's own simulator; {distribution} has effects beyond it: {extension}"
+        )
+    return mean
 
 
 def _film(file: Path, out: Path, scenes: Sequence[Scene]) -> int:

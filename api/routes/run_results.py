@@ -7,6 +7,10 @@ from pydantic import BaseModel
 
 from adr_service.benchmark.comparison import Outcome, decode
 from adr_service.benchmark.figures import drawable
+from adr_service.effects.base import Effect
+from adr_service.parameters import ParameterSpace
+from adr_service.specs.run import RunSpec
+from adr_service.tasks.catalogue import source_of
 from api.parameters import RENEWED, FigureName, FileFormat, RunId, TableFormat
 from api.results import CostView, ResultsView, cost_of, outcomes_of, results_json
 from api.routes.downloads import (
@@ -36,7 +40,8 @@ class DistributionView(BaseModel):
     """Training distribution of the latest policies; only UDR has several."""
 
     task: str
-    variant: str
+    variant: str  # whose source has these parameters
+    extension: list[Effect]  # of that source
     method: str
     iteration: int
     parameters: list[ParameterView]
@@ -49,7 +54,8 @@ def distribution_view(outcome: Outcome) -> DistributionView:
     spec, distributions = outcome.spec, decode(outcome)
     return DistributionView(
         task=spec.task,
-        variant=spec.variant,
+        variant=_variant_of(spec, distributions[0].space),
+        extension=spec.extension,
         method=spec.column,
         iteration=outcome.iteration.iteration,
         parameters=[
@@ -65,6 +71,13 @@ def distribution_view(outcome: Outcome) -> DistributionView:
         distributions=list(outcome.iteration.distributions),
         diagnostics=outcome.iteration.diagnostics,
     )
+
+
+def _variant_of(spec: RunSpec, space: ParameterSpace) -> str:
+    """The run's variant, or for the oracle, who trains in the target's own space, the variant of
+    that."""
+    is_own = source_of(spec.task, spec.variant).space == space
+    return spec.variant if is_own else "vanilla"
 
 
 @router.get("/{run_id}/results", response_model=ResultsView, responses=CSV)
