@@ -29,7 +29,7 @@ from pydantic import Field
 from adr_service.citations import SBI, Paper
 from adr_service.distributions import Mixture
 from adr_service.methods.base import Estimate, OfflineSettings, Problem
-from adr_service.progress import Progress
+from adr_service.progress import Progress, part_of
 from adr_service.simulation.summaries import LEAST, Scale, SummarisedReplays, outside
 from adr_service.startup_time import preparing
 from adr_service.transitions import TransitionDataset
@@ -98,7 +98,8 @@ class BayesSim:
         settings, space = self._settings, problem.source.space
         replays = SummarisedReplays(problem.task, problem.source, data, _BATCH, settings.segment)
         points = rng.random((settings.simulations, len(space)))
-        held, simulated = replays.usable(space.denormalise(space.WIDTH * points))
+        dynamics = space.denormalise(space.WIDTH * points)
+        held, simulated = replays.usable(dynamics, part_of(progress, 0, 2))
         progress(0.5, simulations=settings.simulations)
         scale = Scale.of(simulated)
         posterior = MixturePosterior(len(space), settings.components, settings.epochs, rng)

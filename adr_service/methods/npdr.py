@@ -35,7 +35,7 @@ from pydantic import Field
 from adr_service.citations import SBI, Paper
 from adr_service.distributions import Empirical
 from adr_service.methods.base import Estimate, OfflineSettings, Problem
-from adr_service.progress import Progress
+from adr_service.progress import Progress, part_of
 from adr_service.simulation.summaries import LEAST, Scale, SummarisedReplays, outside
 from adr_service.startup_time import preparing
 from adr_service.transitions import TransitionDataset
@@ -126,7 +126,8 @@ class Npdr:
                 if number == 0
                 else posterior.sample(settings.simulations)
             )
-            held, simulated = replays.usable(space.denormalise(space.WIDTH * points))
+            dynamics = space.denormalise(space.WIDTH * points)
+            held, simulated = replays.usable(dynamics, part_of(progress, number, settings.rounds))
             scale = scale or Scale.of(simulated)  # of the first round, for all of them
             posterior.learn(points[held], scale(simulated), scale(replays.recorded))
             diverged.append(int(np.sum(~held)))

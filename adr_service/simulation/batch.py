@@ -35,6 +35,7 @@ from adr_service.effects.models import (
     prepared,
 )
 from adr_service.errors import InvalidInput
+from adr_service.progress import Progress, silent
 from adr_service.simulation.links import LinkLengths
 from adr_service.simulation.model import (
     Slot,
@@ -293,11 +294,18 @@ class Batches:
         self._simulations_of = partial(Simulations, task, source, threads=threads)
         self._whole = self._rest = self._simulations_of(most)
 
-    def run(self, simulate: Callable[[Simulations], np.ndarray], dynamics: Matrix) -> np.ndarray:
+    def run(
+        self,
+        simulate: Callable[[Simulations], np.ndarray],
+        dynamics: Matrix,
+        progress: Progress = silent,
+    ) -> np.ndarray:
         """Simulate dynamics (n, d) in batches, and return one row for each of them."""
-        most = self._whole.n
-        parts = [dynamics[first : first + most] for first in range(0, len(dynamics), most)]
-        return np.concatenate([simulate(self._under(part)) for part in parts])
+        found: list[np.ndarray] = []
+        for first in range(0, len(dynamics), self._whole.n):
+            found.append(simulate(self._under(dynamics[first : first + self._whole.n])))
+            progress(min(first + self._whole.n, len(dynamics)) / len(dynamics))
+        return np.concatenate(found)
 
     def _under(self, dynamics: Matrix) -> Simulations:
         count = len(dynamics)

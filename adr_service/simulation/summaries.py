@@ -14,6 +14,7 @@ import numpy as np
 
 from adr_service.arrays import Array3, Mask, Matrix, Vector
 from adr_service.errors import InvalidInput
+from adr_service.progress import Progress, silent
 from adr_service.simulation.batch import Batches, Simulations
 from adr_service.simulation.replay import check_replayable
 from adr_service.tasks.base import Source, State, Task
@@ -39,16 +40,16 @@ class SummarisedReplays:
         changes = data.next_observations - data.observations
         self.recorded = summary(changes[None], data.actions)[0]
 
-    def simulate(self, dynamics: Matrix) -> Matrix:
+    def simulate(self, dynamics: Matrix, progress: Progress = silent) -> Matrix:
         """Summaries (n, k) of replays under dynamics (n, d), in batches of the constructor's n."""
-        return self._batches.run(self._simulate, dynamics)
+        return self._batches.run(self._simulate, dynamics, progress)
 
-    def usable(self, dynamics: Matrix) -> tuple[Mask, Matrix]:
+    def usable(self, dynamics: Matrix, progress: Progress = silent) -> tuple[Mask, Matrix]:
         """A mask (n,) of the dynamics (n, d) whose replays stay finite, and the summaries of those.
 
         Raises InvalidInput if those are too few to learn from.
         """
-        simulated = self.simulate(dynamics)
+        simulated = self.simulate(dynamics, progress)
         held = np.all(np.isfinite(simulated), axis=1)
         if np.sum(held) < LEAST:
             raise InvalidInput(

@@ -281,7 +281,7 @@ class PpoSettings(_Confirmed):
         0.0005, gt=0, le=_LARGEST_RATE, description="learning rate of Adam"
     )
     learning_rate_schedule: Literal["constant", "linear"] = Field(
-        "constant", description="linear: the rate falls to 0, which it reaches at max_steps"
+        "constant", description="linear: the rate falls to 0, which it reaches at the last rollout"
     )
     rollout_steps: int = Field(128, ge=1, le=65_536, description="of each environment")
     epochs: int = Field(10, ge=1, le=1000, description="over the transitions of each rollout")

@@ -8,7 +8,7 @@ import pytest
 from adr_service.errors import InvalidInput
 from adr_service.methods.bayes_sim import BayesSimSettings
 from adr_service.methods.npdr import NpdrSettings
-from adr_service.progress import silent
+from adr_service.progress import StageCancelled, silent
 from adr_service.randomness import stream
 from tests.planted import PROBLEM, recorded, waving_policy
 
@@ -33,6 +33,21 @@ def test_a_validation_with_fewer_atoms_than_the_training_is_a_diagnostic_of_npdr
     enough = fit(NpdrSettings(rounds=2, draws=20, epochs=2, simulations=50))
     assert few.diagnostics["validation_atoms"] == 8
     assert "validation_atoms" not in enough.diagnostics
+
+
+@pytest.mark.parametrize("settings", [BayesSimSettings, NpdrSettings])
+def test_an_inference_that_nobody_wants_stops_between_batches_of_replays(settings):
+    seen = []
+
+    def cancelled_at_the_second(fraction, **_):
+        seen.append(fraction)
+        if len(seen) == 2:
+            raise StageCancelled
+
+    method = settings(simulations=1000).create()
+    with pytest.raises(StageCancelled):
+        method.fit(PROBLEM, DATA, stream("posteriors"), cancelled_at_the_second)
+    assert 0 < seen[0] < seen[1] < 0.5
 
 
 @pytest.mark.parametrize("settings", [BayesSimSettings(**FEW), NpdrSettings(rounds=1, **FEW)])

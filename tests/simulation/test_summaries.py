@@ -49,7 +49,7 @@ def test_replays_that_diverge_are_left_out_and_too_few_others_are_refused(monkey
     replay = replays(None)
     broken = np.arange(40) % 4 == 0
     made = np.where(broken[:, None], np.nan, np.arange(40.0)[:, None])
-    monkeypatch.setattr(replay, "simulate", lambda dynamics: made[: len(dynamics)])
+    monkeypatch.setattr(replay, "simulate", lambda dynamics, _: made[: len(dynamics)])
     held, simulated = replay.usable(np.zeros((40, 4)))
     np.testing.assert_array_equal(held, ~broken)
     assert len(simulated) == 30
