@@ -23,7 +23,8 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from adr_service.blind_test.planting import EPISODES, STEPS, hide, noise_of
+from adr_service.blind_test.planting import EPISODES, STEPS, hide
+from adr_service.blind_test.sizing import noise_of
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise
@@ -130,7 +131,7 @@ def _ratio_of(memory: Memory, nominal: Nominal, data: Measurement) -> float:
     response = simulator.responses_to_forces(nominal.start, (), simulator.measured)[memory.dof]
     steps = np.reshape(memory.forces, (EPISODES, STEPS + 1, -1))
     force = steps[:, :-1].mean(axis=2).ravel()  # no transition begins in an episode's last row
-    changed = response * force[:, None] / noise_of(simulator.base)
+    changed = response * force[:, None] / (np.sqrt(2) * noise_of(simulator.base))
     return float(np.sqrt(np.nanmean(changed**2)))
 
 

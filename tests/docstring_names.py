@@ -402,15 +402,17 @@ def robot_log(folder: Path) -> Names:
 
 def blind_test(folder: Path) -> Names:
     """A question in `cases/0000`, an answer in `answers/0000`, and everything to mark it with."""
-    from adr_service.blind_test import cases, files, planting, scoring
+    from adr_service.blind_test import cases, files, planting, scoring, sizing
 
     task, nominal = arm_and_nominal()
+    motions = planting.hide(task, nominal, np.random.default_rng(5), [])
     hidden, case = cases.draw_blind("arm", np.random.default_rng([5, 0]))
     key, answer = files.Key(seed=5, cases={"0000": hidden}), files.Answer(verdict="none")
     files.write_question(folder / "cases/0000", case)
     files.write_answer(folder / "answers/0000", answer)
     known = {"task": task, "nominal": nominal, "rng": np.random.default_rng([5, 0]), "Path": Path}
     known |= {"hidden": hidden, "case": case, "key": key, "answer": answer, "folder": folder}
-    for module in (cases, files, planting, scoring):
+    known |= {"motions": motions}
+    for module in (cases, files, planting, scoring, sizing):
         known |= {name: value for name, value in vars(module).items() if callable(value)}
     return known

@@ -58,6 +58,7 @@ NAMES: dict[str, Callable[..., dict[str, Any]]] = {
     "adr_service.blind_test.files": names.blind_test,
     "adr_service.blind_test.planting": names.blind_test,
     "adr_service.blind_test.scoring": names.blind_test,
+    "adr_service.blind_test.sizing": names.blind_test,
     "adr_service.criticism.evidence": names.simulated,
     "adr_service.criticism.flexible_force": names.fitted,
     "adr_service.criticism.identifiability": names.scanned,

@@ -4,7 +4,7 @@
     write_question(folder, case)                # all that a method may see
     lines = score([Marked(hidden, answer)])     # shares of right answers, with intervals
 
-`planting` simulates robots that have effects of the catalogue, or those of `outside`, and `cases`
-draws them. `files` is the format in which others get the cases and hand in their answers, and
-`scoring` compares these with the key.
+`planting` simulates robots that have effects of the catalogue, or those of `outside`, as strong as
+`sizing` makes them, and `cases` draws them. `files` is the format in which others get the cases and
+hand in their answers, and `scoring` compares these with the key.
 """

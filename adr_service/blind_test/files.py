@@ -18,7 +18,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from adr_service.blind_test.cases import Hidden, check_task, draw_blind
-from adr_service.blind_test.planting import Case, plantable
+from adr_service.blind_test.planting import Case
+from adr_service.blind_test.sizing import plantable
 from adr_service.criticism.extension import extend
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal

@@ -17,11 +17,10 @@ from scipy import stats
 
 from adr_service.blind_test.cases import RATIOS, Hidden
 from adr_service.blind_test.files import Answer, Key
-from adr_service.blind_test.planting import may_be_hidden
+from adr_service.blind_test.sizing import MOST_TIED, may_be_hidden
 from adr_service.criticism.verdict import Conclusion
 from adr_service.effects.catalogue import get_mechanism
 
-_MOST_TIED = 3
 _STRONG = tuple(ratio for ratio in RATIOS if ratio >= 0.3)
 _ALL = 10**6
 Right = Callable[["Marked"], bool]
@@ -40,7 +39,7 @@ def marked(key: Key, answers: dict[str, Answer]) -> list[Marked]:
     return [Marked(hidden, answers.get(name)) for name, hidden in key.cases.items()]
 
 
-def is_named(case: Marked, most_tied: int = _MOST_TIED) -> bool:
+def is_named(case: Marked, most_tied: int = MOST_TIED) -> bool:
     """True if something was named, and each name or one tied with it is hidden there."""
     if case.answer is None or case.answer.verdict not in (Conclusion.CAUSE, Conclusion.TIE):
         return False

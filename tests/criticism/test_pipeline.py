@@ -123,7 +123,7 @@ def test_where_data_have_no_noise_errors_of_computing_them_are_no_evidence():
     ("seed", "ratio", "effect"),
     [
         pytest.param(300, 1.0, "gain_drift", marks=pytest.mark.slow),
-        (302, 0.3, "disturbance"),
+        (301, 0.3, "disturbance"),
     ],
 )
 def test_an_effect_that_is_not_in_the_catalogue_is_called_unknown(seed, ratio, effect):
