@@ -39,6 +39,8 @@ class AdrClient:
             self._http = httpx2.Client(base_url=self.url, headers=headers, timeout=timeout_s)
         except httpx2.InvalidURL as error:
             raise InvalidInput(f"{url!r} is no address of a service: {error}") from error
+        if self._http.base_url.userinfo:  # a proxy's name and password, which no message shows
+            self.url = str(self._http.base_url.copy_with(userinfo=b"")).rstrip("/")
 
     def __enter__(self) -> Self:
         return self

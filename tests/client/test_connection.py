@@ -139,6 +139,26 @@ def test_an_address_or_a_token_that_cannot_be_one_is_refused(given, message):
         AdrClient(**given)
 
 
+def test_a_password_in_an_address_is_sent_and_not_shown():
+    sent = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self):
+            sent.append(self.headers["Authorization"])
+            self.send_response(502)
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    with serving(Handler) as url, AdrClient(url.replace("//", "//me:secret@")) as client:
+        assert client.url == url
+        with pytest.raises(Unreachable) as refused:
+            client.ready()
+    assert sent == ["Basic bWU6c2VjcmV0"]
+    assert "secret" not in str(refused.value)
+
+
 def test_a_slow_answer_is_not_reported_as_an_absent_service():
     refused = pytest.raises(Unreachable, match="did not answer in time")
     with server(200, seconds=30) as url, AdrClient(url, timeout_s=0.2) as client, refused:
