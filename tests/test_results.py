@@ -27,7 +27,10 @@ METHODS = {
     "SimOpt": "simopt",
     "SimOpt-1": "simopt_1",
     "BayRn": "bayrn",
+    "BayesSim": "bayes_sim",
+    "NPDR": "npdr",
 }
+NOT_YET = "-"
 WITHOUT_DATA = {"prior", "oracle", "udr", "epopt", "auto_dr", "doraemon"}
 
 
@@ -43,6 +46,8 @@ def known():
 
 
 def in_words(row):
+    if not row["low"]:  # of fewer than three seeds
+        return f"{float(row['normalised_return']):.2f}"
     numbers = (float(row[name]) for name in ("normalised_return", "low", "high"))
     return "{:.2f} [{:.2f}, {:.2f}]".format(*numbers)
 
@@ -53,12 +58,18 @@ def rows_after(head, page):
     return re.findall(r"^\| (.+?) \| (.+?) \| (.+?) \| (.+?) \|$", table, re.MULTILINE)
 
 
+def computed(cells):
+    """Cells by variant, without those that are not computed yet."""
+    named = zip(VARIANTS, cells, strict=True)
+    return [(variant, cell) for variant, cell in named if cell != NOT_YET]
+
+
 def test_the_study_has_every_row_of_every_iteration(known):
     shown = {}
     for label, *cells in rows_after("| | vanilla | noisy | unmodeled |", "results/README.md"):
         name, _, after = label.partition(", ")
         iteration = 0 if after in ("", "no target data") else int(after.split()[0])
-        shown |= {(METHODS[name], iteration, v): c for v, c in zip(VARIANTS, cells, strict=True)}
+        shown |= {(METHODS[name], iteration, v): cell for v, cell in computed(cells)}
     assert shown == {key: f"{in_words(row)}, {row['seeds']}" for key, row in known.items()}
 
 
@@ -68,6 +79,6 @@ def test_the_readme_has_every_row_of_the_last_iteration(known):
     for label, *cells in rows_after(head, "README.md"):
         name = METHODS[label.partition(" (")[0].strip("*")]
         iteration = 0 if name in WITHOUT_DATA else 5
-        shown |= {(name, iteration, v): c for v, c in zip(VARIANTS, cells, strict=True)}
+        shown |= {(name, iteration, v): cell for v, cell in computed(cells)}
     last = {key: row for key, row in known.items() if key[1] in (0, 5)}
     assert shown == {key: in_words(row) for key, row in last.items()}
