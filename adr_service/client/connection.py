@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
@@ -30,17 +31,17 @@ class AdrClient:
     def __init__(self, url: str = DEFAULT_URL, token: str = "", timeout_s: float = 60.0):
         headers = {"Authorization": f"Bearer {token}"} if token else {}
         self.url = url.rstrip("/")
+        shown = re.sub(r"[^/]*@", "", url)  # without a proxy's name and password
         check_token("ADR_TOKEN", token)
         if not self.url.lower().startswith(("http://", "https://")):
             raise InvalidInput(
-                f"an address begins with http:// or https://, as {DEFAULT_URL}; given {url!r}"
+                f"an address begins with http:// or https://, as {DEFAULT_URL}; given {shown!r}"
             )
         try:
             self._http = httpx2.Client(base_url=self.url, headers=headers, timeout=timeout_s)
         except httpx2.InvalidURL as error:
-            raise InvalidInput(f"{url!r} is no address of a service: {error}") from error
-        if self._http.base_url.userinfo:  # a proxy's name and password, which no message shows
-            self.url = str(self._http.base_url.copy_with(userinfo=b"")).rstrip("/")
+            raise InvalidInput(f"{shown!r} is no address of a service: {error}") from error
+        self.url = shown.rstrip("/")
 
     def __enter__(self) -> Self:
         return self

@@ -129,6 +129,8 @@ def test_an_error_of_another_server_is_shown_as_it_is(body):
         ({"url": "http://127.0.0.1:abc"}, "'http://127.0.0.1:abc' is no address of a service"),
         ({"url": "localhost:8761"}, "begins with http:// or https://, .*given 'localhost:8761'"),
         ({"url": "127.0.0.1:8761"}, "begins with http:// or https://, .*given '127.0.0.1:8761'"),
+        ({"url": "http://me:secret@here:abc"}, "^'http://here:abc' is no address of a service"),
+        ({"url": "me:secret@here:8761"}, "begins with http:// or https://, .*given 'here:8761'"),
         ({"url": "ftp://here"}, "begins with http:// or https://, .*given 'ftp://here'"),
         ({"token": "geheim-ü"}, "ADR_TOKEN has characters that no token has"),
         ({"token": "from-a-file\n"}, "ADR_TOKEN has characters that no token has"),
