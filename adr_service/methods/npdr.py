@@ -127,7 +127,8 @@ class Npdr:
                 else posterior.sample(settings.simulations)
             )
             dynamics = space.denormalise(space.WIDTH * points)
-            held, simulated = replays.usable(dynamics, part_of(progress, number, settings.rounds))
+            half = part_of(progress, 2 * number, 2 * settings.rounds)
+            held, simulated = replays.usable(dynamics, half)
             scale = scale or Scale.of(simulated)  # of the first round, for all of them
             posterior.learn(points[held], scale(simulated), scale(replays.recorded))
             diverged.append(int(np.sum(~held)))

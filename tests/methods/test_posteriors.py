@@ -50,6 +50,14 @@ def test_an_inference_that_nobody_wants_stops_between_batches_of_replays(setting
     assert 0 < seen[0] < seen[1] < 0.5
 
 
+@pytest.mark.parametrize("settings", [BayesSimSettings(**FEW), NpdrSettings(rounds=2, **FEW)])
+def test_replays_are_half_of_the_work(settings):
+    seen = []
+    settings.create().fit(PROBLEM, DATA, stream("posteriors"), lambda done, **_: seen.append(done))
+    assert seen == sorted(seen)
+    assert [done for done in seen if done == 1.0] == [1.0]
+
+
 @pytest.mark.parametrize("settings", [BayesSimSettings(**FEW), NpdrSettings(rounds=1, **FEW)])
 def test_a_recording_whose_replays_no_parameter_changes_is_refused(settings):
     """An arm that hangs at rest stays there, whatever its masses are."""
