@@ -76,7 +76,7 @@ class Responses:
         before = offsets_of(*known, fit.states, self._rates, simulator.past)
         starts = fit.states[simulator.starts]
         moved = self._predicted - starts
-        past = simulator.past_after(moved)
+        past = simulator.past_after(starts, self._predicted)
         after = offsets_of(*known, self._predicted, moved / simulator.period, past)
         transition = fit.linear.chain.transition
         response = np.zeros(transition.shape[:3])

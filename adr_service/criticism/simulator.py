@@ -19,7 +19,7 @@ from adr_service.criticism.compatibility import check_columns, steps_between
 from adr_service.criticism.engine import Engine, quiet
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
-from adr_service.criticism.past import displacements, past_along
+from adr_service.criticism.past import WITHIN, displacements, past_along, within
 from adr_service.effects.actuators import obeys_limits
 from adr_service.effects.base import Effect, Past, is_added
 from adr_service.effects.models import elements_of
@@ -104,7 +104,8 @@ class Simulator:
             ends = states[: last - first - 1]
             path = np.concatenate([start[None], ends])
             followed[first + 1 : last] = shown(
-                self.base, effects, ends, np.diff(path, axis=0) / self.period, past_along(path)
+                *(self.base, effects, ends, np.diff(path, axis=0) / self.period),
+                past_along(path, self.period),
             )
         return followed
 
@@ -217,28 +218,44 @@ class Simulator:
         return self._rates(effects, states, self._quick(values, effects))
 
     def past(self, column: int) -> Matrix:
-        """(rows, k) how far a position has come since each of the rows before, the latest first,
-        back to its episode's first: by its measured velocities, or by itself where there are none.
+        """(rows, k) how far a position has come since each of the moments before, the latest first,
+        back to its episode's first.
+
+        By its measured velocities or by the nominal model, whichever is nearer to the readings; by
+        these alone where no velocity was measured.
         """
         if column not in self._past:
-            own = self.measured[:, self.base.nq + column]
-            moved = (own[self.starts] + own[self.starts + 1]) / 2 * self.period
-            if not self.data.is_measured()[self.base.nq + column]:
-                moved = np.diff(self.measured[:, column])[self.starts]
-            come = np.zeros(len(self.measured))
-            come[self.starts + 1] = moved
+            before, after = self.measured[self.starts], self.measured[self.starts + 1]
+            velocity, read = self.base.nq + column, (after - before)[:, column]
+            moved = read
+            if self.data.is_measured()[velocity]:
+                by_velocities = (before[:, velocity] + after[:, velocity]) / 2 * self.period
+                simulated = (self._nominal_ends - before)[:, column]
+                moved = min((by_velocities, simulated), key=lambda each: np.abs(each - read).sum())
+            come = np.zeros((len(self.measured) - 1, WITHIN))
+            come[self.starts] = self._within(column, moved, before, after)
             first = np.concatenate([np.full(b - a, a) for a, b in self.data.spans()])
-            self._past[column] = displacements(np.cumsum(come), first)
+            self._past[column] = displacements(come, first)
         return self._past[column]
 
-    def past_after(self, moved: Matrix) -> Past:
-        """`past` at the ends of all transitions, which move the states by `moved` (N, 2 nv)."""
+    def past_after(self, before: Matrix, after: Matrix) -> Past:
+        """`past` at the ends of all transitions, from states `before` to `after` (N, 2 nv) them."""
 
-        def after(column: int) -> Matrix:
-            before = self.past(column)[self.starts, :-1]
-            return moved[:, [column]] + np.column_stack([np.zeros(len(before)), before])
+        def past(column: int) -> Matrix:
+            moved = (after - before)[:, column]
+            come = self._within(column, moved, before, after)
+            latest = np.column_stack([np.zeros(len(come)), come[:, :-1]])[:, ::-1]
+            earlier = self.past(column)[self.starts, :-WITHIN]
+            return moved[:, None] - np.column_stack([latest, -earlier])
 
-        return after
+        return past
+
+    def _within(self, column: int, moved: Vector, before: Matrix, after: Matrix) -> Matrix:
+        """How far a position that moves by `moved` in a step has come at each moment of it."""
+        velocity = self.base.nq + column
+        if not self.data.is_measured()[velocity]:
+            return within(moved, None, None)
+        return within(moved, before[:, velocity] * self.period, after[:, velocity] * self.period)
 
     def _rates(self, effects: Sequence[Effect], states: Matrix, model: mujoco.MjModel) -> Matrix:
         ends = self._ends(effects, states, model)
@@ -256,6 +273,13 @@ class Simulator:
             model = nominal.completed(bare, values, effects)
         model.opt.timestep /= self.finer
         return model
+
+    @cached_property
+    def _nominal_ends(self) -> Matrix:
+        """(N, 2 nv) measured states one control step later by the nominal model, or as measured
+        where that diverges."""
+        ends = self.predict_quickly(self.nominal.start, (), self.measured)
+        return np.where(np.isfinite(ends), ends, self.measured[self.starts + 1])
 
     @cached_property
     def _rough(self) -> int:
@@ -357,7 +381,8 @@ class Simulator:
     def _shown(self, effects: Sequence[Effect], before: Matrix, after: Matrix) -> Matrix:
         """Readings after all transitions, from true states before and after them."""
         moved = after - before
-        return shown(self.base, effects, after, moved / self.period, self.past_after(moved))
+        past = self.past_after(before, after)
+        return shown(self.base, effects, after, moved / self.period, past)
 
 
 def is_first_order(model: mujoco.MjModel) -> bool:

@@ -12,6 +12,7 @@ from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.evidence import fit, refine
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
+from adr_service.criticism.past import WITHIN, within
 from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.effects import models
@@ -214,13 +215,14 @@ def test_commands_within_rows_act_as_those_of_rows_half_as_far_apart(good):
 
 def test_the_past_is_what_velocities_add_up_to_within_an_episode(good):
     """By positions where velocities were not measured; the episode's first row has no past."""
+    every = slice(WITHIN - 1, None, WITHIN)  # moments that are rows
     data = Measurement(**good)
     blind = Measurement(**good, qpos_std=np.ones(2), qvel_std=np.array([1.0, np.inf]))
     first, last = data.spans()[1]
     moved = (data.qvel[first : last - 1, 1] + data.qvel[first + 1 : last, 1]) / 2 * data.period()
     for measured, expected in ((data, moved), (blind, np.diff(data.qpos[first:last, 1]))):
         with Simulator(arm()[1], measured, threads=1) as simulator:
-            past = simulator.past(1)[first:last]
+            past = simulator.past(1)[first:last, every]
         np.testing.assert_array_equal(past[0], 0.0)
         np.testing.assert_allclose(past[1:, 0], expected, atol=1e-12)
         np.testing.assert_allclose(past[3, :5], np.cumsum(expected[2::-1])[[0, 1, 2, 2, 2]])
@@ -228,11 +230,34 @@ def test_the_past_is_what_velocities_add_up_to_within_an_episode(good):
 
 def test_the_past_after_a_transition_begins_with_it(good):
     with Simulator(arm()[1], Measurement(**good), threads=1) as simulator:
-        moved = np.ones((len(simulator.starts), 4))
-        after = simulator.past_after(moved)(1)
-        np.testing.assert_array_equal(after[:, 0], 1.0)
+        start = simulator.measured[simulator.starts]
+        after = simulator.past_after(start, start + 1.0)(1)
+        np.testing.assert_allclose(after[:, WITHIN - 1], 1.0, atol=1e-12)
         before = simulator.past(1)[simulator.starts]
-        np.testing.assert_array_equal(after[:, 1:], 1.0 + before[:, :-1])
+        np.testing.assert_allclose(after[:, WITHIN:], 1.0 + before[:, :-WITHIN], atol=1e-12)
+
+
+def test_between_two_rows_a_position_goes_by_its_velocities_at_both():
+    """A joint that turns back has gone further than to where it ends."""
+    moved, pace = np.array([0.0, 1.0]), np.array([4.0, 1.0])
+    turning, steady = within(moved, pace, np.array([-4.0, 1.0]))
+    np.testing.assert_allclose(steady, [0.25, 0.5, 0.75, 1.0])
+    np.testing.assert_allclose(turning, [0.75, 1.0, 0.75, 0.0])
+    np.testing.assert_allclose(within(moved, None, None)[1], steady)
+
+
+def test_the_past_is_simulated_where_velocities_change_much_between_rows():
+    """Rows of an arm that swings freely, eight control steps apart."""
+    every = hide(*arm(), np.random.default_rng(3), [], commands=np.zeros((8, 73, 2)))
+    rows = np.arange(len(every.time)) % 73 % 8 == 0
+    names = ("time", "qpos", "qvel", "ctrl", "episode")
+    data = Measurement(**{name: getattr(every, name)[rows] for name in names})
+    with Simulator(arm()[1], data, threads=1) as simulator:
+        moved = simulator.past(1)[simulator.starts + 1, WITHIN - 1]
+        before, after = simulator.starts, simulator.starts + 1
+    read = data.qpos[after, 1] - data.qpos[before, 1]
+    by_velocities = (data.qvel[after, 1] + data.qvel[before, 1]) / 2 * data.period()
+    assert np.abs(moved - read).mean() < 0.2 * np.abs(by_velocities - read).mean()
 
 
 def test_backlash_much_wider_than_the_noise_is_measured_and_not_called_a_late_sensor():
@@ -246,8 +271,8 @@ def test_backlash_much_wider_than_the_noise_is_measured_and_not_called_a_late_se
     with Simulator(nominal, data, threads=1, finer=3) as simulator:
         baseline = smoothed(fit(simulator, sensor))
         fits = [refine(baseline, [effect]) for effect in (gap, late)]
-    # too small: the motion between two rows is known by its ends alone (docs/criticism.md)
-    assert fits[0].effects[0].values == pytest.approx(gap.values, rel=0.15)
+    # too small, because the path of the joint has errors of its own (docs/criticism.md)
+    assert fits[0].effects[0].values == pytest.approx(gap.values, rel=0.08)
     assert fits[0].held_out.sum() > fits[1].held_out.sum() + 4 * THRESHOLD
 
 
@@ -262,5 +287,6 @@ def test_a_followed_robot_shows_the_backlash_of_its_own_motion(good):
         first, last = simulator.data.spans()[0]
     expected = BACKLASH.sensing.record(true[None, first:last, 1], np.array([gap]), 0.0)[0]
     rows = slice(first, min(last, first + 32))
-    np.testing.assert_allclose(shown[rows, 1], expected[: rows.stop - first], atol=1e-9)
+    # it turns back between two rows, a little beyond the farther one
+    np.testing.assert_allclose(shown[rows, 1], expected[: rows.stop - first], atol=5e-4)
     assert np.abs(shown[rows, 1] - true[rows, 1]).max() == pytest.approx(gap / 2)
