@@ -126,7 +126,8 @@ def hidden(
 
 
 def _ratio_of(memory: Memory, nominal: Nominal, data: Measurement) -> float:
-    """Root mean square of what the force changes in a control step, in units of the noise."""
+    """Root mean square of what the force changes in a control step, in units of the noise of a
+    difference of two readings."""
     simulator = Simulator(nominal, data, threads=1)
     response = simulator.responses_to_forces(nominal.start, (), simulator.measured)[memory.dof]
     steps = np.reshape(memory.forces, (EPISODES, STEPS + 1, -1))

@@ -76,8 +76,12 @@ def draw_case(
 
 
 def _are_one(sizing: Sizing, effect: Effect, other: Effect) -> bool:
-    """True if two effects are at one place, or one equals the other."""
-    return effect.location == other.location or sizing.are_equal(effect, other.kind, other.location)
+    """True if two effects are at one place, or either can reproduce the other."""
+    return (
+        effect.location == other.location
+        or sizing.are_equal(effect, other.kind, other.location)
+        or sizing.are_equal(other, effect.kind, effect.location)
+    )
 
 
 def hide(

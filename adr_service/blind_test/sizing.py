@@ -10,6 +10,7 @@ on: where a foot touches the ground, a millimetre is much.
 """
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import mujoco
@@ -23,9 +24,9 @@ from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect, JointState
 from adr_service.effects.catalogue import MECHANISMS, get_mechanism
 from adr_service.effects.models import element_of, shapes_of, typical_of
-from adr_service.errors import InvalidInput
+from adr_service.errors import InvalidInput, UnknownName
 
-MOST_TIED = 3  # effects in a tie that the score still takes for the name of one
+MOST_TIED = 3  # effects in the largest tie that the score still counts as naming one
 _POSITION_NOISE, _VELOCITY_NOISE = 1e-3, 1e-2  # [rad or m], [rad/s or m/s]
 _ADJUSTMENTS = 6  # of an effect's size, which is not always in proportion to its strength
 _MOST_DRAWS = 200  # of effects, one after the other, that cannot be as strong
@@ -50,7 +51,7 @@ def noise_of(model: mujoco.MjModel) -> Vector:
 
 
 def plantable(model: mujoco.MjModel) -> list[tuple[str, str]]:
-    """Kind and place of every effect of which a model's robot may hide some."""
+    """Kind and place of every effect that a model's robot may hide."""
     return [
         (kind, place)
         for kind, mechanism in MECHANISMS.items()
@@ -79,16 +80,20 @@ class Sizing:
     ) -> Effect:
         """A random effect of these kinds, as strong as `ratio` says to 30 %.
 
-        Raises InvalidInput if none can be.
+        Raises UnknownName for a kind that the catalogue lacks, and InvalidInput if none can be as
+        strong.
         """
+        for kind in kinds:
+            if kind not in MECHANISMS:
+                raise UnknownName("effect", kind, MECHANISMS)
         places = [place for place in self._places if place[0] in kinds]
         for _ in range(_MOST_DRAWS if places else 0):
             kind, place = places[int(rng.integers(len(places)))]
             if (effect := self._sized(kind, place, rng, ratio)) is not None:
                 return effect
         raise InvalidInput(
-            f"of effects of {sorted(kinds)}, which this robot may have at {len(places)} places, "
-            f"none of {_MOST_DRAWS} in a row can be of ratio {ratio:g} and be named"
+            f"{_MOST_DRAWS} draws of {sorted(kinds)}, which this robot may have at {len(places)} "
+            f"places, gave no effect of ratio {ratio:g} that could be named"
         )
 
     def draw_force(self, rng: np.random.Generator, ratio: float) -> Force:
@@ -104,7 +109,8 @@ class Sizing:
         return Force(kind, dof, actuator, other, ratio / (per_newton * unit))
 
     def are_equal(self, effect: Effect, kind: str, place: str) -> bool:
-        """True if some effect of this kind, at this place, would change what `effect` does."""
+        """True if an effect of this kind at this place can reproduce the response to `effect`, to
+        5 %, in the first episodes; False where they show no response."""
         return self._can_explain(self._small_response(effect), kind, place)
 
     def _can_explain(self, change: Vector, kind: str, place: str) -> bool:
@@ -127,16 +133,15 @@ class Sizing:
         is_shape = shapes_of(kind)
         if is_shape.any():
             values = np.where(is_shape, rng.uniform(*_SHAPED) * typical, values)
-        reached = 0.0
+        effect, reached = Effect(kind, place, tuple(values.tolist())), 0.0
         for number in range(_ADJUSTMENTS):
-            effect = Effect(kind, place, tuple(values.tolist()))
+            effect = replace(effect, values=tuple(values.tolist()))
             reached = _rms(self._undisturbed.unabsorbed(effect))
             if not np.isfinite(reached) or reached <= 1e-9:
                 return None
             if abs(reached / ratio - 1) < 0.05 or number == _ADJUSTMENTS - 1:
                 break
             values = values * np.where(is_shape, 1.0, np.clip(ratio / reached, 0.1, 10.0))
-        effect = Effect(kind, place, tuple(values.tolist()))
         low = np.array([s.low for s in mechanism.strengths])
         is_sized = abs(reached / ratio - 1) <= 0.3 and not np.any(values < low)
         return effect if is_sized and self._is_physical(effect) and self._is_rare(effect) else None
@@ -156,9 +161,10 @@ class Sizing:
         return all(np.all(getattr(model, name) >= 0) for name in _NOT_NEGATIVE)
 
     def _is_rare(self, effect: Effect) -> bool:
-        """True if so few places have effects that equal it that a tie of them counts as a name."""
+        """True if so few others can reproduce it that a tie with them still counts as a name."""
         change = self._small_response(effect)
-        return sum(self._can_explain(change, *place) for place in self._places) <= MOST_TIED
+        others = [each for each in self._places if each != (effect.kind, effect.location)]
+        return sum(self._can_explain(change, *place) for place in others) < MOST_TIED
 
     @cached_property
     def _first(self) -> "_Responses":

@@ -74,8 +74,7 @@ def distribution_view(outcome: Outcome) -> DistributionView:
 
 
 def _variant_of(spec: RunSpec, space: ParameterSpace) -> str:
-    """The run's variant, or for the oracle, who trains in the target's own space, the variant of
-    that."""
+    """Variant whose source has this space: the run's own, or vanilla, where the oracle trains."""
     is_own = source_of(spec.task, spec.variant).space == space
     return spec.variant if is_own else "vanilla"
 

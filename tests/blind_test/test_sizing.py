@@ -77,6 +77,13 @@ def test_a_gap_that_shows_is_wider_than_its_encoder_is_noisy():
     assert gap.values[0] > 4 * noise_of(nominal.model(nominal.start))[0]
 
 
-def test_kinds_that_cannot_be_as_strong_are_refused(sizing):
-    with pytest.raises(InvalidInput, match=r"contact_friction.* at 0 places, none of .* ratio 0.3"):
-        drawn(sizing, ["contact_frictions"])
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("contact_friction", r"200 draws of .* no effect of ratio 0.3"),  # the arm touches nothing
+        ("contact_frictions", "did you mean 'contact_friction'"),
+    ],
+)
+def test_kinds_that_cannot_be_as_strong_are_refused(sizing, kind, message):
+    with pytest.raises(InvalidInput, match=message):
+        drawn(sizing, [kind])
