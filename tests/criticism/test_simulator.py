@@ -247,9 +247,9 @@ def test_between_two_rows_a_position_goes_by_its_velocities_at_both():
 
 
 def test_the_past_is_simulated_where_velocities_change_much_between_rows():
-    """Rows of an arm that swings freely, eight control steps apart."""
+    """Rows of an arm that swings freely, 24 control steps apart."""
     every = hide(*arm(), np.random.default_rng(3), [], commands=np.zeros((8, 73, 2)))
-    rows = np.arange(len(every.time)) % 73 % 8 == 0
+    rows = np.arange(len(every.time)) % 73 % 24 == 0
     names = ("time", "qpos", "qvel", "ctrl", "episode")
     data = Measurement(**{name: getattr(every, name)[rows] for name in names})
     with Simulator(arm()[1], data, threads=1) as simulator:
