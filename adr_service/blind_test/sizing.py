@@ -190,7 +190,7 @@ class Sizing:
 
 
 class _Responses:
-    """What effects and forces change in one step of motions, in units of its noise."""
+    """Responses of one step of motions to effects and forces, in units of its noise."""
 
     def __init__(self, nominal: Nominal, motions: Measurement):
         self.simulator, self._start = Simulator(nominal, motions, threads=1), nominal.start

@@ -14,9 +14,11 @@ _REMEMBERED = 32  # rows
 
 
 def within(moved: Vector, before: Vector | None, after: Vector | None) -> Matrix:
-    """(n, WITHIN) how far steps have come at each moment of them, the last of which is their end.
+    """Distances (n, WITHIN) that a position has covered at each moment of n steps, from begin to
+    end.
 
-    `moved` (n,) in all, at so much a step `before` and `after` it; None: at the same pace.
+    `moved` (n,): in the whole step. `before`, `after` (n,): its velocities at both ends times the
+    period; None: it moves at one velocity.
     """
     part = np.arange(1, WITHIN + 1) / WITHIN
     if before is None or after is None:
@@ -39,10 +41,10 @@ def past_along(path: Matrix, period: float) -> Past:
 
 
 def displacements(come: Matrix, first: Indices) -> Matrix:
-    """(rows, k) how far each row's position is from that at each of the moments before it, the
+    """Distances (rows, k) of each row's position from that at each of the moments before it, the
     latest first, as far back as the row `first` (rows,).
 
-    `come` (rows - 1, WITHIN): how far the position has come at each moment of the steps between.
+    `come` (rows - 1, WITHIN): distances that it has covered at each moment of the steps between.
     """
     begun = np.concatenate([[0.0], np.cumsum(come[:, -1])])
     path = np.concatenate([[0.0], (begun[:-1, None] + come).ravel()])

@@ -251,7 +251,7 @@ class Simulator:
         return past
 
     def _within(self, column: int, moved: Vector, before: Matrix, after: Matrix) -> Matrix:
-        """How far a position that moves by `moved` in a step has come at each moment of it."""
+        """Distances (n, WITHIN) that a position covers within steps that move it by `moved`."""
         velocity = self.base.nq + column
         if not self.data.is_measured()[velocity]:
             return within(moved, None, None)
