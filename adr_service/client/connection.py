@@ -31,7 +31,7 @@ class AdrClient:
     def __init__(self, url: str = DEFAULT_URL, token: str = "", timeout_s: float = 60.0):
         headers = {"Authorization": f"Bearer {token}"} if token else {}
         self.url = url.rstrip("/")
-        shown = re.sub(r"[^/]*@", "", url)  # without a proxy's name and password
+        shown = re.sub(r"^(\w+://)?[^/]*@", r"\1", url)  # without a proxy's name and password
         check_token("ADR_TOKEN", token)
         if not self.url.lower().startswith(("http://", "https://")):
             raise InvalidInput(

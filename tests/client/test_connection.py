@@ -130,6 +130,7 @@ def test_an_error_of_another_server_is_shown_as_it_is(body):
         ({"url": "localhost:8761"}, "begins with http:// or https://, .*given 'localhost:8761'"),
         ({"url": "127.0.0.1:8761"}, "begins with http:// or https://, .*given '127.0.0.1:8761'"),
         ({"url": "http://me:secret@here:abc"}, "^'http://here:abc' is no address of a service"),
+        ({"url": "http://me:secret@here:abc/a@b"}, "^'http://here:abc/a@b' is no address"),
         ({"url": "me:secret@here:8761"}, "begins with http:// or https://, .*given 'here:8761'"),
         ({"url": "ftp://here"}, "begins with http:// or https://, .*given 'ftp://here'"),
         ({"token": "geheim-ü"}, "ADR_TOKEN has characters that no token has"),
