@@ -97,16 +97,18 @@ class Sizing:
         )
 
     def draw_force(self, rng: np.random.Generator, ratio: float) -> Force:
-        """A random force outside the catalogue, as strong as `ratio` says."""
+        """A random force outside the catalogue, as strong as `ratio` says.
+
+        Raises InvalidInput where free parameters can absorb it.
+        """
         kind = OUTSIDE[int(rng.integers(len(OUTSIDE)))]
         actuator, other = rng.permutation(self._base.nu)[:2].tolist()
         joint = int(self._base.actuator_trnid[actuator, 0])
-        dof = int(self._base.jnt_dofadr[joint])
-        force = 0.01 * abs(float(self._base.actuator_gear[actuator, 0]))
-        per_newton = _rms(self._undisturbed.to_force(dof, force)) / force
-        # root mean square of a force of size one, roughly
-        unit = {"gain_drift": 0.17, "cross_coupling": 0.55}.get(kind, 0.7)
-        return Force(kind, dof, actuator, other, ratio / (per_newton * unit))
+        unit = Force(kind, int(self._base.jnt_dofadr[joint]), actuator, other, 1.0)
+        reached = _rms(self._undisturbed.unabsorbed_force(unit))
+        if reached == 0:
+            raise InvalidInput(f"free parameters absorb a {kind} at degree of freedom {unit.dof}")
+        return replace(unit, size=ratio / reached)
 
     def are_equal(self, effect: Effect, kind: str, place: str) -> bool:
         """True if an effect of this kind at this place can reproduce the response to `effect`, to
@@ -213,19 +215,33 @@ class _Responses:
     def unabsorbed(self, effect: Effect) -> Vector:
         """(N m,) response to an effect, but for what free parameters can absorb; zero where they
         can absorb almost all."""
-        response = self._in_noise(
-            self._predict(self._states, self._start, [effect]) - self._predicted
-        )
+        changed = self._predict(self._states, self._start, [effect])
+        return self._beside_parameters(self._in_noise(changed - self._predicted))
+
+    def unabsorbed_force(self, force: Force) -> Vector:
+        """(N m,) the same for a force that stays, within each step, what it is at its start."""
+        simulator, known = self.simulator, (self._start, (), self._states, force.dof)
+        little = 0.01 * abs(float(simulator.base.actuator_gear[force.actuator, 0]))
+        still, pushed = (simulator.predict_pushed(*known, size) for size in (0.0, little))
+        by_unit = (pushed - still) / little
+        return self._beside_parameters(self._in_noise(by_unit * self._at_starts(force)[:, None]))
+
+    def _at_starts(self, force: Force) -> Vector:
+        """(N,) [N or N m] at the start of each step, one row of the recording after the other."""
+        simulator = self.simulator
+        data, now = mujoco.MjData(simulator.base), np.empty(len(self._states))
+        for row, state in enumerate(self._states):
+            data.qpos[:], data.qvel[:] = np.split(state, 2)
+            data.ctrl[:] = simulator.data.ctrl[row]
+            now[row] = force.at(data, row * simulator.period, len(now) * simulator.period)
+        return now[simulator.starts]
+
+    def _beside_parameters(self, response: Vector) -> Vector:
+        """What free parameters do not absorb; zero where they can absorb almost all."""
         absorbed = np.linalg.lstsq(self._parameters, response, rcond=None)[0]
         left = response - self._parameters @ absorbed
         is_its_own = np.linalg.norm(left) >= _OF_ITS_OWN * np.linalg.norm(response)
         return left if is_its_own else np.zeros_like(left)
-
-    def to_force(self, dof: int, force: float) -> Vector:
-        """(N m,) response to a constant force [N or N m] on a degree of freedom."""
-        known = (self._start, (), self._states, dof)
-        still, pushed = (self.simulator.predict_pushed(*known, size) for size in (0.0, force))
-        return self._in_noise(pushed - still)
 
     def _predict(
         self, states: Matrix, parameters: Vector, effects: Sequence[Effect] = ()

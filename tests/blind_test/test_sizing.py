@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from adr_service.blind_test.outside import OUTSIDE
 from adr_service.blind_test.planting import hide
 from adr_service.blind_test.sizing import Sizing, noise_of
 from adr_service.criticism.nominal import Nominal
@@ -66,6 +67,17 @@ def test_nothing_is_hidden_that_more_than_two_others_equal(sizing):
 )
 def test_effects_are_equal_if_they_change_the_same(sizing, effect, kind, place, equal):
     assert sizing.are_equal(effect, kind, place) is equal
+
+
+def test_a_force_outside_the_catalogue_is_as_strong_as_an_effect(sizing):
+    """A swinging torque does about as much as a constant one of the same root mean square."""
+    rng = np.random.default_rng(3)
+    forces = [sizing.draw_force(rng, 0.3) for _ in range(30)]
+    assert {force.kind for force in forces} == set(OUTSIDE)
+    swings = {force.dof: force.size for force in forces if force.kind == "disturbance"}
+    biases = {b.location: abs(b.values[0]) for b in drawn(sizing, ["actuator_bias"])}
+    for dof, place in enumerate(["actuator:shoulder", "actuator:elbow"]):
+        assert swings[dof] / np.sqrt(2) == pytest.approx(biases[place], rel=0.15)
 
 
 def test_a_gap_that_shows_is_wider_than_its_encoder_is_noisy():
