@@ -74,10 +74,8 @@ class Responses:
         simulator, fit = self._simulator, self._fit
         known = (simulator.base, effect)
         before = offsets_of(*known, fit.states, self._rates, simulator.past)
-        starts = fit.states[simulator.starts]
-        moved = self._predicted - starts
-        past = simulator.past_after(starts, self._predicted)
-        after = offsets_of(*known, self._predicted, moved / simulator.period, past)
+        past = simulator.past_after(fit.states[simulator.starts], self._predicted)
+        after = offsets_of(*known, self._predicted, self._rates[simulator.starts + 1], past)
         transition = fit.linear.chain.transition
         response = np.zeros(transition.shape[:3])
         for column, offset in before.items():

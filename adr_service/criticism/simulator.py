@@ -23,7 +23,14 @@ from adr_service.criticism.past import WITHIN, displacements, past_along, within
 from adr_service.effects.actuators import obeys_limits
 from adr_service.effects.base import Effect, Past, is_added
 from adr_service.effects.models import elements_of
-from adr_service.effects.signals import acts_on_commands, behind, obeyed, shown, uses_rates
+from adr_service.effects.signals import (
+    acts_on_commands,
+    behind,
+    obeyed,
+    rates_at_ends,
+    shown,
+    windows,
+)
 
 FINER = 3  # how much smaller a step shows what numerical integration adds
 _KEPT, _KEPT_COMMANDS = 32, 4  # compiled models, and commands after effects, which may be large
@@ -99,14 +106,14 @@ class Simulator:
             of_episode = np.concatenate(commands[begin:end])
             given[: len(of_episode), : of_episode.shape[1]] = of_episode
         starts = true[[first for first, _ in spans]]
-        after = self._engine.run(model, effects, starts, control)[:, self.steps - 1 :: self.steps]
+        after = self._engine.run(model, effects, starts, control)
+        within = np.arange(self.steps + 1)
         for (first, last), start, states in zip(spans, starts, after, strict=True):
-            ends = states[: last - first - 1]
-            path = np.concatenate([start[None], ends])
-            followed[first + 1 : last] = shown(
-                *(self.base, effects, ends, np.diff(path, axis=0) / self.period),
-                past_along(path, self.period),
-            )
+            path = np.concatenate([start[None], states])
+            rows = self.steps * np.arange(last - first)
+            rates = self._rates_at_ends(effects, path[rows[:-1, None] + within], model)
+            past = past_along(path[rows], self.period)
+            followed[first + 1 : last] = shown(self.base, effects, path[rows[1:]], rates, past)
         return followed
 
     @property
@@ -155,7 +162,7 @@ class Simulator:
         true = self._true(effects, states, model)
         bits = mujoco.mjtDisableBit
         model.opt.disableflags |= bits.mjDSBL_CONTACT | bits.mjDSBL_LIMIT
-        return self._shown(effects, true[self.starts], self._ends(effects, true, model))
+        return self._shown(effects, self._paths(effects, true, model), model)
 
     def predict_pushed(
         self, values: Vector, effects: Sequence[Effect], states: Matrix, dof: int, force: float
@@ -210,10 +217,11 @@ class Simulator:
         return commands
 
     def rates(self, values: Vector, effects: Sequence[Effect], states: Matrix) -> Matrix:
-        """(rows, 2 nv) rate of change since the row before, by the model of `predict_quickly`; at
-        an episode's first row, the rate after it.
+        """(rows, 2 nv) rate of change just before each row, by the model of `predict_quickly`; at
+        an episode's first row, just after it.
 
-        Simulated: the measured rate would reveal to the simulator what it is to predict.
+        Over what the effects need of it, else over a step. Simulated: the measured rate would
+        reveal to the simulator what it is to predict.
         """
         return self._rates(effects, states, self._quick(values, effects))
 
@@ -258,12 +266,21 @@ class Simulator:
         return within(moved, before[:, velocity] * self.period, after[:, velocity] * self.period)
 
     def _rates(self, effects: Sequence[Effect], states: Matrix, model: mujoco.MjModel) -> Matrix:
-        ends = self._ends(effects, states, model)
-        rates = np.zeros_like(states)
-        rates[self.starts + 1] = (np.nan_to_num(ends) - states[self.starts]) / self.period
-        first = np.array([first for first, _ in self.data.spans()])
-        rates[first] = rates[first + 1]
-        return rates
+        paths = self._paths(effects, states, model)
+        known, rates = (model.opt.timestep, windows(self.base, effects)), np.zeros_like(states)
+        rates[self.starts + 1] = rates_at_ends(paths, *known)
+        first = np.array([first for first, last in self.transitions() if first < last])
+        rates[self.starts[first]] = -rates_at_ends(paths[first, ::-1], *known)
+        return np.nan_to_num(rates)
+
+    def _rates_at_ends(
+        self, effects: Sequence[Effect], paths: Array3, model: mujoco.MjModel
+    ) -> Matrix:
+        """(n, 2 nv) rates at the ends of simulated paths, zero if the effects do not need them."""
+        needed = windows(self.base, effects)
+        if not needed:
+            return np.zeros_like(paths[:, -1])
+        return rates_at_ends(paths, model.opt.timestep, needed)
 
     def model(self, values: Vector, effects: Sequence[Effect]) -> mujoco.MjModel:
         """A model of the caller's own with these parameters and effects, and with its step."""
@@ -327,28 +344,30 @@ class Simulator:
         added: _Added | None = None,
     ) -> Matrix:
         true = self._true(effects, states, model)
-        ends = self._ends(effects, true, model, added or _Added())
-        return self._shown(effects, true[self.starts], ends)
+        return self._shown(effects, self._paths(effects, true, model, added), model)
 
-    def _ends(
+    def _paths(
         self,
         effects: Sequence[Effect],
         true: Matrix,
         model: mujoco.MjModel,
         added: _Added | None = None,
-    ) -> Matrix:
-        """The robot's states (N, 2 nv) one control step after its states (rows, 2 nv)."""
+    ) -> Array3:
+        """The robot's states (N, steps + 1, 2 nv) from each row to the next, from its states
+        (rows, 2 nv) at the rows on."""
         steps, n = round(self.period / model.opt.timestep), len(self.starts)
         self.simulated_steps += n
+        starts = true[self.starts]
         if not self._is_possible(model):
-            return np.full((n, self.measured.shape[1]), np.nan)
+            return np.full((n, steps + 1, self.measured.shape[1]), np.nan)
         added = added or _Added()
         commands = self.commands(effects, steps)
         control = np.zeros((n, steps, model.nu + model.nv))
         control[..., : commands.shape[2]] = commands
         control[..., added.actuator] += added.command
         control[..., model.nu + added.dof] = added.force
-        return self._engine.run(model, effects, true[self.starts], control)[:, -1]
+        after = self._engine.run(model, effects, starts, control)
+        return np.concatenate([starts[:, None], after], axis=1)
 
     def _is_possible(self, model: mujoco.MjModel) -> bool:
         """True if every body that has a mass and inertias in the base model still has them."""
@@ -374,15 +393,15 @@ class Simulator:
 
     def _true(self, effects: Sequence[Effect], states: Matrix, model: mujoco.MjModel) -> Matrix:
         """The robot's states (rows, 2 nv) behind what its sensors show."""
-        moving = uses_rates(effects)
+        moving = windows(self.base, effects)
         rates = self._rates(effects, states, model) if moving else np.zeros_like(states)
         return behind(self.base, effects, states, rates, self.past)
 
-    def _shown(self, effects: Sequence[Effect], before: Matrix, after: Matrix) -> Matrix:
-        """Readings after all transitions, from true states before and after them."""
-        moved = after - before
-        past = self.past_after(before, after)
-        return shown(self.base, effects, after, moved / self.period, past)
+    def _shown(self, effects: Sequence[Effect], paths: Array3, model: mujoco.MjModel) -> Matrix:
+        """Readings after all transitions, from true states (N, steps + 1, 2 nv) in them."""
+        before, after = paths[:, 0], paths[:, -1]
+        rates = self._rates_at_ends(effects, paths, model)
+        return shown(self.base, effects, after, rates, self.past_after(before, after))
 
 
 def is_first_order(model: mujoco.MjModel) -> bool:

@@ -65,7 +65,7 @@ ENCODER_SCALE = Mechanism(
 
 
 def _lateness(motion: Motion, values: Vector) -> Vector:
-    """By a position's own velocity, and by how fast a velocity has changed since the row before."""
+    """By a position's own velocity, and by how fast a velocity has changed meanwhile."""
     velocity = motion.column + motion.states.shape[1] // 2
     is_position = velocity < motion.states.shape[1]
     rate = motion.states[:, velocity] if is_position else motion.rates[:, motion.column]
@@ -82,7 +82,7 @@ DELAY = Mechanism(
     "sensor",
     (Strength("delay", "s", low=0.0),),
     typical=lambda model, sensor: (0.5 * model.opt.timestep,),
-    sensing=Sensing(_lateness, _late, uses_rates=True),
+    sensing=Sensing(_lateness, _late, window=lambda values: float(values[0])),
 )
 
 

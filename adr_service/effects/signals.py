@@ -7,7 +7,7 @@
 Effects act in their order, and are undone in the opposite one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -45,9 +45,31 @@ def _largest(model: mujoco.MjModel, actuator: int) -> float:
     return float(np.abs(model.actuator_ctrlrange[actuator]).max()) if is_limited else np.inf
 
 
-def uses_rates(effects: Sequence[Effect]) -> bool:
-    """True if some effect in a sensor depends on how fast the states change."""
-    return any(sensing.uses_rates for _, sensing in _in_sensors(effects))
+def windows(model: mujoco.MjModel, effects: Sequence[Effect]) -> dict[int, float]:
+    """Seconds before a moment over which effects in sensors need the rate of a velocity, by its
+    column. That of a position is among the states."""
+    return {
+        column: sensing.window(np.array(effect.values))
+        for effect, sensing in _in_sensors(effects)
+        if sensing.window is not None
+        for column in sensing.columns(model, element_of(model, effect.location))
+        if column >= model.nq
+    }
+
+
+def rates_at_ends(paths: Array3, timestep: float, windows: Mapping[int, float]) -> Matrix:
+    """(n, 2 nv) rates of change [1/s] at the ends of paths (n, k + 1, 2 nv) of states that are
+    `timestep` apart: in the last step, or over a column's window, but not before the path."""
+    rates = (paths[:, -1] - paths[:, -2]) / timestep
+    last = paths.shape[1] - 1
+    for column, window in windows.items():
+        steps = min(max(window / timestep, 1.0), float(last))
+        early = last - int(np.ceil(steps))
+        share = last - steps - early  # of the way to the next moment
+        before, after = paths[:, early, column], paths[:, early + 1, column]
+        then = before + share * (after - before)
+        rates[:, column] = (paths[:, -1, column] - then) / (steps * timestep)
+    return rates
 
 
 def shown(

@@ -73,8 +73,9 @@ class Criticise(Stage[Criticised]):
     # that nobody measured, and a flexible force chosen beside persisting misfit, 22: Student's
     # intervals of gains, so that two sealed episodes refute a cause as rarely as twenty, and
     # nothing refined beside a best candidate that stays hopeless, late positions behind by their
-    # own velocities, 23: a backlash follows its joint's path between rows
-    version: ClassVar = 23
+    # own velocities, 23: a backlash follows its joint's path between rows, 24: late velocities
+    # behind by what they change in that time, and not on average since the row before
+    version: ClassVar = 24
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised
 

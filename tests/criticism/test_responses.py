@@ -36,6 +36,7 @@ def responses(baseline):
         Effect("sensor_scale", "sensor:elbow.velocity", (1e-4,)),
         Effect("joint_encoder_scale", "joint:elbow", (1e-4,)),
         Effect("sensor_delay", "sensor:shoulder.position", (1e-5,)),
+        Effect("sensor_delay", "sensor:elbow.velocity", (1e-5,)),
     ],
 )
 def test_a_response_is_the_change_that_a_simulation_shows(baseline, responses, effect):

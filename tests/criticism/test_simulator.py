@@ -18,6 +18,7 @@ from adr_service.criticism.simulator import Simulator, other_integrator
 from adr_service.effects import models
 from adr_service.effects.base import Effect
 from adr_service.effects.joints import BACKLASH
+from adr_service.tasks.catalogue import get_task, source_of
 from tests.hidden import arm
 
 
@@ -113,6 +114,34 @@ def test_a_model_that_does_not_cut_commands_obeys_them_all(good):
         assert np.abs(simulator.commands([], simulator.steps)).max() == 3.0
 
 
+def test_a_velocity_is_late_by_what_it_has_changed_meanwhile():
+    """Feet on the ground change it otherwise in the last 20 ms than in the 50 ms of a row."""
+    task = get_task("half_cheetah")
+    nominal = Nominal.of_task(task, source_of("half_cheetah", "vanilla"))
+    late = [Effect("sensor_delay", "sensor:bshin.velocity", (0.02,))]
+    plain, shown = (
+        hide(task, nominal, np.random.default_rng(7), each).episodes(range(5))
+        for each in ([], late)
+    )
+    with Simulator(nominal, plain, threads=1) as simulator:
+        rates = simulator.rates(nominal.start, late, simulator.measured)
+        rows, column = simulator.starts + 1, simulator.base.joint("bshin").id
+    behind = (plain.qvel - shown.qvel)[rows, column]  # without noise, which is the same in both
+    changed = 0.02 * rates[rows, simulator.base.nq + column]
+    since_the_row_before = 0.4 * (plain.qvel[rows] - plain.qvel[rows - 1])[:, column]
+    errors = [np.sqrt(np.mean((behind - each) ** 2)) for each in (changed, since_the_row_before)]
+    assert errors[0] < 0.5 * np.sqrt(np.mean(behind**2)) < 0.7 * errors[1]
+
+
+@pytest.mark.parametrize(("kind", "more"), [("position", 0), ("velocity", 1)])
+def test_late_positions_need_no_simulation_of_the_step_before(good, kind, more):
+    late = [Effect("sensor_delay", f"sensor:elbow.{kind}", (0.005,))]
+    nominal = arm()[1]
+    with Simulator(nominal, Measurement(**good), threads=1) as simulator:
+        simulator.predict(nominal.start, late, simulator.measured)
+        assert simulator.simulated_steps == (1 + more) * len(simulator.starts)
+
+
 def test_whole_episodes_are_followed_as_step_after_step(good):
     """Open loop, with effects on commands, in a sensor and in the model, and a friction that varies
     from step to step."""
@@ -125,7 +154,10 @@ def test_whole_episodes_are_followed_as_step_after_step(good):
     nominal = arm()[1]
     with Simulator(nominal, Measurement(**good), threads=1) as simulator:
         whole = simulator.follow(nominal.start, causes)
-        late = [Effect("sensor_delay", "sensor:elbow.position", (0.005,))]
+        late = [
+            Effect("sensor_delay", "sensor:elbow.position", (0.005,)),
+            Effect("sensor_delay", "sensor:shoulder.velocity", (0.005,)),
+        ]
         first_of_late = simulator.follow(nominal.start, late)[1]
         expected = simulator.predict(nominal.start, late, simulator.measured)[0]
         states = simulator.measured.copy()

@@ -41,11 +41,6 @@ def test_a_velocity_is_late_by_how_fast_it_changes():
     np.testing.assert_allclose(offset, [-0.1, -0.2, -0.4, 0.0])
 
 
-def test_a_delay_alone_uses_rates():
-    uses = [kind for kind, m in MECHANISMS.items() if m.sensing and m.sensing.uses_rates]
-    assert uses == ["sensor_delay"]
-
-
 def test_steps_and_noise_move_nothing_on_average():
     motion = Motion(TRUTH.T, np.zeros((4, 1)), column=0, past=NO_PAST)
     for kind in ("sensor_quantisation", "sensor_noise"):

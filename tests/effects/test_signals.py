@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from adr_service.effects.base import Effect
-from adr_service.effects.signals import behind, obeyed, offsets_of, recorded, shown, uses_rates
+from adr_service.effects.signals import (
+    behind,
+    obeyed,
+    offsets_of,
+    rates_at_ends,
+    recorded,
+    shown,
+    windows,
+)
 from adr_service.errors import InvalidInput
 
 BIAS = Effect("sensor_bias", "sensor:x.position", (0.5,))
@@ -85,6 +93,19 @@ def test_an_effect_that_uses_the_past_is_given_that_of_its_column(cart):
     np.testing.assert_allclose(true, STATES)
 
 
-def test_rates_are_needed_for_delays_alone():
-    assert not uses_rates([BIAS, SCALE])
-    assert uses_rates([BIAS, Effect("sensor_delay", "sensor:x.position", (0.01,))])
+def test_rates_are_needed_for_late_velocities_alone(cart):
+    late = [
+        Effect("sensor_delay", f"sensor:x.{each}", (0.01,)) for each in ("position", "velocity")
+    ]
+    assert windows(cart(), [BIAS, SCALE, late[0]]) == {}
+    assert windows(cart(), [BIAS, *late]) == {1: 0.01}
+
+
+@pytest.mark.parametrize(
+    ("window", "then"), [(0.01, 6.0), (0.1, 6.0), (0.15, 4.5), (0.2, 3.0), (0.3, 0.0), (9.0, 0.0)]
+)
+def test_a_rate_is_over_a_window_of_a_step_at_least_and_the_path_at_most(window, then):
+    """Between two moments on a line, as records are late."""
+    path = np.array([0.0, 3.0, 6.0, 10.0])
+    (rates,) = rates_at_ends(np.column_stack([path, path])[None], 0.1, {1: window})
+    np.testing.assert_allclose(rates, [40.0, (10.0 - then) / min(max(window, 0.1), 0.3)])
