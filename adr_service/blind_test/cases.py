@@ -54,5 +54,8 @@ def _drawn(name: str, kind: Kind, ratio: float, rng: np.random.Generator) -> Cas
         try:
             return draw_case(task, nominal, rng, ratio, count, kind == "outside")
         except AdrError:
-            continue  # the hidden robot diverged
-    raise InvalidInput(f"{_MOST_DRAWS} robots in a row that {name} may hide diverged")
+            continue  # it diverged, or nothing in its motions can be of this ratio
+    raise InvalidInput(
+        f"{_MOST_DRAWS} robots in a row that {name} may hide diverged, or moved so that nothing "
+        f"can be of ratio {ratio:g}"
+    )

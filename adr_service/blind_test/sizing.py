@@ -99,7 +99,7 @@ class Sizing:
     def draw_force(self, rng: np.random.Generator, ratio: float) -> Force:
         """A random force outside the catalogue, as strong as `ratio` says.
 
-        Raises InvalidInput where free parameters can absorb it.
+        Raises InvalidInput where free parameters explain all that it changes.
         """
         kind = OUTSIDE[int(rng.integers(len(OUTSIDE)))]
         actuator, other = rng.permutation(self._base.nu)[:2].tolist()
@@ -107,7 +107,10 @@ class Sizing:
         unit = Force(kind, int(self._base.jnt_dofadr[joint]), actuator, other, 1.0)
         reached = _rms(self._undisturbed.unabsorbed_force(unit))
         if reached == 0:
-            raise InvalidInput(f"free parameters absorb a {kind} at degree of freedom {unit.dof}")
+            raise InvalidInput(
+                f"a {kind} at degree of freedom {unit.dof} changes nothing that free parameters "
+                "do not explain as well; draw another"
+            )
         return replace(unit, size=ratio / reached)
 
     def are_equal(self, effect: Effect, kind: str, place: str) -> bool:
@@ -227,7 +230,7 @@ class _Responses:
         return self._beside_parameters(self._in_noise(by_unit * self._at_starts(force)[:, None]))
 
     def _at_starts(self, force: Force) -> Vector:
-        """(N,) [N or N m] at the start of each step, one row of the recording after the other."""
+        """(N,) the force [N or N m] at the start of each step, in the recording's order."""
         simulator = self.simulator
         data, now = mujoco.MjData(simulator.base), np.empty(len(self._states))
         for row, state in enumerate(self._states):

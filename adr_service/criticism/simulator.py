@@ -111,7 +111,8 @@ class Simulator:
         for (first, last), start, states in zip(spans, starts, after, strict=True):
             path = np.concatenate([start[None], states])
             rows = self.steps * np.arange(last - first)
-            rates = self._rates_at_ends(effects, path[rows[:-1, None] + within], model)
+            paths = path[rows[:-1, None] + within]
+            rates = rates_at_ends(paths, model.opt.timestep, windows(self.base, effects))
             past = past_along(path[rows], self.period)
             followed[first + 1 : last] = shown(self.base, effects, path[rows[1:]], rates, past)
         return followed
@@ -223,7 +224,8 @@ class Simulator:
         Over what the effects need of it, else over a step. Simulated: the measured rate would
         reveal to the simulator what it is to predict.
         """
-        return self._rates(effects, states, self._quick(values, effects))
+        model = self._quick(values, effects)
+        return self._rates(effects, self._true(effects, states, model), model)
 
     def past(self, column: int) -> Matrix:
         """(rows, k) how far a position has come since each of the moments before, the latest first,
@@ -269,18 +271,9 @@ class Simulator:
         paths = self._paths(effects, states, model)
         known, rates = (model.opt.timestep, windows(self.base, effects)), np.zeros_like(states)
         rates[self.starts + 1] = rates_at_ends(paths, *known)
-        first = np.array([first for first, last in self.transitions() if first < last])
+        first = np.array([first for first, _ in self.transitions()])
         rates[self.starts[first]] = -rates_at_ends(paths[first, ::-1], *known)
-        return np.nan_to_num(rates)
-
-    def _rates_at_ends(
-        self, effects: Sequence[Effect], paths: Array3, model: mujoco.MjModel
-    ) -> Matrix:
-        """(n, 2 nv) rates at the ends of simulated paths, zero if the effects do not need them."""
-        needed = windows(self.base, effects)
-        if not needed:
-            return np.zeros_like(paths[:, -1])
-        return rates_at_ends(paths, model.opt.timestep, needed)
+        return np.nan_to_num(rates)  # a step that diverges must not end the next one as well
 
     def model(self, values: Vector, effects: Sequence[Effect]) -> mujoco.MjModel:
         """A model of the caller's own with these parameters and effects, and with its step."""
@@ -400,7 +393,7 @@ class Simulator:
     def _shown(self, effects: Sequence[Effect], paths: Array3, model: mujoco.MjModel) -> Matrix:
         """Readings after all transitions, from true states (N, steps + 1, 2 nv) in them."""
         before, after = paths[:, 0], paths[:, -1]
-        rates = self._rates_at_ends(effects, paths, model)
+        rates = rates_at_ends(paths, model.opt.timestep, windows(self.base, effects))
         return shown(self.base, effects, after, rates, self.past_after(before, after))
 
 

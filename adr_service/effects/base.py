@@ -123,7 +123,9 @@ class Motion:
     """States of a robot at n moments, and the column that one sensor shows of them."""
 
     states: Matrix  # (n, 2 nv) positions, then velocities
-    rates: Matrix  # (n, 2 nv) of change [1/s] just before; zero but for what `Sensing.window` asks
+    # (n, 2 nv) of change [1/s] just before, at an episode's first row just after; zero if no effect
+    # needs them
+    rates: Matrix
     column: int
     # (n, k) how far the column has come since each of the moments before, the latest first; without
     # columns unless the effect uses the past
@@ -166,8 +168,8 @@ class Sensing:
     record: Record | None
     offset_shown: Offset | None = None  # `offset` by the motion as sensors show it, if it differs
     columns: Columns = _own_column  # of the states, by the element at the effect's place
-    # [s] before a moment, by the strengths, over which it needs `Motion.rates` of velocities; None:
-    # it needs none
+    # seconds up to a moment over which it needs the rate of a velocity, by its strengths; None: it
+    # needs no rate
     window: Callable[[Vector], float] | None = None
     uses_past: bool = False  # `Motion.past` is needed
 

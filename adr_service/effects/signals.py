@@ -46,8 +46,8 @@ def _largest(model: mujoco.MjModel, actuator: int) -> float:
 
 
 def windows(model: mujoco.MjModel, effects: Sequence[Effect]) -> dict[int, float]:
-    """Seconds before a moment over which effects in sensors need the rate of a velocity, by its
-    column. That of a position is among the states."""
+    """Seconds up to a moment over which effects in sensors need the rate of a velocity, by its
+    column. A position's rate is its velocity, which the states have."""
     return {
         column: sensing.window(np.array(effect.values))
         for effect, sensing in _in_sensors(effects)
@@ -57,12 +57,13 @@ def windows(model: mujoco.MjModel, effects: Sequence[Effect]) -> dict[int, float
     }
 
 
-def rates_at_ends(paths: Array3, timestep: float, windows: Mapping[int, float]) -> Matrix:
+def rates_at_ends(paths: Array3, timestep: float, over: Mapping[int, float]) -> Matrix:
     """(n, 2 nv) rates of change [1/s] at the ends of paths (n, k + 1, 2 nv) of states that are
-    `timestep` apart: in the last step, or over a column's window, but not before the path."""
+    `timestep` apart: over the last step, or over so many seconds of a column, but no less than
+    that step and no more than the path."""
     rates = (paths[:, -1] - paths[:, -2]) / timestep
     last = paths.shape[1] - 1
-    for column, window in windows.items():
+    for column, window in over.items():
         steps = min(max(window / timestep, 1.0), float(last))
         early = last - int(np.ceil(steps))
         share = last - steps - early  # of the way to the next moment

@@ -1,5 +1,7 @@
 """Effects are drawn as strong as asked for, possible, and such that a method can name them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,9 +16,13 @@ from tests.hidden import arm
 
 
 @pytest.fixture(scope="module")
-def sizing():
-    task, nominal = arm()
-    return Sizing(nominal, hide(task, nominal, np.random.default_rng(0), []).episodes(range(8)))
+def motions():
+    return hide(*arm(), np.random.default_rng(0), []).episodes(range(8))
+
+
+@pytest.fixture(scope="module")
+def sizing(motions):
+    return Sizing(arm()[1], motions)
 
 
 def drawn(sizing, kinds, count=8, ratio=0.3):
@@ -69,15 +75,33 @@ def test_effects_are_equal_if_they_change_the_same(sizing, effect, kind, place, 
     assert sizing.are_equal(effect, kind, place) is equal
 
 
-def test_a_force_outside_the_catalogue_is_as_strong_as_an_effect(sizing):
-    """A swinging torque does about as much as a constant one of the same root mean square."""
+def test_a_force_outside_the_catalogue_is_as_strong_as_an_effect(sizing, motions):
+    """It does as much as a constant torque of the same root mean square, but for a coupling, of
+    which free masses explain a part: links that are driven move others too."""
     rng = np.random.default_rng(3)
     forces = [sizing.draw_force(rng, 0.3) for _ in range(30)]
     assert {force.kind for force in forces} == set(OUTSIDE)
-    swings = {force.dof: force.size for force in forces if force.kind == "disturbance"}
     biases = {b.location: abs(b.values[0]) for b in drawn(sizing, ["actuator_bias"])}
-    for dof, place in enumerate(["actuator:shoulder", "actuator:elbow"]):
-        assert swings[dof] / np.sqrt(2) == pytest.approx(biases[place], rel=0.15)
+    along = np.linspace(0, 1, len(motions.time), endpoint=False)
+    for force in forces:
+        per_newton = {
+            "cross_coupling": motions.ctrl[:, force.other],
+            "gain_drift": motions.ctrl[:, force.actuator] * (along - 0.5),
+            "disturbance": np.full(1, np.sqrt(0.5)),
+        }
+        torque = force.size * np.sqrt(np.mean(per_newton[force.kind] ** 2))
+        place = f"actuator:{['shoulder', 'elbow'][force.dof]}"
+        if force.kind == "cross_coupling":
+            assert torque > 1.1 * biases[place]
+        else:
+            assert torque == pytest.approx(biases[place], rel=0.05)
+
+
+def test_a_force_that_changes_nothing_is_refused(motions):
+    still = Sizing(arm()[1], replace(motions, ctrl=np.zeros_like(motions.ctrl)))
+    changing = (still.draw_force(np.random.default_rng(seed), 0.3).kind for seed in range(20))
+    with pytest.raises(InvalidInput, match=r"a (gain_drift|cross_coupling) .* changes nothing"):
+        list(changing)
 
 
 def test_a_gap_that_shows_is_wider_than_its_encoder_is_noisy():

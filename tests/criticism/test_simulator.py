@@ -19,7 +19,7 @@ from adr_service.effects import models
 from adr_service.effects.base import Effect
 from adr_service.effects.joints import BACKLASH
 from adr_service.tasks.catalogue import get_task, source_of
-from tests.hidden import arm
+from tests.hidden import arm, recorded
 
 
 def test_a_body_without_mass_is_predicted_as_nan(good):
@@ -131,6 +131,32 @@ def test_a_velocity_is_late_by_what_it_has_changed_meanwhile():
     since_the_row_before = 0.4 * (plain.qvel[rows] - plain.qvel[rows - 1])[:, column]
     errors = [np.sqrt(np.mean((behind - each) ** 2)) for each in (changed, since_the_row_before)]
     assert errors[0] < 0.5 * np.sqrt(np.mean(behind**2)) < 0.7 * errors[1]
+
+
+def test_a_velocity_that_is_a_whole_row_late_is_that_of_the_row_before(good):
+    """And at an episode's first row, that of the next one was not yet there."""
+    data, nominal = Measurement(**good), arm()[1]
+    rows = np.delete(np.arange(len(data.time)), np.arange(5, data.spans()[0][1]))
+    data = Measurement(**{name: array[rows] for name, array in recorded(data).items()})
+    late = [Effect("sensor_delay", "sensor:elbow.velocity", (data.period(),))]
+    with Simulator(nominal, data, threads=1) as simulator:
+        starts, velocity = simulator.starts, simulator.base.nq + 1
+        plain, shown = (
+            simulator.predict(nominal.start, each, simulator.measured)[:, velocity]
+            for each in ([], late)
+        )
+        followed = simulator.follow(nominal.start, late)[:, velocity]
+        first = np.array([first for first, _ in simulator.transitions()])
+        begun = simulator.measured.copy()
+    changed, read = plain - begun[starts, velocity], begun[starts, velocity]
+    true = read + np.concatenate([[0.0], changed[:-1]])  # by the transition before
+    true[first] = plain[first]
+    np.testing.assert_allclose(shown, true, atol=1e-9)
+    begun[starts[first], velocity] = plain[first]
+    moved = Measurement(**{**recorded(data), "qvel": begun[:, simulator.base.nq :]})
+    with Simulator(nominal, moved, threads=1) as simulator:
+        on_time = simulator.follow(nominal.start, [])[:, velocity]
+    np.testing.assert_allclose(followed[starts + 1], on_time[starts], atol=1e-9)
 
 
 @pytest.mark.parametrize(("kind", "more"), [("position", 0), ("velocity", 1)])
