@@ -84,8 +84,8 @@ def weigh(
     """The best of effects or groups beside a fit's, with all that explain as much (none without
     evidence), and the probability that it is chance; `alive` is called before each.
 
-    Those that a first look shows far below the best are left out. If the best one stays below
-    `_PROMISING` after refinement, no other is refined.
+    Those that a first look shows far below the best are left out, unless they act at its places.
+    If the best one stays below `_PROMISING` after refinement, no other is refined.
     """
     without = current.settled.held_out
     looks: list[Weighed] = []
@@ -119,19 +119,28 @@ def _first_look(current: Fit, effects: Sequence[Effect], without: Vector) -> Wei
 def _hopeful_at_best(
     looks: Sequence[Weighed], current: Fit, without: Vector, alive: Callable[[], None]
 ) -> list[Weighed]:
-    """Looks that may turn out best, after steps to better strengths."""
+    """Looks that may turn out best, after steps to better strengths.
+
+    Among them is all that acts at the best one's places, however little it explains at first: a
+    contact that is weaker in one way may need to be four times as much so in another, which takes
+    steps, to explain more.
+    """
     if not looks:
         return []
     best = max(looks, key=lambda look: look.fair_gain)
     first = _at_best(best, current, without, alive)
     if max(best.fair_gain, first.fair_gain) < _PROMISING:
         return [first]
-    least = min(best.fair_gain, _HOPEFUL * best.fair_gain)
+    least, places = min(best.fair_gain, _HOPEFUL * best.fair_gain), _places(best)
     return [
         first if look is best else _at_best(look, current, without, alive)
         for look in looks
-        if look.fair_gain >= least
+        if look.fair_gain >= least or _places(look) == places
     ]
+
+
+def _places(look: Weighed) -> set[str]:
+    return {effect.location for effect in look.effects}
 
 
 def _at_best(look: Weighed, current: Fit, without: Vector, alive: Callable[[], None]) -> Weighed:

@@ -74,7 +74,8 @@ class Criticise(Stage[Criticised]):
     # intervals of gains, so that two sealed episodes refute a cause as rarely as twenty, and
     # nothing refined beside a best candidate that stays hopeless, late positions behind by their
     # own velocities, 23: a backlash follows its joint's path between rows, 24: late velocities
-    # behind by what they change in that time, and not on average since the row before
+    # behind by what they change in that time, and not on average since the row before, and
+    # candidates refined that act where the best one does, however little they explain at first
     version: ClassVar = 24
     role: ClassVar[Role] = "inference"
     result: ClassVar = Criticised

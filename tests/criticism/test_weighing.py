@@ -75,10 +75,23 @@ def test_the_best_is_refined_though_it_starts_far_beside_its_strength(baseline, 
 
 def test_what_is_far_below_the_best_at_a_first_look_is_not_refined(baseline, candidates, friction):
     single = single_places(candidates)
-    other = next(each for each in single if each.gain < 0.3 * single[0].gain)
+    elsewhere = (each for each in single if each.effects[0].location != friction.location)
+    other = next(each for each in elsewhere if each.gain < 0.3 * single[0].gain)
     rng, steps = np.random.default_rng(0), []
     weigh(baseline, [other.effects, (friction,)], rng, lambda: steps.append("alive"))
     assert len(steps) == 3  # two looks, and one refinement
+
+
+def test_what_acts_where_the_best_does_is_refined_however_far_below_it(
+    baseline, candidates, friction
+):
+    """A hundredth of the friction explains next to nothing, before it is refined."""
+    rivals = (each for each in candidates if each.location == friction.location)
+    viscous = next(each for each in rivals if each.kind == "joint_viscous_friction")
+    weak, rng = replace(friction, values=(0.01 * friction.values[0],)), np.random.default_rng(0)
+    (best,), _ = weigh(baseline, [viscous.effects, (weak,)], rng, lambda: None)
+    assert best.effects == (weak,)
+    assert best.newest[0].values == pytest.approx(friction.values, rel=0.1)
 
 
 def test_beside_a_best_one_that_stays_hopeless_no_other_is_refined(baseline):
