@@ -240,7 +240,7 @@ class _Responses:
         return now[simulator.starts]
 
     def _beside_parameters(self, response: Vector) -> Vector:
-        """What free parameters do not absorb; zero where they can absorb almost all."""
+        """A response without what free parameters absorb; zero where they can absorb almost all."""
         absorbed = np.linalg.lstsq(self._parameters, response, rcond=None)[0]
         left = response - self._parameters @ absorbed
         is_its_own = np.linalg.norm(left) >= _OF_ITS_OWN * np.linalg.norm(response)
