@@ -223,10 +223,7 @@ class _Responses:
 
     def unabsorbed_force(self, force: Force) -> Vector:
         """(N m,) the same for a force that stays, within each step, what it is at its start."""
-        simulator, known = self.simulator, (self._start, (), self._states, force.dof)
-        little = 0.01 * abs(float(simulator.base.actuator_gear[force.actuator, 0]))
-        still, pushed = (simulator.predict_pushed(*known, size) for size in (0.0, little))
-        by_unit = (pushed - still) / little
+        by_unit = self.simulator.responses_to_forces(self._start, (), self._states)[force.dof]
         return self._beside_parameters(self._in_noise(by_unit * self._at_starts(force)[:, None]))
 
     def _at_starts(self, force: Force) -> Vector:

@@ -107,11 +107,10 @@ class Simulator:
             given[: len(of_episode), : of_episode.shape[1]] = of_episode
         starts = true[[first for first, _ in spans]]
         after = self._engine.run(model, effects, starts, control)
-        within = np.arange(self.steps + 1)
         for (first, last), start, states in zip(spans, starts, after, strict=True):
             path = np.concatenate([start[None], states])
             rows = self.steps * np.arange(last - first)
-            paths = path[rows[:-1, None] + within]
+            paths = path[rows[:-1, None] + np.arange(self.steps + 1)]
             rates = rates_at_ends(paths, model.opt.timestep, windows(self.base, effects))
             past = past_along(path[rows], self.period)
             followed[first + 1 : last] = shown(self.base, effects, path[rows[1:]], rates, past)

@@ -121,9 +121,8 @@ def _hopeful_at_best(
 ) -> list[Weighed]:
     """Looks that may turn out best, after steps to better strengths.
 
-    Among them is all that acts at the best one's places, however little it explains at first: a
-    contact that is weaker in one way may need to be four times as much so in another, which takes
-    steps, to explain more.
+    Among them is all that acts at the best one's places, however little it explains at first: near
+    a contact its first strength may be a quarter of the one at which it explains most.
     """
     if not looks:
         return []

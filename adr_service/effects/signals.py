@@ -14,7 +14,7 @@ import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.effects.actuators import obeys_limits
-from adr_service.effects.base import Commands, Effect, Motion, Past, Sensing
+from adr_service.effects.base import Commands, Effect, Motion, Past, Sensing, delayed
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.models import element_of
 from adr_service.errors import InvalidInput
@@ -62,14 +62,10 @@ def rates_at_ends(paths: Array3, timestep: float, over: Mapping[int, float]) -> 
     `timestep` apart: over the last step, or over so many seconds of a column, but no less than
     that step and no more than the path."""
     rates = (paths[:, -1] - paths[:, -2]) / timestep
-    last = paths.shape[1] - 1
     for column, window in over.items():
-        steps = min(max(window / timestep, 1.0), float(last))
-        early = last - int(np.ceil(steps))
-        share = last - steps - early  # of the way to the next moment
-        before, after = paths[:, early, column], paths[:, early + 1, column]
-        then = before + share * (after - before)
-        rates[:, column] = (paths[:, -1, column] - then) / (steps * timestep)
+        path = paths[..., column]
+        steps = min(max(window / timestep, 1.0), path.shape[1] - 1.0)
+        rates[:, column] = (path - delayed(path, steps))[:, -1] / (steps * timestep)
     return rates
 
 

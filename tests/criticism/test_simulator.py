@@ -134,7 +134,7 @@ def test_a_velocity_is_late_by_what_it_has_changed_meanwhile():
 
 
 def test_a_velocity_that_is_a_whole_row_late_is_that_of_the_row_before(good):
-    """And at an episode's first row, that of the next one was not yet there."""
+    """An episode's first row has none before it, and takes the change just after it."""
     data, nominal = Measurement(**good), arm()[1]
     rows = np.delete(np.arange(len(data.time)), np.arange(5, data.spans()[0][1]))
     data = Measurement(**{name: array[rows] for name, array in recorded(data).items()})
@@ -157,6 +157,15 @@ def test_a_velocity_that_is_a_whole_row_late_is_that_of_the_row_before(good):
     with Simulator(nominal, moved, threads=1) as simulator:
         on_time = simulator.follow(nominal.start, [])[:, velocity]
     np.testing.assert_allclose(followed[starts + 1], on_time[starts], atol=1e-9)
+
+
+def test_rates_are_those_of_the_robot_and_not_of_a_sensor_with_an_offset(good):
+    bias, nominal = Effect("sensor_bias", "sensor:elbow.position", (0.1,)), arm()[1]
+    with Simulator(nominal, Measurement(**good), threads=1) as simulator:
+        true = simulator.rates(nominal.start, [], simulator.measured)
+        shifted = simulator.measured + np.array([0.0, 0.1, 0.0, 0.0])
+        shown = simulator.rates(nominal.start, [bias], shifted)
+    np.testing.assert_allclose(shown, true, atol=1e-9)
 
 
 @pytest.mark.parametrize(("kind", "more"), [("position", 0), ("velocity", 1)])
