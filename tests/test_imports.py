@@ -33,6 +33,11 @@ BROUGHT_ALONG = {
     "adr_service.simulation.model": {"mujoco", "numpy", "pydantic"},
     # the methods' settings stand beside their computations
     "adr_service.specs": {"mujoco", "numpy", "pydantic", "safetensors", "scipy"},
+    # the service trains nothing itself
+    "api.app": {
+        *("fastapi", "gymnasium", "matplotlib", "mujoco", "numpy", "pydantic", "ray"),
+        *("safetensors", "scipy", "sqlalchemy"),
+    },
 }
 
 

@@ -1,7 +1,6 @@
 """The interface of a training library, and help with the two: SB3 on PyTorch, SBX on JAX."""
 
 import importlib
-import importlib.util
 from collections.abc import Mapping
 from functools import cache
 from typing import Any, Protocol
@@ -14,6 +13,7 @@ from adr_service.startup_time import add_preparation, preparing
 from adr_service.tasks.base import Task
 from adr_service.training.networks import Networks
 from adr_service.training.policy import Layer, Policy, Squash
+from adr_service.training.settings import check_backend
 
 
 class Library(Protocol):
@@ -42,10 +42,7 @@ def torch_activation(name: str) -> Any:
 
 def jax_activation(name: str) -> Any:
     """A Flax activation; raises InvalidInput where SBX is not installed."""
-    if importlib.util.find_spec("sbx") is None:
-        raise InvalidInput(
-            "backend 'sbx' needs the package sbx-rl (pip install sbx-rl); without it, use 'sb3'"
-        )
+    check_backend("sbx")
     with preparing():
         importlib.import_module("sbx")
         import flax.linen

@@ -1,14 +1,15 @@
 """Algorithms of policy training with their hyperparameters; imports no library that trains."""
 
-import importlib.util
 from abc import abstractmethod
 from collections.abc import Mapping
+from importlib.util import find_spec
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias, cast
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from adr_service.citations import Paper
+from adr_service.errors import InvalidInput
 from adr_service.json_values import Wire
 
 Widths = Annotated[
@@ -31,6 +32,14 @@ _LEARNING_STARTS = (
     "max_steps"
 )
 _LARGEST_RATE = 1000  # far above any that learns, and a number in float32
+
+
+def check_backend(name: str | None) -> None:
+    """Raise InvalidInput for SBX where it is not installed."""
+    if name == "sbx" and find_spec("sbx") is None:
+        raise InvalidInput(
+            "backend 'sbx' needs sbx-rl: pip install 'adr-service[fast]', or use 'sb3'"
+        )
 
 
 class _Settings(Wire):
@@ -115,8 +124,7 @@ class _Settings(Wire):
     @model_validator(mode="after")
     def _choose_backend(self) -> Self:
         if self.backend is None:
-            installed = importlib.util.find_spec("sbx") is not None
-            object.__setattr__(self, "backend", "sbx" if installed else "sb3")
+            object.__setattr__(self, "backend", "sb3" if find_spec("sbx") is None else "sbx")
         return self
 
 

@@ -10,7 +10,7 @@ from adr_service.specs import BenchmarkSpec, RunSpec
 from api.bodies import BenchmarkBody, ExtensionBody
 from api.parameters import BenchmarkId, ValidateOnly
 from api.routes.paging import Page, PageSize, PageToken, page_of
-from api.routes.submissions import IdempotencyKey, check_methods, plan_here, start_benchmark
+from api.routes.submissions import IdempotencyKey, check_packages, plan_here, start_benchmark
 from api.service import ServiceDependency
 from api.views import BenchmarkSummary, BenchmarkView, benchmark_summaries, benchmark_view
 from db import benchmarks as benchmark_store
@@ -99,7 +99,7 @@ def extend(
     if validate_only:
         response.status_code = status.HTTP_200_OK
         return PlannedBenchmark(spec=spec, runs=runs, plan=plan_here(service, runs))
-    check_methods(runs)
+    check_packages(runs)
     added = benchmark_store.extend_benchmark(
         service.database, benchmark_id, extension, service.check_queue
     )

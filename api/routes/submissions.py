@@ -12,6 +12,7 @@ from adr_service.json_values import sha256
 from adr_service.methods.catalogue import check_installed
 from adr_service.specs import AnyRun, BenchmarkSpec, RunSpec
 from adr_service.stages.base import StageResult
+from adr_service.training.settings import check_backend
 from api.service import Service
 from db import benchmarks as benchmark_store
 from db import datasets as dataset_store
@@ -35,7 +36,7 @@ IdempotencyKey = Annotated[
 def start_run(service: Service, spec: AnyRun, key: str | None) -> RunRecord:
     """Store a run and start it; return the earlier run if the key has started one."""
     if isinstance(spec, RunSpec):
-        check_installed(spec.method.name)
+        check_packages([spec])
     try:
         record = run_store.create_run(
             service.database, spec, _request_key(key, spec), service.check_queue
@@ -50,8 +51,7 @@ def start_run(service: Service, spec: AnyRun, key: str | None) -> RunRecord:
 
 def start_benchmark(service: Service, spec: BenchmarkSpec, key: str | None) -> BenchmarkRecord:
     """Store a benchmark and start its runs; return the earlier one if the key has started one."""
-    for name in spec.method_names:
-        check_installed(name)
+    check_packages(spec.runs())
     try:
         record = benchmark_store.create_benchmark(
             service.database, spec, _request_key(key, spec), service.check_queue
@@ -77,15 +77,16 @@ def _unless_deleted(id: str) -> Generator[None]:
         ) from error
 
 
-def check_methods(specs: Iterable[RunSpec]) -> None:
-    """Raise InvalidInput for a method whose extra is not installed here."""
-    for name in dict.fromkeys(spec.method.name for spec in specs):
-        check_installed(name)
+def check_packages(specs: Iterable[RunSpec]) -> None:
+    """Raise InvalidInput for a method or a backend whose package is not installed here."""
+    for method, backend in {(spec.method.name, spec.training.backend): None for spec in specs}:
+        check_installed(method)
+        check_backend(backend)
 
 
 def plan_here(service: Service, specs: Sequence[RunSpec]) -> Plan:
-    """Return the expected cost of runs on this cluster, if their methods are installed."""
-    check_methods(specs)
+    """Return the expected cost of runs on this cluster, if what they need is installed."""
+    check_packages(specs)
     return price(service, specs)
 
 

@@ -36,12 +36,26 @@ def test_a_method_without_its_extra_is_refused_before_anything_is_stored(service
     monkeypatch.setattr("adr_service.methods.catalogue.find_spec", lambda name: None)
     spec = RunSpec.model_validate({**SMOKE, "method": "npdr"})
     several = BenchmarkSpec.model_validate({**BENCHMARK.model_dump(), "methods": ["bayes_sim"]})
+    _assert_refused(service, spec, several, "needs sbi")
+
+
+def test_a_backend_that_is_not_installed_is_refused_before_anything_is_stored(service, monkeypatch):
+    monkeypatch.setattr("adr_service.training.settings.find_spec", lambda name: None)
+    spec = RunSpec.model_validate({**SMOKE, "training": {"backend": "sbx"}})
+    several = BenchmarkSpec.model_validate(
+        {**BENCHMARK.model_dump(), "training": {"backend": "sbx"}}
+    )
+    _assert_refused(service, spec, several, "needs sbx-rl")
+
+
+def _assert_refused(service, spec, several, message):
+    """A run, a benchmark and a question for its cost are, and nothing is stored."""
     for submit in (
         lambda: start_run(service, spec, None),
         lambda: start_benchmark(service, several, None),
         lambda: plan_here(service, [spec]),
     ):
-        with pytest.raises(InvalidInput, match="needs sbi"):
+        with pytest.raises(InvalidInput, match=message):
             submit()
     assert list(runs.list_runs(service.database)) == []
 
