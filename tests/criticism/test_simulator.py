@@ -338,7 +338,7 @@ def test_backlash_much_wider_than_the_noise_is_measured_and_not_called_a_late_se
     with Simulator(nominal, data, threads=1, finer=3) as simulator:
         baseline = smoothed(fit(simulator, sensor))
         fits = [refine(baseline, [effect]) for effect in (gap, late)]
-    # too small, because the path of the joint has errors of its own (docs/criticism.md)
+    # too small, because the path of the joint has errors of its own (docs/how-criticism-works.md)
     assert fits[0].effects[0].values == pytest.approx(gap.values, rel=0.08)
     assert fits[0].held_out.sum() > fits[1].held_out.sum() + 4 * THRESHOLD
 
