@@ -73,9 +73,9 @@ def _marked(case: dict[str, Any]) -> Marked:
 
 
 def table(cases: Sequence[dict[str, Any]]) -> str:
-    """The score of all cases, that by each record's own limit, cost by task, and gains."""
+    """The score of all cases, that by each record's own limit, by task with its cost, and gains."""
     lines = [f"{name}: {value}" for name, value in score([_marked(c) for c in cases]).items()]
-    return "\n".join([*lines, *_by_limit(cases), *_costs(cases), *_gains(cases)])
+    return "\n".join([*lines, *_by_limit(cases), *_by_task(cases), *_gains(cases)])
 
 
 def _by_limit(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
@@ -95,11 +95,15 @@ def _by_limit(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
         )
 
 
-def _costs(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
-    answered = [case for case in cases if "answer" in case]
-    for task in sorted({case["hidden"]["task"] for case in answered}):
-        seconds = [c["answer"]["cpu_seconds"] for c in answered if c["hidden"]["task"] == task]
-        yield f"CPU seconds on {task}, median: {np.median(seconds):.0f}"
+def _by_task(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
+    for task in sorted({case["hidden"]["task"] for case in cases}):
+        own = [case for case in cases if case["hidden"]["task"] == task]
+        one = [_marked(case) for case in own if case["hidden"]["kind"] == "one"]
+        strong = [case for case in one if case.hidden.ratio >= 0.1]
+        yield f"{task}: one effect, ratio 0.1 or above: {share(strong, is_named)}"
+        seconds = [case["answer"]["cpu_seconds"] for case in own if "answer" in case]
+        if seconds:
+            yield f"{task}: CPU seconds, median: {np.median(seconds):.0f}"
 
 
 def _gains(cases: Sequence[dict[str, Any]]) -> Iterator[str]:
