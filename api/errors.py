@@ -98,12 +98,9 @@ def _field_error(each: Any, error: RequestValidationError, request: Request) -> 
             "detail": "the body must be JSON, with the header 'Content-Type: application/json'",
             "given": "no Content-Type" if given is None else _shorten(f"Content-Type: {given}"),
         }
-    detail = message_of(each)
-    if each["type"] == "union_tag_not_found":  # Pydantic's words are about tags and discriminators
-        detail = f"there is no {each['ctx']['discriminator']} here, which says what this is"
     return {
         "pointer": _shorten("/" + "/".join(str(part) for part in each["loc"])),
-        "detail": _whole(detail),
+        "detail": _whole(message_of(each)),
         "given": "nothing" if each["type"] == "missing" else _shorten(repr(each["input"])),
     }
 

@@ -1,8 +1,8 @@
 """Targets of runs: simulated, recorded, or a machine outside."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, cast, get_args
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from adr_service.effects.base import Effect
 from adr_service.json_values import Wire
@@ -37,7 +37,16 @@ class ExternalTarget(Wire):
     program: ClassVar[str | None] = None  # the method's
 
 
-AnyTarget = Annotated[
-    SimulatedTarget | RecordedTarget | ExternalTarget, Field(discriminator="kind")
-]
+_OneOfThem = SimulatedTarget | RecordedTarget | ExternalTarget
+_KINDS = [str(each.model_fields["kind"].default) for each in get_args(_OneOfThem)]
+
+
+def _with_known_kind(given: Any) -> Any:
+    """Return a target as given; raises ValueError with all kinds, where Pydantic speaks of tags."""
+    if isinstance(given, dict) and cast(dict[Any, Any], given).get("kind") not in _KINDS:
+        raise ValueError(f"the 'kind' of a target is one of {', '.join(_KINDS)}")
+    return cast(Any, given)
+
+
+AnyTarget = Annotated[_OneOfThem, Field(discriminator="kind"), BeforeValidator(_with_known_kind)]
 EXTERNAL_EPISODES = 5  # of the final evaluation: a robot's time is dear

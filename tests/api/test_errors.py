@@ -181,8 +181,9 @@ def test_a_body_of_megabytes_is_refused(http):
     assert response.status_code == 413
 
 
-def test_a_target_without_a_kind_is_told_in_plain_words(runs):
-    (error,) = runs.post("/runs", json={**SMOKE, "target": {"episodes": 1}}).json()["errors"]
+@pytest.mark.parametrize("target", [{"episodes": 1}, {"kind": "robot"}], ids=str)
+def test_a_target_without_a_known_kind_is_refused_with_all_kinds(runs, target):
+    (error,) = runs.post("/runs", json={**SMOKE, "target": target}).json()["errors"]
     assert error["pointer"].startswith("/body")
     assert error["pointer"].endswith("/target")
-    assert error["detail"] == "there is no 'kind' here, which says what this is"
+    assert error["detail"] == "the 'kind' of a target is one of simulated, recorded, external"

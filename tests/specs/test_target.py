@@ -47,7 +47,7 @@ def test_a_recorded_target_is_its_own_collector_and_names_its_program():
         ),
         ({"target": {"kind": "recorded", "dataset": "d", "episodes": 0}}, "greater than or equal"),
         ({"collector": "recording"}, "goes with a recorded one"),
-        ({"target": {"kind": "imagined"}}, "'simulated', 'recorded', 'external'"),
+        ({"target": {"kind": "imagined"}}, "one of simulated, recorded, external"),
         ({"extension": [{**FRICTION, "location": "joint:wrist"}]}, "there is no place"),
         ({"extension": [FRICTION, FRICTION]}, "is given twice"),
         ({"extension": [{**FRICTION, "values": [-1.0]}]}, "0 at least"),

@@ -68,7 +68,7 @@ def test_a_dry_run_prices_the_recording(service, uploaded):
     [
         ({"dataset": "data_0"}, "there is no dataset 'data_0'"),
         ({"episodes": 9}, "has 1 episodes; asked for the first 9"),
-        ({"kind": "robot"}, "'simulated', 'recorded'"),
+        ({"kind": "robot"}, "one of simulated, recorded, external"),
     ],
 )
 def test_an_unknown_or_too_short_dataset_is_refused(service, uploaded, changes, message):
