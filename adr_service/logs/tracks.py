@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from adr_service.arrays import Indices
 from adr_service.criticism.compatibility import commanded_actuators, joints_of
 from adr_service.criticism.plausibility import why_stuck
 from adr_service.errors import InvalidInput
@@ -42,10 +43,15 @@ class Track:
         """Median time between readings [s]."""
         return float(np.median(np.diff(self.signal.time)))
 
+    @property
+    def after_gaps(self) -> Indices:
+        """Numbers of the readings before which others are missing."""
+        return np.flatnonzero(np.diff(self.signal.time) > GAP * self.spacing) + 1
+
     def gaps(self) -> list[tuple[float, float]]:
+        """The last time before each gap, and the first after it [s]."""
         time = self.signal.time
-        wide = np.flatnonzero(np.diff(time) > GAP * self.spacing)
-        return [(float(time[i]), float(time[i + 1])) for i in wide]
+        return [(float(time[i - 1]), float(time[i])) for i in self.after_gaps]
 
 
 @dataclass(frozen=True)

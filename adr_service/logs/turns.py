@@ -11,7 +11,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from adr_service.arrays import Indices, Vector
+from adr_service.arrays import Vector
 from adr_service.criticism.compatibility import commanded_actuators, joints_of
 from adr_service.errors import InvalidInput
 from adr_service.logs.mapping import JointMap, LogMap, is_slide, joint_of
@@ -141,7 +141,7 @@ def _changes_pose(turn: float, model: mujoco.MjModel, joint: str) -> bool:
 def _teeth(track: Track, least: float) -> Iterator[float]:
     """Times of steps of at least `least` against the changes before and after, without a gap."""
     time, value = track.signal.time, track.signal.value
-    for stretch in np.split(np.arange(len(time)), _gaps(track)):
+    for stretch in np.split(np.arange(len(time)), track.after_gaps):
         changes = stretch[np.diff(value[stretch], prepend=np.nan) != 0]
         steps = np.diff(value[changes])
         for step in np.flatnonzero(np.abs(steps) >= least).tolist():
@@ -150,11 +150,6 @@ def _teeth(track: Track, least: float) -> Iterator[float]:
             # an outlier has a step as large beside it
             if len(back) == 2 * _BESIDE and np.all((back > 0) & (back < least)):
                 yield float(time[changes[step + 1]])
-
-
-def _gaps(track: Track) -> Indices:
-    """Numbers of the readings before which others are missing."""
-    return np.flatnonzero(np.diff(track.signal.time) > GAP * track.spacing) + 1
 
 
 def _turns_of(given: LogMap, model: mujoco.MjModel) -> list[float | None]:
@@ -169,7 +164,7 @@ def _turns_of(given: LogMap, model: mujoco.MjModel) -> list[float | None]:
 def _going_on(track: Track, turn: float) -> Vector:
     """Positions without the jumps by a turn, within stretches and across gaps."""
     time, value = track.signal.time, np.unwrap(track.signal.value, period=turn)
-    edges = [0, *_gaps(track).tolist(), len(time)]
+    edges = [0, *track.after_gaps.tolist(), len(time)]
     for begin, gap, end in zip(edges, edges[1:], edges[2:], strict=False):
         before, after = slice(max(begin, gap - _SPEED), gap), slice(gap, min(end, gap + _SPEED))
         speeds = [
