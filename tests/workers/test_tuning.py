@@ -1,15 +1,25 @@
 """`adr tune`: a search over settings on Ray Tune, as a user runs it, and how it ranks."""
 
 import json
+import signal
 import subprocess
 import sys
 from dataclasses import replace
 
+import psutil
 import pytest
 
+from tests.service import children_of, until
 from tests.training.examples import TINY  # a training of a second
 from workers.tuning import Trial, candidates
 
+# `adr`, also where these tests run in the background, which ignores interrupts
+_INTERRUPTIBLE = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from api.cli import main
+main()
+"""
 TRIAL = Trial(
     changes={"epochs": 5},
     seed=0,
@@ -42,6 +52,22 @@ def test_every_combination_and_seed_is_tried():
     assert {trial["changes"]["activation"] for trial in trials} == {"relu"}
     assert {trial["steps"] for trial in trials} == {480}
     assert all(trial["cpu_seconds"] > 0 and not trial["stopped_early"] for trial in trials)
+
+
+@pytest.mark.ray
+@pytest.mark.slow
+def test_an_interrupted_search_ends_with_all_its_processes():
+    command = [sys.executable, "-c", _INTERRUPTIBLE, "tune", "arm", "--cpus", "2"]
+    command += ["--over", "learning_rate=[0.001,0.01]"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as search:
+        try:
+            until(lambda: any("train" in title for title in children_of(search.pid).values()))
+            started = children_of(search.pid)
+            search.send_signal(signal.SIGINT)
+            assert search.wait(timeout=60) == 130
+        finally:
+            search.kill()  # nothing, if it has ended
+    until(lambda: not any(psutil.pid_exists(pid) for pid in started), seconds=30)
 
 
 def test_candidates_that_reach_the_threshold_most_often_and_soonest_come_first():
