@@ -23,7 +23,6 @@ _TOGETHER = {
     "tests/client/": "service",
     "tests/acceptance/test_lease_history": "service",
     "tests/test_docstring_examples": "service",
-    "tests/test_examples": "service",
     "tests/benchmark/": "benchmark",
     "tests/programs/": "programs",
     "tests/criticism/": "fits",

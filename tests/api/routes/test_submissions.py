@@ -49,7 +49,7 @@ def test_a_backend_that_is_not_installed_is_refused_before_anything_is_stored(se
 
 
 def _assert_refused(service, spec, several, message):
-    """A run, a benchmark and a question for its cost are, and nothing is stored."""
+    """Submit a run and a benchmark, and ask for a cost: each is refused, and nothing is stored."""
     for submit in (
         lambda: start_run(service, spec, None),
         lambda: start_benchmark(service, several, None),
