@@ -28,9 +28,10 @@ class SmoothStates(Stage[SmoothedStates]):
     """The smoothing of one recording, for all methods that replay from smoothed states."""
 
     kind: ClassVar = "smooth_states"
-    # 2: in data without noise, errors of the computation count as none, 3: fits take
-    # the steps that they gain by
-    version: ClassVar = 3
+    # 2: in data without noise, errors of the computation count as none, 3: fits take the steps
+    # that they gain by, 4: parameters and strengths of an extension that would leave their bounds
+    # are held there. What changes `criticism.evidence` or `.probable_states` may ask for another
+    version: ClassVar = 4
     role: ClassVar[Role] = "inference"
     result: ClassVar = SmoothedStates
 
