@@ -30,7 +30,7 @@ from db.session import RETRY_S
 from workers.actors import Ending, Failed
 from workers.cluster import Cluster, ClusterUnavailable, RayOptions
 from workers.demand import Demand
-from workers.heartbeats import Heartbeats, patience_s
+from workers.heartbeats import UNWANTED_S, Heartbeats, patience_s
 from workers.job_table import AT_ONCE, JobTable
 from workers.jobs import Activity, Job
 from workers.pool import Actor, Pool
@@ -169,7 +169,7 @@ class Dispatcher:
         self._place_jobs()
         self._collect()
         self._listen()
-        self._end_the_silent()
+        self._end_who_hang()
         self._look_at_nodes()
 
     def _wait(self) -> None:
@@ -184,7 +184,7 @@ class Dispatcher:
     def _read_inbox(self) -> None:
         """Carry out what other threads asked for."""
         with suppress(queue.Empty):
-            while True:
+            while not self._stop.is_set():
                 self._inbox.get_nowait()()
 
     def _place_jobs(self) -> None:
@@ -276,16 +276,22 @@ class Dispatcher:
         for digest, checkpoint in checkpoints.items():
             self._jobs.note(digest, checkpoint)
 
-    def _end_the_silent(self) -> None:
-        """Kill processes that hang, also before their first sign; they are lost like any other."""
+    def _end_who_hang(self) -> None:
+        """Kill processes that hang, also before their first sign, and those that compute on though
+        no run wants the result; they are lost like any other."""
         for job in self._jobs.running():
             if job.actor is None or job.is_killed:
                 continue
             silent = self._heartbeats.silence(max(job.heard, job.since))
             if silent > patience_s(job.sign, len(job.waiters)):
-                log.warning("%s: no sign of life for %.0f s", job.actor.name, silent, extra=job.ids)
-                job.is_killed = True
-                ray.kill(job.actor.handle)
+                why = f"no sign of life for {silent:.0f} s"
+            elif job.unwanted is not None and self._heartbeats.silence(job.unwanted) > UNWANTED_S:
+                why = f"its stage did not stop, which no run has wanted for {UNWANTED_S:.0f} s"
+            else:
+                continue
+            log.warning("%s: %s", job.actor.name, why, extra=job.ids)
+            job.is_killed = True
+            ray.kill(job.actor.handle)
 
     def _look_at_nodes(self) -> None:
         """Follow nodes that come and go; our own node stays, and looking at it takes a while."""

@@ -67,7 +67,7 @@ class JobTable:
         waiter, job = Waiter(run_id, future), self._jobs.get(stage.digest)
         # a robot's is looked up again, because its visit was withdrawn if the run had failed
         if job is not None and stage.role != "robot":
-            job.waiters.append(waiter)
+            job.add(waiter)
             return
         ids = ids_of(stage, run_id)
         match attempted(_NOT_LOOKED_UP, ids, self._results.find, stage, run_id):
@@ -79,7 +79,7 @@ class JobTable:
                 if job is None:
                     job = Job(stage, next(self._numbers), run_id, asked=time.time())
                     self._jobs[stage.digest] = job
-                job.waiters.append(waiter)
+                job.add(waiter)
             case result:
                 future.set_result(result)
 
@@ -87,7 +87,7 @@ class JobTable:
         """Forget a run's requests; a stage that no other run wants stops."""
         self.retries.withdraw(run_id)
         for job in [job for job in self._jobs.values() if run_id in job.run_ids]:
-            job.waiters = [waiter for waiter in job.waiters if waiter.run_id != run_id]
+            job.withdraw(run_id)
             if not job.waiters and job.ref is None and job.finished is None:
                 self._give_up(job)
 

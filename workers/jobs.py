@@ -44,7 +44,8 @@ class Job:
     since: float = field(default_factory=time.monotonic)  # start of the wait, or of the attempt
     sign: SignOfLife | None = None  # the last one of the attempt
     heard: float = 0.0  # when that came
-    is_killed: bool = False  # the process of the attempt, because it was silent
+    unwanted: float | None = None  # when the last run ceased to want it, if none does
+    is_killed: bool = False  # the process of the attempt, because it was silent or did not stop
     finished: Finished | None = None  # a result that is not stored yet
     losses: int = 0  # attempts whose process was lost
     lost_on: str | None = None  # the node of the last one
@@ -76,6 +77,17 @@ class Job:
     def ids(self) -> dict[str, str | int]:
         """Names of the job in the log."""
         return {**ids_of(self.stage, self.started_by), "attempt": self.attempt}
+
+    def add(self, waiter: Waiter) -> None:
+        """Let one more run wait."""
+        self.waiters.append(waiter)
+        self.unwanted = None
+
+    def withdraw(self, run_id: str) -> None:
+        """Let a run wait no more."""
+        self.waiters = [waiter for waiter in self.waiters if waiter.run_id != run_id]
+        if not self.waiters:
+            self.unwanted = time.monotonic()
 
     def place(self, actor: Actor, ref: Any) -> None:
         """Note that an actor computes the attempt, as the call `ref`."""

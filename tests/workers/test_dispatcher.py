@@ -19,7 +19,7 @@ from adr_service.stages.base import compute
 from adr_service.stages.local import LocalStages
 from adr_service.training.policy import Policy
 from tests.service import until
-from tests.stages.examples import evaluation, training
+from tests.stages.examples import evaluation, policy, training
 from tests.workers.marks import RAY
 from tests.workers.stores import Store
 from workers.cluster import RayOptions
@@ -180,6 +180,19 @@ def test_a_withdrawn_stage_stops_and_frees_its_core(started):
     dispatcher.withdraw("run_withdrawn")
     assert dispatcher.submit(training(42), "run_next").result(60)
     assert long_training(40).digest not in store.results
+
+
+def test_a_withdrawn_stage_that_never_asks_whether_to_stop_is_killed(started, monkeypatch):
+    """It kept its core until it ended by itself."""
+    dispatcher, _ = started
+    weights = policy((4, 2000, 2000, 2)).to_bytes()
+    stage = replace(evaluation(45, policy=weights), episodes=2000)  # of a minute, in one piece
+    dispatcher.submit(stage, "run_stubborn")
+    pid = until(lambda: [a.pid for a in running(dispatcher, "run_stubborn") if a.pid])[0]
+    monkeypatch.setattr("workers.dispatcher.UNWANTED_S", 1.0)
+    dispatcher.withdraw("run_stubborn")
+    until(lambda: not Path(f"/proc/{pid}").exists(), 30)
+    until(lambda: not dispatcher._jobs)
 
 
 def test_a_lost_process_means_another_attempt_with_the_same_bytes(started):

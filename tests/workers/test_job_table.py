@@ -131,8 +131,10 @@ def test_a_running_stage_is_unwanted_only_once_no_run_waits(table):
     job = table.start()
     table.jobs.withdraw("run_a")
     assert table.jobs.unwanted() == set()
+    assert job.unwanted is None
     table.jobs.withdraw("run_b")
     assert table.jobs.unwanted() == {TRAINING.digest}
+    assert job.unwanted is not None
     table.end(job, Stopped())
     assert len(table.jobs) == 0
     assert table.store.dropped == [TRAINING.digest]
@@ -142,8 +144,10 @@ def test_a_stage_that_is_wanted_again_while_it_stops_gets_another_turn(table):
     table.ask(TRAINING, "run_a")
     job = table.start()
     table.jobs.withdraw("run_a")
+    assert job.unwanted is not None
     again = table.ask(TRAINING, "run_b")
     assert table.jobs.unwanted() == set()
+    assert job.unwanted is None
     table.end(job, Stopped())
     table.finish(table.start())
     assert again.result(0) == RESULT

@@ -20,6 +20,7 @@ CHANCES = {
     "process hangs": 0.15,
     "process hangs before its first sign": 0.1,
     "process pauses and answers late": 0.15,
+    "stage does not ask whether to stop": 1.0,
     "stage fails": 0.05,
     "stage cannot be unpacked": 0.03,
     "idle process dies": 0.1,

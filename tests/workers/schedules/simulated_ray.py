@@ -73,6 +73,7 @@ class Call:
     ref: Ref = field(default_factory=Ref)
     signs_again: float = 0.0  # it pauses until then
     is_stopping: bool = False
+    computes_on: bool = False  # for as long as no run wants the result
 
 
 class Process:
@@ -140,7 +141,8 @@ class Process:
 
     def _end(self, call: Call, answer: Any) -> None:
         """Answer a call, if the process lives and is heard."""
-        if self.is_alive and self.call is call and self.node and self.node.is_reached:
+        is_heard = self.is_alive and self.node is not None and self.node.is_reached
+        if is_heard and self.call is call and not call.computes_on:
             answered = answer() if callable(answer) else answer
             self.call = None
             call.ref.resolve(answered)
@@ -173,8 +175,14 @@ class Process:
         checkpoint = Checkpoint(int(now), b"so far", ()) if has_more else None
         attempt = (call.stage.digest, call.placed.attempt)
         unwanted = board.report(SignOfLife(*attempt, 0.5, {}, "actor", 1, checkpoint))
-        if unwanted and not call.is_stopping:
+        if call.computes_on and not unwanted:
+            call.computes_on = False
+            self._end(call, self._finished)  # it was wanted again in time
+        elif unwanted and not call.is_stopping:
             call.is_stopping = True
+            call.computes_on = self._world.faults.happens("stage does not ask whether to stop")
+            if call.computes_on:
+                return
             stops = 5.0 * self._world.faults.rng.random()
             self._world.clock.after(stops, lambda: self._end(call, Stopped()))
 
