@@ -282,13 +282,18 @@ def _cut(origin: str) -> str:
 
 def _ids(given: np.ndarray) -> Indices:
     """Episode ids as they are kept, read-only."""
-    with np.errstate(invalid="ignore"):
-        ids = np.array(given, dtype=np.int64)
-    # a comparison of large floats would round
-    if ids.tolist() != given.tolist():
+    if not _are_ids(given):
         raise InvalidInput(f"episodes must be integers below 2**63; given {given.dtype} {given}")
+    ids = np.array(given, dtype=np.int64)
     ids.flags.writeable = False
     return ids
+
+
+def _are_ids(given: np.ndarray) -> bool:
+    """True for integers below 2**63, of any type; there may be millions."""
+    if given.dtype.kind == "f":
+        return bool(np.all((given == np.floor(given)) & (np.abs(given) < 2.0**63)))
+    return given.dtype.kind in "bi" or (given.dtype.kind == "u" and given.max(initial=0) < 2**63)
 
 
 def _finite_matrix(name: str, values: np.ndarray) -> Matrix:
@@ -298,9 +303,9 @@ def _finite_matrix(name: str, values: np.ndarray) -> Matrix:
     matrix = frozen(values)
     if matrix.ndim != 2:
         raise InvalidInput(f"{name} must be a matrix; its shape is {matrix.shape}")
-    if matrix.shape[1] > MOST_COLUMNS:
+    if not 0 < matrix.shape[1] <= MOST_COLUMNS:
         raise InvalidInput(
-            f"{name} has the shape {matrix.shape}; accepted are {MOST_COLUMNS} columns"
+            f"{name} has the shape {matrix.shape}; accepted are 1 to {MOST_COLUMNS} columns"
         )
     if not np.all(np.isfinite(matrix)):
         row, column = np.argwhere(~np.isfinite(matrix))[0]

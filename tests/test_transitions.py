@@ -136,6 +136,10 @@ def test_arrays_that_do_not_fit_together_are_refused(changes):
         ),
         ({"episodes": np.array([0, 0.5, 1, 1, 1])}, "episodes must be integers below 2"),
         ({"episodes": np.array([0, 0, 2**63, 2**63, 2**63], np.uint64)}, "integers below 2"),
+        ({"episodes": np.array([0, 0, 2.0**63, 2.0**63, 2.0**63])}, "integers below 2"),
+        ({"episodes": np.array([0, 0, np.inf, np.inf, np.inf])}, "integers below 2"),
+        ({"episodes": np.array([0, 0, np.nan, np.nan, np.nan])}, "integers below 2"),
+        ({"episodes": np.array(list("aabbb"))}, "integers below 2"),
     ],
 )
 def test_what_its_own_file_could_not_give_back_is_refused(changes, message):
@@ -184,7 +188,8 @@ def npz(**changes):
         ({"episodes": np.array([0, 0, 0.5, 1])}, "episodes must be .* integers"),
         ({"dt": np.array([0.02, 0.02])}, "dt must be one number"),
         ({"observations": np.float64(1)}, "observations must be a matrix"),
-        ({"observations": np.zeros((4, 1001))}, "accepted are 1000 columns"),
+        ({"observations": np.zeros((4, 1001))}, "accepted are 1 to 1000 columns"),
+        ({"observations": np.zeros((4, 0))}, r"the shape \(4, 0\); accepted are 1 to 1000 columns"),
         ({"columns": np.array([1.0, 2.0])}, "columns must be a list of texts; given float64"),
         ({"columns": np.array([["a", "b"]])}, r"columns must be a list of texts; given <U1 \(1, 2"),
         ({"columns": np.array(["a", "b" * 201])}, "columns has a text of 201 characters"),

@@ -132,6 +132,7 @@ CORPUS = {
     "infinity": lambda: changed(next_observations=np.full(STEP, np.inf)),
     "one row less": lambda: changed(actions=GOOD["actions"][:-1]),
     "a column more": lambda: changed(observations=np.zeros((STEP[0], STEP[1] + 1))),
+    "no columns": lambda: changed(**{name: np.empty((STEP[0], 0)) for name in PER_ROW[:3]}),
     "no dimension": lambda: changed(observations=np.array(1.0)),
     "three dimensions": lambda: changed(observations=GOOD["observations"][None]),
     "no rows": lambda: changed(
