@@ -29,8 +29,8 @@ RENEWED = Depends(_renewed)
 
 
 async def check_parameters(request: Request) -> None:
-    """Refuse a parameter that the route does not have: a mistyped `validate_only` would start a
-    run."""
+    """Refuse a parameter that the route does not have (a mistyped `validate_only` would start a
+    run), and a second value of one that it has, which would count alone."""
     route = request.scope["route"]
     assert isinstance(route, APIRoute)
     fields = get_flat_params(route.dependant)
@@ -38,16 +38,16 @@ async def check_parameters(request: Request) -> None:
     elsewhere = (params.Path, params.Header, params.Cookie)
     known = {field.alias for field in fields if not isinstance(field.field_info, elsewhere)}
     accepted = f"accepted: {', '.join(sorted(known))}" if known else "there are none here"
-    unknown = [(name, value) for name, value in request.query_params.items() if name not in known]
-    if unknown:
-        raise RequestValidationError(
-            [
-                {
-                    "type": "unknown_parameter",
-                    "loc": ("query", name),
-                    "msg": f"there is no parameter {name!r}; {accepted}",
-                    "input": value,
-                }
-                for name, value in unknown
-            ]
-        )
+    wrong: list[dict[str, object]] = []
+    for name in request.query_params:
+        values = request.query_params.getlist(name)
+        if name not in known:
+            message = f"there is no parameter {name!r}; {accepted}"
+        elif len(values) > 1:
+            message = f"{name} has one value; given {len(values)}"
+        else:
+            continue
+        given = values[0] if len(values) == 1 else values
+        wrong.append({"type": "parameter", "loc": ("query", name), "msg": message, "input": given})
+    if wrong:
+        raise RequestValidationError(wrong)

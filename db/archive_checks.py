@@ -36,7 +36,7 @@ from adr_service.events import (
 )
 from adr_service.json_values import canonical_json, explain, sha256
 from adr_service.plugins import PACKAGES
-from adr_service.specs import LostRun, RunSpec
+from adr_service.specs import MAX_RUNS, LostRun, RunSpec
 from adr_service.specs.lost import Lost
 from db.benchmarks import cell_of, list_benchmarks, readable
 from db.errors import DatabaseDamaged
@@ -65,17 +65,19 @@ def replays(archived: Staged) -> Iterator[CheckedRun]:
     """Check an archive, and replay its runs one after the other. Raises InvalidInput."""
     database, id = archived.database, archived.manifest.benchmark
     try:
-        benchmarks, records = list_benchmarks(database), list_runs(database, limit=None)
-        cells = {cell_of(run) for each in benchmarks for run in readable(each).runs()}
+        benchmarks = list_benchmarks(database, limit=2)
+        if [record.id for record in benchmarks] != [id] or not _BENCHMARK_ID.fullmatch(id):
+            raise InvalidInput("an archive has one benchmark, the one that its manifest names")
+        cells = {cell_of(run) for run in readable(benchmarks[0]).runs()}
+        records = list_runs(database, limit=MAX_RUNS + 1)
         lost = [record.spec.reason for record in records if isinstance(record.spec, LostRun)]
         if lost:
             raise Lost(lost[0])
     except (DatabaseDamaged, Lost) as error:
         raise InvalidInput(f"the archive cannot be used here: {error}") from error
-    if [record.id for record in benchmarks] != [id] or not _BENCHMARK_ID.fullmatch(id):
-        raise InvalidInput("an archive has one benchmark, the one that its manifest names")
-    if not records:
-        raise InvalidInput("the archive has no run")
+    if not 0 < len(records) <= MAX_RUNS:
+        given = "more" if records else "none"
+        raise InvalidInput(f"an archive has 1 to {MAX_RUNS} runs; this one has {given}")
     with database.read() as session:
         _check_stages(session)
         for record in records:

@@ -50,6 +50,16 @@ def test_parameters_of_a_route_and_of_its_dependencies_are_accepted(counting):
     assert started == [True]
 
 
+def test_a_second_value_is_refused(counting):
+    """The last one counted, and the others were ignored."""
+    client, started = counting
+    before = len(started)
+    (error,) = client.post("/runs?limit=5&limit=6").json()["errors"]
+    assert (error["pointer"], error["detail"]) == ("/query/limit", "limit has one value; given 2")
+    assert error["given"] == "['5', '6']"
+    assert len(started) == before
+
+
 def test_a_route_without_parameters_says_so(counting):
     client, _ = counting
     (error,) = client.get("/health?deep=1").json()["errors"]

@@ -526,7 +526,7 @@ HOSTILE = {
     "a wrong time": ("runs", _first(created_at="yesterday"), "must be a time"),
     "a time without zone": ("runs", _first(created_at="2026-01-01T00:00:00"), "must be a time"),
     "a zero byte": ("stages", _first(started_by="a\0b"), "zero byte"),
-    "no run": ("runs", lambda rows: [], "contradicts itself|no run"),
+    "no run": ("runs", lambda rows: [], "contradicts itself|this one has none"),
     "a timing of other things": ("stages", _first(timing='{"evil":1}'), "unreadable execution"),
     "a provenance of numbers": ("stages", _first(provenance='{"cpu":5}'), "unreadable execution"),
     "a result of no number": ("stages", _first(result='{"a":NaN}'), "no JSON object"),
@@ -613,6 +613,12 @@ def test_a_run_ends_in_the_submission_that_was_queued_last(
         assert imported(other, path).resumable == 1
         return
     with pytest.raises(InvalidInput, match="contradicts its spec or events"):
+        imported(other, path)
+
+
+def test_more_runs_than_a_benchmark_may_have_are_refused(path, other, monkeypatch):
+    monkeypatch.setattr("db.archive_checks.MAX_RUNS", 1)
+    with pytest.raises(InvalidInput, match="1 to 1 runs; this one has more"):
         imported(other, path)
 
 
