@@ -128,7 +128,11 @@ class EventRow(Base):
     """One event of a run, written once."""
 
     __tablename__ = "events"
-    __table_args__ = (UniqueConstraint("run_id", "key"), Index(None, "key"))
+    __table_args__ = (
+        UniqueConstraint("run_id", "key"),
+        Index(None, "key"),
+        Index(None, "run_id", "type"),
+    )
 
     run_id: Mapped[str] = mapped_column(ForeignKey("runs.id", ondelete="CASCADE"), primary_key=True)
     seq: Mapped[int] = mapped_column(primary_key=True)  # 1, 2, … within the run
@@ -145,7 +149,7 @@ class StageRow(Base):
     __table_args__ = (CheckConstraint("attempt >= 1", name="attempt"),)
 
     digest: Mapped[str] = mapped_column(String(64), primary_key=True)
-    kind: Mapped[str] = mapped_column(String(40))
+    kind: Mapped[str] = mapped_column(String(40), index=True)
     document: Mapped[str] = mapped_column(Text)  # canonical JSON that the digest is of
     result: Mapped[str] = mapped_column(Text)  # its JSON values
     attempt: Mapped[int]
@@ -217,6 +221,7 @@ class TargetTaskRow(Base):
         CheckConstraint("(state = 'failed') = (error IS NOT NULL)", name="error_iff_failed"),
         CheckConstraint("attempt >= 0 AND steps >= 0", name="counts"),
         Index(None, "external", "state"),
+        Index(None, "state"),
     )
 
     number: Mapped[int] = mapped_column(primary_key=True)  # order of publication

@@ -74,7 +74,14 @@ class Visit:
     has_policy: bool  # else random actions
     error: str | None
     created_at: datetime
-    is_unwanted: bool  # its run was asked to stop, or has ended
+
+
+@dataclass(frozen=True)
+class Renewed:
+    """A lease that lasts longer."""
+
+    expires_at: datetime
+    is_wanted: bool  # else its run was asked to stop, or has ended
 
 
 def publish(session: Session, stage: AnyStage, run_id: str, now: datetime) -> TargetTaskRow:
@@ -101,7 +108,7 @@ def claim(
     """
     with database.write("claim_task") as session:
         row = session.scalar(_free(tasks, now))
-        return None if row is None else _visit(session, _take(row, worker, now, lease_s))
+        return None if row is None else _visit(_take(row, worker, now, lease_s))
 
 
 def is_one_free(database: Database, tasks: Sequence[str], now: datetime) -> bool:
@@ -133,7 +140,7 @@ def drop_simulated(database: Database, digest: str | None = None) -> None:
 
 def heartbeat(
     database: Database, id: str, lease: str, steps: int, now: datetime, lease_s: float
-) -> Visit:
+) -> Renewed:
     """Note the steps of an episode that goes on; its lease lasts until `lease_s` after `now`.
 
     Raises NotFound and LeaseLost.
@@ -144,7 +151,7 @@ def heartbeat(
         until = now + timedelta(seconds=lease_s)
         # one that waited for the database may come after a later one
         row.expires_at = max(until, row.expires_at or until)
-        return _visit(session, row)
+        return Renewed(row.expires_at, is_wanted(session, row.run_id))
 
 
 def complete(
@@ -164,13 +171,13 @@ def complete(
         row = get_row(session, TargetTaskRow, id)
         is_known = row.state == VisitState.DONE and row.lease == lease
         if is_known and find_result(session, row.digest) == result:
-            return _visit(session, row)
+            return _visit(row)
         row = _held(session, id, lease)
         add_result(session, row.digest, row.document, result, _episode(row, now))
         finish(session, row.digest, lease)
         row.steps = steps
         also(session)
-        return _visit(session, row)
+        return _visit(row)
 
 
 def finish(session: Session, digest: str, lease: str) -> None:
@@ -193,7 +200,7 @@ def release(database: Database, id: str, lease: str) -> Visit:
     with database.write("release_task") as session:
         row = _held(session, id, lease)
         row.state, row.expires_at, row.lease = VisitState.PENDING, None, None
-        return _visit(session, row)
+        return _visit(row)
 
 
 def fail(
@@ -211,12 +218,12 @@ def fail(
     with database.write("fail_task") as session:
         row = get_row(session, TargetTaskRow, id)
         if row.state == VisitState.FAILED and row.lease == lease:
-            return _visit(session, row)
+            return _visit(row)
         row = _held(session, id, lease)
         row.state, row.expires_at, row.error = VisitState.FAILED, None, message
         kind: str = json.loads(row.document)["kind"]
         also(session, row.run_id, target_failed(kind, message))
-        return _visit(session, row)
+        return _visit(row)
 
 
 def is_wanted(session: Session, run_id: str) -> bool:
@@ -251,7 +258,7 @@ def claimed_by(database: Database, id: str, lease: str) -> Visit:
         row = get_row(session, TargetTaskRow, id)
         if row.state != VisitState.DONE or row.lease != lease:
             _check_lease(row, lease)
-        return _visit(session, row)
+        return _visit(row)
 
 
 def renew_leases(database: Database, now: datetime, lease_s: float) -> None:
@@ -268,7 +275,7 @@ def renew_leases(database: Database, now: datetime, lease_s: float) -> None:
 def get_visit(database: Database, id: str) -> Visit:
     """The visit with this id. Raises NotFound."""
     with database.read() as session:
-        return _visit(session, get_row(session, TargetTaskRow, id))
+        return _visit(get_row(session, TargetTaskRow, id))
 
 
 def list_visits(
@@ -291,7 +298,7 @@ def list_visits(
     query = query.where(*(column == value for column, value in filters if value is not None))
     with database.read() as session:
         rows = session.scalars(query.order_by(order).limit(limit))
-        return [_visit(session, row) for row in rows]
+        return [_visit(row) for row in rows]
 
 
 def policy_of(database: Database, id: str) -> bytes:
@@ -371,7 +378,7 @@ def _check_lease(row: TargetTaskRow, lease: str) -> None:
         )
 
 
-def _visit(session: Session, row: TargetTaskRow) -> Visit:
+def _visit(row: TargetTaskRow) -> Visit:
     document = json.loads(row.document)
     return Visit(
         number=row.number,
@@ -392,5 +399,4 @@ def _visit(session: Session, row: TargetTaskRow) -> Visit:
         has_policy=row.policy_sha256 is not None,
         error=row.error,
         created_at=row.created_at,
-        is_unwanted=not is_wanted(session, row.run_id),
     )

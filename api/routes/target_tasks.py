@@ -201,9 +201,8 @@ def heartbeat(
 ) -> HeartbeatView:
     """Renew the lease; the answer has its new end, and whether to stop."""
     now, lease_s = service.orchestrator.clock.now(), service.settings.lease_s
-    task = visit_store.heartbeat(service.database, task_id, body.lease, body.steps, now, lease_s)
-    assert task.expires_at is not None
-    return HeartbeatView(lease_expires_at=task.expires_at, cancel_requested=task.is_unwanted)
+    lease = visit_store.heartbeat(service.database, task_id, body.lease, body.steps, now, lease_s)
+    return HeartbeatView(lease_expires_at=lease.expires_at, cancel_requested=not lease.is_wanted)
 
 
 @router.put("/{task_id}/trajectory", max_body_size=LARGEST, openapi_extra=content_described())

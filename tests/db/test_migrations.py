@@ -339,6 +339,7 @@ def test_a_released_migration_is_never_edited():
         "0008": "f4c3bf84aa7c9777622fe38d67342916",
         "0009": "ecb6a7d60fb0dbe767e0fe7f0f3f08cd",
         "0010": "71df05a4f2c37c72c83da43fc9d14bfa",
+        "0011": "99944ec6c95ed58e0d57052700aeadd2",
     }
     files = Path(schema.__file__).parent.glob("migrations/versions/*.py")
     assert {file.name[:4]: sha256(file.read_bytes())[:32] for file in files} == known
