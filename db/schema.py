@@ -34,15 +34,17 @@ def alembic_config(url: str) -> Config:
     return config
 
 
+@cache
 def head() -> str | None:
     """The revision of this version of the service."""
     return ScriptDirectory.from_config(alembic_config("sqlite://")).get_current_head()
 
 
-def revisions() -> set[str]:
+@cache
+def revisions() -> frozenset[str]:
     """All revisions that this version of the service knows."""
     scripts = ScriptDirectory.from_config(alembic_config("sqlite://"))
-    return {script.revision for script in scripts.walk_revisions()}
+    return frozenset(script.revision for script in scripts.walk_revisions())
 
 
 @dataclass(frozen=True)

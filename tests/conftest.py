@@ -1,8 +1,10 @@
 """Fixtures: the published data, a database, and a service of our own."""
 
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -75,27 +77,55 @@ def postgresql() -> Iterator[Server]:
         yield server
 
 
+@pytest.fixture(scope="session")
+def migrated_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of SQLite with all tables, to be copied: its migrations take longer than a test."""
+    path = tmp_path_factory.mktemp("migrated") / "adr.sqlite"
+    open_database(f"sqlite:///{path}").close()
+    return path
+
+
+@pytest.fixture(scope="session")
+def migrated_database(postgresql: Server) -> str:
+    """URL of a database of PostgreSQL with all tables, which are empty before every test."""
+    url = postgresql.new_database()
+    open_database(url).close()
+    return url
+
+
 @pytest.fixture(params=["sqlite", "postgresql"])
-def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """URL of an empty database, of each kind."""
-    if request.param == "sqlite":
+def database_kind(request: pytest.FixtureRequest) -> str:
+    """Each kind of database."""
+    return request.param
+
+
+@pytest.fixture
+def database_url(database_kind: str, request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """URL of a database without tables."""
+    if database_kind == "sqlite":
         return f"sqlite:///{tmp_path / 'adr.sqlite'}"
     return request.getfixturevalue("postgresql").new_database()
 
 
 @pytest.fixture
-def database(database_url: str) -> Iterator[Database]:
-    opened = open_database(database_url)
-    yield opened
-    opened.close()
+def database(database_kind: str, request: pytest.FixtureRequest) -> Iterator[Database]:
+    """A database with all tables, which a test must leave as they are."""
+    if database_kind == "sqlite":
+        yield request.getfixturevalue("file_database")
+        return
+    url = request.getfixturevalue("migrated_database")
+    with closing(open_database(url)) as opened:
+        yield opened
+    request.getfixturevalue("postgresql").empty(url)
 
 
 @pytest.fixture
-def file_database(tmp_path: Path) -> Iterator[Database]:
+def file_database(migrated_file: Path, tmp_path: Path) -> Iterator[Database]:
     """A database in SQLite, adr.sqlite, for tests that look at the file."""
-    opened = open_database(f"sqlite:///{tmp_path / 'adr.sqlite'}")
-    yield opened
-    opened.close()
+    path = tmp_path / "adr.sqlite"
+    shutil.copy(migrated_file, path)
+    with closing(open_database(f"sqlite:///{path}")) as opened:
+        yield opened
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ import psutil
 import pytest
 from sqlalchemy import NullPool, create_engine
 
+from db.models import Base
 from tests.service import until
 
 _USER = "adr"
@@ -56,10 +57,16 @@ class Server:
         subprocess.run([*map(str, command)], check=True, stdout=told, cwd=self.folder, user=user)
 
     def new_database(self) -> str:
-        """The URL of an empty one."""
+        """The URL of an empty one, of three hundred files."""
         name = f"test_{next(self._numbers)}"
         self._execute(self._url("postgres"), f"create database {name}")
         return self._url(name)
+
+    def empty(self, url: str) -> None:
+        """Delete all rows of a database, as if it were new."""
+        self.cut(url)
+        tables = ", ".join(Base.metadata.tables)
+        self._execute(url, f"truncate {tables} restart identity")
 
     def cut(self, url: str) -> None:
         """End all connections to a database, as a failing network would."""

@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
 
@@ -31,12 +32,12 @@ COPY = "run_" + 16 * "f"
 
 
 @pytest.fixture
-def other(tmp_path):
+def other(tmp_path, migrated_file):
     """An empty database on another machine."""
     (tmp_path / "other").mkdir()
-    opened = open_database(f"sqlite:///{tmp_path / 'other' / 'adr.sqlite'}")
-    yield opened
-    opened.close()
+    path = shutil.copy(migrated_file, tmp_path / "other")
+    with closing(open_database(f"sqlite:///{path}")) as opened:
+        yield opened
 
 
 @pytest.fixture(scope="module")

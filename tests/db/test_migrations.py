@@ -345,25 +345,24 @@ def test_a_released_migration_is_never_edited():
     assert {file.name[:4]: sha256(file.read_bytes())[:32] for file in files} == known
 
 
-def test_a_database_of_a_later_version_is_left_as_it_is(database):
-    with database.write("test") as session:
+def test_a_database_of_a_later_version_is_left_as_it_is(database_url):
+    with closing(open_database(database_url)) as database, database.write("test") as session:
         session.execute(text("update alembic_version set version_num = '0999'"))
-    database.close()
     with pytest.raises(DatabaseNewer, match="revision 0999, which this version does not know"):
-        open_database(database.url)
-    with closing(Database(database.url)) as later:
+        open_database(database_url)
+    with closing(Database(database_url)) as later:
         assert later.revision() == "0999"
-    if database.url.startswith("sqlite"):
-        (line,) = maintenance.unfinished(Path(database.url.removeprefix("sqlite:///")))
+    if database_url.startswith("sqlite"):
+        (line,) = maintenance.unfinished(Path(database_url.removeprefix("sqlite:///")))
         assert line.startswith("revision 0999 is of a later version of the service")
 
 
-def test_migrations_go_down_to_nothing_and_up_again(database):
-    config = alembic_config(database.url)
-    database.close()
+def test_migrations_go_down_to_nothing_and_up_again(database_url):
+    config = alembic_config(database_url)
+    open_database(database_url).close()
     command.downgrade(config, "base")
     command.upgrade(config, "head")
-    reopened = open_database(database.url)
+    reopened = open_database(database_url)
     with reopened.read() as session:
         assert "runs" in inspect(session.connection()).get_table_names()
     reopened.close()
