@@ -95,16 +95,34 @@ def uninterrupted() -> Generator[None]:
 
     A `close` that parks a robot is not cut short. Only the main thread is ever interrupted.
     """
+    with _handled_by(signal.SIG_IGN):
+        yield
+
+
+@contextmanager
+def interrupted_later() -> Generator[None]:
+    """Let what ends the process wait for the end of a block, such as one that writes an episode."""
+    came: list[int] = []
+    try:
+        with _handled_by(lambda number, _: came.append(number)):
+            yield
+    finally:
+        for number in came[:1]:
+            signal.raise_signal(number)
+
+
+@contextmanager
+def _handled_by(handler: Any) -> Generator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in _ENDING}
+    before = {number: signal.signal(number, handler) for number in _ENDING}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            if handler is not None:  # else it is not Python's
-                signal.signal(number, handler)
+        for number, former in before.items():
+            if former is not None:  # else it is not Python's
+                signal.signal(number, former)
 
 
 def check_environment(

@@ -1,6 +1,5 @@
 """One episode on a robot, and its trajectory."""
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +9,7 @@ import numpy as np
 from adr_service.arrays import Matrix, Vector
 from adr_service.client.connection import Json
 from adr_service.client.robot.environment import Env, as_the_robots
-from adr_service.client.robot.heart import Watch
+from adr_service.client.robot.heart import Watch, now
 from adr_service.client.robot.limits import Limits
 from adr_service.errors import InvalidInput
 from adr_service.npz import write_arrays
@@ -43,6 +42,7 @@ class Episode:
     wrong: str = ""  # why the episode ended early, so that it has no return
     is_broken: bool = False  # because the robot showed what is no observation
     is_cut: bool = False  # the owner's time ended it, or the environment before its end
+    is_whole: bool = False  # it has all its steps, or the task ended it
     period_s: float = np.nan  # median time between two commands; NaN for fewer
 
 
@@ -76,7 +76,7 @@ class Rollout:
         self._rewards: list[float] = []
         self._limited, self._wrong, self._ended, self._is_cut = 0, "", False, False
         self._is_broken = False
-        self._began = time.monotonic()
+        self._began = now()
         self._sent: list[float] = []  # [s] when commands were sent
 
     @property
@@ -93,11 +93,11 @@ class Rollout:
             answer = self._machine.env.reset(seed=seed)
         observation, _ = _parts(answer, _OF_RESET)
         self._observations.append(_row(observation))
-        self._began = time.monotonic()
+        self._began = now()
         self._check(self._observations[0], 0.0)
 
     def step(self, act: Callable[[Matrix], Matrix]) -> None:
-        passed = time.monotonic() - self._began
+        passed = now() - self._began
         limits, seen = self._machine.limits, self._observations[-1]
         moved = (len(self._actions) + 1) * self._machine.about["control_period_s"]
         if not limits.allows(max(moved, passed)):
@@ -113,7 +113,7 @@ class Rollout:
             return
         action = limits.apply(wanted)
         self._limited += not np.array_equal(action, wanted)
-        self._sent.append(time.monotonic())
+        self._sent.append(now())
         with self._watch.watching("step", limits.left(passed)), as_the_robots("step"):
             answer = self._machine.env.step(action.copy())
         observation, reward, terminated, truncated, _ = _parts(answer, _OF_STEP)
@@ -159,6 +159,7 @@ class Rollout:
             self._wrong,
             self._is_broken,
             self._is_cut,
+            not self._wrong and (self._ended or self.is_complete),
             float(np.median(np.diff(self._sent))) if len(self._sent) > 1 else np.nan,
         )
 
@@ -236,4 +237,10 @@ def _identity(task: Json) -> tuple[str, int, int]:
 
 
 def _row(observation: Any) -> Vector:
-    return np.array(observation, dtype=np.float64)  # its own: a driver may fill one buffer again
+    try:
+        # its own: a driver may fill one buffer again
+        return np.array(observation, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(
+            f"the environment showed the observation {observation!r}; needed is an array of numbers"
+        ) from error

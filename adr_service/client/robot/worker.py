@@ -14,6 +14,7 @@ from adr_service.client.robot.environment import (
     as_the_robots,
     check_environment,
     closing_in_time,
+    interrupted_later,
     load_environment,
     uninterrupted,
 )
@@ -133,7 +134,7 @@ class Robot:
             except BaseException:  # whatever broke, the robot's owner must see to it
                 self._close_and_release(task, lease, heart.watch)
                 raise
-            if why := why_stop():
+            if (why := why_stop()) and not episode.is_whole:
                 self._report(f"{task['id']}: stopped, {why}")
                 _release(self._client, task, lease)
                 return False
@@ -196,7 +197,9 @@ class Robot:
         if episode.wrong and (counts or not steps):
             self._fail(task, lease, episode.wrong)
             return False
-        unsent = UnsentEpisode.written(task["id"], lease, to_npz(episode, self._about, self._name))
+        with interrupted_later():
+            content = to_npz(episode, self._about, self._name)
+            unsent = UnsentEpisode.written(task["id"], lease, content)
         if unsent.file is None:
             self._report(f"{task['id']}: no file can be written here, in case it cannot be sent")
         try:

@@ -9,6 +9,7 @@ from gymnasium.spaces import Box
 from adr_service.client.robot.environment import (
     check_environment,
     closing_in_time,
+    interrupted_later,
     load_environment,
 )
 from adr_service.client.robot.limits import Limits
@@ -51,6 +52,19 @@ def test_a_close_is_not_interrupted(number):
         pass
     assert arm.is_parked
     assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_what_comes_while_an_episode_is_written_waits_for_its_end(number, monkeypatch):
+    before, seen = signal.getsignal(number), []
+    signal.signal(number, lambda *_: seen.append("ends"))
+    try:
+        with interrupted_later():
+            signal.raise_signal(number)
+            seen.append("written")
+    finally:
+        signal.signal(number, before)
+    assert seen == ["written", "ends"]
 
 
 def test_an_environment_of_the_task_is_accepted():

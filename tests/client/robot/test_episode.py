@@ -244,6 +244,18 @@ def test_a_reward_that_is_no_number_is_refused():
         run(Unscored(0.0))
 
 
+class Unordered(SlowArm):
+    def reset(self, **given):
+        return {"position": 0.0}, {}
+
+
+def test_an_observation_that_is_no_array_is_refused():
+    with pytest.raises(
+        InvalidInput, match=r"the observation .* needed is an array"
+    ):
+        run(Unordered(0.0))
+
+
 def test_where_rewards_are_not_recorded_they_may_be_anything():
     rollout = Rollout(
         Machine("here", Unscored(0.0), ABOUT, Limits()), Heart(), 3, has_rewards=False

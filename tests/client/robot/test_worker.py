@@ -1,6 +1,7 @@
 """The loop of a robot's client, with a service whose answers the test gives."""
 
 import re
+import signal
 import threading
 from pathlib import Path
 
@@ -231,6 +232,50 @@ def test_an_episode_that_the_owner_does_not_wait_to_upload_is_kept(tmp_path):
     service.robot = robot(service)
     service.robot.work(1)
     assert read_episode("arm", 20, (tmp_path / "task_a.npz").read_bytes()).transitions == 20
+
+
+def test_an_episode_that_has_ended_is_kept_though_its_robot_should_stop(folder):
+    service = Service()
+    stopping = robot(service)
+    step = stopping._env.step
+
+    def last_step(action):
+        if len(stopping._env.actions) == TASK["transitions"] - 1:
+            stopping.stop()
+        return step(action)
+
+    stopping._env.step = last_step
+    stopping.work(1)
+    assert service.released == []
+    assert read_episode("arm", 20, (folder / "task_a.npz").read_bytes()).transitions == 20
+    robot(service).work(0)
+    assert len(service.uploads) == 1
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_an_interrupt_while_an_episode_is_written_loses_nothing(number, folder, monkeypatch):
+    service, written = Service(), []
+
+    def write(path, content):
+        path.write_bytes(content)
+        written.append(path.name)
+        if len(written) == number:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr("adr_service.client.robot.unsent_episodes._write", write)
+    with pytest.raises(KeyboardInterrupt):
+        robot(service).work(1)
+    assert written == ["task_a.lease", "task_a.npz"]
+    robot(service).work(0)
+    assert len(service.uploads) == 1
+
+
+def test_a_lease_without_its_episode_is_none(folder):
+    """As a power cut leaves it, between the two files."""
+    (folder / "task_a.lease").write_text("lease_a")
+    service = Service()
+    robot(service).work(1)
+    assert len(service.uploads) == 1
 
 
 def test_a_service_that_answers_leaves_no_file(tmp_path):
