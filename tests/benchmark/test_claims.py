@@ -120,13 +120,13 @@ def verdict(name, found):
 
 
 @pytest.fixture(scope="module")
-def papers_world():
-    return world()
+def papers_verdicts():
+    return {finding.claim: finding.verdict for finding in reports(world())[0].findings}
 
 
 @pytest.mark.parametrize("name", [claim.name for claim in CLAIMS])
-def test_results_like_the_papers_support_each_claim(papers_world, name):
-    assert verdict(name, papers_world) == "supported"
+def test_results_like_the_papers_support_each_claim(papers_verdicts, name):
+    assert papers_verdicts[name] == "supported"
 
 
 CONTRADICTIONS = {

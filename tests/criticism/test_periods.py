@@ -77,6 +77,7 @@ def test_a_joint_that_hardly_moves_has_no_waves():
     assert 2 * 2 * np.pi / np.ptp(moved.qpos) <= waves_of(nominal, moved)["joint:a"] <= 400
 
 
+@pytest.mark.slow
 def test_a_ripple_is_named_beside_friction_with_how_often_it_repeats():
     friction = Effect("joint_coulomb_friction", "joint:elbow", (0.02,))
     data = rippling(17.3, friction).episodes(range(12))

@@ -28,11 +28,6 @@ BIASES = tuple(
 
 
 @pytest.fixture(scope="module")
-def responses(baseline):
-    return Responses(baseline)
-
-
-@pytest.fixture(scope="module")
 def both(baseline, friction):
     """A fit with the friction, and with a spring that the data do not have."""
     return refine(baseline, [SPRING, friction])

@@ -30,7 +30,6 @@ def test_a_run_over_finished_stages_computes_nothing_and_says_the_same():
     assert len(stages.executed) == count
 
 
-@pytest.mark.anew
 def test_a_run_interrupted_anywhere_ends_the_same():
     whole = list(run(smoke("simopt"), LocalStages()))
     for cut in range(1, len(whole)):
