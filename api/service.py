@@ -3,20 +3,18 @@
 import logging
 import os
 import shutil
-import stat
-import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from threading import Lock
 from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
-from adr_service.errors import AdrError, InvalidInput
+from adr_service.errors import AdrError
 from adr_service.specs import AnyRun
+from api.data_folder import prepare_folder
 from api.filming import Films
 from api.settings import Settings
 from api.uploads import check_dataset
@@ -31,8 +29,6 @@ from workers.cluster import ClusterUnavailable, RayOptions
 from workers.orchestrator import RUNS_AT_ONCE, Orchestrator
 
 log = logging.getLogger(__name__)
-# names, or how they begin, by which a data folder is known
-_OWN_FILES = ("adr.sqlite", "ray", "service.log", "compile_cache", staging.PREFIX)
 
 
 class QueueFull(AdrError):
@@ -128,7 +124,7 @@ class Service:
 
 def open_service(settings: Settings) -> Service:
     """Open the database, start Ray, and continue unfinished runs."""
-    _prepare(settings.data_dir)
+    prepare_folder(settings.data_dir)
     database = open_database(settings.database)
     try:
         runs = _runs_at_once(settings)
@@ -140,30 +136,6 @@ def open_service(settings: Settings) -> Service:
         database.close()
         raise
     return Service(settings, database, orchestrator)
-
-
-def _prepare(data_dir: Path) -> None:
-    """Make a folder for results and secrets that no other user of the machine can read.
-
-    Raises InvalidInput if others can read it and it has files, none of them the service's.
-    """
-    try:
-        data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
-        mode = stat.S_IMODE(data_dir.stat().st_mode)
-        if mode & 0o077:
-            names = {path.name for path in data_dir.iterdir()}
-            if names and not any(name.startswith(_OWN_FILES) for name in names):
-                raise InvalidInput(
-                    f"{data_dir} is open to others (mode {mode:o}) and has other files than the "
-                    "service's: give it a folder of its own (ADR_DATA_DIR, --data-dir), or close "
-                    f"this one (chmod 700 {data_dir})"
-                )
-            data_dir.chmod(0o700)
-            log.warning("%s was open to others (mode %o); now it is yours alone", data_dir, mode)
-        with tempfile.TemporaryFile(dir=data_dir):
-            pass  # it can be written
-    except OSError as error:
-        raise InvalidInput(f"there can be no data in {data_dir}: {error}") from error
 
 
 def _ray_options(settings: Settings) -> RayOptions:

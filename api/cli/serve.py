@@ -26,9 +26,17 @@ def serve(
     dashboard: Annotated[bool | None, typer.Option(help="Start the Ray dashboard.")] = None,
 ) -> None:
     """Start the service and continue unfinished runs."""
+    # these read the database's modules, which other commands do not need
+    from api.data_folder import prepare_folder
+    from api.logs import configure
+
     given = {"host": host, "port": port, "data_dir": data_dir, "cpus": cpus, "dashboard": dashboard}
     settings = read_settings(**{name: v for name, v in given.items() if v is not None})
     check_port(settings.host, settings.port)  # before Ray starts, which takes seconds
+    configure(settings.log_format)
+    for doubt in (*unknown_variables(os.environ), *too_many_cores(settings)):
+        log.warning("%s", doubt)
+    prepare_folder(settings.data_dir)
     _prepare_process(settings)
     _listen(settings)
 
@@ -51,11 +59,7 @@ def _listen(settings: Settings) -> None:
 
     from api.app import create_app
     from api.connections import bounded, connections_allowed
-    from api.logs import configure
 
-    configure(settings.log_format)
-    for doubt in (*unknown_variables(os.environ), *too_many_cores(settings)):
-        log.warning("%s", doubt)
     has_died = False
 
     def end() -> None:
