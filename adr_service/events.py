@@ -84,7 +84,7 @@ class IterationFinished(Wire):
     evaluation_episodes: int  # metered apart, seen by no method
     distributions: list[dict[str, Any]]
     policies: list[str]  # SHA-256 of the policy bytes
-    source_returns: list[float]  # best evaluation of each training, so a little high
+    source_returns: list[float]  # of each training: its confirmation, else its best evaluation
     reached_threshold: list[bool]
     training_steps: list[int]
     inference_steps: int  # simulated control steps of the inference

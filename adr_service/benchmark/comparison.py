@@ -78,7 +78,8 @@ class Row:
     inference_steps: float  # per seed, mean; control steps simulated by the iteration's inference
     estimation_error: float | None  # RMS distance of the mean from the truth in [0, 4], if known
     posterior_std: float | None  # RMS over the parameters in [0, 4]; the prior's is 1
-    log_score: float | None  # log density of the truth [nat], if it is known and the belief has one
+    log_score: float | None  # log density of the truth [nat], if it is known, the belief has one,
+    # and no seed's belief excludes the truth (minus infinity)
     energy_score: float | None  # of the belief at the truth, in [0, 4]; 0 is best
     reached_threshold: float  # share of policies that did, on their source distribution
 
@@ -157,7 +158,8 @@ def comparisons(outcomes: Sequence[Outcome]) -> list[Comparison]:
     order = list(methods())
     compared: list[Comparison] = []
     for (task, variant), columns in sorted(final_outcomes(outcomes).items()):
-        names = sorted(columns, key=lambda name: (order.index(name.split()[0]), name))
+        ranks = {name: order.index(own[0].spec.method.name) for name, own in columns.items()}
+        names = sorted(columns, key=lambda name: (ranks[name], name))
         for one, other in combinations(names, 2):
             sides = [{o.spec.seed: o for o in columns[name]} for name in (one, other)]
             seeds = sorted(sides[0].keys() & sides[1].keys())
@@ -330,6 +332,10 @@ def _mean(values: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and np.isfinite(value) else None
+
+
 def _row(key: _Key, outcomes: Sequence[Outcome]) -> Row:
     task, variant, method, collector, iteration = key
     returns = returns_of(outcomes)
@@ -359,7 +365,7 @@ def _row(key: _Key, outcomes: Sequence[Outcome]) -> Row:
         inference_steps=float(np.mean([o.iteration.inference_steps for o in outcomes])),
         estimation_error=_mean([_error(o) for o in outcomes]),
         posterior_std=_mean([_spread(o) for o in outcomes]),
-        log_score=_mean([_scored(o, log_score) for o in outcomes]),
+        log_score=_finite(_mean([_scored(o, log_score) for o in outcomes])),
         energy_score=_mean([_scored(o, energy_score) for o in outcomes]),
         reached_threshold=float(np.mean(reached)),
     )

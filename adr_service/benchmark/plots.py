@@ -21,7 +21,7 @@ _COLLECTOR_LABELS = {
     "simopt": "SimOpt's trajectories",
     "prior": "the prior's policy",
     "random": "random actions",
-    "random_matched": "random actions, as many transitions",
+    "random_matched": "random actions, as many transitions (several episodes)",
 }
 _MOST_NAMED = 8  # parameters in a legend
 _MOST_WITH_INTERVALS = 6  # methods with an interval at each iteration, or with a band
@@ -119,17 +119,20 @@ def plot_spread(estimates: Sequence[ParameterEstimate]) -> Figure:
     tasks = list(dict.fromkeys((e.task, e.variant) for e in estimates))
     names = list(dict.fromkeys(e.method for e in estimates))
     figure, axes = _grid(len(tasks), len(names), sharey=True)
+    most = 0
     for (i, task), (j, method) in _pairs(tasks, names):
         axes[i, j].set_title(f"{_label(method)} on {', '.join(task)}")
         chosen = [e for e in estimates if (e.task, e.variant, e.method) == (*task, method)]
         lines = _spread_panel(axes[i, j], chosen)
+        most = max(most, lines)
         if j == len(names) - 1 and lines <= _MOST_NAMED:
             _legend(axes[i, j])
     for row_axes in axes:
         row_axes[0].set_ylabel("standard deviation in [0, 4]")
-    figure.supxlabel(
-        "mean over seeds, of beliefs before draws are cut; the line at 1 is the prior's", fontsize=7
-    )
+    note = "mean over seeds, of beliefs before draws are cut; the line at 1 is the prior's"
+    if most > _MOST_NAMED:
+        note += "; one line per parameter, named in this figure's CSV"
+    figure.supxlabel(note, fontsize=7)
     return figure
 
 

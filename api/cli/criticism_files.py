@@ -309,7 +309,7 @@ def write(out: Path, files: Mapping[str, bytes]) -> None:
 
 def _measurement(path: Path, task: Task | None) -> Measurement:
     """The measurement in a file, or a task's recording as one."""
-    content = read_text(path) if path.suffix == ".csv" else read(path)
+    content = read_text(path) if path.suffix.lower() == ".csv" else read(path)
     with naming(path):
         if isinstance(content, str):
             return measurement_from_csv(content)

@@ -98,7 +98,7 @@ def _python() -> Check:
 
 def _cores() -> Check:
     count = len(os.sched_getaffinity(0))
-    return Check(count >= 1, f"cores: {count}, and as many policies are trained at once")
+    return Check(count >= 1, f"cores: {count}; each trains one policy at a time")
 
 
 def _simulator() -> Iterator[Check]:

@@ -51,7 +51,7 @@ def film_beside_target(scene: Scene, file: Path, distribution: Path, out: Path) 
     The source has the mean of a run's training distribution, a file as `adr results --distribution`
     writes it. Both episodes begin alike.
     """
-    mean, target = _mean(distribution), target_like(scene.task, scene.variant)
+    mean, target = _mean(distribution, scene), target_like(scene.task, scene.variant)
     known = variant_of(scene.task, scene.variant).source.space.names
     # the oracle is trained on the target's own parameters
     source = first_like(scene.task, scene.variant) if mean.keys() <= set(known) else target
@@ -59,14 +59,22 @@ def film_beside_target(scene: Scene, file: Path, distribution: Path, out: Path) 
     return _film(file, out, [left, replace(scene, variant=target)])
 
 
-def _mean(distribution: Path) -> dict[str, Any]:
+def _mean(distribution: Path, scene: Scene) -> dict[str, Any]:
     """Means of a distribution's parameters, by name; of the first, if there are several."""
     try:
         found = json.loads(read(distribution))
+        task, variant = str(found["task"]), str(found["variant"])
         mean = {each["name"]: each["mean"][0] for each in found["parameters"]}
         extension = found.get("extension", [])
     except (ValueError, LookupError, TypeError) as error:
         raise InvalidInput(f"{distribution} is no file of adr results --distribution") from error
+    # the oracle's is of the target, whose file may have the name of another variant with that one
+    fitting = {first_like(scene.task, scene.variant), target_like(scene.task, scene.variant)}
+    if task != scene.task or first_like(task, variant) not in fitting:
+        raise InvalidInput(
+            f"{distribution} is of {task} {variant}, and the film of {scene.task} {scene.variant}: "
+            f"give --task {task} --variant {variant}"
+        )
     if extension:
         raise InvalidInput(
             f"films show a task's own simulator; {distribution} has effects beyond it: {extension}"

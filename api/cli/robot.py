@@ -95,6 +95,8 @@ def _play(env: str, task: str, limits: "Limits", plan: Path, out: Path) -> None:
     with naming(plan):
         commands, start = read_plan(content, len(known.action_low), control_period(known))
     check_commands(known, commands)
+    if out.suffix != ".npz":
+        raise InvalidInput(f"--out is a file that ends on .npz; given {out}")
     check_writable(out)  # before anything moves
     robot = load_environment(env)
     with closing_in_time(robot, limits.reset_seconds, _abandon):

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from fastapi import APIRouter, Form, Request, Response
 from fastapi.responses import RedirectResponse
@@ -23,6 +23,7 @@ from adr_service.events import (
     TrainingEvaluated,
 )
 from adr_service.json_values import explain
+from adr_service.methods.base import Grid
 from adr_service.methods.catalogue import methods
 from adr_service.presets import PRESETS
 from adr_service.specs import RunSpec
@@ -135,10 +136,11 @@ def best_of(diagnostics: Mapping[str, Any]) -> str:
         _, by, setting = name.partition("_by_")
         if not by or not isinstance(tried, dict):
             continue
-        known = {v: c for v, c in tried.items() if isinstance(c, int | float)}
-        if len(known) > 1:
-            best = min(known, key=lambda value: known[value])
-            end = ", the last of those tried" if best == list(tried)[-1] else ""
+        values = cast(dict[str, Any], tried)
+        criteria = [c if isinstance(c, int | float) else None for c in values.values()]
+        if sum(c is not None for c in criteria) > 1:
+            best = list(values)[Grid(setting, name).best(criteria)]
+            end = ", the last of those tried" if best == list(values)[-1] else ""
             return f"{setting} {best}{end}"
     return ""
 

@@ -218,3 +218,13 @@ def test_the_width_of_a_belief_is_the_root_of_its_mean_variance():
     event = run.iteration.model_copy(update={"distributions": [belief.to_json()]})
     (row,) = table([replace(run, iteration=event)])
     assert row.posterior_std == pytest.approx(np.sqrt(variances.mean()))
+
+
+def test_a_belief_that_excludes_the_truth_has_no_score():
+    """Minus infinity is no number of JSON."""
+    space = source_of("hopper", "vanilla").space
+    wrong = Gaussian(space, np.full(len(space), 2.0), np.diag([0.0] + [0.1] * (len(space) - 1)))
+    run = at_level(1.0)
+    event = run.iteration.model_copy(update={"distributions": [wrong.to_json()]})
+    (row,) = table([replace(run, iteration=event)])
+    assert row.log_score is None

@@ -4,6 +4,7 @@
 
 // Okabe and Ito's colours, in the order of the figures
 const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f"];
+const DASHES = [undefined, [8, 4], [2, 3]]; // of the first seven curves, the next seven, and so on
 const RETRY_MS = 5000;
 const sorted = new Map(); // id of a table -> [column, ascending], to survive a refresh
 const opened = new Set(); // ids of details that are open, likewise
@@ -95,6 +96,7 @@ function follow(place) {
     const lines = [...curves.keys()].map((digest, number) => ({
       label: `training ${number + 1}`,
       stroke: COLOURS[number % COLOURS.length],
+      dash: DASHES[Math.floor(number / COLOURS.length) % DASHES.length],
       width: 2,
       spanGaps: true,
       points: { show: steps.length < 60 },
@@ -109,7 +111,6 @@ function follow(place) {
         { ...axis, label: "environment steps", space: 70, values: (_, ticks) => ticks.map(short) },
         { ...axis, label: "return on the source", size: 70 },
       ],
-      legend: { show: curves.size <= 12 },
     };
     chart = new uPlot(options, [steps, ...values], place);
   }

@@ -1,5 +1,6 @@
 """`adr render`: films of recordings, and requests that it explains instead."""
 
+import json
 import os
 import subprocess
 import sys
@@ -83,3 +84,20 @@ def test_a_machine_that_cannot_draw_names_the_packages_to_install(tmp_path, envi
     assert done.returncode == 2
     assert "apt install libegl1" in done.stderr
     assert not film.exists()
+
+
+def test_a_distribution_of_another_variant_is_refused(adr_here, tmp_path):
+    """Where it has a part of this variant's parameters, the others were the truth's."""
+    mean = [{"name": "thigh_mass", "mean": [3.0]}]
+    given = {"task": "hopper", "variant": "unmodeled", "parameters": mean, "distributions": []}
+    (tmp_path / "d.json").write_text(json.dumps(given))
+    files = ["--policy", "p.safetensors", "--distribution", str(tmp_path / "d.json")]
+    film = str(tmp_path / "film.gif")
+    status, _, errors = adr_here("render", film, "--task", "hopper", *files)
+    assert status == 2
+    assert "d.json is of hopper unmodeled, and the film of hopper vanilla: give" in errors
+    status, _, errors = adr_here("render", film, "--task", "arm", *files)
+    assert "give --task hopper --variant unmodeled" in errors
+    given = ["--task", "hopper", "--variant", "unmodeled", *files]
+    status, _, errors = adr_here("render", film, *given)
+    assert "p.safetensors cannot be read" in errors

@@ -40,7 +40,10 @@ def test_a_plan_is_played_and_judged_together_with_the_first_recording(adr_here,
     assert "next.npz: commands of 12 episodes, 1.5 s each" in shown
     assert "shoulder: " in shown
     assert " as recorded" in shown
-    play = ["--task", "arm", "--env", "an_arm_of_a_test:make", "--out", "second.npz"]
+    play = ["--task", "arm", "--env", "an_arm_of_a_test:make", "--out", "second.csv"]
+    status, _, errors = adr_here("robot", "--play", "next.npz", *play)
+    assert (status, "ends on .npz; given second.csv" in errors) == (2, True)
+    play[-1] = "second.npz"
     status, shown, errors = adr_here("robot", "--play", "next.npz", *play, "--max-action", "0.5")
     assert status == 0, errors
     assert "second.npz: 12 of 12 episodes" in shown

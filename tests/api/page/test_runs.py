@@ -63,6 +63,7 @@ def test_events_are_told_in_words():
     [
         ({"1e-06": 3.0, "0.0001": 1.0, "0.01": 2.0}, "epsilon 0.0001"),
         ({"1e-06": 3.0, "0.0001": None, "0.01": 2.0}, "epsilon 0.01, the last of those tried"),
+        ({"1e-06": 1.0, "0.0001": 0.998, "0.01": 0.995}, "epsilon 1e-06"),  # they predict alike
         ({"0.01": 2.0}, ""),
         ("anything", ""),
     ],

@@ -250,9 +250,7 @@ class Unordered(SlowArm):
 
 
 def test_an_observation_that_is_no_array_is_refused():
-    with pytest.raises(
-        InvalidInput, match=r"the observation .* needed is an array"
-    ):
+    with pytest.raises(InvalidInput, match=r"the observation .* needed is an array"):
         run(Unordered(0.0))
 
 
