@@ -150,8 +150,8 @@ def heartbeat(
         row.steps = steps
         until = now + timedelta(seconds=lease_s)
         # one that waited for the database may come after a later one
-        row.expires_at = max(until, row.expires_at or until)
-        return Renewed(row.expires_at, is_wanted(session, row.run_id))
+        row.expires_at = latest = max(until, row.expires_at or until)
+        return Renewed(latest, is_wanted(session, row.run_id))
 
 
 def complete(
