@@ -3,19 +3,14 @@
 import pytest
 
 from adr_service.benchmark.cells import Cell, Measured
-from adr_service.benchmark.comparison import Outcome
-from adr_service.stages.local import LocalStages
-from tests.programs.smoke import iterations, smoke
 
 SEEDS = (0, 1)
 
 
 @pytest.fixture(scope="module")
-def measured():
-    """A method with iterations and two without, on two seeds."""
-    stages = LocalStages()
-    specs = [smoke(method, seed=seed) for method in ("simopt", "udr", "prior") for seed in SEEDS]
-    return Measured([Outcome(s, event) for s in specs for event in iterations(s, stages)])
+def measured(benchmark):
+    """Methods with iterations and without, on two seeds."""
+    return Measured(benchmark[2])
 
 
 def test_a_cell_is_said_in_words():
@@ -26,8 +21,8 @@ def test_a_cell_is_said_in_words():
 
 def test_a_cell_means_the_last_iteration_and_has_every_seed(measured):
     cell = Cell("arm", "vanilla", "simopt")
-    assert measured.iterations(cell) == [0, 1]
-    assert measured.resolve(cell) == 1
+    assert measured.iterations(cell) == [0, 1, 2]
+    assert measured.resolve(cell) == 2
     assert tuple(measured.of(cell)) == SEEDS
 
 

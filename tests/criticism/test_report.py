@@ -4,11 +4,18 @@ import json
 from dataclasses import replace
 from xml.etree import ElementTree
 
+import pytest
+
 import adr_service
 from adr_service.criticism.report import FILES, files_of, report_page
 from adr_service.criticism.verdict import Conclusion, Rest
 
 ORIGIN = "measured <1>.npz, seed 7"
+
+
+@pytest.fixture(scope="module")
+def page(criticism):
+    return report_page(criticism, "arm", ORIGIN)
 
 
 def test_a_named_cause_has_all_files(criticism):
@@ -25,9 +32,8 @@ def test_the_same_criticism_gives_the_same_bytes(criticism):
     assert files_of(criticism, "arm", ORIGIN) == files_of(criticism, "arm", ORIGIN)
 
 
-def test_the_page_says_what_it_was_made_of(criticism):
+def test_the_page_says_what_it_was_made_of(criticism, page):
     data = criticism.baseline.simulator.data
-    page = report_page(criticism, "arm", ORIGIN)
     assert "From measured &lt;1&gt;.npz, seed 7." in page
     assert f"Fitted to {criticism.verdict.residual.used} transitions" in page
     assert f"in {len(data.spans())} episodes" in page
@@ -40,8 +46,7 @@ def test_a_name_on_the_page_is_escaped(criticism):
     assert "&lt;script&gt;" in page
 
 
-def test_the_page_names_each_cause_and_its_alternatives(criticism):
-    page = report_page(criticism, "arm", ORIGIN)
+def test_the_page_names_each_cause_and_its_alternatives(criticism, page):
     for cause, tied in zip(criticism.verdict.causes, criticism.verdict.tied, strict=True):
         for each in (cause, *tied):
             assert each.kind.replace("_", " ") in page
@@ -49,8 +54,7 @@ def test_the_page_names_each_cause_and_its_alternatives(criticism):
         assert strength.interval in page
 
 
-def test_free_parameters_have_their_units(criticism):
-    page = report_page(criticism, "arm", ORIGIN)
+def test_free_parameters_have_their_units(criticism, page):
     free = page.split("<h2>The free parameters</h2>")[1].split("</table>")[0]
     for parameter in criticism.baseline.simulator.nominal.space.parameters:
         assert f"<td>{parameter.name}</td><td>{parameter.unit}</td>" in free
