@@ -5,10 +5,10 @@
 One joint of the arm has a friction whose bristles bend before they slip (Dahl's), or a drive that
 loses torque as it warms up. Either has a state of its own, so that no function of motion, commands
 and time is its force. Ratios to the noise of a difference of two readings are .3 and 1 by turns
-(`benchmarks.criticism` sizes otherwise), and measurements are as there. As many processes at once as there are cores, each with one thread (set
-OMP_NUM_THREADS=1). Prints a line for each case and counts those in which something is called
-unknown. Writes build/bench/memories.json after every case, and goes on from there where it was
-interrupted, while the method is the same.
+(`benchmarks.criticism` sizes otherwise), and measurements are as there. As many processes at once
+as there are cores, each with one thread (set OMP_NUM_THREADS=1). Prints a line for each case and
+counts those in which something is called unknown. Writes build/bench/memories.json after every
+case, and goes on from there where it was interrupted, while the method is the same.
 """
 
 import sys
