@@ -27,9 +27,10 @@ class UnsentEpisode:
         """The episode in TASK.npz, with the lease in TASK.lease; each is whole or not there."""
         file = Path(f"{task_id}.npz").absolute()
         try:
-            _lease_file(file).unlink(missing_ok=True)  # an earlier one is not of this episode,
-            file.unlink(missing_ok=True)  # nor may its own be sent with this lease
-            _write(_lease_file(file), lease.encode())  # first: no episode without one would be sent
+            # an earlier episode of the task must not be sent with this lease, nor this one with its
+            _lease_file(file).unlink(missing_ok=True)
+            file.unlink(missing_ok=True)
+            _write(_lease_file(file), lease.encode())  # first: the next client sends only pairs
             _write(file, content)
         except OSError:
             return cls(task_id, lease, content, file if file.exists() else None)
