@@ -52,8 +52,9 @@ def test_the_same_policy_on_another_kind_of_target_is_another_film(monkeypatch):
 
 
 def test_what_cannot_be_drawn_is_refused_with_the_reason():
+    mean = {"task": "arm", "variant": "vanilla", "parameters": []}
     with pytest.raises(InvalidInput, match="not the bytes of a policy"):
-        Films().of(RunSpec.model_validate(SPEC), b"nonsense", {"parameters": []})
+        Films().of(RunSpec.model_validate(SPEC), b"nonsense", mean)
 
 
 @pytest.mark.slow
