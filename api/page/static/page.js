@@ -4,10 +4,17 @@
 
 // Okabe and Ito's colours, in the order of the figures
 const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f"];
-const DASHES = [undefined, [8, 4], [2, 3]]; // of the first seven curves, the next seven, and so on
+// of the first seven curves, the next seven, and so on; in the legend, CSS's names
+const DASHES = [undefined, [8, 4], [2, 3]];
+const BORDERS = ["solid", "dashed", "dotted"];
 const RETRY_MS = 5000;
 const sorted = new Map(); // id of a table -> [column, ascending], to survive a refresh
 const opened = new Set(); // ids of details that are open, likewise
+
+// the line of a curve whose colour comes again
+function inTurn(lines, number) {
+  return lines[Math.floor(number / COLOURS.length) % lines.length];
+}
 
 function keyOf(row, column) {
   const text = row.cells[column].dataset.value ?? row.cells[column].textContent.trim();
@@ -96,7 +103,7 @@ function follow(place) {
     const lines = [...curves.keys()].map((digest, number) => ({
       label: `training ${number + 1}`,
       stroke: COLOURS[number % COLOURS.length],
-      dash: DASHES[Math.floor(number / COLOURS.length) % DASHES.length],
+      dash: inTurn(DASHES, number),
       width: 2,
       spanGaps: true,
       points: { show: steps.length < 60 },
@@ -111,6 +118,7 @@ function follow(place) {
         { ...axis, label: "environment steps", space: 70, values: (_, ticks) => ticks.map(short) },
         { ...axis, label: "return on the source", size: 70 },
       ],
+      legend: { markers: { dash: (_, series) => inTurn(BORDERS, series - 1) } },
     };
     chart = new uPlot(options, [steps, ...values], place);
   }
