@@ -17,6 +17,7 @@ import ray
 from joblib import cpu_count
 
 from adr_service.errors import AdrError
+from adr_service.training.xla import ONE_THREAD
 from workers.gcs import JoinedGcs, OwnGcs, child, lives
 from workers.sessions import Sessions
 
@@ -151,11 +152,10 @@ class Cluster:
 
 def worker_environment(compile_cache: Path) -> dict[str, str]:
     """One thread per process, and compiled programs kept between processes."""
-    # NPROC is XLA's: it has no flag for the number of threads that run a program
-    single = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NPROC")
+    single = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     return {
         **dict.fromkeys(single, "1"),
-        "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+        **ONE_THREAD,
         "JAX_PLATFORMS": "cpu",
         "JAX_COMPILATION_CACHE_DIR": str(compile_cache),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",

@@ -14,6 +14,7 @@ from adr_service.tasks.base import Task
 from adr_service.training.networks import Networks
 from adr_service.training.policy import Layer, Policy, Squash
 from adr_service.training.settings import check_backend
+from adr_service.training.xla import on_one_thread
 
 
 class Library(Protocol):
@@ -41,9 +42,13 @@ def torch_activation(name: str) -> Any:
 
 
 def jax_activation(name: str) -> Any:
-    """A Flax activation; raises InvalidInput where SBX is not installed."""
+    """A Flax activation; makes JAX use one thread.
+
+    Raises InvalidInput where SBX is not installed.
+    """
     check_backend("sbx")
     with preparing():
+        on_one_thread()
         importlib.import_module("sbx")
         import flax.linen
     _count_compilations()
