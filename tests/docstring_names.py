@@ -16,6 +16,7 @@ from mujoco.batch import Batch
 from sqlalchemy import create_engine
 
 from adr_service.benchmark.comparison import Outcome
+from adr_service.blind_test.cases import draw_blind
 from adr_service.blind_test.planting import hide
 from adr_service.client import AdrClient
 from adr_service.distributions import Gaussian
@@ -400,13 +401,18 @@ def robot_log(folder: Path) -> Names:
     return {**known, "text": MAP, "model": model}
 
 
+@cache
+def _hidden() -> tuple[Any, ...]:
+    """Motions without an effect, and what is hidden in a case; they take seconds."""
+    motions = hide(*arm_and_nominal(), np.random.default_rng(5), [])
+    return motions, *draw_blind("arm", np.random.default_rng([5, 0]))
+
+
 def blind_test(folder: Path) -> Names:
     """A question in `cases/0000`, an answer in `answers/0000`, and everything to mark it with."""
     from adr_service.blind_test import cases, files, planting, scoring, sizing
 
-    task, nominal = arm_and_nominal()
-    motions = planting.hide(task, nominal, np.random.default_rng(5), [])
-    hidden, case = cases.draw_blind("arm", np.random.default_rng([5, 0]))
+    (task, nominal), (motions, hidden, case) = arm_and_nominal(), _hidden()
     key, answer = files.Key(seed=5, cases={"0000": hidden}), files.Answer(verdict="none")
     files.write_question(folder / "cases/0000", case)
     files.write_answer(folder / "answers/0000", answer)

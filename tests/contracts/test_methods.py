@@ -3,6 +3,7 @@
 import copy
 import json
 import re
+from functools import cache
 from importlib import import_module
 from itertools import pairwise
 
@@ -55,6 +56,13 @@ def answer(name, rng, data=DATA, progress=silent):
     state = method.start(PROBLEM)
     update = method.tell(PROBLEM, state, Evidence(POLICY, data), rng, progress)
     return method.ask(PROBLEM, update.state), update.simulated_steps, update.diagnostics
+
+
+@cache
+def one_answer(name):
+    """An answer for laws of single ones, and the progress of its inference."""
+    progress = Reported()
+    return *answer(name, stream("one answer"), progress=progress), progress
 
 
 class Reported:
@@ -155,7 +163,7 @@ def test_another_stream_gives_another_answer_if_the_method_draws_from_it(name):
 
 @every_inferring
 def test_an_answer_is_over_the_sources_space_with_means_inside_the_search_bounds(name):
-    distribution, *_ = answer(name, stream("bounds"))
+    distribution, *_ = one_answer(name)
     assert distribution.space == SPACE
     assert np.all(SPACE.low <= distribution.mean)
     assert np.all(distribution.mean <= SPACE.high)
@@ -165,7 +173,7 @@ def test_an_answer_is_over_the_sources_space_with_means_inside_the_search_bounds
 
 @every_inferring
 def test_an_inference_costs_steps_and_its_diagnostics_are_json(name):
-    _, steps, diagnostics = answer(name, stream("cost"))
+    _, steps, diagnostics, _ = one_answer(name)
     assert isinstance(steps, int)
     assert steps > 0
     assert json.loads(json.dumps(diagnostics)) == diagnostics
@@ -174,14 +182,13 @@ def test_an_inference_costs_steps_and_its_diagnostics_are_json(name):
 @every_inferring
 def test_every_answer_has_the_criterion_of_the_grid(name):
     settings = settings_of(name)
-    _, _, diagnostics = answer(name, stream("criterion"))
+    _, _, diagnostics, _ = one_answer(name)
     assert settings.grid is None or np.isfinite(diagnostics[settings.grid.criterion])
 
 
 @every_inferring
 def test_progress_rises_to_at_most_one(name):
-    progress = Reported()
-    answer(name, stream("progress"), progress=progress)
+    *_, progress = one_answer(name)
     assert progress.fractions
     assert progress.fractions[0] > 0
     assert progress.fractions[-1] <= 1
@@ -218,7 +225,7 @@ def test_state_is_json_and_neither_ask_nor_tell_changes_it(name):
 @every_online
 def test_an_update_costs_at_most_what_was_planned(name):
     planned = settings_of(name).planned_steps(len(SPACE), len(DATA))
-    _, steps, _ = answer(name, stream("planned"))
+    _, steps, *_ = one_answer(name)
     assert steps <= planned
 
 
