@@ -188,7 +188,7 @@ def test_a_withdrawn_stage_that_never_asks_whether_to_stop_is_killed(started, mo
     weights = policy((4, 2000, 2000, 2)).to_bytes()
     stage = replace(evaluation(45, policy=weights), episodes=2000)  # of a minute, in one piece
     dispatcher.submit(stage, "run_stubborn")
-    pid = until(lambda: [a.pid for a in running(dispatcher, "run_stubborn") if a.pid])[0]
+    pid = until(lambda: _pid(dispatcher, "run_stubborn"))
     monkeypatch.setattr("workers.dispatcher.UNWANTED_S", 1.0)
     dispatcher.withdraw("run_stubborn")
     until(lambda: not Path(f"/proc/{pid}").exists(), 30)
@@ -342,6 +342,5 @@ def test_a_cancelled_run_stops_at_its_next_stage(started):
 
 
 def _pid(dispatcher, run_id):
-    """The process that works for a run and has computed for a while."""
-    signs = [a for a in running(dispatcher, run_id) if a.facts.get("steps", 0) > 0]
-    return signs[0].pid if signs else None
+    """The process that works for a run, once it has given a sign of life."""
+    return next((a.pid for a in running(dispatcher, run_id) if a.pid), None)
