@@ -101,13 +101,14 @@ def uninterrupted() -> Generator[None]:
 
 @contextmanager
 def interrupted_later() -> Generator[None]:
-    """Let what ends the process wait for the end of a block, such as one that writes an episode."""
+    """Delay signals that end the process until a block has ended, such as one that writes an
+    episode."""
     came: list[int] = []
     try:
         with _handled_by(lambda number, _: came.append(number)):
             yield
     finally:
-        for number in came[:1]:
+        for number in came:  # a handler that raises ends this as well
             signal.raise_signal(number)
 
 

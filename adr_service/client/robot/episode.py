@@ -159,7 +159,7 @@ class Rollout:
             self._wrong,
             self._is_broken,
             self._is_cut,
-            not self._wrong and (self._ended or self.is_complete),
+            self.is_over and not self._wrong,
             float(np.median(np.diff(self._sent))) if len(self._sent) > 1 else np.nan,
         )
 

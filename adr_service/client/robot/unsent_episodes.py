@@ -5,6 +5,7 @@ client, the next one that starts in the same folder sends it.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,13 +28,17 @@ class UnsentEpisode:
         """The episode in TASK.npz, with the lease in TASK.lease; each is whole or not there."""
         file = Path(f"{task_id}.npz").absolute()
         try:
-            # an earlier episode of the task must not be sent with this lease, nor this one with its
+            # both first: an episode must never be sent with the lease of another
             _lease_file(file).unlink(missing_ok=True)
             file.unlink(missing_ok=True)
             _write(_lease_file(file), lease.encode())  # first: the next client sends only pairs
             _write(file, content)
         except OSError:
-            return cls(task_id, lease, content, file if file.exists() else None)
+            if file.exists():
+                return cls(task_id, lease, content, file)
+            with suppress(OSError):
+                _lease_file(file).unlink(missing_ok=True)  # of no episode
+            return cls(task_id, lease, content, None)
         return cls(task_id, lease, content, file)
 
     @classmethod
@@ -44,7 +49,7 @@ class UnsentEpisode:
             try:
                 yield cls(lease.stem, lease.read_text(), file.read_bytes(), file)
             except FileNotFoundError:
-                continue  # another client in this folder has sent it
+                continue  # another client has sent it, or the last one ended before it was written
 
     def discard(self) -> None:
         """Delete what the service has."""

@@ -101,7 +101,10 @@ class Robot:
                     done += self._serve(claimed, asked)
 
     def stop(self) -> None:
-        """Stop within one control step, from any thread; the task goes back."""
+        """Stop within one control step, from any thread.
+
+        The task goes back, unless its episode has ended: that one stays for the next client.
+        """
         self._stopped.set()
 
     def close(self) -> None:

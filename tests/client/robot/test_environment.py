@@ -55,7 +55,7 @@ def test_a_close_is_not_interrupted(number):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_what_comes_while_an_episode_is_written_waits_for_its_end(number, monkeypatch):
+def test_a_signal_that_comes_while_an_episode_is_written_waits_for_its_end(number):
     before, seen = signal.getsignal(number), []
     signal.signal(number, lambda *_: seen.append("ends"))
     try:

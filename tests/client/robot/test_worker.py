@@ -274,7 +274,7 @@ def test_an_interrupt_while_an_episode_is_written_loses_nothing(number, folder, 
     assert len(service.uploads) == 1
 
 
-def test_a_lease_without_its_episode_is_none(folder):
+def test_a_lease_without_its_episode_is_ignored(folder):
     """As a power cut leaves it, between the two files."""
     (folder / "task_a.lease").write_text("lease_a")
     service = Service()
