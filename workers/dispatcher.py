@@ -169,7 +169,7 @@ class Dispatcher:
         self._place_jobs()
         self._collect()
         self._listen()
-        self._end_who_hang()
+        self._kill_stuck()
         self._look_at_nodes()
 
     def _wait(self) -> None:
@@ -182,7 +182,10 @@ class Dispatcher:
                 self._inbox.get(timeout=_TICK_S)()
 
     def _read_inbox(self) -> None:
-        """Carry out what other threads asked for."""
+        """Carry out what other threads asked for.
+
+        A service that stops leaves the rest: each may wait for the database.
+        """
         with suppress(queue.Empty):
             while not self._stop.is_set():
                 self._inbox.get_nowait()()
@@ -276,9 +279,9 @@ class Dispatcher:
         for digest, checkpoint in checkpoints.items():
             self._jobs.note(digest, checkpoint)
 
-    def _end_who_hang(self) -> None:
+    def _kill_stuck(self) -> None:
         """Kill processes that hang, also before their first sign, and those that compute on though
-        no run wants the result; they are lost like any other."""
+        no run wants their stage; they are lost like any other."""
         for job in self._jobs.running():
             if job.actor is None or job.is_killed:
                 continue
@@ -286,7 +289,7 @@ class Dispatcher:
             if silent > patience_s(job.sign, len(job.waiters)):
                 why = f"no sign of life for {silent:.0f} s"
             elif job.unwanted is not None and self._heartbeats.silence(job.unwanted) > UNWANTED_S:
-                why = f"its stage did not stop, which no run has wanted for {UNWANTED_S:.0f} s"
+                why = f"no run has wanted its stage for {UNWANTED_S:.0f} s, and it computes on"
             else:
                 continue
             log.warning("%s: %s", job.actor.name, why, extra=job.ids)

@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 SILENT_S = 60.0  # without a sign of life, which comes every second, a process hangs
 FIRST_SIGN_S = 180.0  # before the first one, while it starts and imports its libraries
 UNWANTED_SILENT_S = 10.0  # if no run wants the result any more
-UNWANTED_S = 30.0  # for which a stage may compute on then, until it asks whether to stop
+UNWANTED_S = 30.0  # for which a stage may go on after its last run is cancelled; then it is killed
 _READ_EVERY_S = 0.5
 
 

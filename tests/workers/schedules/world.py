@@ -208,7 +208,8 @@ class World:
         is_wanted = state != RunState.SUCCEEDED and self.rng.random() < 0.7
         if is_wanted and run.submission < 3:
             self._to_come += 1
-            self.clock.after(100.0 * self.rng.random(), lambda: self._resume(run))
+            most = 10.0 if self.rng.random() < 0.5 else 100.0
+            self.clock.after(most * self.rng.random(), lambda: self._resume(run))
 
     def _resume(self, run: Run) -> None:
         self._to_come -= 1
