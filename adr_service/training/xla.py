@@ -19,7 +19,7 @@ ONE_THREAD = {
 def on_one_thread() -> None:
     """Let JAX compute on one thread from now on; it chooses once per process, when it begins."""
     import jax
-    from jax._src.xla_bridge import backends_are_initialized
+    from jax._src.xla_bridge import backends_are_initialized  # it has no public name
 
     if backends_are_initialized():
         log.warning(

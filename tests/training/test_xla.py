@@ -28,7 +28,7 @@ def computing(first):
     inherited = {name: value for name, value in os.environ.items() if name not in ONE_THREAD}
     done = subprocess.run(
         [sys.executable, "-c", COMPUTING.format(first=first)],
-        env={**inherited, "NPROC": "3"},
+        env={**inherited, "NPROC": "3", "JAX_PLATFORMS": "cpu"},
         capture_output=True,
         text=True,
         check=True,
