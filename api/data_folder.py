@@ -1,4 +1,4 @@
-"""The folder of a service's data. Imports little, so that `adr serve` can refuse one at once."""
+"""The folder of a service's data. It imports no Ray, so that `adr serve` can refuse one at once."""
 
 import logging
 import stat

@@ -1,4 +1,4 @@
-"""Parameters of requests, as the API's page describes them, and the refusal of unknown ones."""
+"""Parameters of requests, as the API's page describes them, and which are refused."""
 
 from typing import Annotated, Literal, TypeAlias
 

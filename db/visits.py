@@ -77,8 +77,8 @@ class Visit:
 
 
 @dataclass(frozen=True)
-class Renewed:
-    """A lease that lasts longer."""
+class RenewedLease:
+    """The new end of a lease, and whether its run still wants the episode."""
 
     expires_at: datetime
     is_wanted: bool  # else its run was asked to stop, or has ended
@@ -140,7 +140,7 @@ def drop_simulated(database: Database, digest: str | None = None) -> None:
 
 def heartbeat(
     database: Database, id: str, lease: str, steps: int, now: datetime, lease_s: float
-) -> Renewed:
+) -> RenewedLease:
     """Note the steps of an episode that goes on; its lease lasts until `lease_s` after `now`.
 
     Raises NotFound and LeaseLost.
@@ -151,7 +151,7 @@ def heartbeat(
         until = now + timedelta(seconds=lease_s)
         # one that waited for the database may come after a later one
         row.expires_at = latest = max(until, row.expires_at or until)
-        return Renewed(latest, is_wanted(session, row.run_id))
+        return RenewedLease(latest, is_wanted(session, row.run_id))
 
 
 def complete(

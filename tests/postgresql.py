@@ -57,7 +57,7 @@ class Server:
         subprocess.run([*map(str, command)], check=True, stdout=told, cwd=self.folder, user=user)
 
     def new_database(self) -> str:
-        """The URL of an empty one, of three hundred files."""
+        """The URL of a new, empty database (300 files: share one where you can)."""
         name = f"test_{next(self._numbers)}"
         self._execute(self._url("postgres"), f"create database {name}")
         return self._url(name)

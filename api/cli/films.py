@@ -68,8 +68,9 @@ def _mean(distribution: Path, scene: Scene) -> dict[str, Any]:
         extension = found.get("extension", [])
     except (ValueError, LookupError, TypeError) as error:
         raise InvalidInput(f"{distribution} is no file of adr results --distribution") from error
-    # the oracle's is of the target, whose file may have the name of another variant with that one
-    fitting = {first_like(scene.task, scene.variant), target_like(scene.task, scene.variant)}
+    # the oracle trains on the target's parameters; its file names the first variant that has them
+    both = (scene.variant, target_like(scene.task, scene.variant))
+    fitting = {first_like(scene.task, each) for each in both}
     if task != scene.task or first_like(task, variant) not in fitting:
         raise InvalidInput(
             f"{distribution} is of {task} {variant}, and the film of {scene.task} {scene.variant}: "

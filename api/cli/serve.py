@@ -26,7 +26,7 @@ def serve(
     dashboard: Annotated[bool | None, typer.Option(help="Start the Ray dashboard.")] = None,
 ) -> None:
     """Start the service and continue unfinished runs."""
-    # these read the database's modules, which other commands do not need
+    # other commands need neither the database's modules nor a log
     from api.data_folder import prepare_folder
     from api.logs import configure
 

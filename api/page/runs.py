@@ -124,14 +124,14 @@ def run(run_id: str, request: Request, service: ServiceDependency) -> Response:
         ),
         events=[e for e in events if not isinstance(e.event, TrainingEvaluated)],
         words_of=words_of,
-        best_of=best_of,
+        chosen_of=chosen_of,
         ray=service.dashboard_url,
     )
 
 
-def best_of(diagnostics: Mapping[str, Any]) -> str:
-    """The best of the values that were tried of a setting, and whether it is the last of them;
-    empty where the method chose among none."""
+def chosen_of(diagnostics: Mapping[str, Any]) -> str:
+    """The value that the method took of a setting, and whether it is the last that was tried; empty
+    where the method chose among none."""
     for name, tried in diagnostics.items():
         _, by, setting = name.partition("_by_")
         if not by or not isinstance(tried, dict):

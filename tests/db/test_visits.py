@@ -89,7 +89,7 @@ class TestLeases:
         task = claim(database)
         later = START + timedelta(seconds=50)
         beaten = visits.heartbeat(database, task.id, task.lease, 7, later, LEASE_S)
-        assert beaten == visits.Renewed(later + timedelta(seconds=LEASE_S), is_wanted=True)
+        assert beaten == visits.RenewedLease(later + timedelta(seconds=LEASE_S), is_wanted=True)
         assert visits.get_visit(database, task.id).steps == 7
         assert claim(database, "b", START + timedelta(seconds=100)) is None
 

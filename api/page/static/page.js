@@ -4,7 +4,7 @@
 
 // Okabe and Ito's colours, in the order of the figures
 const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f"];
-// of the first seven curves, the next seven, and so on; in the legend, CSS's names
+// curves 8 to 14 are dashed, and 15 to 21 dotted; BORDERS has CSS's names, for the legend
 const DASHES = [undefined, [8, 4], [2, 3]];
 const BORDERS = ["solid", "dashed", "dotted"];
 const RETRY_MS = 5000;

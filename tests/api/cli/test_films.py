@@ -87,7 +87,7 @@ def test_a_machine_that_cannot_draw_names_the_packages_to_install(tmp_path, envi
 
 
 def test_a_distribution_of_another_variant_is_refused(adr_here, tmp_path):
-    """Where it has a part of this variant's parameters, the others were the truth's."""
+    """Parameters that the file lacked were filmed at their true values."""
     mean = [{"name": "thigh_mass", "mean": [3.0]}]
     given = {"task": "hopper", "variant": "unmodeled", "parameters": mean, "distributions": []}
     (tmp_path / "d.json").write_text(json.dumps(given))

@@ -51,13 +51,13 @@ def test_a_port_in_use_is_refused_before_anything_starts(tmp_path):
     assert not (tmp_path / "other").exists()
 
 
-@pytest.mark.ray
-def test_a_service_warns_of_settings_that_are_probably_mistakes(tmp_path):
-    (nowhere := tmp_path / "file").write_text("")  # so that it ends at once
+def test_mistakes_in_settings_and_folders_are_told_before_the_service_is_imported(tmp_path):
+    (nowhere := tmp_path / "file").write_text("")  # so that it ends, before it imports this:
+    (tmp_path / "uvicorn.py").write_text("raise RuntimeError")
     command = [sys.executable, "-m", "api", "serve", "--port", "0", "--cpus", "9999"]
     done = subprocess.run(
         [*command, "--data-dir", str(nowhere)],
-        env={**os.environ, "ADR_TOKENS": "s" * 16},
+        env={**os.environ, "ADR_TOKENS": "s" * 16, "PYTHONPATH": str(tmp_path)},
         capture_output=True,
         text=True,
         timeout=120,
@@ -66,3 +66,4 @@ def test_a_service_warns_of_settings_that_are_probably_mistakes(tmp_path):
     assert done.returncode == 2
     assert "ADR_TOKENS is no setting, and has no effect; did you mean ADR_TOKEN?" in done.stderr
     assert "ADR_CPUS is 9999, but" in done.stderr
+    assert "there can be no data in" in done.stderr

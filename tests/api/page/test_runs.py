@@ -4,7 +4,7 @@ import pytest
 
 from adr_service.benchmark.cost import Execution
 from adr_service.events import IterationFinished, RunFailed, RunSucceeded, StageFinished
-from api.page.runs import best_of, timeline, words_of
+from api.page.runs import chosen_of, timeline, words_of
 
 
 def stage(asked, placed, began, ended, preparing=None):
@@ -68,5 +68,5 @@ def test_events_are_told_in_words():
         ("anything", ""),
     ],
 )
-def test_the_best_of_several_settings_is_named_and_whether_it_is_the_last(tried, words):
-    assert best_of({"loss": 1.0, "mean_squared_error_by_epsilon": tried}) == words
+def test_the_chosen_of_several_settings_is_named_and_whether_it_is_the_last(tried, words):
+    assert chosen_of({"loss": 1.0, "mean_squared_error_by_epsilon": tried}) == words
