@@ -37,7 +37,7 @@ def computing(first):
 
 
 def test_jax_computes_on_one_thread():
-    """With two, a Hopper of the preset `quick` had other bytes than in the service."""
+    """Two threads gave trainings other last digits."""
     assert computing("") == (1, "")
 
 
