@@ -70,6 +70,7 @@ def test_the_table_of_a_tasks_parameters_is_right(name):
     assert section.count("\n| ") - 1 == len(hidden.values)
 
 
+@pytest.mark.slow
 def test_the_sample_of_the_docs_has_the_cause_that_they_tell(tmp_path, monkeypatch, adr_here):
     page = (ROOT / "docs/criticism.md").read_text()
     (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
@@ -111,6 +112,7 @@ def test_the_log_of_the_docs_becomes_the_verdict_that_they_tell(tmp_path, monkey
     assert "joint_spring joint:shoulder" in (tmp_path / "measured.html").read_text()
 
 
+@pytest.mark.slow
 def test_the_blind_test_of_the_docs_is_made_answered_and_scored(tmp_path, monkeypatch, adr_here):
     page = (ROOT / "docs/blind-test.md").read_text()
     (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)

@@ -46,6 +46,13 @@ COMPILED = {
     "workers.orchestrator",
     "workers.tuning",
 }
+# each makes a whole criticism or several fits
+SLOW = {
+    "adr_service.blind_test",
+    "adr_service.criticism.evidence",
+    "adr_service.criticism.flexible_force",
+    "adr_service.criticism.pipeline",
+}
 NAMES: dict[str, Callable[..., dict[str, Any]]] = {
     "adr_service.benchmark.aggregate": names.outcomes,
     "adr_service.benchmark.archive": names.archive_file,
@@ -152,7 +159,11 @@ def execute(program: str, values: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("module", "program"),
     [
-        pytest.param(module, program, id=module, marks=[pytest.mark.ray] * (module == CLIENT))
+        pytest.param(
+            *(module, program),
+            id=module,
+            marks=[pytest.mark.ray] * (module == CLIENT) + [pytest.mark.slow] * (module in SLOW),
+        )
         for module, program in modules()
     ],
 )

@@ -132,6 +132,7 @@ def test_a_broken_entry_point_is_named_with_its_error(installed, tmp_path, value
     assert "'broken'" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_newer_version_shows_no_distributions_of_an_older_one_and_computes_none_of_its_stages(
     installed, tmp_path
 ):

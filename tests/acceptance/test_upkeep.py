@@ -17,6 +17,7 @@ pytestmark = pytest.mark.ray
 SPEC = RunSpec.model_validate({"task": "arm", "method": "prior", "preset": "smoke"})
 
 
+@pytest.mark.slow
 def test_finished_runs_go_after_their_time_and_unfinished_ones_are_taken_up(tmp_path):
     database = open_database(f"sqlite:///{tmp_path / 'adr.sqlite'}")
     old, recent, left = (runs.create_run(database, SPEC).id for _ in range(3))

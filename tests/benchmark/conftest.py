@@ -38,7 +38,7 @@ def benchmark():
             "seeds": [0, 1],
             "preset": "smoke",
             "iterations": ITERATIONS,
-            "training": {"max_steps": 200, "evaluate_every": 200, "learning_starts": 50},
+            "training": {"max_steps": 200, "evaluate_every": 200, "learning_starts": 190},
         }
     )
     stages = LocalStages()

@@ -104,6 +104,7 @@ def test_a_force_that_changes_nothing_is_refused(motions):
         list(changing)
 
 
+@pytest.mark.slow
 def test_a_gap_that_shows_is_wider_than_its_encoder_is_noisy():
     """Feet on the ground make much of small errors, those of the readings among them."""
     task = get_task("half_cheetah")

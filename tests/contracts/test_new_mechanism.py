@@ -69,6 +69,7 @@ def planted(effect, episodes):
     return hide(task, nominal, np.random.default_rng(500), [effect]).episodes(range(episodes))
 
 
+@pytest.mark.slow
 def test_a_new_mechanism_is_scanned_planted_named_and_exported(pull):
     nominal, data = arm()[1], planted(pull, 8)
     criticism = criticise(nominal, data, np.random.default_rng(0), threads=1)

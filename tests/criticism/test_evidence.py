@@ -49,7 +49,15 @@ def space(**bounds):
     )
 
 
-@pytest.mark.parametrize("start", [(0.005, 2.0, 0.3), (0.02, 0.5, 1.0), (5.0, 0.001, 3.0)], ids=str)
+@pytest.mark.parametrize(
+    "start",
+    [
+        pytest.param((0.005, 2.0, 0.3), marks=pytest.mark.slow),
+        pytest.param((0.02, 0.5, 1.0), marks=pytest.mark.slow),
+        (5.0, 0.001, 3.0),
+    ],
+    ids=str,
+)
 def test_parameters_that_start_far_off_the_truth_are_recovered(turned, start):
     """Inertias from a fortieth to twenty times the truth: one step's derivatives lead nowhere."""
     free = space(**{name: bounds for name, (_, *bounds) in FREE.items()})
@@ -65,6 +73,7 @@ def test_a_better_point_is_taken_although_its_own_noise_is_smaller(turned):
         assert fit(simulator, turned.sensor_variance()).parameters == pytest.approx(1.0, rel=0.2)
 
 
+@pytest.mark.slow
 def test_what_only_a_parameter_beyond_its_bounds_would_explain_is_evidence(turned):
     missing = Effect("joint_viscous_friction", "joint:x", (0.35,))
 
@@ -104,6 +113,7 @@ def test_what_only_a_negative_strength_would_explain_is_no_evidence_for_it():
     assert not is_evidence(refined.held_out - baseline.held_out)
 
 
+@pytest.mark.slow
 def test_nor_is_it_where_the_strength_stands_beside_others():
     """It comes as near to nothing as makes no difference, and never to nothing.
 

@@ -57,7 +57,7 @@ FADE = Effect("actuator_fade", "actuator:elbow", (0.07,))
     ("kind", "dof", "size", "mean", "depends_on"),
     [
         ("position_dependent_friction", 1, 0.1, (FRICTION,), "position"),
-        ("cross_coupling", 1, 0.3, (), "motion"),
+        pytest.param("cross_coupling", 1, 0.3, (), "motion", marks=pytest.mark.slow),
     ],
 )
 def test_what_varies_about_a_named_mean_is_found_with_its_joint(kind, dof, size, mean, depends_on):
@@ -144,6 +144,7 @@ def swung(nominal, episodes, hidden):
     return Measurement(time, q[:, None], v[:, None], u[:, None], episode.astype(int))
 
 
+@pytest.mark.slow
 def test_a_gain_that_fades_within_every_episode_is_more_than_its_mean():
     data = hide(*arm(), np.random.default_rng(5), [FADE]).episodes(range(12))
     rest = found(arm()[1], data, GAIN)

@@ -66,12 +66,14 @@ def named_from(baseline, candidates, responses):
     return search
 
 
+@pytest.mark.slow
 def test_a_block_that_gains_no_more_than_one_effect_alone_is_not_taken(block, search, named_from):
     named, _ = named_from(block)
     kinds = [[alike[0].effects[0].kind for alike in each] for each in (named, search[0])]
     assert kinds[0] == kinds[1]
 
 
+@pytest.mark.slow
 def test_a_group_that_the_others_make_superfluous_does_not_stand_and_takes_no_evidence(
     block, friction, named_from
 ):

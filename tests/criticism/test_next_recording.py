@@ -63,6 +63,7 @@ def test_the_next_recording_separates_what_it_promised_to():
     assert found["is_separated"]
 
 
+@pytest.mark.slow
 def test_explanations_that_no_motion_separates_are_not_promised_to_be():
     """A wrong zero of the elbow's sensor does what a wrong zero of its joint does."""
     plan = planned(poorly_recorded(Effect("sensor_bias", "sensor:elbow.position", (0.02,))))
@@ -79,6 +80,7 @@ def test_commands_stay_within_their_limits(near):
     assert np.ptp(near.commands[..., 0]) > 1
 
 
+@pytest.mark.slow
 def test_a_joint_stays_within_the_positions_that_it_is_allowed(tied, near):
     far = planned(tied, allowed={0: (-1.0, 3.0), 1: (-9.0, 9.0)}, episodes=4, seconds=1.0)
     assert far.reach[0, 0] >= -1.0
@@ -179,6 +181,7 @@ def test_a_difference_that_refitting_can_absorb_is_no_evidence():
     assert other.nats() == pytest.approx(across @ across / 2, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_an_actuator_that_rests_may_rest_again(tied):
     limits = np.array([[-1.0, 1.0], [0.0, 0.0]])
     rng = np.random.default_rng(0)

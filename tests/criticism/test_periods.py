@@ -110,6 +110,7 @@ def test_friction_that_varies_with_load_or_position_is_named_as_that():
     assert {effect.kind for effect in criticism.extension.beside} == {c.kind for c in truth}
 
 
+@pytest.mark.slow
 def test_friction_that_varies_about_the_models_own_is_a_candidate():
     """Its mean is nothing then, and an estimate of it may be negative."""
     kind, place = "joint_position_dependent_friction", "joint:elbow"
@@ -132,6 +133,7 @@ def test_friction_that_varies_about_the_models_own_is_a_candidate():
     assert min(means) < 0 < max(means)
 
 
+@pytest.mark.slow
 def test_the_linearised_loss_without_a_ripple_is_about_the_true_one():
     """It decides whether a ripple is superfluous; its waves are no amount that could be lost."""
     data, ripple = rippling(17.3).episodes(range(12)), (0.05, 0.025, 17.3)

@@ -108,6 +108,7 @@ def test_nothing_is_named_in_all_episodes_where_nothing_is_hidden(seed):
     np.testing.assert_allclose(found.final.parameters, hidden.truth, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_velocities_that_nobody_measured_may_be_zeros():
     spring = swings(stiffness=1.5, noise=1e-4)
     spring["qvel"][:] = 0.0
@@ -115,6 +116,7 @@ def test_velocities_that_nobody_measured_may_be_zeros():
     assert [cause.kind for cause in verdict.causes] == ["joint_spring"]
 
 
+@pytest.mark.slow
 def test_where_data_have_no_noise_errors_of_computing_them_are_no_evidence():
     assert verdict_on(swings(stiffness=0.0, noise=0.0), 8).conclusion == "none"
 

@@ -44,6 +44,7 @@ def test_an_effect_that_the_others_make_superfluous_is_dropped(both, friction):
     assert [effect.kind for effect in final.effects] == [friction.kind]
 
 
+@pytest.mark.slow
 def test_an_effect_whose_interval_holds_zero_goes_and_the_others_stay(baseline, friction):
     """However large the gain with which it was named."""
     both = refine(baseline, [ELSEWHERE, friction])
@@ -55,6 +56,7 @@ def test_an_effect_whose_interval_holds_zero_goes_and_the_others_stay(baseline, 
     assert [effect.kind for effect in final.effects] == [friction.kind]
 
 
+@pytest.mark.slow
 def test_an_effect_without_which_nothing_can_be_simulated_stays_and_others_go(
     baseline, friction, monkeypatch
 ):
@@ -93,6 +95,7 @@ def test_a_group_is_narrowed_to_the_place_that_needs_it(baseline, friction):
     assert [effect.location for effect in final.effects] == [SPRING.location, friction.location]
 
 
+@pytest.mark.slow
 def test_a_group_that_needs_two_places_of_four_becomes_two_causes():
     """Both velocities are shown with a bias, and no position."""
     hidden = [replace(bias, values=(0.05,)) for bias in BIASES if "velocity" in bias.location]
@@ -131,6 +134,7 @@ def test_what_still_explains_most_keeps_its_place_and_its_fit(both, responses, f
     assert [alike[0].effects[0].kind for alike in again] == [SPRING.kind, friction.kind]
 
 
+@pytest.mark.slow
 def test_an_alternative_that_does_worse_beside_the_others_is_tied_no_more(
     baseline, both, responses, friction
 ):
@@ -167,6 +171,7 @@ def test_what_explains_as_much_beside_the_others_is_tied():
     assert "joint_reference_offset" in [each.effects[0].kind for each in first[1:]]
 
 
+@pytest.mark.slow
 def test_what_is_not_asked_stays(baseline, responses):
     fit = refine(baseline, [STAND_IN, SPRING])
     named = [(weighed(fit, STAND_IN),), (weighed(fit, SPRING),)]

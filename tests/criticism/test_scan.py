@@ -41,6 +41,7 @@ def test_one_effect_at_all_places_is_a_group():
     assert strengths == pytest.approx(expected, rel=0.3)  # to first order
 
 
+@pytest.mark.slow
 def test_two_strengths_of_one_effect_do_not_hide_each_other():
     """This friction is gone at .7 rad/s, and nearly always the joint is faster."""
     hidden = Effect("joint_stribeck_friction", "joint:shoulder", (0.7, 1.0))
@@ -65,6 +66,7 @@ def test_a_detection_limit_takes_the_other_strengths_of_an_effect_for_known(cand
     assert other.limits[0] == pytest.approx(one.limits[0], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_detection_limit_does_not_hang_on_two_episodes():
     """No evidence may. By all information, the limits would differ by a factor of 2.4."""
     limits = [limit_of_gain(moved) for moved in (12, 2)]
@@ -85,6 +87,7 @@ def limit_of_gain(moved):
     return next(c.limits[0] for c in candidates if (c.kind, c.location) == place)
 
 
+@pytest.mark.slow
 def test_a_load_whose_mass_nothing_shows_keeps_the_one_that_was_tried():
     """The first link turns about its own origin. Without a mass there would be no moments."""
     task, nominal = arm()
@@ -117,6 +120,7 @@ def test_a_delay_of_several_control_steps_is_found_at_about_its_size(timestep):
     assert best.effects[0].values == pytest.approx(hidden.values, rel=0.3)
 
 
+@pytest.mark.slow
 def test_the_drag_of_a_fast_wheel_is_found_at_about_its_size():
     """At 700 rad/s a drag that is sensible at one is hundreds of times the motor's torque."""
     xml = """<mujoco><option timestep="0.002"/><worldbody><body>

@@ -40,6 +40,7 @@ def finer(in_thirds):
     return in_finer_steps(in_thirds, 1)
 
 
+@pytest.mark.slow
 def test_a_friction_that_sticks_asks_for_finer_steps_which_bring_it_nearer_to_the_truth(
     in_thirds, finer
 ):
@@ -49,6 +50,7 @@ def test_a_friction_that_sticks_asks_for_finer_steps_which_bring_it_nearer_to_th
     np.testing.assert_allclose(finer.effects[0].values, STRONG.values, rtol=0.03)
 
 
+@pytest.mark.slow
 def test_finer_steps_are_not_tried_again_where_they_are_fine_enough(finer):
     assert in_finer_steps(finer, 1) is finer
     assert "in_finer_steps" not in vars(finer.simulator)

@@ -103,6 +103,7 @@ def test_an_installed_method_is_planned_run_and_reported(installed):
     assert done.stdout.strip() == "adr-random-search 0.1.0"
 
 
+@pytest.mark.slow
 def test_an_installed_curriculum_is_planned_and_trained_on(installed):
     done = python(USE_RAMP, installed)
     assert done.returncode == 0, done.stderr
@@ -116,6 +117,7 @@ def test_rounding_leads_the_installed_curriculum_no_further_than_the_search_rang
     assert done.stdout.strip() == "[0.1] [0.4]"
 
 
+@pytest.mark.slow
 def test_one_file_in_the_package_is_planned_run_and_reported(tmp_path):
     (tmp_path / "random_search.py").write_text(block("python", "class RandomSearch:"))
     done = python(ADD_FILE.format(folder=str(tmp_path)) + USE)

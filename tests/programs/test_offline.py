@@ -36,6 +36,7 @@ def test_other_collectors_need_no_inference(collector, policies, start):
     assert {stage.method.name for stage in executed(stages, "infer")} == {"droid"}
 
 
+@pytest.mark.slow
 def test_matched_random_actions_record_as_many_transitions_as_a_policy_that_stays_on_its_feet():
     found = {}
     for collector in ("random", "random_matched"):

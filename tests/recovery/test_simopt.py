@@ -44,6 +44,7 @@ def test_simopt_moves_towards_planted_dynamics_from_a_noisy_recording():
     assert distance(after.mean) < 0.25 * PRIOR
 
 
+@pytest.mark.slow
 def test_a_trajectory_of_another_policy_recovers_nothing():
     """The control, which must fail."""
     _, after = beliefs(noise=0.003, told=waving_policy(1))

@@ -170,8 +170,8 @@ def test_one_update_is_the_same_in_both_backends(no_noise, algorithm, weights, a
     ("algorithm", "stock", "updates"),
     [
         ("sac", "SAC", 4),
-        ("crossq", "CrossQ", 2),  # one of them moves the actor too
-        pytest.param("crossq", "CrossQ", 13, marks=pytest.mark.slow),
+        # one of two moves the actor too
+        *(pytest.param("crossq", "CrossQ", n, marks=pytest.mark.slow) for n in (2, 13)),
     ],
 )
 def test_several_updates_are_those_of_the_stock_library(algorithm, stock, updates):

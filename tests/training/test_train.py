@@ -19,7 +19,12 @@ TRUTH = Uniform.point(VANILLA.source.space, VANILLA.hidden.values)
 PRIOR = Gaussian.prior(VANILLA.source.space)
 SBX = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 CASES = [
-    pytest.param(algorithm, backend, marks=SBX if backend == "sbx" else ())
+    pytest.param(
+        *(algorithm, backend),
+        # compiling CrossQ takes a third of this file's time; test_fused checks its updates
+        marks=[SBX] * (backend == "sbx")
+        + [pytest.mark.slow] * ((algorithm, backend) == ("crossq", "sbx")),
+    )
     for algorithm, backends in LIBRARIES.items()
     for backend in backends
 ]

@@ -41,6 +41,7 @@ def test_jax_computes_on_one_thread():
     assert computing("") == (1, "")
 
 
+@pytest.mark.slow
 def test_a_process_in_which_jax_has_computed_before_says_what_that_may_change():
     threads, said = computing("jnp.ones(3).block_until_ready()")
     assert threads == 3
