@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from adr_service.errors import InvalidInput
 from adr_service.json_values import is_a_line
-from adr_service.zips import BROKEN, check_directory, check_size
+from adr_service.zips import BROKEN, check_directory, check_size, stored
 
 _MOST_NUMBERS = 2**25  # of all arrays together: 256 MB as float64
 _MOST_TEXTS = 10_000
@@ -55,11 +55,16 @@ def read_arrays(
 
 
 def write_arrays(arrays: Mapping[str, ArrayLike]) -> bytes:
-    """The bytes of an `.npz` of these arrays; the same arrays always give the same bytes."""
-    buffer = io.BytesIO()
-    # np.savez has names for its own arguments
-    np.savez(buffer, **dict(arrays))  # pyright: ignore[reportArgumentType]
-    return buffer.getvalue()
+    """The bytes of an `.npz` of these arrays; the same arrays always give the same bytes.
+
+    `np.savez` gives others before Python 3.11.4 than since. Raises ValueError for objects.
+    """
+    members: dict[str, bytes] = {}
+    for name, array in arrays.items():
+        file = io.BytesIO()
+        npy.write_array(file, np.asanyarray(array), allow_pickle=False)
+        members[f"{name}.npy"] = file.getvalue()
+    return stored(members)
 
 
 def names_in(content: bytes) -> list[str]:
