@@ -82,6 +82,7 @@ class CostView(BaseModel):
 def outcomes_of(service: Service, records: Sequence[RunRecord]) -> list[Outcome]:
     """Return the finished iterations of runs, with the seconds that their inference took."""
     specs = {record.id: record.spec for record in records}
+    failed = {record.id for record in records if record.state.is_resumable}
     iterations = [
         (run_id, spec, event)
         for run_id, event in event_store.all_of(service.database, list(specs), IterationFinished)
@@ -90,7 +91,13 @@ def outcomes_of(service: Service, records: Sequence[RunRecord]) -> list[Outcome]
     digests = [digest for _, _, event in iterations for digest in event.inferences]
     seconds, reasons = stage_store.cpu_seconds_of(service.database, digests), _lost(service, specs)
     return [
-        Outcome(spec, event, _seconds(seconds, event.inferences), reasons.get(run_id))
+        Outcome(
+            spec,
+            event,
+            _seconds(seconds, event.inferences),
+            reasons.get(run_id),
+            run_id in failed,
+        )
         for run_id, spec, event in iterations
     ]
 
@@ -116,8 +123,8 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
     """Return the ResultsView of a run or a benchmark as JSON.
 
     Its bootstraps take seconds, so it is stored until one of the runs finishes another iteration,
-    tables have other columns, or a task's package has another version. Whoever asks for one that is
-    computed just now waits for it.
+    fails or goes on, tables have other columns, or a task's package has another version. Whoever
+    asks for one that is computed just now waits for it.
     """
     count = event_store.count_iterations(service.database, [record.id for record in records])
     tables = (Row, Aggregate, Comparison, ParameterEstimate, InferenceCost)
@@ -125,7 +132,8 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
     unread = [record.id for record in records if isinstance(record.spec, LostRun)]
     tasks = sorted({record.spec.task for record in records})
     packages = [package_of(TASKS, task) for task in tasks]
-    known = [adr_service.__version__, _TABLES, columns, count, unread, packages]
+    failed = [record.id for record in records if record.state.is_resumable]
+    known = [adr_service.__version__, _TABLES, columns, count, unread, packages, failed]
     version = sha256(canonical_json(known).encode())
     if (stored := result_store.kept_results(service.database, id, version)) is not None:
         return stored

@@ -44,6 +44,7 @@ class Outcome:
     iteration: IterationFinished
     inference_seconds: float | None = None  # of a CPU, if known
     lost: str | None = None  # why its distributions cannot be read here
+    has_failed: bool = False  # its run failed or was cancelled: it may never finish another
 
     @property
     def is_inferred(self) -> bool:
@@ -151,6 +152,7 @@ class Comparison:
     difference_low: float | None  # of Student's 95 % interval over seeds
     difference_high: float | None
     seeds: int  # that both have
+    iteration: int  # the later one of the two; methods that see no target data have 0
 
 
 def comparisons(outcomes: Sequence[Outcome]) -> list[Comparison]:
@@ -171,14 +173,16 @@ def comparisons(outcomes: Sequence[Outcome]) -> list[Comparison]:
 
 def _compared(
     one: Sequence[Outcome], other: Sequence[Outcome]
-) -> tuple[float, float | None, float | None, float, float | None, float | None, int]:
+) -> tuple[float, float | None, float | None, float, float | None, float | None, int, int]:
     """The numbers of a Comparison, from outcomes of the same seeds."""
+    iteration = max(outcome.iteration.iteration for outcome in (one[0], other[0]))
     returns = returns_of(one), returns_of(other)
     policies = policies_of(one), policies_of(other)
     chance = improvement(*returns, stream("improvement"), policies)
     gaps = [a.mean() - b.mean() for a, b in zip(*returns, strict=True)]
     gap = seed_interval(np.array(gaps))
-    return chance.value, chance.low, chance.high, gap.value, gap.low, gap.high, len(gaps)
+    numbers = (chance.value, chance.low, chance.high, gap.value, gap.low, gap.high)
+    return *numbers, len(gaps), iteration
 
 
 def final_outcomes(
@@ -213,12 +217,14 @@ def not_compared(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def _shared(columns: Mapping[str, Sequence[Outcome]]) -> dict[str, int]:
-    seeds = {
-        name: Counter(outcome.iteration.iteration for outcome in found)
-        for name, found in columns.items()
-    }
     specs = {name: found[0].spec for name, found in columns.items()}
     level = {name for name, spec in specs.items() if spec.method.learns_from == "nothing"}
+    seeds = {
+        # what will not go on holds nobody back
+        name: Counter(o.iteration.iteration for o in found if name in level or not o.has_failed)
+        for name, found in columns.items()
+    }
+    seeds = {name: counts for name, counts in seeds.items() if counts}
     return last_shared(seeds, level, max(spec.iterations for spec in specs.values()))
 
 
@@ -230,7 +236,7 @@ def last_shared(
     That is the last one planned, once two columns (or the only one) have it for all their seeds, or
     for as many as an interval takes: to those the others come as they finish. Before, it is the
     last that all seeds of all columns have, so that a benchmark which is not finished compares what
-    learned from equal amounts of data.
+    learned from equal amounts of data. Runs that have failed are counted by nobody.
 
     `seeds`: by column, the number of seeds that have each iteration; a seed that has none is not
     known. `level`: the columns without iterations, which are compared as they are.

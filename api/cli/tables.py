@@ -94,23 +94,31 @@ def comparisons_table(results: Json) -> RenderableType:
         return Text("there are no two methods to compare yet")
     note = (
         "after the last iteration (before it has been reached: after the last that all seeds of "
-        "all methods have), seed by seed; ties count half; intervals of differences need "
-        "three seeds, of probabilities five"
+        "all methods have, but for runs that failed or were cancelled), seed by seed; ties count "
+        "half; intervals of differences need three seeds, of probabilities five"
     )
     if results["not_compared"]:
-        note += f"; too few seeds of {', '.join(results['not_compared'])} have come so far"
+        note += f"; too few seeds of {', '.join(results['not_compared'])} have come to it"
     note += f"; {results['note']}"
     return Group(*_by_place(results["comparisons"], _pairs), Text(note, style="dim"))
 
 
 def _pairs(pairs: Sequence[Json]) -> Table:
     table = Table("method", "against", box=None, padding=(0, 1, 0, 0), pad_edge=False)
-    for heading in ("difference", "95 % interval", "beats it with\nprobability", "seeds"):
+    headings = (
+        "iter-\nation",
+        "difference",
+        "95 % interval",
+        "beats it with\nprobability",
+        "seeds",
+    )
+    for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     for pair in pairs:
         difference = f"{round(pair['difference'], 2) + 0.0:+.2f}", _interval(pair, "difference_")
         probability = "–" if pair["low"] is None else f"{pair['probability']:.2f}"
-        table.add_row(pair["method"], pair["other"], *difference, probability, str(pair["seeds"]))
+        counts = str(pair["iteration"]), str(pair["seeds"])
+        table.add_row(pair["method"], pair["other"], counts[0], *difference, probability, counts[1])
     return table
 
 

@@ -154,6 +154,25 @@ def test_a_method_that_still_learns_is_not_compared_with_those_that_have_finishe
         assert all(found == whole[place][name] for name, found in columns.items())
 
 
+@pytest.mark.parametrize("failing", [("bayrn", (0, 1)), ("simopt", (1,))])
+def test_runs_that_failed_hold_nobody_back(benchmark, failing):
+    """All methods were compared by the prior's policies then, until somebody resumed the run."""
+    method, seeds = failing
+    failed = [o.spec.column == method and o.spec.seed in seeds for o in benchmark[2]]
+    outcomes = [
+        replace(outcome, has_failed=has_failed)
+        for outcome, has_failed in zip(benchmark[2], failed, strict=True)
+        if not has_failed or outcome.iteration.iteration == 0
+    ]
+    for place, columns in final_outcomes(outcomes).items():
+        whole = final_outcomes(benchmark[2])[place]
+        for name, found in columns.items():
+            gone = seeds if name == method else ()
+            assert found == [o for o in whole[name] if o.spec.seed not in gone]
+        assert (method in columns) == (len(seeds) == 1)
+    assert {pair.iteration for pair in comparisons(outcomes)} == {0, ITERATIONS}
+
+
 def test_the_prior_is_iteration_zero_of_every_method(benchmark):
     rows = table(benchmark[2])
     prior = {row.variant: row for row in rows if row.method == "prior"}

@@ -101,7 +101,7 @@ def test_one_method_alone_has_nothing_to_compare_with():
 
 def test_a_comparison_has_its_interval():
     pair = {"task": "arm", "variant": "noisy", "method": "simopt", "other": "udr", "seeds": 3}
-    pair |= {"probability": 0.8, "low": 0.5, "high": 1.0}
+    pair |= {"iteration": 2, "probability": 0.8, "low": 0.5, "high": 1.0}
     pair |= {"difference": 0.25, "difference_low": -0.1, "difference_high": 0.6}
     some = {**EMPTY, "comparisons": [pair], "not_compared": ["bayrn (arm noisy)"]}
     text = shown(comparisons_table(some))
