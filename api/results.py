@@ -141,15 +141,28 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
         if (stored := result_store.kept_results(service.database, id, version)) is not None:
             return stored
         view = results_view(outcomes_of(service, records))
+        notes = [view.note]
         if unread:
-            left_out = f"{view.note}; {len(unread)} runs cannot be read here, and are left out"
-            view = view.model_copy(update={"note": left_out})
+            notes.append(f"{len(unread)} runs cannot be read here, and are left out")
+        if mixed := _mixed(service, records):
+            notes.append(f"rows may mix versions: {mixed}")
+        view = view.model_copy(update={"note": "; ".join(notes)})
         results = view.model_dump_json()
         try:
             result_store.keep_results(service.database, id, version, results)
         except DatabaseUnavailable as error:
             log.warning("the results of %s are not kept: %s", id, error)
     return results
+
+
+def _mixed(service: Service, records: Sequence[RunRecord]) -> str:
+    """The kinds of stages and the packages of which the runs have several versions."""
+    versions = stage_store.versions_of(service.database, [record.id for record in records])
+    return ", ".join(
+        f"{name} {' and '.join(sorted(several))}"
+        for name, several in sorted(versions.items())
+        if len(several) > 1
+    )
 
 
 def results_view(outcomes: Sequence[Outcome]) -> ResultsView:

@@ -179,7 +179,7 @@ def resubmit_all(
     """Queue all failed and cancelled runs of a benchmark again, and yield them.
 
     Each batch is a transaction; what `accept` raises ends it, and earlier batches stay queued.
-    Raises InvalidInput before the first if a package has another version since.
+    Raises InvalidInput before the first if a package or a kind of stage has another version since.
     """
     present = runs_of(database, benchmark_id)
     check_versions(database, benchmark_id, [run.id for run in present])

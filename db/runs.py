@@ -147,10 +147,14 @@ def request_cancel(database: Database, run_id: str) -> RunRecord:
 def resubmit(database: Database, run_id: str, accept: Accept | None = None) -> RunRecord:
     """Queue a failed or cancelled run again; its finished stages answer at once.
 
-    Raises NotFound, NotPossible for a run in another state, InvalidInput if a package has another
-    version since, and what `accept` raises.
+    Raises NotFound, NotPossible for a run in another state, InvalidInput if a package or a kind of
+    stage has another version since (in any run of its benchmark), and what `accept` raises.
     """
-    check_versions(database, run_id, [run_id])
+    with database.read() as session:
+        benchmark_id = get_row(session, RunRow, run_id).benchmark_id
+        together = select(RunRow.id).where(RunRow.benchmark_id == benchmark_id)
+        run_ids = [run_id] if benchmark_id is None else list(session.scalars(together))
+    check_versions(database, benchmark_id or run_id, run_ids)
     with database.write("resubmit") as session:
         row = get_row(session, RunRow, run_id)
         if not RunState(row.state).is_resumable:

@@ -1,6 +1,8 @@
 """Results of stages, their artifacts and checkpoints, and how each result came about."""
 
 import json
+import re
+from collections import defaultdict
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Any
@@ -12,8 +14,9 @@ from sqlalchemy.orm import Session
 from adr_service.benchmark.cost import Execution
 from adr_service.errors import InvalidInput
 from adr_service.json_values import Line, canonical_json, sha256
-from adr_service.plugins import other_versions
+from adr_service.plugins import PACKAGES, other_versions
 from adr_service.stages.base import StageResult
+from adr_service.stages.catalogue import VERSIONS
 from db.models import (
     ArtifactRow,
     CheckpointRow,
@@ -45,6 +48,8 @@ _NUMBERS = TypeAdapter(dict[str, bool | int | FiniteFloat | None])
 _UNMENTIONED = ~exists().where(_MENTIONED)
 _IMPORTED = exists().where(ImportedStageRow.digest == StageRow.digest)
 _MEASURED = StageRow.timing.is_not(None)
+_VERSION = re.compile(r'"version":(\d+)}$')  # at the end of a document, which is sorted
+_LONGEST_VERSION = 20
 _LATEST = 4e9  # seconds since 1970: the year 2096
 _STORED_LATE_S = 3600.0  # a result is stored at most so long after it was computed
 
@@ -174,14 +179,42 @@ def packaged_inputs(database: Database, run_ids: Sequence[str]) -> list[tuple[st
     return found
 
 
+def versions_of(database: Database, run_ids: Sequence[str]) -> dict[str, set[str]]:
+    """The versions that the runs' stages are of, by kind of stage and by package."""
+    length = func.length(StageRow.document)
+    end = func.substr(StageRow.document, length - _LONGEST_VERSION)
+    query = select(StageRow.kind, end).join(EventRow, _OF_EVENT).distinct()
+    found: defaultdict[str, set[str]] = defaultdict(set)
+    with database.read() as session:
+        for some in parts(run_ids, CHUNK):
+            for kind, text in session.execute(query.where(EventRow.run_id.in_(some))):
+                if match := _VERSION.search(text):
+                    found[kind].add(match[1])
+    for _, inputs in packaged_inputs(database, run_ids):
+        for package in (inputs[field] for field in PACKAGES if field in inputs):
+            name, _, version = package.rpartition(" ")
+            found[name].add(version)
+    return dict(found)
+
+
 def check_versions(database: Database, id: str, run_ids: Sequence[str]) -> None:
-    """Raise InvalidInput if a package has another version now than in the stages of these runs, all
-    runs of the run or the benchmark `id`."""
+    """Raise InvalidInput if a package or a kind of stage has another version now than in the stages
+    of these runs, all runs of the run or the benchmark `id`.
+
+    Rows would mix what does not compare, and a run would compute its finished iterations again.
+    """
     for _, inputs in packaged_inputs(database, run_ids):
         for other in other_versions(inputs).values():
             raise InvalidInput(
                 f"{id} was computed with {other.of_stage}, and {other.here} is installed; submit "
                 "it anew"
+            )
+    for name, versions in versions_of(database, run_ids).items():
+        here = str(VERSIONS.get(name))
+        if name in VERSIONS and (others := sorted(versions - {here})):
+            raise InvalidInput(
+                f"{id} has stages of version {others[0]} of {name}, and this service computes "
+                f"version {here}; submit it anew"
             )
 
 

@@ -309,7 +309,8 @@ def test_a_training_that_was_interrupted_and_repeated_elsewhere_comes_back(
 def test_runs_with_policies_of_an_earlier_version_come_in_unverified(
     file_database, other, tmp_path, monkeypatch
 ):
-    """One had ended. The others were resumed, and trained anew."""
+    """One had ended. The others were resumed, which was not refused, and trained anew."""
+    monkeypatch.setattr("db.runs.check_versions", lambda *given: None)
     id = finished_benchmark(file_database, most=1)
     before = benchmarks.runs_of(file_database, id)
     assert {run.state for run in before} == {"succeeded", "cancelled"}

@@ -10,8 +10,10 @@ from adr_service.events import RunFailed, RunStopped, RunSucceeded
 from adr_service.plugins import METHODS, TASKS
 from adr_service.presets import PRESETS
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec
+from adr_service.stages.catalogue import VERSIONS
+from adr_service.stages.evaluate import Evaluate
 from adr_service.stages.propose import Propose
-from db import benchmarks, events, runs
+from db import benchmarks, events, runs, stages
 from db.errors import NotFound, NotPossible
 from tests.db.rows import RESULT, SPEC, benchmark_spec, commit, count, statements
 from tests.packages import add_entry_point
@@ -134,17 +136,43 @@ def test_a_benchmark_of_another_version_is_neither_extended_nor_resumed(
     add_entry_point(tmp_path, group, "math:pi", "upgraded")
     monkeypatch.syspath_prepend(tmp_path)
     id = benchmarks.create_benchmark(database, benchmark_spec()).id
-    first = benchmarks.runs_of(database, id)[0].id
-    commit(database, stage, RESULT, first)
-    more = BenchmarkExtension.model_validate({"seeds": [1]})
+    commit(database, stage, RESULT, benchmarks.runs_of(database, id)[0].id)
     message = "was computed with broken 0.9, and broken 1.0 is installed; submit it anew"
+    check_that_it_goes_on_no_more(database, id, f"{id} {message}")
+
+
+def check_that_it_goes_on_no_more(database, id, message):
+    """Nor does a run of it that has computed nothing itself."""
+    more = BenchmarkExtension.model_validate({"seeds": [1]})
     for extend in (benchmarks.planned_extension, benchmarks.extend_benchmark):
-        with pytest.raises(InvalidInput, match=f"{id} {message}"):
+        with pytest.raises(InvalidInput, match=message):
             extend(database, id, more)
-    with pytest.raises(InvalidInput, match=f"{first} {message}"):
-        runs.resubmit(database, first)
-    with pytest.raises(InvalidInput, match=f"{id} {message}"):
+    with pytest.raises(InvalidInput, match=message):
+        runs.resubmit(database, benchmarks.runs_of(database, id)[-1].id)
+    with pytest.raises(InvalidInput, match=message):
         next(benchmarks.resubmit_all(database, id))
+
+
+def test_nor_is_one_with_stages_of_another_version_of_this_program(database, monkeypatch):
+    """New seeds stood beside old ones in one row, without a word."""
+    id = benchmarks.create_benchmark(database, benchmark_spec()).id
+    first, *_ = benchmarks.runs_of(database, id)
+    commit(database, evaluation(1), RESULT, first.id)
+    now = VERSIONS["evaluate"]
+    monkeypatch.setitem(VERSIONS, "evaluate", now + 1)
+    message = f"stages of version {now} of evaluate, and this service computes version {now + 1}"
+    check_that_it_goes_on_no_more(database, id, f"{id} has {message}; submit it anew")
+
+
+def test_versions_are_listed_by_kind_of_stage_and_by_package(database, monkeypatch):
+    run_id = runs.create_run(database, SPEC).id
+    for package in ("one 1.0", "one 1.1"):
+        commit(database, replace(evaluation(1), package=package), RESULT, run_id)
+    now = Evaluate.version
+    monkeypatch.setattr(Evaluate, "version", 10 * now)
+    commit(database, evaluation(2), RESULT, run_id)
+    expected = {"evaluate": {str(now), str(10 * now)}, "one": {"1.0", "1.1"}}
+    assert stages.versions_of(database, [run_id, "run_without"]) == expected
 
 
 def test_a_benchmark_grows_where_its_packages_have_the_version_that_computed_it(
