@@ -130,8 +130,9 @@ def open_service(settings: Settings) -> Service:
         runs = _runs_at_once(settings)
         orchestrator = Orchestrator(database, _ray_options(settings), runs_at_once=runs)
         staging.clear(settings.data_dir)
-        visit_store.renew_leases(database, orchestrator.clock.now(), settings.lease_s)
         orchestrator.start()
+        # last: a lease of a few seconds would not outlast the start of Ray
+        visit_store.renew_leases(database, orchestrator.clock.now(), settings.lease_s)
     except BaseException:
         database.close()
         raise

@@ -43,6 +43,7 @@ from db.models import (
 from db.session import Database
 from db.stages import add_artifact, add_result, find_result
 
+_SIMULATED = (~TargetTaskRow.external, TargetTaskRow.state.in_(OPEN_VISIT))
 _GOES_ON = (RunRow.cancel_requested.is_(False), RunRow.state.not_in(FINISHED))
 
 
@@ -129,13 +130,24 @@ def claim_simulated(
     return lease
 
 
-def drop_simulated(database: Database, digest: str | None = None) -> None:
-    """Delete the simulated target's open visit of a stage; without a digest, all of them."""
-    claimed = [~TargetTaskRow.external, TargetTaskRow.state.in_(OPEN_VISIT)]
-    if digest is not None:
-        claimed.append(TargetTaskRow.digest == digest)
+def drop_simulated(database: Database, digest: str) -> None:
+    """Delete the simulated target's open visit of a stage."""
     with database.write("drop_simulated") as session:
-        session.execute(delete(TargetTaskRow).where(*claimed))
+        session.execute(delete(TargetTaskRow).where(*_SIMULATED, TargetTaskRow.digest == digest))
+
+
+def forget_unclaimed(database: Database) -> None:
+    """Delete the simulated target's open visits, and withdraw those that no robot has claimed.
+
+    For a service that starts: the simulated target died with the one before. A robot's visit is
+    offered again as soon as its run asks for it (`publish`). After an upgrade the run may ask for
+    another, and no robot shall move for nobody.
+    """
+    theirs = (TargetTaskRow.external, TargetTaskRow.state == VisitState.PENDING)
+    withdrawn = update(TargetTaskRow).where(*theirs).values(state=VisitState.WITHDRAWN)
+    with database.write("forget_unclaimed") as session:
+        session.execute(delete(TargetTaskRow).where(*_SIMULATED))
+        session.execute(withdrawn)
 
 
 def heartbeat(

@@ -91,7 +91,7 @@ class Orchestrator:
     def start(self) -> None:
         """Start Ray, and go on with every unfinished run."""
         self._dispatcher.start()
-        visit_store.drop_simulated(self._database)  # their claimants died with the service
+        visit_store.forget_unclaimed(self._database)
         self.adopt()
 
     def close(self) -> None:

@@ -164,10 +164,15 @@ def compute(stage: AnyStage, progress: Progress = silent) -> StageResult:
     """Run a stage here and now; its random numbers come from its digest.
 
     On one thread, because the last bits of a BLAS product depend on how many share it. Raises
-    InvalidInput if this process has another version of a package than the stage is of: the result
-    would be stored under the wrong one. Also if a value of the result is not JSON, as a plug-in's
-    diagnostics may be.
+    InvalidInput if this process has another version of a package, or of this program, than the
+    stage is of: the result would be stored under the wrong one. Also if a value of the result is
+    not JSON, as a plug-in's diagnostics may be.
     """
+    if sha256(canonical_json(stage.document).encode()) != stage.digest:  # which came with it
+        raise InvalidInput(
+            f"this process computes version {stage.version} of {stage.kind}, and was asked for "
+            "another: install one version of the service everywhere, and start it again"
+        )
     for other in other_versions(stage.inputs).values():
         raise InvalidInput(
             f"this process has {other.here}, the stage is of {other.of_stage}: install one version "

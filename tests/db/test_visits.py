@@ -215,6 +215,21 @@ class TestSimulated:
         assert visits.list_visits(database) == []
 
 
+class TestStartOfAService:
+    def test_what_no_robot_has_claimed_waits_until_a_run_asks_for_it_again(self, database, run_id):
+        """After an upgrade it may ask for another policy's episode: the old one's came first."""
+        taken, left = (publish(database, run_id, number) for number in range(2))
+        lease = claim(database).lease
+        visits.forget_unclaimed(database)
+        assert visits.get_visit(database, taken).lease == lease
+        assert visits.get_visit(database, left).state == "withdrawn"
+        assert claim(database) is None
+        for number in range(2):
+            publish(database, run_id, number)
+        assert claim(database).id == left
+        assert visits.get_visit(database, taken).lease == lease
+
+
 class Machine(RuleBasedStateMachine):
     """Runs, their visits and robots that come, go, hang and are late; the service crashes.
 

@@ -1,5 +1,6 @@
 """A kind of stage of our own, in this file alone: it runs, is priced, stored and read again."""
 
+import pickle
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -103,6 +104,16 @@ def test_a_stage_of_another_version_than_this_process_has_is_not_computed(tmp_pa
     message = "this process has broken 1.0, the stage is of broken 0.9: install one version"
     with pytest.raises(InvalidInput, match=message):
         compute(stage)
+
+
+def test_nor_is_one_of_another_version_of_this_program(monkeypatch):
+    """A node that was forgotten in an upgrade answered under the digest of the new version."""
+    stage = ThrowDice(task="arm", count=5)
+    assert stage.digest == STAGE.digest  # it is pickled with the stage
+    there = pickle.loads(pickle.dumps(stage))
+    monkeypatch.setattr(ThrowDice, "version", 7)
+    with pytest.raises(InvalidInput, match="computes version 7 of throw_dice, and was asked for"):
+        compute(there)
 
 
 def test_random_numbers_come_from_the_digest():

@@ -60,7 +60,7 @@ class Ledger(Results, Protocol):
     def resubmit(self, run_id: str) -> None: ...
 
     def drop_all(self) -> None:
-        """Forget all claims of the simulated target, as a service does that starts."""
+        """Forget what no robot has claimed, as a service does that starts."""
         ...
 
     def claim(self, robot: str, now: float, lease_s: float) -> Claim | None: ...
@@ -169,6 +169,9 @@ class MemoryLedger:
     def drop_all(self) -> None:
         for digest in self.claimed():
             del self._visits[digest]
+        for visit in self._visits.values():
+            if visit.is_external and visit.state == "pending":
+                visit.state = "withdrawn"
 
     def claim(self, robot: str, now: float, lease_s: float) -> Claim | None:
         for digest, visit in self._visits.items():
@@ -248,7 +251,7 @@ class DatabaseLedger(DatabaseResults):
         run_store.resubmit(self._database, run_id)
 
     def drop_all(self) -> None:
-        visit_store.drop_simulated(self._database)
+        visit_store.forget_unclaimed(self._database)
 
     def claim(self, robot: str, now: float, lease_s: float) -> Claim | None:
         visit = visit_store.claim(self._database, robot, [_TASK], _moment(now), lease_s)
