@@ -111,6 +111,9 @@ class Rollout:
         if not np.all(np.isfinite(wanted)):
             self._wrong = f"the policy's action is {wanted.tolist()} at {seen.tolist()}"
             return
+        if self._is_beyond(wanted):
+            self._wrong = f"the policy's action {wanted.tolist()} lies beyond the task's bounds"
+            return
         action = limits.apply(wanted)
         self._limited += not np.array_equal(action, wanted)
         self._sent.append(now())
@@ -122,6 +125,11 @@ class Rollout:
         if truncated and not (terminated or self.is_complete or self._wrong):
             self._is_cut = True
             self._wrong = "the environment ended the episode early (truncated)"
+
+    def _is_beyond(self, action: Vector) -> bool:
+        low, high = (np.array(self._machine.about[name]) for name in ("action_low", "action_high"))
+        rounding = 1e-6 * (high - low)  # policies act in single precision
+        return bool(np.any((action < low - rounding) | (action > high + rounding)))
 
     def _record(self, observation: Vector, action: Vector, reward: float) -> None:
         """Append a transition, unless something is wrong with its numbers."""

@@ -157,6 +157,15 @@ def test_a_policy_whose_action_is_not_finite_is_not_obeyed():
     assert episode.wrong.startswith("the policy's action is [nan, nan]")
 
 
+@pytest.mark.parametrize(("action", "steps"), [(1.001, 0), (1.0000001, TASK["transitions"])])
+def test_nor_is_one_whose_action_lies_beyond_the_tasks_bounds(action, steps):
+    """As that of a policy of before the owner narrowed them."""
+    env = fast_arm()
+    episode = run(env, act=lambda observations: np.full((1, 2), [0.0, -action]))
+    assert len(env.actions) == steps
+    assert ("beyond the task's bounds" in episode.wrong) == (steps == 0)
+
+
 def test_the_owners_time_cuts_an_episode():
     episode = run(fast_arm(), Limits(seconds=5 * ABOUT["control_period_s"] + 1e-9))
     assert len(episode.actions) <= 5

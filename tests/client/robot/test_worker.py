@@ -93,6 +93,17 @@ def test_an_unknown_task_is_refused_with_the_known_ones():
         robot(Service(), task="amr")
 
 
+def test_a_task_that_has_changed_meanwhile_moves_nothing():
+    """Its owner has narrowed its actions; the client of before would have drawn wider ones."""
+    service = Service()
+    worker = robot(service)
+    service.tasks = lambda: [{**ABOUT, "action_high": [0.5, 0.5]}]
+    with pytest.raises(InvalidInput, match=r"arm has changed .* in action_high: start the client"):
+        worker.work(1)
+    assert (service.released, service.uploads) == (["task_a"], [])
+    assert not worker._env.actions
+
+
 def test_an_episode_longer_than_the_robot_may_move_goes_back():
     service = Service(kind="return")
     with pytest.raises(InvalidInput, match=r"asks for 0\.4 s, and this robot may move for 0\.1"):
