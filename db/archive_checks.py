@@ -107,14 +107,16 @@ def _replay(session: Session, run_id: str, spec: RunSpec, benchmark_id: str) -> 
     if not _RUN_ID.fullmatch(run_id) or not is_its_own or not _is_in_order(lifecycle):
         raise InvalidInput(f"the row of run {run_id} in the archive contradicts its spec or events")
     replay = replay_run(run_id, spec, lambda digest: find_result(session, digest))
-    if _has_other_versions(session, events, replay):
+    has_succeeded = row.state == RunState.SUCCEEDED
+    if replay.broken and has_succeeded:
+        raise InvalidInput(replay.broken)
+    if replay.broken or _has_other_versions(session, events, replay):
         return CheckedRun(run_id, replay, is_verified=False)
     science = {event.key: event for event in events if not isinstance(event, _Lifecycle)}
     if wrong := replay.disagreements(science):
         raise InvalidInput(
             f"event {wrong[0]} of {run_id} in the archive does not follow from the stored results"
         )
-    has_succeeded = row.state == RunState.SUCCEEDED
     if lacking := replay.lacking(science, has_succeeded):
         raise InvalidInput(
             f"the archive has no event {lacking[0]} of {run_id}, though its results lead to it"

@@ -14,7 +14,7 @@ from adr_service.events import IterationFinished, RunEvent, TrainingEvaluated
 from adr_service.programs import run
 from adr_service.specs import RunSpec
 from adr_service.stages.base import AnyStage, StageResult
-from adr_service.stages.stored import ResultMissing, StoredStages
+from adr_service.stages.stored import ResultBroken, ResultMissing, StoredStages
 
 # numbers that a program computes from results: sums differ so much between types of CPU
 _RELATIVE, _ABSOLUTE = 1e-9, 1e-12
@@ -27,6 +27,7 @@ class Replay:
     events: dict[str, RunEvent]  # by key; those of the program alone
     stages: list[AnyStage]  # those that have a result
     is_complete: bool  # the program came to its end
+    broken: str = ""  # the error that ended it, as that of a method of one's own may
 
     def disagreements(self, stored: Mapping[str, RunEvent]) -> list[str]:
         """Keys of stored events of the program, by key, that are not what the results lead to."""
@@ -73,18 +74,20 @@ def replay_run(run_id: str, spec: RunSpec, find: Callable[[str], StageResult | N
 
     Raises InvalidInput where a result cannot be the one of its stage.
     """
-    stages, events, is_complete = StoredStages(run_id, find), dict[str, RunEvent](), True
+    stages, events, broken = StoredStages(run_id, find), dict[str, RunEvent](), ""
+    is_complete = False
     try:
         for event in run(spec, stages):
             events[event.key] = event
+        is_complete = True
     except ResultMissing:
-        is_complete = False
-    except Exception as error:  # results of strangers break programs in any way
+        pass
+    except ResultBroken as error:
+        raise InvalidInput(f"{run_id} cannot use a stored result: {error}") from error
+    except Exception as error:  # noqa: BLE001 - methods, and results of strangers, break in any way
         asked = stages.asked[-1].kind if stages.asked else "its first stage"
-        raise InvalidInput(
-            f"the program of {run_id} cannot use its stored results, after {asked}: {error}"
-        ) from error
-    return Replay(events, stages.asked, is_complete)
+        broken = f"the program of {run_id} cannot use its stored results, after {asked}: {error}"
+    return Replay(events, stages.asked, is_complete, broken)
 
 
 def repeats(event: RunEvent, stored: RunEvent) -> bool:

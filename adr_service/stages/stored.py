@@ -20,6 +20,12 @@ class ResultMissing(AdrError):
     code = "result_missing"
 
 
+class ResultBroken(AdrError):
+    """A stored result cannot be the one of its stage."""
+
+    code = "result_broken"
+
+
 class StoredStages:
     """The stages of one run, from a store that `find` looks up by digest."""
 
@@ -32,7 +38,10 @@ class StoredStages:
         for stage in stages:
             stored = self._find(stage.digest)
             if stored is not None:
-                results.append(stage.read(stored))
+                try:
+                    results.append(stage.read(stored))
+                except Exception as error:
+                    raise ResultBroken(f"that of {stage.kind}: {error}") from error
                 self.asked.append(stage)
                 yield from events_of(stage, results[-1])
         if len(results) < len(stages):

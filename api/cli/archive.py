@@ -145,7 +145,8 @@ def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]
         )
         unchecked = (
             f"{len(unverified)} runs cannot be checked, because results are missing from the "
-            f"archive or are of another version of this program ({', '.join(unverified[:5])})"
+            "archive or are of another version of this program, or their method failed "
+            f"({', '.join(unverified[:5])})"
         )
         if not drawn:
             raise NotVerified(unchecked if unverified else "no stage can be computed again here")
@@ -203,8 +204,8 @@ def _summary(added: Json) -> str:
         )
     if added["unverified"]:
         lines.append(
-            "these runs have events whose results are not there, or are of another version: "
-            + ", ".join(added["unverified"])
+            "these runs have events whose results are not there, or are of another version, or "
+            "their method failed: " + ", ".join(added["unverified"])
         )
     if added["left"]:
         why = "left as they are, because they are live here or went on apart"

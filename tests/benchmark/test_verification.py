@@ -133,7 +133,9 @@ def test_a_result_that_breaks_the_program_is_refused_by_name():
     results = all_results()
     digest = next(s.digest for s in replay_run("run_a", SPEC, results.get).stages)
     results[digest] = StageResult({"evil": 1})
-    with pytest.raises(InvalidInput, match="run_a cannot use its stored results"):
+    with pytest.raises(
+        InvalidInput, match="run_a cannot use a stored result: that of train_policy"
+    ):
         replay_run("run_a", SPEC, results.get)
 
 

@@ -12,6 +12,7 @@ from sqlalchemy import select
 from adr_service.errors import InvalidInput
 from adr_service.events import RunFailed, StageFinished, TrainingEvaluated
 from adr_service.json_values import canonical_json
+from adr_service.methods.simopt import SimOpt
 from adr_service.programs.references import reference_training
 from adr_service.specs import BenchmarkExtension, BenchmarkPart
 from adr_service.stages.train_policy import TrainPolicy
@@ -338,6 +339,33 @@ def test_runs_that_could_not_go_on_with_a_later_version_come_in_unverified(
     assert content_of(other, id) == content_of(file_database, id)
 
 
+def test_runs_whose_method_broke_come_in_unverified(file_database, other, tmp_path, monkeypatch):
+    """An archive was lost to its owner where a method of his own had raised in one run."""
+    id = finished_benchmark(file_database, most=0)
+    [learning] = [
+        run for run in benchmarks.runs_of(file_database, id) if run.spec.method.name == "simopt"
+    ]
+
+    def ask(self, problem, state):
+        raise ZeroDivisionError("as a method does")
+
+    monkeypatch.setattr(SimOpt, "ask", ask)
+    record = resubmit(file_database, learning.id)
+    with pytest.raises(ZeroDivisionError):
+        proceed(file_database, record)
+    failed = RunFailed(submission=record.submission, code="internal", message="it divided")
+    events.append_event(file_database, record.id, failed)
+    path = exported(file_database, id, tmp_path / "a.adr")
+    assert imported(other, path).unverified == [learning.id]
+    assert content_of(other, id) == content_of(file_database, id)
+    monkeypatch.undo()
+    go_on(file_database, id)
+    path = exported(file_database, id, tmp_path / "b.adr")
+    monkeypatch.setattr(SimOpt, "ask", ask)
+    with pytest.raises(InvalidInput, match=f"{learning.id} cannot use its stored results, after"):
+        imported(other, path)
+
+
 def test_a_later_archive_of_a_live_benchmark_goes_further(file_database, other, tmp_path):
     """An import stops what had not finished, and the next one brings the rest."""
     id = finished_benchmark(file_database, most=2)
@@ -555,7 +583,7 @@ HOSTILE = {
     "no last iteration": ("events", _without("iteration_finished:1"), "has no event"),
     "another stage's document": ("stages", _moved, "document of another"),
     "another kind of stage": ("stages", _first(kind="evil"), "document of another"),
-    "a result of another form": ("stages", _first(result='{"evil":1}'), "cannot use its stored"),
+    "a result of another form": ("stages", _first(result='{"evil":1}'), "cannot use a stored result"),
     "a result that is a list": ("stages", _first(result="[1]"), "no JSON object"),
     "a result nested without end": ("stages", _first(result="[" * 100_000), "no JSON object"),
     "no attempt": ("stages", _first(attempt=0), "contradicts itself"),
