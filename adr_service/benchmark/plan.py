@@ -15,12 +15,13 @@ from typing import Any, cast
 
 import numpy as np
 
+from adr_service.errors import AdrError, InvalidInput
 from adr_service.events import RunEvent
 from adr_service.programs import Program, run
 from adr_service.randomness import stream
 from adr_service.simulation.batch import Simulations
 from adr_service.simulation.rollout import random_actions
-from adr_service.specs import AnyRun
+from adr_service.specs import AnyRun, RunSpec
 from adr_service.stages.base import PRIORITY, CoreSpeed, Cost, R, Result, Role, Stage, StageResult
 from adr_service.tasks.catalogue import get_task, variants_of
 
@@ -79,7 +80,8 @@ def plan(
     costs = _Schedule(speed or MeasuredSpeed(), max(cores, 1), find)
     for number, spec in enumerate(runs):
         content = None if recording is None else recording(spec)
-        costs.start(run(spec, _PricedStages(f"run {number}"), content))
+        named = spec.method.name if isinstance(spec, RunSpec) else spec.kind
+        costs.start(_Planned(named, run(spec, _PricedStages(f"run {number}"), content)))
     seconds = costs.finish()
     distinct = list(costs.priced.values())
     core_seconds = sum(job.cost.seconds for job in distinct if job.role != "robot")
@@ -117,6 +119,14 @@ class _PricedStages:
         return (yield from self.all([stage]))[0]
 
 
+@dataclass(frozen=True, eq=False)
+class _Planned:
+    """A run's program, with the name of its method."""
+
+    name: str
+    program: Program
+
+
 @dataclass(eq=False)
 class _Job:
     """A stage that some programs wait for, once for all of them."""
@@ -132,7 +142,7 @@ class _Job:
 class _Waiting:
     """A program that goes on when all stages of its wish are done."""
 
-    program: Program
+    run: _Planned
     jobs: list[_Job]
 
 
@@ -156,9 +166,9 @@ class _Schedule:
         """The number of stages with a stored result."""
         return len(self._stored)
 
-    def start(self, program: Program) -> None:
+    def start(self, planned: _Planned) -> None:
         """Let a program run until it waits for a stage."""
-        self._go_on(program, None)
+        self._go_on(planned, None)
 
     def finish(self) -> float:
         """The time [s] at which the last program ends."""
@@ -173,23 +183,32 @@ class _Schedule:
             self._complete(job)
         return self._now
 
-    def _go_on(self, program: Program, answers: list[Result] | None) -> None:
-        """Iterate a program to its next wish that has to wait, or to its end."""
+    def _go_on(self, planned: _Planned, answers: list[Result] | None) -> None:
+        """Iterate a program to its next wish that has to wait, or to its end.
+
+        Raises InvalidInput where it breaks, as a method of one's own may.
+        """
         try:
             while True:
-                event: Any = program.send(cast(None, answers))
+                event: Any = planned.program.send(cast(None, answers))
                 answers = None
                 if isinstance(event, _Ask):
                     jobs = [self._job(stage) for stage in event.stages]
                     if not all(job.is_done for job in jobs):
-                        self._wait(program, jobs)
+                        self._wait(planned, jobs)
                         return
                     answers = [job.answer for job in jobs]
         except StopIteration:
             return
+        except AdrError:
+            raise
+        except Exception as error:
+            raise InvalidInput(
+                f"a run of {planned.name} cannot be planned, nor computed: it raises {error!r}"
+            ) from error
 
-    def _wait(self, program: Program, jobs: list[_Job]) -> None:
-        entry = _Waiting(program, jobs)
+    def _wait(self, planned: _Planned, jobs: list[_Job]) -> None:
+        entry = _Waiting(planned, jobs)
         for job in jobs:
             if not job.is_done and entry not in job.waiting:
                 job.waiting.append(entry)
@@ -220,7 +239,7 @@ class _Schedule:
         job.is_done = True
         for entry in job.waiting:
             if all(each.is_done for each in entry.jobs):
-                self._go_on(entry.program, [each.answer for each in entry.jobs])
+                self._go_on(entry.run, [each.answer for each in entry.jobs])
         job.waiting.clear()
 
 

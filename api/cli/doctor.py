@@ -71,6 +71,7 @@ def checks(url: str | None) -> Iterator[Check]:
     yield _python()
     yield _cores()
     yield from _simulator()
+    yield _methods()
     yield _fast_backend(importlib.util.find_spec("sbx") is not None)
     for doubt in unknown_variables(os.environ):
         yield Check(False, doubt, is_needed=False)
@@ -120,6 +121,15 @@ def _simulator() -> Iterator[Check]:
         yield Check(False, f"no films: {error}", is_needed=False)
     else:
         yield Check(True, "films can be drawn", is_needed=False)
+
+
+def _methods() -> Check:
+    from adr_service.methods.catalogue import methods  # imports packages with plug-ins
+
+    try:
+        return Check(True, f"methods: {', '.join(methods())}")
+    except InvalidInput as error:
+        return Check(False, str(error))
 
 
 def _fast_backend(is_installed: bool) -> Check:

@@ -1,8 +1,11 @@
 """A plan is the programs themselves, over stages that price."""
 
+import numpy as np
 import pytest
 
 from adr_service.benchmark.plan import plan
+from adr_service.errors import InvalidInput
+from adr_service.methods.simopt import SimOpt
 from adr_service.simulation.batch import control_period
 from adr_service.specs import BenchmarkSpec, CriticismSpec, RunSpec
 from adr_service.tasks.catalogue import get_task
@@ -91,6 +94,21 @@ def test_a_recording_is_priced_by_its_length():
     target = {"kind": "recorded", "dataset": dataset_id(content)}
     planned = plan([smoke("sysid", target=target)], 2, lambda spec: content)
     assert (planned.trainings, planned.target_transitions) == (1, 0)
+
+
+@pytest.mark.parametrize("broken", [{"start": np.zeros(3)}, ZeroDivisionError("as methods do")])
+def test_a_method_that_breaks_is_named_before_its_run_is_submitted(broken, monkeypatch):
+    """It was answered as a defect of the service."""
+
+    def start(self, problem):
+        if isinstance(broken, Exception):
+            raise broken
+        return broken
+
+    monkeypatch.setattr(SimOpt, "start", start)
+    spec = RunSpec.model_validate({"task": "arm", "method": "simopt", "preset": "smoke"})
+    with pytest.raises(InvalidInput, match="a run of simopt cannot be planned, nor computed: it"):
+        plan([spec], cores=1)
 
 
 def test_a_criticism_has_a_price():

@@ -583,7 +583,11 @@ HOSTILE = {
     "no last iteration": ("events", _without("iteration_finished:1"), "has no event"),
     "another stage's document": ("stages", _moved, "document of another"),
     "another kind of stage": ("stages", _first(kind="evil"), "document of another"),
-    "a result of another form": ("stages", _first(result='{"evil":1}'), "cannot use a stored result"),
+    "a result of another form": (
+        "stages",
+        _first(result='{"evil":1}'),
+        "cannot use a stored result",
+    ),
     "a result that is a list": ("stages", _first(result="[1]"), "no JSON object"),
     "a result nested without end": ("stages", _first(result="[" * 100_000), "no JSON object"),
     "no attempt": ("stages", _first(attempt=0), "contradicts itself"),
