@@ -48,6 +48,8 @@ from db.staging import Staged
 
 _RUN_ID, _BENCHMARK_ID = re.compile(r"run_[0-9a-f]{16}"), re.compile(r"bench_[0-9a-f]{16}")
 _Lifecycle = RunQueued | RunStarted | RunSucceeded | RunFailed | RunStopped
+_PACKAGE = re.compile(r'package":"([\w.-]{1,100} [\w.+!-]{1,50})"')
+_MOST_NAMED = 10
 _LONGEST_EVENTS = 50_000_000  # characters of a run's events, which are read at once
 _DERIVED = ("benchmark_id", "dataset_id", "task", "variant", "method", "seed")  # from the spec
 
@@ -74,7 +76,9 @@ def replays(archived: Staged) -> Iterator[CheckedRun]:
         if lost:
             raise Lost(lost[0])
     except (DatabaseDamaged, Lost) as error:
-        raise InvalidInput(f"the archive cannot be used here: {error}") from error
+        raise InvalidInput(
+            f"the archive cannot be used here: {error}{_packages_of(archived)}"
+        ) from error
     if not 0 < len(records) <= MAX_RUNS:
         given = "more" if records else "none"
         raise InvalidInput(f"an archive has 1 to {MAX_RUNS} runs; this one has {given}")
@@ -85,6 +89,16 @@ def replays(archived: Staged) -> Iterator[CheckedRun]:
                 raise InvalidInput(f"{record.id} in the archive is no run of its benchmark")
             cells.remove(cell_of(record.spec))  # each cell has one run
             yield _replay(session, record.id, record.spec, id)
+
+
+def _packages_of(archived: Staged) -> str:
+    """Packages and their versions that stages of an archive name, for a message; it may be hostile,
+    and nothing of it is checked yet."""
+    query = select(StageRow.document).where(StageRow.document.contains('package":"'))
+    with archived.database.read() as session:
+        documents = session.scalars(query, execution_options={"yield_per": 100})
+        named = {name for text in documents for name in _PACKAGE.findall(text)}
+    return f"; its stages are of {', '.join(sorted(named)[:_MOST_NAMED])}" if named else ""
 
 
 def _check_stages(session: Session) -> None:

@@ -23,6 +23,7 @@ from adr_service.errors import InvalidInput
 from adr_service.events import RunState, RunStopped
 from adr_service.json_values import Wire
 from adr_service.specs import BenchmarkPart, BenchmarkSpec, CriticismSpec
+from adr_service.stages.catalogue import VERSIONS
 from db.archive_checks import replays
 from db.benchmarks import (
     Cell,
@@ -51,7 +52,13 @@ from db.models import (
 )
 from db.runs import RunRecord, record_of, unfinished_runs
 from db.session import Database
-from db.stages import copy_result, has_other_result, is_mentioned_by, mentioned_by
+from db.stages import (
+    copy_result,
+    has_other_result,
+    is_mentioned_by,
+    mentioned_by,
+    versions_of,
+)
 from db.staging import Staged
 
 _IN_BATCHES = {"yield_per": 100}
@@ -102,11 +109,20 @@ def export_benchmark(
                 check()
             archive.add_blob(content)
         provenance = select(StageRow.provenance).where(_is_mine(runs)).distinct()
+        versions = versions_of(database, list(session.scalars(select(RunRow.id).where(runs))))
+        packages = [
+            {name: version}
+            for name in sorted(versions.keys() - VERSIONS.keys())
+            for version in sorted(versions[name])
+        ]
         manifest = Manifest(
             benchmark=benchmark_id,
             adr_service=adr_service.__version__,
             revision=str(database.revision()),
-            computed_with=[json.loads(text) for text in sorted(session.scalars(provenance))],
+            computed_with=[
+                *(json.loads(text) for text in sorted(session.scalars(provenance))),
+                *packages,
+            ],
         )
         archive.finish(manifest)
 

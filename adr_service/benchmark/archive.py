@@ -44,6 +44,7 @@ class Manifest(Wire):
     adr_service: Line  # version
     revision: Line  # of the database's tables
     # where its stages were computed: versions of packages and type of CPU, each combination once
+    # by machine, and then each package that adds a task or a method
     computed_with: list[dict[Line, Line]] = Field(max_length=10_000)
 
 

@@ -100,7 +100,9 @@ class BenchmarkSpec(Wire):
         for kind in BenchmarkExtension.model_fields:
             names = Counter(map(_name, getattr(self, kind)))
             if repeated := [name for name, count in names.items() if count > 1]:
-                raise ValueError(f"{kind} must not repeat a member; {repeated[0]} comes twice")
+                why = f"{repeated[0]} comes twice"
+                hint = "; submit each setting of a method as a benchmark" * (kind == "methods")
+                raise ValueError(f"{kind} must not repeat a member; {why}{hint}")
         list(self.runs())
         return self
 

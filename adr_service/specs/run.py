@@ -124,8 +124,8 @@ class RunSpec(Wire):
         uses_rollouts = self.method.infers and not isinstance(self.target, RecordedTarget)
         if uses_rollouts and self.transitions > task.horizon:
             raise ValueError(
-                f"transitions: {self.transitions} given, but an episode of {self.task} has "
-                f"{task.horizon} steps at most"
+                f"transitions: {self.transitions} given, or by the preset {self.preset!r}, but an "
+                f"episode of {self.task} has {task.horizon} steps at most: give that many or fewer"
             )
 
     def _check_target(self) -> None:

@@ -4,11 +4,13 @@ import io
 import json
 import shutil
 from contextlib import closing
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
 from sqlalchemy import select
 
+from adr_service.benchmark.archive import ArchiveReader
 from adr_service.errors import InvalidInput
 from adr_service.events import RunFailed, StageFinished, TrainingEvaluated
 from adr_service.json_values import canonical_json
@@ -26,7 +28,7 @@ from db.staging import staged
 from tests.archives import rewritten, with_rows, without_results
 from tests.contracts.canned import canned
 from tests.db.finished import finished_benchmark, go_on, proceed
-from tests.db.rows import count
+from tests.db.rows import RESULT, commit, count
 from tests.stages.examples import evaluation
 
 COPY = "run_" + 16 * "f"
@@ -337,6 +339,25 @@ def test_runs_that_could_not_go_on_with_a_later_version_come_in_unverified(
     report = imported(other, exported(file_database, id, tmp_path / "a.adr"))
     assert record.id in report.unverified
     assert content_of(other, id) == content_of(file_database, id)
+
+
+def test_packages_are_named_in_the_manifest_and_where_they_are_missing(
+    file_database, other, tmp_path
+):
+    """A reader was told to install "the package that has it"."""
+    id = finished_benchmark(file_database, most=0)
+    run, *_ = benchmarks.runs_of(file_database, id)
+    commit(file_database, replace(evaluation(7), package="adr-random 0.2.0"), RESULT, run.id)
+    path = exported(file_database, id, tmp_path / "a.adr")
+    with path.open("rb") as file, ArchiveReader(file) as archive:
+        assert archive.manifest.computed_with[1:] == [{"adr-random": "0.2.0"}]
+    gone = with_rows(
+        "benchmarks",
+        lambda rows: [{**row, "spec": row["spec"].replace('"simopt"', '"random"')} for row in rows],
+    )
+    message = "'random' is not installed here: .*; its stages are of adr-random 0.2.0$"
+    with pytest.raises(InvalidInput, match=message):
+        imported(other, rewritten(path, gone))
 
 
 def test_runs_whose_method_broke_come_in_unverified(file_database, other, tmp_path, monkeypatch):

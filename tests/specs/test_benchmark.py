@@ -82,7 +82,10 @@ class TestBenchmark:
             ({"seeds": []}, "at least 1 item"),
             ({"seeds": [0, 0]}, "must not repeat"),
             ({"seeds": [-1]}, "greater than or equal to 0"),
-            ({"methods": ["udr", {"name": "udr", "policies": 3}]}, "must not repeat a member"),
+            (
+                {"methods": ["udr", {"name": "udr", "policies": 3}]},
+                "comes twice; submit each setting",
+            ),
             ({"methods": ["magic"]}, "there is no method 'magic'"),
             ({"tasks": ["arm", "leg"]}, "there is no task 'leg'"),
             ({"seeds": list(range(5000))}, "5000 runs at most; this has 20000"),

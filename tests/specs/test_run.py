@@ -86,7 +86,7 @@ def test_what_is_given_wins_over_the_preset_field_by_field():
         ({"preset": 3}, "valid string"),
         ({"training": 3}, "give training settings whose algorithm is"),
         ({"training": {"hidden": [0]}}, "greater than or equal to 1"),
-        ({"transitions": 201}, "an episode of arm has 200 steps at most"),
+        ({"transitions": 201}, "arm has 200 steps at most: give that many or fewer"),
         (
             {"transitions": 20, "method": {"name": "sysid", "steps": 21}},
             "20 given, and sysid with steps = 21 learns from no fewer",
