@@ -43,6 +43,7 @@ class Signal:
     time: Vector  # (n,) [s], increasing
     value: Vector  # (n,) in the log's unit
     crowded: int = 0  # readings that were left out because others came too soon before, or at once
+    shared: int = 0  # of these, readings at the very time of another
     timeless: int = 0  # readings that were left out because their rows have no time
 
 
@@ -126,7 +127,8 @@ class Log:
                 f"{self.source}: column {column!r} has {len(kept)} readings with a time of their "
                 f"own; needed: {least} or more"
             )
-        return Signal(time[kept], value[kept], len(time) - len(kept), timeless)
+        shared = len(time) - len(np.unique(time))
+        return Signal(time[kept], value[kept], len(time) - len(kept), shared, timeless)
 
     def parts(self, column: str) -> list["Log"]:
         """One log for each stretch of rows with one value of a column, such as a trial's number.

@@ -44,6 +44,7 @@ from adr_service.logs.tracks import (
     check_velocities,
     recording_of,
     repeated,
+    shared_times,
 )
 from adr_service.logs.turns import (
     beside_their_joints,
@@ -59,6 +60,7 @@ _BEYOND = 0.1  # of a joint's range
 _SHORT_S = 2.0  # of all recordings, below which the time's unit looks wrong
 _OFTEN = 0.2  # share of rows at a limit
 _ROUNDED = 0.05  # of the readings' spacing
+_MUCH = 0.2  # share of the logs' seconds
 
 
 @dataclass(frozen=True)
@@ -156,7 +158,9 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
         *bridged(recordings, given),
         *unknown_turns(recordings, given, model),
         *unnoticed_turns(recordings, given, model),
+        *shared_times(recordings),
         *repeated(recordings),
+        *_left_out(records),
         *_warnings(joined, period, recordings, given, model, compared),
         *(
             f"{name}'s commands are at the model's limit or beyond in {share:.0%} of all rows; is "
@@ -180,6 +184,18 @@ def _parts(logs: Sequence[Log], column: str | None) -> tuple[list[Log], list[Log
     long = [part for part in parts if part.rows >= LEAST_ROWS]
     short = [part for part in parts if part.rows < LEAST_ROWS]
     return (long, short) if long else (parts, [])
+
+
+def _left_out(records: Sequence[Record]) -> Iterator[str]:
+    """A warning if a large share of the time became no rows."""
+    seconds = sum(record.seconds for record in records)
+    left_out = sum(record.seconds_left_out for record in records)
+    if left_out > _MUCH * seconds:
+        yield (
+            f"{left_out:.3g} s of {seconds:.3g} s were left out: rows begin where every column "
+            "has begun, and a gap in the readings of one column is a gap in all (the page lists "
+            "them)"
+        )
 
 
 def _warnings(

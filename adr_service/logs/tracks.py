@@ -1,5 +1,6 @@
 """Columns of a recording in the units and the order of a model, and checks of them."""
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -25,7 +26,9 @@ MANY_TURNS = 3  # of a joint, from which on its unit looks wrong
 _SINCE_1970_S = 1e8  # stamps from which on they count from 1970
 _COARSE = 3.0  # smallest steps of a sensor: larger changes are no single steps of a coarse one
 _ROUNDED = 1e-9  # of a column's range: levels as near as that are the same
+_NAMED = 4  # columns in a sentence
 _LONG_S = 1.0  # period from which on the time's unit looks wrong
+_COMMON = 0.1  # share of a column's readings, from which on their stamps look coarse
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,11 @@ class Recording:
     @property
     def states(self) -> list[Track]:
         return [*self.positions, *(track for track in self.velocities if track is not None)]
+
+    @property
+    def tracks(self) -> list[Track]:
+        """States, and the commands that are no constants."""
+        return [*self.states, *(track for track in self.commands if track is not None)]
 
     @property
     def frequent_commands(self) -> list[Track]:
@@ -207,6 +215,28 @@ def repeated(recordings: Sequence[Recording]) -> Iterator[str]:
         )
 
 
+def shared_times(recordings: Sequence[Recording]) -> Iterator[str]:
+    """Warnings of columns in which many readings have one time, one for all that are alike."""
+    alike: dict[tuple[int, int], list[str]] = defaultdict(list)  # names, by shared and by all
+    for tracks in zip(*(each.tracks for each in recordings), strict=True):
+        shared = sum(track.signal.shared for track in tracks)
+        readings = sum(len(track.signal.time) + track.signal.crowded for track in tracks)
+        if shared > _COMMON * readings:
+            alike[shared, readings].append(repr(tracks[0].column))
+    for (shared, readings), columns in alike.items():
+        yield (
+            f"{shared} of {readings} readings of {listed(columns)} have the time of the one "
+            "before; of one time the first reading is kept, or the last command, so coarse stamps "
+            "drop readings and shift commands. Log finer ones"
+        )
+
+
+def listed(columns: Sequence[str]) -> str:
+    """Names of columns in a sentence."""
+    more = f" and {len(columns) - _NAMED} more" * (len(columns) > _NAMED)
+    return ", ".join(columns[:_NAMED]) + more
+
+
 def bursts(recording: Recording) -> Iterator[str]:
     """Sentences on columns whose readings come a few at once, as by a slow network."""
     for track in (*recording.states, *recording.frequent_commands):
@@ -242,9 +272,8 @@ def check_lengths(
                     f"{track.column!r}, {track.spacing:.3g} s apart; give rows.period = "
                     f"{_whole_steps(track.spacing, step):.6g} or more"
                 )
-        tracks = [*recording.states, *(track for track in recording.commands if track is not None)]
         last, first = (
-            max(tracks, key=lambda track: track.signal.time[0]),
+            max(recording.tracks, key=lambda track: track.signal.time[0]),
             min(recording.states, key=lambda track: track.signal.time[-1]),
         )
         if last.signal.time[0] >= first.signal.time[-1]:

@@ -495,6 +495,33 @@ def test_a_missing_column_is_named_with_its_place_in_the_map(robot, even, given)
         convert([log(even)], given, robot)
 
 
+def test_stamps_that_are_too_coarse_are_pointed_out(robot, even, given):
+    """Rows every 4 ms with stamps of 10 ms: three fifths of the readings were dropped unnoticed."""
+    coarse = {**even, "time": np.floor(even["time"] / 0.01 + 1e-6) * 0.01}
+    warning, *_ = convert([log(coarse)], given, robot).warnings
+    assert warning.startswith(
+        "3000 of 5000 readings of 'q1', 'q2', 'dq1', 'dq2' and 1 more have the time of the one"
+    )
+    assert "shift commands" in warning
+
+
+def test_a_few_readings_at_one_time_are_not_pointed_out(robot, even, given):
+    time = even["time"].copy()
+    time[1:400] = time[np.arange(1, 400) // 2 * 2]
+    warnings = convert([log({**even, "time": time})], given, robot).warnings
+    assert not [each for each in warnings if "have the time of the one before" in each]
+
+
+@pytest.mark.parametrize(("seconds", "expected"), [(3.0, 0), (6.0, 1)])
+def test_a_large_share_of_time_that_is_left_out_is_pointed_out(
+    robot, even, given, seconds, expected
+):
+    kept = (even["time"] < 5.001) | (even["time"] > 5 + seconds)
+    with_gap = {name: values[kept] for name, values in even.items()}
+    warnings = convert([log(with_gap)], given, robot).warnings
+    assert len([each for each in warnings if "s were left out" in each]) == expected
+
+
 def repeats(warnings):
     return [each for each in warnings if "repeat its readings" in each]
 

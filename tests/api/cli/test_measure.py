@@ -35,6 +35,16 @@ def test_with_a_map_a_measurement_and_a_page_are_written(adr_here, files):
     assert (status, "measured.html is there already" in errors) == (2, True)
 
 
+def test_what_looks_wrong_is_in_the_terminal_and_on_the_page(adr_here, files):
+    columns = motion(np.arange(0, 10, 0.004))
+    np.savez("log.npz", **{**columns, "time": np.floor(columns["time"] / 0.01 + 1e-6) * 0.01})
+    out = ["--map", "map.toml", "--out", "measured.npz"]
+    _, shown, _ = adr_here("measure", "log.npz", "--model", "robot.xml", *out)
+    for words in (" ".join(shown.split()), (files / "measured.html").read_text()):
+        assert "1500 of 2500 readings" in words
+        assert "have the time of the one before" in words
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
