@@ -41,7 +41,6 @@ from adr_service.logs.tracks import (
     check_derived,
     check_lengths,
     check_moves,
-    check_velocities,
     recording_of,
     repeated,
     shared_times,
@@ -127,7 +126,6 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
         check_jumps(recording, given, model)
     recordings = on_one_branch(recordings, given, model)
     recordings = [beside_their_joints(recording, given, model) for recording in recordings]
-    check_velocities(recordings)
     check_moves(recordings)
     period = _period(recordings, given, model)
     check_lengths(recordings, period, given, float(model.opt.timestep))

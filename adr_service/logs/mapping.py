@@ -236,5 +236,6 @@ def _check_names(what: str, given: Mapping[str, object], expected: Sequence[str]
     if missing := [name for name in expected if name not in given]:
         raise InvalidInput(
             f"the map lacks {what}s of the model: {', '.join(missing)}; every {what} needs a table "
-            f"[{what}s.{missing[0]}]"
+            f"[{what}s.{missing[0]}]. A joint that stays put can be deleted in the model, with its "
+            "actuators: that welds its body at the pose of the file"
         )

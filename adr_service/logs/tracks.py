@@ -170,23 +170,24 @@ def check_moves(recordings: Sequence[Recording]) -> None:
         ]
         values = np.concatenate(parts)
         if len(values) >= LEAST_ROWS and (why := why_stuck(values)) is not None:
-            raise InvalidInput(
-                f"column {tracks[0].column!r} ({tracks[0].quantity}) {why}; needed are readings "
-                "that follow the robot"
-            )
+            quantity = tracks[0].quantity
+            remedy = _remedy(quantity, is_constant=bool(np.ptp(values) == 0))
+            raise InvalidInput(f"column {tracks[0].column!r} ({quantity}) {why}; {remedy}")
 
 
-def check_velocities(recordings: Sequence[Recording]) -> None:
-    """Raises InvalidInput for a velocity that is the same in all recordings."""
-    for tracks in zip(*(each.velocities for each in recordings), strict=True):
-        known = [track for track in tracks if track is not None]
-        values = [value for track in known for value in track.signal.value[[0, -1]]]
-        if known and np.ptp(values) == 0 and all(np.ptp(t.signal.value) == 0 for t in known):
-            joint = known[0].quantity.removesuffix(".velocity")
-            raise InvalidInput(
-                f"column {known[0].column!r} is {values[0]:g} throughout, so it is no velocity; "
-                f"leave joints.{joint}.velocity out (not measured)"
-            )
+def _remedy(quantity: str, is_constant: bool) -> str:
+    """The map or the model to change where the readings of a sensor cannot be used."""
+    joint, _, kind = quantity.rpartition(".")
+    if kind == "velocity" and is_constant:
+        return f"so it is no velocity; leave joints.{joint}.velocity out (not measured)"
+    needed = "needed are readings that follow the robot"
+    if kind == "velocity":
+        return needed
+    return (
+        f"{needed}. If {joint} stays put, as a closed gripper does, delete it and its actuators in "
+        "the model, which welds its body at the pose of the file, and delete their tables in the "
+        "map"
+    )
 
 
 def repeated(recordings: Sequence[Recording]) -> Iterator[str]:

@@ -407,7 +407,16 @@ def test_commands_at_their_limits_are_counted(robot, even, given):
 def test_a_column_of_zeros_is_no_velocity(robot, even, given):
     still = {**even, "dq1": np.zeros(len(even["time"]))}
     with pytest.raises(
-        InvalidInput, match=r"'dq1' is 0 throughout.*leave joints.shoulder.velocity out"
+        InvalidInput, match=r"'dq1' .* is 0 in all rows.*leave joints.shoulder.velocity out"
+    ):
+        convert([log(still)], given, robot)
+
+
+def test_a_joint_that_stays_put_is_refused_with_what_to_delete(robot, even, given):
+    """Its velocity was refused first, and then its position without a remedy."""
+    still = {**even, "q2": np.full(len(even["time"]), 0.05), "dq2": np.zeros(len(even["time"]))}
+    with pytest.raises(
+        InvalidInput, match=r"'q2' .* is 0.05 in all rows.*delete it and its actuators in the model"
     ):
         convert([log(still)], given, robot)
 

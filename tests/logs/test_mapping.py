@@ -20,7 +20,7 @@ from tests.logs.conftest import MAP, XML
         (
             '[joints.slider]\nposition = "q2"\nvelocity = "dq2"\n',
             "",
-            r"lacks joints.*\[joints.slider",
+            r"lacks joints.*\[joints.slider.*that stays put can be deleted in the model",
         ),
         ("[actuators.motor]", "[actuators.engine]", "no actuator of the model 'engine'"),
         ('"q2"', '"q2"\nunit = "deg"', "slider: the joint is a slide, whose units are m, cm, mm"),
