@@ -1,5 +1,7 @@
 """Logs of a known motion as measurements: each row is compared with the motion at its time."""
 
+import re
+
 import mujoco
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from adr_service.logs.base import Log, Stream
 from adr_service.logs.conversion import convert
 from adr_service.logs.mapping import LogMap
 from tests.logs.conftest import MAP, XML, log, motion
+from tests.packages import ROOT
 
 
 def changed(*pairs):
@@ -170,6 +173,17 @@ def test_a_command_acts_later_by_its_delay(robot, even):
     given = changed(('command = "u"', 'command = "u"\ndelay = 0.02'))
     data = convert([log(even)], given, robot).measurement
     np.testing.assert_allclose(data.ctrl[:, 0], motion(data.time - 0.02 + 1e-9)["u"], atol=1e-9)
+
+
+def test_the_reading_that_the_docs_give_for_a_command_becomes_that_command(even):
+    page = (ROOT / "docs/criticism.md").read_text()
+    example = r'"deg"`, `scale = (\S+)` and `zero = (\S+)` takes\s.* = (\S+) degrees for (\S+) rad'
+    ((scale, zero, reading, ctrl),) = re.findall(example, page)
+    drive = f'command = "u"\nunit = "deg"\nscale = {scale}\nzero = {zero}'
+    servo = mujoco.MjModel.from_xml_string(XML.replace("<motor", "<position"))
+    sent = {**even, "u": np.full(len(even["time"]), float(reading))}
+    data = convert([log(sent)], changed(('command = "u"', drive)), servo).measurement
+    np.testing.assert_allclose(data.ctrl[:, 0], float(ctrl), atol=1e-6)
 
 
 def test_an_actuator_that_was_off_has_a_constant(robot, even):
