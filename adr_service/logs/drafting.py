@@ -8,20 +8,19 @@ import numpy as np
 
 from adr_service.criticism.compatibility import commanded_actuators, joints_of
 from adr_service.logs.base import SECONDS, UNKNOWN, Log
-from adr_service.logs.mapping import ANGLES, LENGTHS, is_slide
+from adr_service.logs.mapping import ANGLES, LENGTHS, is_servo, is_slide, joint_of
 
 _TIMES = ("time", "timestamp", "stamp", "t")
 _POSITIONS = ("position", "pos", "qpos", "q", "angle", "state")
 _VELOCITIES = ("velocity", "vel", "qvel", "dq", "qd", "speed")
-_COMMANDS = (
-    *("effort", "torque", "tau", "nm", "current", "i", "amps"),
-    *("command", "cmd", "ctrl", "action", "u"),
-)
+_COMMANDS = ("command", "cmd", "ctrl", "action", "u")
+_EFFORTS = ("effort", "torque", "tau", "nm", "current", "i", "amps")
 _SHORTEST = 2  # letters of an abbreviation: el for elbow
 _LIKELY_S = 0.01  # between readings
 _TURNS = 3 * 2 * np.pi  # a hinge that goes further is rather in degrees
 _BY_NAME = "  # guessed by its name: check"
 _BY_ORDER = "  # guessed by the order of the columns: check"
+_MEASURED = "# its name is of an effort, which may be measured: give the commanded one"
 
 
 def draft(logs: Sequence[Log], model: mujoco.MjModel) -> str:
@@ -42,19 +41,40 @@ def draft(logs: Sequence[Log], model: mujoco.MjModel) -> str:
     velocities = _matched(names, joints, _VELOCITIES)
     for joint in joints:
         lines += ["", f"[joints.{_key(joint)}]", _line("position", *positions[joint])]
-        lines.append(_position_unit(logs[0], positions[joint][0], is_slide(model, joint)))
+        lines.append(_position_unit(logs[0], positions[joint][0], _units(model, joint)))
         lines.append("# scale = -1.0  # if it turns the other way than the model's")
         known = velocities[joint][0] != UNKNOWN
         lines.append(
             _line("velocity", *velocities[joint]) if known else "# no velocity: not measured"
         )
-    commands = _matched(names, drives, _COMMANDS)
-    commands |= _called(names, commands, joints)
+    commands = _commands(names, joints, model)
     for drive in drives:
-        lines += ["", f"[actuators.{_key(drive)}]", _line("command", *commands[drive])]
+        column, comment = commands[drive]
+        lines += ["", f"[actuators.{_key(drive)}]", _line("command", column, comment)]
+        if _kind(column) is _EFFORTS:
+            lines.append(_MEASURED)
+        joint = joint_of(model, drive)
+        if joint is not None and is_servo(model, drive):
+            named = column if _named_unit(column, _units(model, joint)) else positions[joint][0]
+            lines.append(_position_unit(logs[0], named, _units(model, joint)))
         lines.append("scale = 1.0  # of a reading in the model's command; negative if reversed")
         lines.append('# between = "line"  # if the command changes faster than the log shows')
     return "\n".join(lines) + "\n"
+
+
+def _commands(
+    names: Sequence[str], joints: Sequence[str], model: mujoco.MjModel
+) -> dict[str, tuple[str, str]]:
+    """Column of each actuator's command, and a comment if it is a guess.
+
+    An effort is the next best, and none for a servo, whose command is a position.
+    """
+    drives = commanded_actuators(model)
+    commands = _matched(names, drives, _COMMANDS)
+    commands |= _called(names, commands, joints)
+    left = [drive for drive in drives if commands[drive][0] == UNKNOWN]
+    pulled = [drive for drive in left if not is_servo(model, drive)]
+    return commands | _matched(names, pulled, _EFFORTS)
 
 
 def _listing(log: Log) -> list[str]:
@@ -128,7 +148,7 @@ def _abbreviates(column: str, element: str) -> bool:
 
 def _kind(name: str) -> Sequence[str] | None:
     """Group of words that a column's name belongs to; an angle's unit alone is a position."""
-    groups = (_TIMES, _VELOCITIES, _COMMANDS, _POSITIONS, tuple(ANGLES))
+    groups = (_TIMES, _VELOCITIES, _COMMANDS, _EFFORTS, _POSITIONS, tuple(ANGLES))
     own = set(_words(name))
     group = next((group for group in groups if own & set(group)), None)
     return _POSITIONS if group == tuple(ANGLES) else group
@@ -148,10 +168,14 @@ def _oddness(log: Log, column: str, size: float) -> float:
     return abs(np.log(pace / _LIKELY_S)) if pace > 0 else 0.0
 
 
-def _position_unit(log: Log, column: str, slide: bool) -> str:
-    units = tuple(LENGTHS if slide else ANGLES)
+def _units(model: mujoco.MjModel, joint: str) -> tuple[str, ...]:
+    """Units of a joint's positions."""
+    return tuple(LENGTHS if is_slide(model, joint) else ANGLES)
+
+
+def _position_unit(log: Log, column: str, units: Sequence[str]) -> str:
     named, values = _named_unit(column, units), _values(log, column)
-    is_wide = not slide and len(values) > 0 and np.abs(values).max() > _TURNS
+    is_wide = "deg" in units and len(values) > 0 and np.abs(values).max() > _TURNS
     unit = named or ("deg" if is_wide else units[0])
     return f'unit = "{unit}"  # {_choice(named, units)}'
 

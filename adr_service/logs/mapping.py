@@ -187,12 +187,12 @@ class LogMap(Wire):
                 f"actuators.{name}.wrap is for a set-point of a joint whose readings wrap; "
                 f"{'it moves no joint' if joint is None else f'joints.{joint} has no wrap'}"
             )
-        if drive.wrap is not None and not _is_servo(model, name):
+        if drive.wrap is not None and not is_servo(model, name):
             raise InvalidInput(
                 f"actuators.{name}.wrap is for a set-point; its command is no position of "
                 f"joints.{joint}. Remove it"
             )
-        if turns and drive.wrap is None and drive.command is not None and _is_servo(model, name):
+        if turns and drive.wrap is None and drive.command is not None and is_servo(model, name):
             raise InvalidInput(
                 f"the readings of joints.{joint} wrap, so actuators.{name}, whose command is a "
                 "position of that joint, needs a wrap as well: the size of a turn in the "
@@ -205,7 +205,7 @@ def _check_set_point(name: str, drive: ActuatorMap, model: mujoco.MjModel) -> No
     if drive.unit is None:
         return
     joint = joint_of(model, name)
-    if joint is None or not _is_servo(model, name):
+    if joint is None or not is_servo(model, name):
         raise InvalidInput(
             f"actuators.{name}.unit is for a set-point that is a joint's position; this command is "
             "in the actuator's own unit, to which `scale` brings it"
@@ -220,7 +220,7 @@ def joint_of(model: mujoco.MjModel, actuator: str) -> str | None:
     return model.joint(int(drive.trnid[0])).name if is_at_joint else None
 
 
-def _is_servo(model: mujoco.MjModel, actuator: str) -> bool:
+def is_servo(model: mujoco.MjModel, actuator: str) -> bool:
     """True if a command is a position: the force depends on where the joint is."""
     return bool(model.actuator(actuator).biasprm[1] != 0)
 

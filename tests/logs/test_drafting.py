@@ -8,6 +8,9 @@ from adr_service.logs.drafting import draft
 from adr_service.logs.mapping import LogMap
 from tests.logs.conftest import log, motion
 
+ONE = """<mujoco><worldbody><body><joint name="hip"/><geom size="1"/></body></worldbody>
+<actuator><motor name="drive" joint="hip"/></actuator></mujoco>"""
+
 
 def test_a_draft_finds_columns_by_word_and_number(robot):
     columns = motion(np.arange(5.0))
@@ -29,6 +32,44 @@ def test_a_draft_finds_columns_by_the_joint_and_marks_what_it_does_not_know(robo
     found = LogMap.from_toml(draft([log({"time": np.arange(3.0), **columns})], robot))
     assert found.joints["slider"].position == "/state.position.slider"
     assert found.actuators["motor"].command == "?"
+
+
+@pytest.mark.parametrize(
+    ("position", "command", "unit"),
+    [
+        ("q_deg", "cmd", "deg"),
+        ("q", "cmd_deg", "deg"),
+        ("wide_q", "cmd", "deg"),
+        ("q", "cmd", "rad"),
+    ],
+)
+def test_a_set_point_gets_the_unit_of_its_column_or_its_joint(position, command, unit):
+    """It became radians, 57 times too large."""
+    columns = {"time": np.arange(3.0), command: np.zeros(3)}
+    columns[position] = np.array([-40.0, 0.0, 90.0]) * ("wide" in position)
+    servo = mujoco.MjModel.from_xml_string(ONE.replace("<motor", "<position"))
+    text = draft([log(columns)], servo)
+    found = LogMap.from_toml(text)
+    found.check(servo)
+    assert (found.actuators["drive"].command, found.actuators["drive"].unit) == (command, unit)
+
+
+@pytest.mark.parametrize(
+    ("kind", "columns", "command", "is_marked"),
+    [
+        ("position", ("effort_hip",), "?", False),
+        ("motor", ("effort_hip",), "effort_hip", True),
+        ("motor", ("effort_hip", "cmd_hip"), "cmd_hip", False),
+        ("motor", ("torque_cmd_hip",), "torque_cmd_hip", False),
+        ("position", ("current_hip", "cmd_hip"), "cmd_hip", False),
+    ],
+)
+def test_an_effort_is_a_command_of_a_motor_alone_and_is_marked(kind, columns, command, is_marked):
+    names = ("time", "q_hip", *columns)
+    model = mujoco.MjModel.from_xml_string(ONE.replace("<motor", f"<{kind}"))
+    text = draft([log({name: np.zeros(3) for name in names})], model)
+    assert LogMap.from_toml(text).actuators["drive"].command == command
+    assert ("may be measured" in text) == is_marked
 
 
 def test_a_column_that_is_called_as_a_drive_alone_is_its_command(robot):
