@@ -45,6 +45,7 @@ class Signal:
     crowded: int = 0  # readings that were left out because others came too soon before, or at once
     shared: int = 0  # of these, readings at the very time of another
     timeless: int = 0  # readings that were left out because their rows have no time
+    has_arrivals: bool = False  # True if times are those at which a bag received them
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,7 @@ class Stream:
 
     columns: Mapping[str, Vector]  # (n,) by name; NaN where the log has no number
     stamps: Vector | None = None  # (n,) [s] times of the rows, where the format states them
+    has_arrivals: bool = False  # True if these are the times at which a bag received the messages
     dated: frozenset[str] = frozenset()  # columns of dates, which are in seconds since 1970
     before: int = 0  # rows of the log before these
 
@@ -128,7 +130,8 @@ class Log:
                 f"own; needed: {least} or more"
             )
         shared = len(time) - len(np.unique(time))
-        return Signal(time[kept], value[kept], len(time) - len(kept), shared, timeless)
+        crowded = len(time) - len(kept)
+        return Signal(time[kept], value[kept], crowded, shared, timeless, stream.has_arrivals)
 
     def parts(self, column: str) -> list["Log"]:
         """One log for each stretch of rows with one value of a column, such as a trial's number.

@@ -26,7 +26,8 @@ scale = 0.45              # command of the model = scale × (reading - zero)
 zero = 0.0
 unit = "deg"              # of a set-point that is a position
 wrap = 360.0              # of set-points that start again, or whose joint's readings do
-delay = 0.0               # seconds from the command's stamp to when the robot obeys
+delay = 0.0               # seconds from the command's stamp to when the robot obeys; negative, if
+                          # the stamp is of an arrival that is later
 between = "hold"          # readings; or "line", of a command that changes faster than the log shows
 """
 
@@ -131,7 +132,7 @@ class ActuatorMap(Wire):
     scale: Scale = 1.0
     zero: float = 0.0
     wrap: float | None = Field(None, gt=0, description="size of a turn, of a set-point")
-    delay: float = Field(0.0, ge=0, description="seconds until the robot obeys")
+    delay: float = Field(0.0, description="seconds until the robot obeys")
     between: Literal["hold", "line"] = Field("hold", description="readings of the command")
 
     @model_validator(mode="after")

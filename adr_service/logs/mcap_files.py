@@ -64,13 +64,15 @@ class _Topic:
             columns[name] = np.full(len(self.stamps), np.nan)
             columns[name][list(values)] = list(values.values())
         stamps = np.array(self.stamps)
-        if np.all(np.isnan(stamps)):
+        has_arrivals = bool(np.all(np.isnan(stamps)))
+        if has_arrivals:
             stamps = np.array(self.arrivals)
         order, known = np.arange(len(stamps)), stamps[np.isfinite(stamps)]
         # bags are in order of arrival; one that is early is a late one, read backwards
         if _are_late_ones(known) or _are_late_ones(-known[::-1]):
             order = np.argsort(stamps, kind="stable")
-        return Stream({name: values[order] for name, values in columns.items()}, stamps[order])
+        ordered = {name: values[order] for name, values in columns.items()}
+        return Stream(ordered, stamps[order], has_arrivals)
 
 
 def _are_late_ones(stamps: Vector) -> bool:

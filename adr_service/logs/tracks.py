@@ -223,19 +223,33 @@ def shared_times(recordings: Sequence[Recording]) -> Iterator[str]:
         shared = sum(track.signal.shared for track in tracks)
         readings = sum(len(track.signal.time) + track.signal.crowded for track in tracks)
         if shared > _COMMON * readings:
-            alike[shared, readings].append(repr(tracks[0].column))
+            alike[shared, readings].append(tracks[0].column)
     for (shared, readings), columns in alike.items():
         yield (
-            f"{shared} of {readings} readings of {listed(columns)} have the time of the one "
+            f"{shared} of {readings} readings of {_listed(columns)} have the time of the one "
             "before; of one time the first reading is kept, or the last command, so coarse stamps "
             "drop readings and shift commands. Log finer ones"
         )
 
 
-def listed(columns: Sequence[str]) -> str:
+def mixed_clocks(recordings: Sequence[Recording]) -> Iterator[str]:
+    """Warnings of bags in which some columns have stamps of their own and others arrivals."""
+    for recording in recordings:
+        arrived = [t.column for t in recording.tracks if t.signal.has_arrivals]
+        stamped = [t.column for t in recording.tracks if not t.signal.has_arrivals]
+        if arrived and stamped:
+            yield (
+                f"{recording.source} has two clocks: the header.stamp of the messages for "
+                f"{_listed(stamped)}, and the time of arrival in the bag for {_listed(arrived)}. "
+                "What is at arrival seems late; record its messages with a header, or give the "
+                "actuators a delay (negative if their commands are at arrival)"
+            )
+
+
+def _listed(columns: Sequence[str]) -> str:
     """Names of columns in a sentence."""
     more = f" and {len(columns) - _NAMED} more" * (len(columns) > _NAMED)
-    return ", ".join(columns[:_NAMED]) + more
+    return ", ".join(map(repr, columns[:_NAMED])) + more
 
 
 def bursts(recording: Recording) -> Iterator[str]:

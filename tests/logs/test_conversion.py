@@ -169,10 +169,34 @@ def test_commands_change_within_rows_at_the_steps_of_the_model(robot, even):
     np.testing.assert_allclose(data.ctrl, data.ctrl_within.mean(axis=1))
 
 
-def test_a_command_acts_later_by_its_delay(robot, even):
-    given = changed(('command = "u"', 'command = "u"\ndelay = 0.02'))
+@pytest.mark.parametrize("delay", [0.02, -0.02])
+def test_a_command_acts_later_by_its_delay(robot, even, delay):
+    """Or earlier, where its stamp is of a late arrival."""
+    given = changed(('command = "u"', f'command = "u"\ndelay = {delay}'))
     data = convert([log(even)], given, robot).measurement
-    np.testing.assert_allclose(data.ctrl[:, 0], motion(data.time - 0.02 + 1e-9)["u"], atol=1e-9)
+    rows = data.time < 19.9  # the last command holds
+    expected = motion(data.time[rows] - delay + 1e-9)["u"]
+    np.testing.assert_allclose(data.ctrl[rows, 0], expected, atol=1e-9)
+
+
+def two_clocks(robot, given, even, states_arrived, commands_arrived):
+    names, time = ("q1", "dq1", "q2", "dq2"), even["time"]
+    states = Stream({name: even[name] for name in names}, time, states_arrived)
+    commands = Stream({"u": even["u"]}, time + 0.005, commands_arrived)
+    warnings = convert([Log("run.mcap", (states, commands))], given, robot).warnings
+    return [each for each in warnings if "two clocks" in each]
+
+
+def test_a_bag_of_two_clocks_names_the_columns_of_each(robot, even, given):
+    (late,) = two_clocks(robot, given, even, states_arrived=False, commands_arrived=True)
+    assert late.startswith(
+        "run.mcap has two clocks: the header.stamp of the messages for 'q1', 'q2', 'dq1', 'dq2', "
+        "and the time of arrival in the bag for 'u'."
+    )
+    (early,) = two_clocks(robot, given, even, states_arrived=True, commands_arrived=False)
+    assert "messages for 'u', and the time of arrival in the bag for 'q1'" in early
+    assert not two_clocks(robot, given, even, states_arrived=True, commands_arrived=True)
+    assert not two_clocks(robot, given, even, states_arrived=False, commands_arrived=False)
 
 
 def test_the_reading_that_the_docs_give_for_a_command_becomes_that_command(even):

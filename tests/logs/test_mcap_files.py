@@ -72,8 +72,11 @@ def test_joint_states_become_columns_by_joint_at_their_own_stamps():
 
 
 def test_a_message_without_a_header_counts_from_its_arrival():
-    signal = read_mcap("run.mcap", bag()).signal("/command.data_0", CLOCK)
+    log = read_mcap("run.mcap", bag())
+    signal = log.signal("/command.data_0", CLOCK)
     np.testing.assert_allclose(signal.time - 1.7e9, 0.02 * np.arange(25) + 0.005, atol=1e-6)
+    assert signal.has_arrivals
+    assert not log.signal("/joint_states.position.elbow", CLOCK).has_arrivals
 
 
 def test_messages_in_json_are_read_and_those_in_unknown_encodings_listed():
