@@ -3,9 +3,11 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from adr_service.criticism.compatibility import check_measurement
 from adr_service.criticism.excitation import excitation
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator
+from adr_service.errors import InvalidInput
 from adr_service.logs.base import Log
 from adr_service.logs.catalogue import read_logs
 from adr_service.logs.conversion import Converted, convert
@@ -26,19 +28,34 @@ def draft_of(logs: Sequence[Path], task: str | None, model: Path | None) -> str:
 def measure_files(
     logs: Sequence[Path], task: str | None, model: Path | None, map: Path, out: Path
 ) -> Converted:
-    """Write the measurement, and a page about it beside it."""
+    """Write the measurement, and a page about it beside it.
+
+    Raises InvalidInput for what cannot be measured, and for more than a criticism takes.
+    """
     nominal, name = nominal_of(task, None, model, ())
     robot = nominal.model(nominal.start)
     text = read_text(map)
     with naming(map):
         columns = LogMap.from_toml(text)
     converted = convert(_read(logs), columns, robot)
+    _check_rows(nominal, converted)
+    with written_whole(out) as part:
+        part.write_bytes(converted.measurement.to_npz())
     page = _page(converted, nominal, ", ".join(log.name for log in logs), name)
     with written_whole(out.with_suffix(".html")) as part:
         part.write_text(page)
-    with written_whole(out) as part:
-        part.write_bytes(converted.measurement.to_npz())
     return converted
+
+
+def _check_rows(nominal: Nominal, converted: Converted) -> None:
+    """Raises InvalidInput for rows that `adr criticise` refuses: too many, or too far apart."""
+    try:
+        check_measurement(nominal, converted.measurement)
+    except InvalidInput as error:
+        raise InvalidInput(
+            f"{error}. rows.period of the map says how far rows are apart, here "
+            f"{converted.period:g} s, and rows.seconds how long an episode is"
+        ) from error
 
 
 def _read(logs: Sequence[Path]) -> list[Log]:

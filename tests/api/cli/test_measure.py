@@ -29,8 +29,10 @@ def test_with_a_map_a_measurement_and_a_page_are_written(adr_here, files):
     status, shown, _ = adr_here("measure", "log.npz", "--model", "robot.xml", *out)
     assert status == 0
     assert "found/measured.npz: 10 episodes, 2500 rows, 4 ms apart" in shown
-    assert "What the data could show" in (files / "found/measured.html").read_text()
-    (files / "found/measured.npz").unlink()
+    page, measurement = files / "found/measured.html", files / "found/measured.npz"
+    assert "What the data could show" in page.read_text()
+    assert measurement.stat().st_mtime_ns < page.stat().st_mtime_ns  # no page loses it
+    measurement.unlink()
     status, _, errors = adr_here("measure", "log.npz", "--model", "robot.xml", *out)
     assert (status, "measured.html is there already" in errors) == (2, True)
 
@@ -43,6 +45,19 @@ def test_what_looks_wrong_is_in_the_terminal_and_on_the_page(adr_here, files):
     for words in (" ".join(shown.split()), (files / "measured.html").read_text()):
         assert "1500 of 2500 readings" in words
         assert "have the time of the one before" in words
+
+
+def test_more_rows_than_a_criticism_takes_are_refused_with_the_setting(adr_here, files):
+    """One trial of 40 s and 300 short ones, which are padded to the longest."""
+    trial = np.concatenate([np.zeros(10_000), 1 + np.arange(3000) // 10])
+    np.savez("long.npz", trial=trial, **motion(0.004 * np.arange(13_000)))
+    (files / "map.toml").write_text(f'[rows]\nepisode = "trial"\nseconds = 100.0\n{MAP}')
+    out = ["--map", "map.toml", "--out", "measured.npz"]
+    status, _, errors = adr_here("measure", "long.npz", "--model", "robot.xml", *out)
+    assert status == 2
+    assert "numbers at a time" in errors
+    assert "rows.period of the map says how far rows are apart, here 0.004 s" in errors
+    assert not (files / "measured.npz").exists()
 
 
 @pytest.mark.parametrize(
