@@ -15,7 +15,7 @@ from typing import Any, cast
 
 from adr_service.errors import InvalidInput
 from adr_service.logs.arrow_tables import stream_of
-from adr_service.logs.base import MOST_BYTES, MOST_COLUMNS, Log, Stream, check_size
+from adr_service.logs.base import MOST_COLUMNS, Log, Stream, check_bytes, check_size
 
 ROWS = "data/**/*.parquet"  # of a LeRobot data set, in its folder
 
@@ -29,8 +29,7 @@ def read_parquet(source: str, content: bytes) -> Log:
 def read_lerobot(folder: Path) -> list[Log]:
     """The logs of a LeRobot data set, one for each file of rows, in order."""
     files = sorted(folder.glob(ROWS))
-    if (size := sum(file.stat().st_size for file in files)) > MOST_BYTES:
-        raise InvalidInput(f"{folder} has {size:,} bytes; accepted are {MOST_BYTES:,}")
+    check_bytes(str(folder), sum(file.stat().st_size for file in files))
     if not files:
         raise InvalidInput(
             f"{folder} is neither a LeRobot data set (data/**/*.parquet) nor a ROS 2 bag (*.mcap); "
@@ -60,10 +59,7 @@ def _stream(source: str, content: bytes) -> tuple[Stream, dict[str, str]]:
         about = file.metadata
         check_size(source, about.num_columns, about.num_rows)
         unpacked = sum(about.row_group(i).total_byte_size for i in range(about.num_row_groups))
-        if unpacked > MOST_BYTES:
-            raise InvalidInput(
-                f"{source} unpacks to {unpacked:,} bytes; accepted are {MOST_BYTES:,}"
-            )
+        check_bytes(f"{source}, unpacked,", unpacked)
         return stream_of(source, file.read())
     except (ArrowException, OSError, ValueError) as error:
         raise InvalidInput(f"{source} is no Parquet table that can be read: {error}") from error
