@@ -7,7 +7,7 @@
 Columns that share their rows make a stream: a table is one stream, every topic of a bag is another.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Literal
@@ -27,6 +27,7 @@ _LEAST = 2  # readings of a column
 
 TimeUnit = Literal["s", "ms", "us", "ns"]
 SECONDS: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"))  # fields of ROS 2, 1 and JSON
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,7 @@ class Clock:
 
     column: str = "time"
     unit: TimeUnit = "s"
+    nanoseconds: str | None = None  # the column to add, where the other has whole seconds
 
 
 @dataclass(frozen=True)
@@ -201,7 +203,26 @@ class Log:
             raise self._no_column(clock.column, list(stream.columns))
         self._check_finite(stream, clock.column)
         size = 1.0 if clock.column in stream.dated else SECONDS[clock.unit]
-        return stream.columns[clock.column] * size
+        times = stream.columns[clock.column] * size
+        rest = nanoseconds_beside(clock.column, list(stream.columns))
+        is_whole = bool(np.all(times[np.isfinite(times)] % 1 == 0))
+        if clock.nanoseconds is None and rest is not None and is_whole:
+            raise InvalidInput(
+                f"{self.source}: {clock.column!r} has whole seconds, and {rest!r} the rest of the "
+                f"times; give time.nanoseconds = {rest!r} as well"
+            )
+        if clock.nanoseconds is None:
+            return times
+        return times + self._times(stream, Clock(clock.nanoseconds, "ns"))
+
+
+def nanoseconds_beside(column: str, names: Sequence[str]) -> str | None:
+    """The column with the nanoseconds to those whole seconds, by its name; None without one."""
+    for whole, rest in STAMPS:
+        beside = column.removesuffix(whole) + rest
+        if column.endswith(whole) and beside in names:
+            return beside
+    return None
 
 
 def _one_each(stream: Stream) -> str:

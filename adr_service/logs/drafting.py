@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from adr_service.criticism.compatibility import commanded_actuators, joints_of
-from adr_service.logs.base import SECONDS, UNKNOWN, Log
+from adr_service.logs.base import SECONDS, UNKNOWN, Log, nanoseconds_beside
 from adr_service.logs.mapping import ANGLES, LENGTHS, is_servo, is_slide, joint_of
 
 _TIMES = ("time", "timestamp", "stamp", "t")
@@ -31,8 +31,7 @@ def draft(logs: Sequence[Log], model: mujoco.MjModel) -> str:
     names = list(dict.fromkeys(name for log in logs for name in log.names))
     lines = ["# columns: name, readings, smallest and largest", *_listing(logs[0])]
     if any(stream.stamps is None for stream in logs[0].streams):
-        time = next((name for name in names if _kind(name) is _TIMES), UNKNOWN)
-        lines += ["", "[time]", f"column = {_text(time)}", _time_unit(logs[0], time)]
+        lines += ["", "[time]", *_clock(logs[0], names)]
     lines += ["", "[rows]", "seconds = 1.0  # length of an episode"]
     lines.append("# period = 0.01  # seconds between rows; about the readings' own, if left out")
     joints, drives = joints_of(model), commanded_actuators(model)
@@ -152,6 +151,15 @@ def _kind(name: str) -> Sequence[str] | None:
     own = set(_words(name))
     group = next((group for group in groups if own & set(group)), None)
     return _POSITIONS if group == tuple(ANGLES) else group
+
+
+def _clock(log: Log, names: Sequence[str]) -> list[str]:
+    """Fields of the time: whole seconds with their nanoseconds, or else a column by its name."""
+    for name in names:
+        if (rest := nanoseconds_beside(name, names)) is not None:
+            return [f"column = {_text(name)}", 'unit = "s"', f"nanoseconds = {_text(rest)}"]
+    time = next((name for name in names if _kind(name) is _TIMES), UNKNOWN)
+    return [f"column = {_text(time)}", _time_unit(log, time)]
 
 
 def _time_unit(log: Log, column: str) -> str:

@@ -3,6 +3,7 @@
 [time]
 column = "stamp"          # times of the rows; "time" if left out. Bags have their own
 unit = "ms"               # s, ms, us or ns
+# nanoseconds = "nanosec" # the column to add, where the other has whole seconds (unit = "s")
 
 [rows]
 period = 0.01             # seconds between rows of the measurement
@@ -66,10 +67,19 @@ Scale = Annotated[float, AfterValidator(_not_zero)]
 class TimeMap(Wire):
     column: str = "time"
     unit: TimeUnit = "s"
+    nanoseconds: str | None = Field(
+        default=None, description="column to add to one of whole seconds"
+    )
+
+    @model_validator(mode="after")
+    def _whole_seconds(self) -> Self:
+        if self.nanoseconds is not None and self.unit != "s":
+            raise ValueError(f"nanoseconds go with a column of unit 's'; given {self.unit!r}")
+        return self
 
     @property
     def clock(self) -> Clock:
-        return Clock(self.column, self.unit)
+        return Clock(self.column, self.unit, self.nanoseconds)
 
 
 class RowsMap(Wire):

@@ -19,11 +19,10 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.errors import AdrError, InvalidInput
-from adr_service.logs.base import MOST_BYTES, MOST_NUMBERS, SMALLER, Log, Stream, check_size
+from adr_service.logs.base import MOST_BYTES, MOST_NUMBERS, SMALLER, STAMPS, Log, Stream, check_size
 
 _DEEPEST, _LONGEST = 6, 256  # of nested fields; places of a list that are read
 _WIDEST = 1024  # columns of a topic
-_STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs"))
 _NAMES = ("name", "names", "joint_names")
 # a message may arrive so much later than one that was sent after it, and so many of them in a row:
 # more are of a clock that was set back
@@ -196,7 +195,7 @@ def _decoder(ros: Any, encoding: str, schema: Any) -> Callable[[bytes], Any] | N
 
 def _seconds(stamp: Any) -> float | None:
     """A stamp of ROS 2 or 1, or of JSON, in seconds; None if it is of another form."""
-    for whole, rest in _STAMPS:
+    for whole, rest in STAMPS:
         seconds, nanoseconds = _get(stamp, whole), _get(stamp, rest)
         if isinstance(seconds, int) and isinstance(nanoseconds, int):
             return seconds + 1e-9 * nanoseconds

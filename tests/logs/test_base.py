@@ -23,6 +23,21 @@ def test_nanoseconds_since_1970_keep_microseconds():
     np.testing.assert_allclose(np.diff(signal.time), 0.002, atol=1e-6)
 
 
+@pytest.mark.parametrize(("whole", "rest"), [("t.sec", "t.nanosec"), ("secs", "nsecs")])
+def test_seconds_and_nanoseconds_in_two_columns_are_added(whole, rest):
+    columns = {whole: np.array([0, 0, 1, np.nan]) + 1.7e9, rest: np.array([0, 5e8, 0, 0])}
+    table = log({**columns, "q": np.arange(4.0)})
+    signal = table.signal("q", Clock(whole, "s", rest))
+    np.testing.assert_allclose(signal.time - 1.7e9, [0, 0.5, 1])
+    with pytest.raises(InvalidInput, match=f"give time.nanoseconds = '{rest}' as well"):
+        table.signal("q", Clock(whole, "s"))
+
+
+def test_seconds_with_a_fraction_need_no_nanoseconds_beside_them():
+    columns = {"sec": np.array([0, 0.5, 1]), "nanosec": np.array([0, 5e8, 0]), "q": np.arange(3.0)}
+    np.testing.assert_array_equal(log(columns).signal("q", Clock("sec", "s")).time, [0, 0.5, 1])
+
+
 def test_readings_too_soon_after_another_are_left_out_and_counted():
     columns = {"time": np.array([0.0, 1, 1, 2, 2.4, 3]), "q": np.array([5.0, 6, 7, 8, 9, 10])}
     signal = log(columns).signal("q", SECONDS)

@@ -148,6 +148,13 @@ def test_the_unit_of_stamps_without_one_is_guessed_by_their_pace(robot, spacing,
     assert f'unit = "{unit}"  # guessed: s, ms, us, ns' in text
 
 
+def test_a_draft_adds_nanoseconds_to_whole_seconds(robot):
+    columns = {"header.stamp.sec": np.zeros(5), "header.stamp.nanosec": 2e6 * np.arange(5)}
+    found = LogMap.from_toml(draft([log({**columns, "q": np.zeros(5)})], robot)).time
+    assert (found.column, found.unit) == ("header.stamp.sec", "s")
+    assert found.nanoseconds == "header.stamp.nanosec"
+
+
 def test_angles_beyond_many_turns_are_guessed_to_be_degrees(robot):
     columns = {"time": np.arange(3.0), "shoulder_pos": np.array([-40.0, 0.0, 90.0])}
     assert LogMap.from_toml(draft([log(columns)], robot)).joints["shoulder"].unit == "deg"

@@ -32,6 +32,11 @@ from tests.logs.conftest import MAP, XML
         ('command = "u"', "scale = 2", "give either command, a column, or constant, a number"),
         ('command = "u"', "constant = 9\nscale = 2", "constant is in .* and goes without scale"),
         ("[joints.shoulder]", "[joints.shoulder", "the map is no TOML"),
+        (
+            "[joints.shoulder]",
+            '[time]\nunit = "ms"\nnanoseconds = "n"\n[joints.shoulder]',
+            "nanoseconds go with a column of unit 's'; given 'ms'",
+        ),
         ('"q1"', '"q1"\nscale = 0', "joints.shoulder.scale: a scale of 0 makes all readings zero"),
         ('command = "u"', 'command = "u"\nscale = 0', "actuators.motor.scale: a scale of 0"),
         ('command = "u"', 'command = "u"\nunit = "deg"', "motor.unit is for a set-point that is a"),
