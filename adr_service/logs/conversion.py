@@ -22,10 +22,11 @@ from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.criticism.compatibility import check_state, commanded_actuators, joints_of
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.plausibility import check_rates, check_usable
+from adr_service.effects.actuators import largest_force
 from adr_service.errors import InvalidInput
 from adr_service.logs.agreement import Agreement, agreements
 from adr_service.logs.base import Log
-from adr_service.logs.mapping import LogMap, is_slide
+from adr_service.logs.mapping import LogMap, is_servo, is_slide, joint_of
 from adr_service.logs.overlaps import check_logs_apart
 from adr_service.logs.resampling import edges, held, interpolated, sampled, scatter
 from adr_service.logs.tracks import (
@@ -240,6 +241,20 @@ def _warnings(
                 f"{name} has no ctrlrange in the model: a command of 1 counts as its largest, by "
                 "which sensible sizes of friction and the like are judged"
             )
+        if is_servo(model, name) and not _is_force_limited(model, name):
+            yield (
+                f"{name} is a servo without forcerange in the model, nor actuatorfrcrange at its "
+                f"joint: its largest force counts as {largest_force(model, actuator.id):.3g} (N or "
+                "N m), its gain times its largest command, by which sensible sizes of friction and "
+                "the like are judged"
+            )
+
+
+def _is_force_limited(model: mujoco.MjModel, actuator: str) -> bool:
+    """True if the actuator or the joint that it moves has a largest force."""
+    joint = joint_of(model, actuator)
+    at_joint = joint is not None and model.jnt_actfrclimited[model.joint(joint).id]
+    return bool(at_joint or model.actuator(actuator).forcelimited[0])
 
 
 def _period(recordings: Sequence[Recording], given: LogMap, model: mujoco.MjModel) -> float:

@@ -519,6 +519,24 @@ def test_what_looks_wrong_is_pointed_out(robot, even, given):
     assert moved.startswith("shoulder hardly accelerates by the commands to motor")
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("<motor", '<position kp="300"', ["motor is a servo without forcerange"]),
+        ("<motor", '<position kp="300" forcerange="-5 5"', []),
+        ("<motor", "<motor", []),
+        ('axis="0 1 0"', 'axis="0 1 0" actuatorfrcrange="-5 5"', []),
+    ],
+)
+def test_a_servo_whose_force_has_no_limit_is_pointed_out(even, given, old, new, expected):
+    """Sensible sizes were those of a robot of 300 N m and more."""
+    servo = XML.replace("<motor", '<position kp="300"') if "axis" in old else XML
+    model = mujoco.MjModel.from_xml_string(servo.replace(old, new))
+    warnings = [w for w in convert([log(even)], given, model).warnings if "forcerange" in w]
+    assert [warning.partition(" in the model")[0] for warning in warnings] == expected
+    assert all("counts as 1.5e+03 (N or N m)" in warning for warning in warnings)  # a gear of 5
+
+
 def test_stamps_since_1970_become_seconds_of_the_recording(robot, even, given):
     late = {**even, "time": even["time"] + 1.7e9}
     data = convert([log(late)], given, robot).measurement
