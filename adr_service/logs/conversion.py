@@ -224,6 +224,13 @@ def _warnings(
                 f"to {most:.3g}; are unit, scale and zero of joints.{name} right?"
             )
     yield from filter(None, (each.warning() for each in compared))
+    blind = [name for name, joint in given.joints.items() if not joint.has_velocity]
+    if blind and len(given.joints) > 1:
+        yield (
+            f"no velocity is measured of {', '.join(blind)}: a criticism then looks for one cause "
+            "after the other, and not for several at once by the forces that the motion takes "
+            "(that needs the velocities of all joints)"
+        )
     spacing = max(track.spacing for each in recordings for track in each.positions)
     if (
         given.rows.period is None
@@ -362,7 +369,7 @@ def _noise(recording: Recording, period: float) -> Vector:
 def _joined(episodes: Sequence[_Episode], given: LogMap, model: mujoco.MjModel) -> Measurement:
     lengths = [len(each.time) for each in episodes]
     joints = [given.joints[name] for name in joints_of(model)]
-    measured = [joint.velocity is not None or joint.derive_velocity for joint in joints]
+    measured = [joint.has_velocity for joint in joints]
     within = np.concatenate([each.ctrl for each in episodes])
     measurement = Measurement(
         time=np.concatenate([each.time for each in episodes]),

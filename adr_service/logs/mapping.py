@@ -105,6 +105,11 @@ class JointMap(Wire):
             raise ValueError("give either velocity or derive_velocity, not both")
         return self
 
+    @property
+    def has_velocity(self) -> bool:
+        """True if a velocity counts as measured."""
+        return self.velocity is not None or self.derive_velocity
+
     def position_factor(self, is_slide: bool) -> float:
         """SI units of the model in one unit of the reading."""
         return self.scale * self._size(is_slide)

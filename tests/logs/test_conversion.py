@@ -224,6 +224,14 @@ def test_a_velocity_that_the_log_lacks_counts_as_not_measured(robot, even):
     assert_is_the_motion(data, 1e-5)  # a start for the fit
 
 
+def test_joints_without_a_velocity_are_named_with_what_a_criticism_leaves_out(robot, even, given):
+    for settings, joints in ((changed(('velocity = "dq2"', "")), "slider"), (given, None)):
+        warnings = convert([log(even)], settings, robot).warnings
+        found = [each for each in warnings if "several at once" in each]
+        assert len(found) == (joints is not None)
+        assert all(f"no velocity is measured of {joints}: " in each for each in found)
+
+
 def test_a_derived_velocity_has_errors_that_are_independent_between_rows(robot):
     rng = np.random.default_rng(1)
     columns = motion(np.arange(0, 60, 0.001))
