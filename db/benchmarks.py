@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache, partial
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
 
@@ -270,13 +270,25 @@ def _missing(
         if before is None:
             new.append(run)
         elif before != run:
-            differ = [name for name, value in run if value != getattr(before, name)]
             raise NotPossible(
                 f"the new runs would differ from those that {now.id} has in "
-                f"{', '.join(differ)}, and would not compare with them: either the preset "
-                f"{run.preset!r} has changed since, or the SimOpt that others learn from"
+                f"{', '.join(_differences(before, run))}, and would not compare with them: the "
+                f"preset {run.preset!r}, the SimOpt that others learn from, or the installed "
+                "packages (as sbx-rl) have changed since"
             )
     return new
+
+
+def _differences(before: BaseModel, now: BaseModel, prefix: str = "") -> Iterator[str]:
+    """The fields in which two specs differ, each with both values."""
+    for name, value in now:
+        former = getattr(before, name, None)
+        if former == value:
+            continue
+        if isinstance(value, BaseModel) and isinstance(former, type(value)):
+            yield from _differences(former, value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name} ({former!r} there, {value!r} now)"
 
 
 def _member(run: RunRecord) -> RunSpec:

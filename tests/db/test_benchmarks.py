@@ -108,7 +108,9 @@ def test_a_benchmark_does_not_grow_by_runs_of_another_budget(database, monkeypat
     given = {"tasks": ["arm"], "methods": ["udr"], "seeds": [0], "preset": "smoke"}
     id = benchmarks.create_benchmark(database, BenchmarkSpec.model_validate(given)).id
     monkeypatch.setitem(PRESETS["smoke"]["run"], "transitions", 30)
-    with pytest.raises(NotPossible, match=r"differ from those that bench_\w+ has in transitions"):
+    monkeypatch.setitem(PRESETS["smoke"]["run"]["training"], "backend", "sbx")
+    differ = r"transitions \(20 there, 30 now\), training.backend \('sb3' there, 'sbx' now\)"
+    with pytest.raises(NotPossible, match=rf"those that bench_\w+ has in {differ}, and would not"):
         benchmarks.extend_benchmark(database, id, BenchmarkExtension.model_validate({"seeds": [1]}))
 
 
