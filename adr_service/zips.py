@@ -1,7 +1,5 @@
-"""Zip files whose bytes hang on no version of Python, and zip files from untrusted sources.
-
-Of those it says what their readers raise, and how much they may unpack to.
-"""
+"""Zip files of ours, with the same bytes on every Python, and those from untrusted sources: what
+their readers raise, and how much they may unpack to."""
 
 import lzma
 import os

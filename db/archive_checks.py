@@ -43,12 +43,17 @@ from db.errors import DatabaseDamaged
 from db.models import EventRow, RunRow, StageRow
 from db.runs import list_runs, new_run
 from db.session import CHUNK, parts
-from db.stages import find_result, has_unreferenced, is_readable
+from db.stages import (
+    HAS_PACKAGE,
+    find_result,
+    has_unreferenced,
+    is_readable,
+    packages_in,
+)
 from db.staging import Staged
 
 _RUN_ID, _BENCHMARK_ID = re.compile(r"run_[0-9a-f]{16}"), re.compile(r"bench_[0-9a-f]{16}")
 _Lifecycle = RunQueued | RunStarted | RunSucceeded | RunFailed | RunStopped
-_PACKAGE = re.compile(r'package":"([\w.-]{1,100} [\w.+!-]{1,50})"')
 _MOST_NAMED = 10
 _LONGEST_EVENTS = 50_000_000  # characters of a run's events, which are read at once
 _DERIVED = ("benchmark_id", "dataset_id", "task", "variant", "method", "seed")  # from the spec
@@ -94,11 +99,11 @@ def replays(archived: Staged) -> Iterator[CheckedRun]:
 def _packages_of(archived: Staged) -> str:
     """Packages and their versions that stages of an archive name, for a message; it may be hostile,
     and nothing of it is checked yet."""
-    query = select(StageRow.document).where(StageRow.document.contains('package":"'))
+    query = select(StageRow.document).where(HAS_PACKAGE)
     with archived.database.read() as session:
-        documents = session.scalars(query, execution_options={"yield_per": 100})
-        named = {name for text in documents for name in _PACKAGE.findall(text)}
-    return f"; its stages are of {', '.join(sorted(named)[:_MOST_NAMED])}" if named else ""
+        named = packages_in(session.scalars(query, execution_options={"yield_per": 100}))
+    names = [" ".join(package) for package in sorted(named)[:_MOST_NAMED]]
+    return f"; its stages are of {', '.join(names)}" if names else ""
 
 
 def _check_stages(session: Session) -> None:

@@ -3,7 +3,7 @@
 import json
 import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 from adr_service.benchmark.cost import Execution
 from adr_service.errors import InvalidInput
 from adr_service.json_values import Line, canonical_json, sha256
-from adr_service.plugins import PACKAGES, other_versions
+from adr_service.plugins import other_versions
 from adr_service.stages.base import StageResult
 from adr_service.stages.catalogue import VERSIONS
 from db.models import (
@@ -48,6 +48,8 @@ _NUMBERS = TypeAdapter(dict[str, bool | int | FiniteFloat | None])
 _UNMENTIONED = ~exists().where(_MENTIONED)
 _IMPORTED = exists().where(ImportedStageRow.digest == StageRow.digest)
 _MEASURED = StageRow.timing.is_not(None)
+HAS_PACKAGE = StageRow.document.contains('package":"')
+_PACKAGE = re.compile(r'package":"([\w.-]{1,100}) ([\w.+!-]{1,50})"')
 _VERSION = re.compile(r'"version":(\d+)}$')  # at the end of a document, which is sorted
 _LONGEST_VERSION = 20
 _LATEST = 4e9  # seconds since 1970: the year 2096
@@ -170,7 +172,7 @@ def checkpoints_of(database: Database, digests: Sequence[str]) -> set[str]:
 def packaged_inputs(database: Database, run_ids: Sequence[str]) -> list[tuple[str, dict[str, Any]]]:
     """Pairs (run, inputs as JSON) of the runs' stages whose task or method a package adds."""
     columns = select(EventRow.run_id, StageRow.document).join(StageRow, _OF_EVENT)
-    query = columns.where(StageRow.document.contains('package":'))
+    query = columns.where(HAS_PACKAGE)
     found: list[tuple[str, dict[str, Any]]] = []
     with database.read() as session:
         for some in parts(run_ids, CHUNK):
@@ -180,21 +182,28 @@ def packaged_inputs(database: Database, run_ids: Sequence[str]) -> list[tuple[st
 
 
 def versions_of(database: Database, run_ids: Sequence[str]) -> dict[str, set[str]]:
-    """The versions that the runs' stages are of, by kind of stage and by package."""
-    length = func.length(StageRow.document)
-    end = func.substr(StageRow.document, length - _LONGEST_VERSION)
-    query = select(StageRow.kind, end).join(EventRow, _OF_EVENT).distinct()
+    """The versions that the runs' stages are of, by kind of stage and by package.
+
+    Read from the text of their documents, which may be a stranger's that nobody could check.
+    """
+    end = func.substr(StageRow.document, func.length(StageRow.document) - _LONGEST_VERSION)
+    kinds = select(StageRow.kind, end).join(EventRow, _OF_EVENT).distinct()
+    packaged = select(StageRow.document).join(EventRow, _OF_EVENT).where(HAS_PACKAGE)
     found: defaultdict[str, set[str]] = defaultdict(set)
     with database.read() as session:
         for some in parts(run_ids, CHUNK):
-            for kind, text in session.execute(query.where(EventRow.run_id.in_(some))):
+            mine = EventRow.run_id.in_(some)
+            for kind, text in session.execute(kinds.where(mine)):
                 if match := _VERSION.search(text):
                     found[kind].add(match[1])
-    for _, inputs in packaged_inputs(database, run_ids):
-        for package in (inputs[field] for field in PACKAGES if field in inputs):
-            name, _, version = package.rpartition(" ")
-            found[name].add(version)
+            for name, version in packages_in(session.scalars(packaged.where(mine))):
+                found[name].add(version)
     return dict(found)
+
+
+def packages_in(documents: Iterable[str]) -> set[tuple[str, str]]:
+    """Names and versions of the packages that documents of stages name."""
+    return {package for text in documents for package in _PACKAGE.findall(text)}
 
 
 def check_versions(database: Database, id: str, run_ids: Sequence[str]) -> None:
