@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, cast
 
 from adr_service.errors import InvalidInput
 
@@ -55,15 +55,19 @@ class OtherVersion:
 def other_versions(inputs: Mapping[str, Any]) -> dict[str, OtherVersion]:
     """The packages that this process has in another version than a stage is of.
 
-    Takes the stage's inputs as JSON; the keys are those of the inputs that name a package.
+    Takes the stage's inputs as JSON, and passes over those of another form, as an import may bring;
+    the keys are those of the inputs that name a package.
     """
     others: dict[str, OtherVersion] = {}
     for field, (group, member) in PACKAGES.items():
-        if field in inputs:
-            added = inputs[member]  # a task's name, or a method's settings
-            here = package_of(group, added if isinstance(added, str) else added["name"])
-            if here is not None and here != inputs[field]:
-                others[field] = OtherVersion(inputs[field], here)
+        of_stage, added = inputs.get(field), inputs.get(member)
+        # a task's name, or a method's settings
+        name = cast(Mapping[str, Any], added).get("name") if isinstance(added, Mapping) else added
+        if not isinstance(of_stage, str) or not isinstance(name, str):
+            continue
+        here = package_of(group, name)
+        if here is not None and here != of_stage:
+            others[field] = OtherVersion(of_stage, here)
     return others
 
 

@@ -3,6 +3,8 @@
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 from pydantic import BaseModel
@@ -23,7 +25,7 @@ from adr_service.benchmark.comparison import (
     table,
 )
 from adr_service.benchmark.cost import Execution, Utilisation, utilisation
-from adr_service.events import IterationFinished
+from adr_service.events import IterationFinished, RunState
 from adr_service.json_values import canonical_json, sha256
 from adr_service.plugins import TASKS, other_versions, package_of
 from adr_service.specs import AnyRun, LostRun, RecordedTarget, RunSpec
@@ -82,7 +84,7 @@ class CostView(BaseModel):
 def outcomes_of(service: Service, records: Sequence[RunRecord]) -> list[Outcome]:
     """Return the finished iterations of runs, with the seconds that their inference took."""
     specs = {record.id: record.spec for record in records}
-    failed = {record.id for record in records if record.state.is_resumable}
+    failed = {record.id for record in records if record.state == RunState.FAILED}
     iterations = [
         (run_id, spec, event)
         for run_id, event in event_store.all_of(service.database, list(specs), IterationFinished)
@@ -132,7 +134,7 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
     unread = [record.id for record in records if isinstance(record.spec, LostRun)]
     tasks = sorted({record.spec.task for record in records})
     packages = [package_of(TASKS, task) for task in tasks]
-    failed = [record.id for record in records if record.state.is_resumable]
+    failed = [record.id for record in records if record.state == RunState.FAILED]
     known = [adr_service.__version__, _TABLES, columns, count, unread, packages, failed]
     version = sha256(canonical_json(known).encode())
     if (stored := result_store.kept_results(service.database, id, version)) is not None:
@@ -157,12 +159,15 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
 
 def _mixed(service: Service, records: Sequence[RunRecord]) -> str:
     """The kinds of stages and the packages of which the runs have several versions."""
-    versions = stage_store.versions_of(service.database, [record.id for record in records])
-    return ", ".join(
-        f"{name} {' and '.join(sorted(several))}"
-        for name, several in sorted(versions.items())
-        if len(several) > 1
-    )
+    with service.database.read() as session:
+        found = stage_store.versions_of(session, [record.id for record in records])
+    named = [
+        (name, [version for _, version in versions])
+        for group in (found.kinds, found.packages)
+        for name, versions in groupby(sorted(group), key=itemgetter(0))
+    ]
+    several = (f"{name} {' and '.join(them)}" for name, them in named if len(them) > 1)
+    return ", ".join(several)
 
 
 def results_view(outcomes: Sequence[Outcome]) -> ResultsView:

@@ -5,6 +5,7 @@ import os
 import shutil
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from threading import Lock
@@ -125,17 +126,17 @@ class Service:
 def open_service(settings: Settings) -> Service:
     """Open the database, start Ray, and continue unfinished runs."""
     prepare_folder(settings.data_dir)
-    database = open_database(settings.database)
-    try:
+    with ExitStack() as undone:
+        database = open_database(settings.database)
+        undone.callback(database.close)
         runs = _runs_at_once(settings)
         orchestrator = Orchestrator(database, _ray_options(settings), runs_at_once=runs)
         staging.clear(settings.data_dir)
         orchestrator.start()
+        undone.callback(orchestrator.close)
         # last: a lease of a few seconds would not outlast the start of Ray
         visit_store.renew_leases(database, orchestrator.clock.now(), settings.lease_s)
-    except BaseException:
-        database.close()
-        raise
+        undone.pop_all()
     return Service(settings, database, orchestrator)
 
 

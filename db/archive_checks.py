@@ -129,13 +129,15 @@ def _replay(session: Session, run_id: str, spec: RunSpec, benchmark_id: str) -> 
     has_succeeded = row.state == RunState.SUCCEEDED
     if replay.broken and has_succeeded:
         raise InvalidInput(replay.broken)
-    if replay.broken or _has_other_versions(session, events, replay):
+    if _has_other_versions(session, events, replay):
         return CheckedRun(run_id, replay, is_verified=False)
     science = {event.key: event for event in events if not isinstance(event, _Lifecycle)}
     if wrong := replay.disagreements(science):
         raise InvalidInput(
             f"event {wrong[0]} of {run_id} in the archive does not follow from the stored results"
         )
+    if replay.broken:
+        return CheckedRun(run_id, replay, is_verified=False)
     if lacking := replay.lacking(science, has_succeeded):
         raise InvalidInput(
             f"the archive has no event {lacking[0]} of {run_id}, though its results lead to it"

@@ -23,7 +23,6 @@ from adr_service.errors import InvalidInput
 from adr_service.events import RunState, RunStopped
 from adr_service.json_values import Wire
 from adr_service.specs import BenchmarkPart, BenchmarkSpec, CriticismSpec
-from adr_service.stages.catalogue import VERSIONS
 from db.archive_checks import replays
 from db.benchmarks import (
     Cell,
@@ -109,19 +108,15 @@ def export_benchmark(
                 check()
             archive.add_blob(content)
         provenance = select(StageRow.provenance).where(_is_mine(runs)).distinct()
-        versions = versions_of(database, list(session.scalars(select(RunRow.id).where(runs))))
-        packages = [
-            {name: version}
-            for name in sorted(versions.keys() - VERSIONS.keys())
-            for version in sorted(versions[name])
-        ]
+        run_ids = list(session.scalars(select(RunRow.id).where(runs)))
+        packages = sorted(versions_of(session, run_ids).packages)
         manifest = Manifest(
             benchmark=benchmark_id,
             adr_service=adr_service.__version__,
             revision=str(database.revision()),
             computed_with=[
                 *(json.loads(text) for text in sorted(session.scalars(provenance))),
-                *packages,
+                *({name: version} for name, version in packages),
             ],
         )
         archive.finish(manifest)

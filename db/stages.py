@@ -2,8 +2,8 @@
 
 import json
 import re
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -177,28 +177,35 @@ def packaged_inputs(database: Database, run_ids: Sequence[str]) -> list[tuple[st
     with database.read() as session:
         for some in parts(run_ids, CHUNK):
             rows = session.execute(query.where(EventRow.run_id.in_(some)))
-            found += [(row.run_id, json.loads(row.document)["inputs"]) for row in rows]
+            documents = ((row.run_id, json.loads(row.document).get("inputs")) for row in rows)
+            found += [(id, inputs) for id, inputs in documents if isinstance(inputs, dict)]
     return found
 
 
-def versions_of(database: Database, run_ids: Sequence[str]) -> dict[str, set[str]]:
-    """The versions that the runs' stages are of, by kind of stage and by package.
+@dataclass(frozen=True)
+class Versions:
+    """Names with the versions that stages are of."""
+
+    kinds: set[tuple[str, str]]  # of stages
+    packages: set[tuple[str, str]]  # that add their tasks and methods
+
+
+def versions_of(session: Session, run_ids: Sequence[str]) -> Versions:
+    """The versions that the runs' stages are of; inside a transaction.
 
     Read from the text of their documents, which may be a stranger's that nobody could check.
     """
     end = func.substr(StageRow.document, func.length(StageRow.document) - _LONGEST_VERSION)
     kinds = select(StageRow.kind, end).join(EventRow, _OF_EVENT).distinct()
     packaged = select(StageRow.document).join(EventRow, _OF_EVENT).where(HAS_PACKAGE)
-    found: defaultdict[str, set[str]] = defaultdict(set)
-    with database.read() as session:
-        for some in parts(run_ids, CHUNK):
-            mine = EventRow.run_id.in_(some)
-            for kind, text in session.execute(kinds.where(mine)):
-                if match := _VERSION.search(text):
-                    found[kind].add(match[1])
-            for name, version in packages_in(session.scalars(packaged.where(mine))):
-                found[name].add(version)
-    return dict(found)
+    found = Versions(set(), set())
+    for some in parts(run_ids, CHUNK):
+        mine = EventRow.run_id.in_(some)
+        for kind, text in session.execute(kinds.where(mine)):
+            if match := _VERSION.search(text):
+                found.kinds.add((kind, match[1]))
+        found.packages.update(packages_in(session.scalars(packaged.where(mine))))
+    return found
 
 
 def packages_in(documents: Iterable[str]) -> set[tuple[str, str]]:
@@ -218,12 +225,13 @@ def check_versions(database: Database, id: str, run_ids: Sequence[str]) -> None:
                 f"{id} was computed with {other.of_stage}, and {other.here} is installed; submit "
                 "it anew"
             )
-    for name, versions in versions_of(database, run_ids).items():
-        here = str(VERSIONS.get(name))
-        if name in VERSIONS and (others := sorted(versions - {here})):
+    with database.read() as session:
+        kinds = versions_of(session, run_ids).kinds
+    for kind, version in sorted(kinds):
+        if version != str(VERSIONS.get(kind, version)):
             raise InvalidInput(
-                f"{id} has stages of version {others[0]} of {name}, and this service computes "
-                f"version {here}; submit it anew"
+                f"{id} has stages of version {version} of {kind}, and this service computes "
+                f"version {VERSIONS[kind]}; submit it anew"
             )
 
 

@@ -13,6 +13,7 @@ No other file writes `target_tasks`. Its states, and the functions that lead fro
     (none) -publish-> pending -claim-> claimed -complete, finish-> done
     claimed -release-> pending, claimed -fail-> failed, claimed -claim, once expired-> claimed
     pending, claimed -withdraw-> withdrawn, and failed, withdrawn, done -publish-> pending
+    pending -forget_unclaimed-> withdrawn
 """
 
 import json
@@ -43,7 +44,7 @@ from db.models import (
 from db.session import Database
 from db.stages import add_artifact, add_result, find_result
 
-_SIMULATED = (~TargetTaskRow.external, TargetTaskRow.state.in_(OPEN_VISIT))
+_OPEN_SIMULATED = (~TargetTaskRow.external, TargetTaskRow.state.in_(OPEN_VISIT))
 _GOES_ON = (RunRow.cancel_requested.is_(False), RunRow.state.not_in(FINISHED))
 
 
@@ -133,7 +134,9 @@ def claim_simulated(
 def drop_simulated(database: Database, digest: str) -> None:
     """Delete the simulated target's open visit of a stage."""
     with database.write("drop_simulated") as session:
-        session.execute(delete(TargetTaskRow).where(*_SIMULATED, TargetTaskRow.digest == digest))
+        session.execute(
+            delete(TargetTaskRow).where(*_OPEN_SIMULATED, TargetTaskRow.digest == digest)
+        )
 
 
 def forget_unclaimed(database: Database) -> None:
@@ -141,12 +144,13 @@ def forget_unclaimed(database: Database) -> None:
 
     For a service that starts: the simulated target died with the one before. A robot's visit is
     offered again as soon as its run asks for it (`publish`). After an upgrade the run may ask for
-    another, and no robot shall move for nobody.
+    another, and robots shall begin with what is wanted. What a robot has claimed stays: its work is
+    dear.
     """
     theirs = (TargetTaskRow.external, TargetTaskRow.state == VisitState.PENDING)
     withdrawn = update(TargetTaskRow).where(*theirs).values(state=VisitState.WITHDRAWN)
     with database.write("forget_unclaimed") as session:
-        session.execute(delete(TargetTaskRow).where(*_SIMULATED))
+        session.execute(delete(TargetTaskRow).where(*_OPEN_SIMULATED))
         session.execute(withdrawn)
 
 

@@ -44,7 +44,7 @@ class Outcome:
     iteration: IterationFinished
     inference_seconds: float | None = None  # of a CPU, if known
     lost: str | None = None  # why its distributions cannot be read here
-    has_failed: bool = False  # its run failed or was cancelled: it may never finish another
+    has_failed: bool = False  # its run failed, and may never finish another
 
     @property
     def is_inferred(self) -> bool:
@@ -219,12 +219,17 @@ def not_compared(outcomes: Sequence[Outcome]) -> list[str]:
 def _shared(columns: Mapping[str, Sequence[Outcome]]) -> dict[str, int]:
     specs = {name: found[0].spec for name, found in columns.items()}
     level = {name for name, spec in specs.items() if spec.method.learns_from == "nothing"}
-    seeds = {
-        # what will not go on holds nobody back
-        name: Counter(o.iteration.iteration for o in found if name in level or not o.has_failed)
+    counted = {
+        name: [o for o in found if name in level or not o.has_failed]
         for name, found in columns.items()
     }
-    seeds = {name: counts for name, counts in seeds.items() if counts}
+    if not any(found for name, found in counted.items() if name not in level):
+        counted = columns
+    seeds = {
+        name: Counter(outcome.iteration.iteration for outcome in found)
+        for name, found in counted.items()
+        if found
+    }
     return last_shared(seeds, level, max(spec.iterations for spec in specs.values()))
 
 
@@ -236,7 +241,7 @@ def last_shared(
     That is the last one planned, once two columns (or the only one) have it for all their seeds, or
     for as many as an interval takes: to those the others come as they finish. Before, it is the
     last that all seeds of all columns have, so that a benchmark which is not finished compares what
-    learned from equal amounts of data. Runs that have failed are counted by nobody.
+    learned from equal amounts of data. Runs that have failed are not counted, unless all have.
 
     `seeds`: by column, the number of seeds that have each iteration; a seed that has none is not
     known. `level`: the columns without iterations, which are compared as they are.

@@ -126,6 +126,26 @@ class _Planned:
     name: str
     program: Program
 
+    def send(self, answers: list[Result] | None) -> Any:
+        """The program's next event or wish; None at its end.
+
+        Raises InvalidInput where it breaks, as a method of one's own may, also by a wish that is no
+        JSON.
+        """
+        try:
+            event: Any = self.program.send(cast(None, answers))
+            if isinstance(event, _Ask):
+                _ = [stage.digest for stage in event.stages]
+            return event
+        except StopIteration:
+            return None
+        except AdrError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise InvalidInput(
+                f"a run of {self.name} cannot be planned: its program raises {error!r}"
+            ) from error
+
 
 @dataclass(eq=False)
 class _Job:
@@ -184,28 +204,15 @@ class _Schedule:
         return self._now
 
     def _go_on(self, planned: _Planned, answers: list[Result] | None) -> None:
-        """Iterate a program to its next wish that has to wait, or to its end.
-
-        Raises InvalidInput where it breaks, as a method of one's own may.
-        """
-        try:
-            while True:
-                event: Any = planned.program.send(cast(None, answers))
-                answers = None
-                if isinstance(event, _Ask):
-                    jobs = [self._job(stage) for stage in event.stages]
-                    if not all(job.is_done for job in jobs):
-                        self._wait(planned, jobs)
-                        return
-                    answers = [job.answer for job in jobs]
-        except StopIteration:
-            return
-        except AdrError:
-            raise
-        except Exception as error:
-            raise InvalidInput(
-                f"a run of {planned.name} cannot be planned, nor computed: it raises {error!r}"
-            ) from error
+        """Iterate a program to its next wish that has to wait, or to its end."""
+        while (event := planned.send(answers)) is not None:
+            answers = None
+            if isinstance(event, _Ask):
+                jobs = [self._job(stage) for stage in event.stages]
+                if not all(job.is_done for job in jobs):
+                    self._wait(planned, jobs)
+                    return
+                answers = [job.answer for job in jobs]
 
     def _wait(self, planned: _Planned, jobs: list[_Job]) -> None:
         entry = _Waiting(planned, jobs)

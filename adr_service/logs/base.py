@@ -21,7 +21,7 @@ UNKNOWN = "?"  # of a drafted map, for a column that nobody named yet
 MOST_NUMBERS = 2**25  # in all columns of a log: 256 MB, and some 2 GB while a bag is read
 MOST_COLUMNS = 4096
 MOST_BYTES = 2**30  # of a file, and of what it unpacks to
-SMALLER = "keep only the joints' states and commands, or cut the recording"
+HOW_TO_SHRINK = "keep only the joints' states and commands, or cut the recording"
 _CROWDED = 0.5  # of the usual spacing: readings closer than that are as good as one
 _LEAST = 2  # readings of a column
 
@@ -260,11 +260,13 @@ def check_size(source: str, columns: int, numbers: int) -> None:
     if columns > MOST_COLUMNS or numbers > MOST_NUMBERS:
         raise InvalidInput(
             f"{source} has {columns:,} columns and {numbers:,} numbers; accepted are "
-            f"{MOST_COLUMNS:,} columns and {MOST_NUMBERS:,} numbers ({SMALLER})"
+            f"{MOST_COLUMNS:,} columns and {MOST_NUMBERS:,} numbers ({HOW_TO_SHRINK})"
         )
 
 
 def check_bytes(source: str, size: int) -> None:
     """Raises InvalidInput for a log of more bytes than a criticism could use."""
     if size > MOST_BYTES:
-        raise InvalidInput(f"{source} has {size:,} bytes; accepted are {MOST_BYTES:,} ({SMALLER})")
+        raise InvalidInput(
+            f"{source} has {size:,} bytes; accepted are {MOST_BYTES:,} ({HOW_TO_SHRINK})"
+        )

@@ -155,10 +155,11 @@ def _kind(name: str) -> Sequence[str] | None:
 
 def _clock(log: Log, names: Sequence[str]) -> list[str]:
     """Fields of the time: whole seconds with their nanoseconds, or else a column by its name."""
-    for name in names:
-        if (rest := nanoseconds_beside(name, names)) is not None:
-            return [f"column = {_text(name)}", 'unit = "s"', f"nanoseconds = {_text(rest)}"]
     time = next((name for name in names if _kind(name) is _TIMES), UNKNOWN)
+    pairs = {name: rest for name in names if (rest := nanoseconds_beside(name, names)) is not None}
+    if pairs and (time == UNKNOWN or time in pairs or time in pairs.values()):
+        name = time if time in pairs else next(iter(pairs))
+        return [f"column = {_text(name)}", 'unit = "s"', f"nanoseconds = {_text(pairs[name])}"]
     return [f"column = {_text(time)}", _time_unit(log, time)]
 
 

@@ -19,7 +19,15 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.errors import AdrError, InvalidInput
-from adr_service.logs.base import MOST_BYTES, MOST_NUMBERS, SMALLER, STAMPS, Log, Stream, check_size
+from adr_service.logs.base import (
+    HOW_TO_SHRINK,
+    MOST_BYTES,
+    MOST_NUMBERS,
+    STAMPS,
+    Log,
+    Stream,
+    check_size,
+)
 
 _DEEPEST, _LONGEST = 6, 256  # of nested fields; places of a list that are read
 _WIDEST = 1024  # columns of a topic
@@ -183,7 +191,9 @@ def _check_unpacked(source: str, content: bytes) -> None:
     for record in reader.records:
         unpacked += record.uncompressed_size if isinstance(record, Chunk) else 0
         if unpacked > MOST_BYTES:
-            raise InvalidInput(f"{source} unpacks to more than {MOST_BYTES:,} bytes ({SMALLER})")
+            raise InvalidInput(
+                f"{source} unpacks to more than {MOST_BYTES:,} bytes ({HOW_TO_SHRINK})"
+            )
 
 
 def _decoder(ros: Any, encoding: str, schema: Any) -> Callable[[bytes], Any] | None:

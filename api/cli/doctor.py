@@ -124,9 +124,9 @@ def _simulator() -> Iterator[Check]:
 
 
 def _methods() -> Check:
-    from adr_service.methods.catalogue import methods  # imports packages with plug-ins
-
     try:
+        from adr_service.methods.catalogue import methods  # imports packages with plug-ins
+
         return Check(True, f"methods: {', '.join(methods())}")
     except InvalidInput as error:
         return Check(False, str(error))

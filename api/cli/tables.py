@@ -94,7 +94,7 @@ def comparisons_table(results: Json) -> RenderableType:
         return Text("there are no two methods to compare yet")
     note = (
         "after the last iteration (before it has been reached: after the last that all seeds of "
-        "all methods have, but for runs that failed or were cancelled), seed by seed; ties count "
+        "all methods have, but for runs that failed), seed by seed; ties count "
         "half; intervals of differences need three seeds, of probabilities five"
     )
     if results["not_compared"]:

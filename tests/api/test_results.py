@@ -2,14 +2,19 @@
 
 import json
 from collections import defaultdict
+from dataclasses import replace
 from threading import Lock
 from types import SimpleNamespace
 
 from adr_service.events import RunFailed
+from adr_service.plugins import TASKS
 from adr_service.stages.train_policy import TrainPolicy
-from api.results import outcomes_of, results_json
-from db import benchmarks, events
+from api.results import _lost, outcomes_of, results_json, results_view
+from db import benchmarks, events, runs
 from tests.db.finished import finished_benchmark, proceed
+from tests.db.rows import RESULT, SPEC, commit
+from tests.packages import add_entry_point
+from tests.stages.examples import evaluation
 
 
 def service_of(database):
@@ -29,11 +34,30 @@ def test_the_note_says_which_versions_a_benchmark_mixes(file_database, monkeypat
     assert note.endswith(f"; rows may mix versions: train_policy {now} and {now + 1}")
 
 
-def test_outcomes_of_runs_that_failed_say_so(file_database):
+def test_outcomes_of_another_version_of_their_tasks_package_have_lost_their_distributions(
+    file_database, tmp_path, monkeypatch
+):
+    add_entry_point(tmp_path, TASKS, "math:pi", "upgraded_since")
+    monkeypatch.syspath_prepend(tmp_path)
+    run_id = runs.create_run(file_database, SPEC).id
+    stage = replace(evaluation(task="upgraded_since"), package="broken 0.9")
+    commit(file_database, stage, RESULT, run_id)
+    specs = {run_id: SimpleNamespace(task="upgraded_since")}
+    found = _lost(service_of(file_database), specs)
+    assert found[run_id].startswith("computed with broken 0.9, and broken 1.0 is installed")
+
+
+def test_outcomes_of_runs_that_failed_say_so(file_database, monkeypatch):
     """They are compared anew when a run fails, though no iteration has come."""
+    compared = []
+    monkeypatch.setattr(
+        "api.results.results_view", lambda found: compared.append(found) or results_view(found)
+    )
     service, id = service_of(file_database), finished_benchmark(file_database)
     records = benchmarks.runs_of(file_database, id)
-    before = results_json(service, id, records)
+    for _ in range(2):
+        results_json(service, id, records)
+    assert len(compared) == 1
     assert not any(each.has_failed for each in outcomes_of(service, records))
     learned = next(record for record in records if record.spec.method.name == "simopt")
     failed = RunFailed(submission=learned.submission, code="internal", message="why")
@@ -41,4 +65,5 @@ def test_outcomes_of_runs_that_failed_say_so(file_database):
     records = benchmarks.runs_of(file_database, id)
     marked = {each.spec.method.name for each in outcomes_of(service, records) if each.has_failed}
     assert marked == {"simopt"}
-    assert json.loads(results_json(service, id, records)) != json.loads(before)
+    results_json(service, id, records)
+    assert len(compared) == 2

@@ -154,6 +154,17 @@ def test_a_method_that_still_learns_is_not_compared_with_those_that_have_finishe
         assert all(found == whole[place][name] for name, found in columns.items())
 
 
+def test_where_all_runs_that_learn_have_failed_they_are_compared_as_far_as_they_came(benchmark):
+    outcomes = [
+        replace(outcome, has_failed=methods()[outcome.spec.method.name].learns_from != "nothing")
+        for outcome in benchmark[2]
+        if outcome.iteration.iteration < ITERATIONS
+    ]
+    for columns in final_outcomes(outcomes).values():
+        reached = {found[0].iteration.iteration for found in columns.values()}
+        assert reached == {0, ITERATIONS - 1}
+
+
 @pytest.mark.parametrize("failing", [("bayrn", (0, 1)), ("simopt", (1,))])
 def test_runs_that_failed_hold_nobody_back(benchmark, failing):
     """All methods were compared by the prior's policies then, until somebody resumed the run."""

@@ -107,7 +107,7 @@ def test_a_method_that_breaks_is_named_before_its_run_is_submitted(broken, monke
 
     monkeypatch.setattr(SimOpt, "start", start)
     spec = RunSpec.model_validate({"task": "arm", "method": "simopt", "preset": "smoke"})
-    with pytest.raises(InvalidInput, match="a run of simopt cannot be planned, nor computed: it"):
+    with pytest.raises(InvalidInput, match="a run of simopt cannot be planned: its program raises"):
         plan([spec], cores=1)
 
 

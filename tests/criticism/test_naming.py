@@ -73,7 +73,6 @@ def test_a_block_that_gains_no_more_than_one_effect_alone_is_not_taken(block, se
     assert kinds[0] == kinds[1]
 
 
-@pytest.mark.slow
 def test_a_group_that_the_others_make_superfluous_does_not_stand_and_takes_no_evidence(
     block, friction, named_from
 ):

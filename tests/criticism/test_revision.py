@@ -44,7 +44,6 @@ def test_an_effect_that_the_others_make_superfluous_is_dropped(both, friction):
     assert [effect.kind for effect in final.effects] == [friction.kind]
 
 
-@pytest.mark.slow
 def test_an_effect_whose_interval_holds_zero_goes_and_the_others_stay(baseline, friction):
     """However large the gain with which it was named."""
     both = refine(baseline, [ELSEWHERE, friction])
@@ -95,7 +94,6 @@ def test_a_group_is_narrowed_to_the_place_that_needs_it(baseline, friction):
     assert [effect.location for effect in final.effects] == [SPRING.location, friction.location]
 
 
-@pytest.mark.slow
 def test_a_group_that_needs_two_places_of_four_becomes_two_causes():
     """Both velocities are shown with a bias, and no position."""
     hidden = [replace(bias, values=(0.05,)) for bias in BIASES if "velocity" in bias.location]

@@ -31,7 +31,6 @@ def test_steps_are_seen_where_they_matter(clean):
     assert "sensor_quantisation" in console.export_text()
 
 
-@pytest.mark.slow
 def test_more_noise_than_was_stated_is_seen(clean):
     """The elbow's velocity is stated to have half of the noise that it has."""
     stated = {"qpos_std": np.full(2, 1e-3), "qvel_std": np.array([0.01, 0.005])}

@@ -14,7 +14,7 @@ from adr_service.benchmark.archive import ArchiveReader
 from adr_service.errors import InvalidInput
 from adr_service.events import RunFailed, StageFinished, TrainingEvaluated
 from adr_service.json_values import canonical_json
-from adr_service.methods.simopt import SimOpt
+from adr_service.programs import online
 from adr_service.programs.references import reference_training
 from adr_service.specs import BenchmarkExtension, BenchmarkPart
 from adr_service.stages.train_policy import TrainPolicy
@@ -360,6 +360,14 @@ def test_packages_are_named_in_the_manifest_and_where_they_are_missing(
         imported(other, rewritten(path, gone))
 
 
+def worsened(body):
+    """An event with other returns of the target, if it has some."""
+    event = json.loads(body)
+    if event.get("returns"):
+        event["returns"] = [[-1.0 for _ in policy] for policy in event["returns"]]
+    return json.dumps(event)
+
+
 def test_runs_whose_method_broke_come_in_unverified(file_database, other, tmp_path, monkeypatch):
     """An archive was lost to its owner where a method of his own had raised in one run."""
     id = finished_benchmark(file_database, most=0)
@@ -367,10 +375,10 @@ def test_runs_whose_method_broke_come_in_unverified(file_database, other, tmp_pa
         run for run in benchmarks.runs_of(file_database, id) if run.spec.method.name == "simopt"
     ]
 
-    def ask(self, problem, state):
+    def broken(visits):
         raise ZeroDivisionError("as a method does")
 
-    monkeypatch.setattr(SimOpt, "ask", ask)
+    monkeypatch.setattr(online, "joined", broken)  # after the first evaluation
     record = resubmit(file_database, learning.id)
     with pytest.raises(ZeroDivisionError):
         proceed(file_database, record)
@@ -379,10 +387,15 @@ def test_runs_whose_method_broke_come_in_unverified(file_database, other, tmp_pa
     path = exported(file_database, id, tmp_path / "a.adr")
     assert imported(other, path).unverified == [learning.id]
     assert content_of(other, id) == content_of(file_database, id)
+    untrue = with_rows(
+        "events", lambda rows: [{**row, "body": worsened(row["body"])} for row in rows]
+    )
+    with pytest.raises(InvalidInput, match="does not follow from the stored results"):
+        imported(other, rewritten(path, untrue))
     monkeypatch.undo()
     go_on(file_database, id)
     path = exported(file_database, id, tmp_path / "b.adr")
-    monkeypatch.setattr(SimOpt, "ask", ask)
+    monkeypatch.setattr(online, "joined", broken)
     with pytest.raises(InvalidInput, match=f"{learning.id} cannot use its stored results, after"):
         imported(other, path)
 

@@ -6,7 +6,8 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from adr_service.errors import InvalidInput
-from adr_service.events import RunFailed, RunStopped, RunSucceeded
+from adr_service.events import RunFailed, RunStopped, RunSucceeded, StageFinished
+from adr_service.json_values import canonical_json
 from adr_service.plugins import METHODS, TASKS
 from adr_service.presets import PRESETS
 from adr_service.specs import BenchmarkExtension, BenchmarkSpec
@@ -15,7 +16,15 @@ from adr_service.stages.evaluate import Evaluate
 from adr_service.stages.propose import Propose
 from db import benchmarks, events, runs, stages
 from db.errors import NotFound, NotPossible
-from tests.db.rows import RESULT, SPEC, benchmark_spec, commit, count, statements
+from tests.db.rows import (
+    EXECUTION,
+    RESULT,
+    SPEC,
+    benchmark_spec,
+    commit,
+    count,
+    statements,
+)
 from tests.packages import add_entry_point
 from tests.stages.examples import evaluation
 
@@ -155,7 +164,7 @@ def check_that_it_goes_on_no_more(database, id, message):
         next(benchmarks.resubmit_all(database, id))
 
 
-def test_nor_is_one_with_stages_of_another_version_of_this_program(database, monkeypatch):
+def test_a_benchmark_with_another_version_of_a_kind_of_stage_goes_on_no_more(database, monkeypatch):
     """New seeds stood beside old ones in one row, without a word."""
     id = benchmarks.create_benchmark(database, benchmark_spec()).id
     first, *_ = benchmarks.runs_of(database, id)
@@ -173,8 +182,15 @@ def test_versions_are_listed_by_kind_of_stage_and_by_package(database, monkeypat
     now = Evaluate.version
     monkeypatch.setattr(Evaluate, "version", 10 * now)
     commit(database, evaluation(2), RESULT, run_id)
-    expected = {"evaluate": {str(now), str(10 * now)}, "one": {"1.0", "1.1"}}
-    assert stages.versions_of(database, [run_id, "run_without"]) == expected
+    strange = {"kind": "x", "package": "other 7", "version": 3}  # as a stranger's archive may have
+    with database.write("test") as session:
+        stages.add_result(session, "f" * 64, canonical_json(strange), RESULT, EXECUTION)
+        events.append(session, run_id, StageFinished(kind="x", digest="f" * 64))
+    with database.read() as session:
+        found = stages.versions_of(session, [run_id, "run_without"])
+    assert found.kinds == {("evaluate", str(now)), ("evaluate", str(10 * now)), ("x", "3")}
+    assert found.packages == {("one", "1.0"), ("one", "1.1"), ("other", "7")}
+    assert len(stages.packaged_inputs(database, [run_id])) == 2
 
 
 def test_a_benchmark_grows_where_its_packages_have_the_version_that_computed_it(

@@ -148,6 +148,13 @@ def test_the_unit_of_stamps_without_one_is_guessed_by_their_pace(robot, spacing,
     assert f'unit = "{unit}"  # guessed: s, ms, us, ns' in text
 
 
+def test_a_column_of_times_is_drafted_before_seconds_and_nanoseconds_of_something_else(robot):
+    seconds = 2e-3 * np.arange(5)
+    columns = {"time": seconds, "timeout.sec": np.zeros(5), "timeout.nanosec": 1e9 * seconds}
+    found = LogMap.from_toml(draft([log({**columns, "q": np.zeros(5)})], robot)).time
+    assert (found.column, found.nanoseconds) == ("time", None)
+
+
 def test_a_draft_adds_nanoseconds_to_whole_seconds(robot):
     columns = {"header.stamp.sec": np.zeros(5), "header.stamp.nanosec": 2e6 * np.arange(5)}
     found = LogMap.from_toml(draft([log({**columns, "q": np.zeros(5)})], robot)).time

@@ -106,7 +106,7 @@ def test_a_stage_of_another_version_than_this_process_has_is_not_computed(tmp_pa
         compute(stage)
 
 
-def test_nor_is_one_of_another_version_of_this_program(monkeypatch):
+def test_a_stage_of_another_version_of_its_kind_is_not_computed(monkeypatch):
     """A node that was forgotten in an upgrade answered under the digest of the new version."""
     stage = ThrowDice(task="arm", count=5)
     assert stage.digest == STAGE.digest  # it is pickled with the stage

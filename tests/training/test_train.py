@@ -19,14 +19,16 @@ TRUTH = Uniform.point(VANILLA.source.space, VANILLA.hidden.values)
 PRIOR = Gaussian.prior(VANILLA.source.space)
 SBX = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 CASES = [
-    pytest.param(
-        *(algorithm, backend),
-        # compiling CrossQ takes a third of this file's time; test_fused checks its updates
-        marks=[SBX] * (backend == "sbx")
-        + [pytest.mark.slow] * ((algorithm, backend) == ("crossq", "sbx")),
-    )
+    pytest.param(algorithm, backend, marks=SBX if backend == "sbx" else ())
     for algorithm, backends in LIBRARIES.items()
     for backend in backends
+]
+# compiling CrossQ for all of them takes a third of this file's time
+QUICK = [
+    pytest.param(*case.values, marks=[*case.marks, pytest.mark.slow])
+    if case.values == ("crossq", "sbx")
+    else case
+    for case in CASES
 ]
 
 
@@ -102,6 +104,20 @@ def trained(algorithm, backend, progress=lambda fraction, **facts: None, task=AR
 
 
 @pytest.mark.parametrize(("algorithm", "backend"), CASES)
+def test_the_policy_acts_as_the_librarys_own(algorithm, backend):
+    """Weights and normalisation are in the right layers: equal to float32's rounding."""
+    given = settings(algorithm, backend, max_steps=720)
+    env = RandomizedVecEnv(ARM, VANILLA.source, PRIOR, 12, np.random.default_rng(0))
+    library = LIBRARIES[algorithm][backend]
+    model = library.build(env, ARM, given, seed=1)
+    model.learn(720)
+    seen = np.random.default_rng(1).normal(size=(50, 4)).astype(np.float32)
+    policy = library.policy(model, ARM, given)
+    expected = model.predict(seen_by(model, seen), deterministic=True)[0]
+    np.testing.assert_allclose(policy.act(seen), np.clip(expected, -1, 1), atol=1e-5)
+
+
+@pytest.mark.parametrize(("algorithm", "backend"), QUICK)
 class TestTrain:
     def test_the_same_seed_gives_the_same_bytes_and_leaves_no_file(
         self, algorithm, backend, tmp_path, monkeypatch
@@ -118,18 +134,6 @@ class TestTrain:
         assert first.steps == 480
         assert not first.reached_threshold
         assert list(tmp_path.iterdir()) == []
-
-    def test_the_policy_acts_as_the_librarys_own(self, algorithm, backend):
-        """Weights and normalisation are in the right layers: equal to float32's rounding."""
-        given = settings(algorithm, backend, max_steps=720)
-        env = RandomizedVecEnv(ARM, VANILLA.source, PRIOR, 12, np.random.default_rng(0))
-        library = LIBRARIES[algorithm][backend]
-        model = library.build(env, ARM, given, seed=1)
-        model.learn(720)
-        seen = np.random.default_rng(1).normal(size=(50, 4)).astype(np.float32)
-        policy = library.policy(model, ARM, given)
-        expected = model.predict(seen_by(model, seen), deterministic=True)[0]
-        np.testing.assert_allclose(policy.act(seen), np.clip(expected, -1, 1), atol=1e-5)
 
     def test_a_training_that_diverges_says_so(self, algorithm, backend):
         """The library's own message speaks of the next action alone."""

@@ -29,7 +29,6 @@ def start_counter(**options):
     return ray.remote(Counter).options(num_cpus=0.5, **options).remote()
 
 
-@pytest.mark.slow
 def test_actors_go_on_under_a_gcs_that_was_killed(cluster):
     counter = start_counter()
     assert ray.get(counter.add.remote()) == 1
@@ -44,7 +43,6 @@ def test_actors_go_on_under_a_gcs_that_was_killed(cluster):
         ray.kill(actor)
 
 
-@pytest.mark.slow
 @pytest.mark.slow
 def test_a_gcs_that_was_started_again_ends_with_the_cluster(cluster):
     killed = child("gcs_server")

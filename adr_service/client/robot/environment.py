@@ -18,7 +18,7 @@ from adr_service.client.robot.limits import Limits
 from adr_service.errors import AdrError, InvalidInput
 
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_ROUNDED = 1e-6  # relative; bounds stored as float32 differ by so much
+ROUNDED = 1e-6  # relative; bounds stored as float32 differ by so much
 
 Env = gymnasium.Env[Any, Any]
 
@@ -149,7 +149,7 @@ def check_environment(
     low, high = np.array(about["action_low"]), np.array(about["action_high"])
     sent = [limits.apply(each) for each in asked or (low, high)]
     takes: Any = env.action_space  # of a Box; other spaces have no bounds
-    beyond = [_ROUNDED * np.abs(each) for each in sent]
+    beyond = [ROUNDED * np.abs(each) for each in sent]
     if isinstance(takes, gymnasium.spaces.Box) and (
         np.any(takes.low > sent[0] + beyond[0]) or np.any(takes.high < sent[1] - beyond[1])
     ):

@@ -8,7 +8,7 @@ import numpy as np
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.client.connection import Json
-from adr_service.client.robot.environment import Env, as_the_robots
+from adr_service.client.robot.environment import ROUNDED, Env, as_the_robots
 from adr_service.client.robot.heart import Watch, now
 from adr_service.client.robot.limits import Limits
 from adr_service.errors import InvalidInput
@@ -111,11 +111,14 @@ class Rollout:
         if not np.all(np.isfinite(wanted)):
             self._wrong = f"the policy's action is {wanted.tolist()} at {seen.tolist()}"
             return
-        if self._is_beyond(wanted):
+        low, high = (np.array(self._machine.about[name]) for name in ("action_low", "action_high"))
+        rounding = ROUNDED * np.maximum(np.abs(low), np.abs(high))
+        if np.any((wanted < low - rounding) | (wanted > high + rounding)):
             self._wrong = f"the policy's action {wanted.tolist()} lies beyond the task's bounds"
             return
-        action = limits.apply(wanted)
-        self._limited += not np.array_equal(action, wanted)
+        bounded = np.clip(wanted, low, high)  # of what rounding alone put beyond
+        action = limits.apply(bounded)
+        self._limited += not np.array_equal(action, bounded)
         self._sent.append(now())
         with self._watch.watching("step", limits.left(passed)), as_the_robots("step"):
             answer = self._machine.env.step(action.copy())
@@ -125,11 +128,6 @@ class Rollout:
         if truncated and not (terminated or self.is_complete or self._wrong):
             self._is_cut = True
             self._wrong = "the environment ended the episode early (truncated)"
-
-    def _is_beyond(self, action: Vector) -> bool:
-        low, high = (np.array(self._machine.about[name]) for name in ("action_low", "action_high"))
-        rounding = 1e-6 * (high - low)  # policies act in single precision
-        return bool(np.any((action < low - rounding) | (action > high + rounding)))
 
     def _record(self, observation: Vector, action: Vector, reward: float) -> None:
         """Append a transition, unless something is wrong with its numbers."""

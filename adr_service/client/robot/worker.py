@@ -39,7 +39,10 @@ _REQUEST_S = 60.0  # longest request, but for heartbeats
 # was deleted, or another service gave it
 _LOST, _UNUSABLE, _UNKNOWN = 409, 422, 404
 _FINAL = (_LOST, _UNUSABLE, _UNKNOWN)
-_FACTS = ("observation_columns", "action_low", "action_high", "control_period_s")
+_FACTS = (  # of a task, by which an environment is checked and an episode recorded
+    *("observation_columns", "measured_columns", "actions"),
+    *("action_low", "action_high", "control_period_s"),
+)
 _LEEWAY = 1.2  # of an episode's time, for steps that take longer than they should
 _WAIT_S = 5.0  # for a task, by one request
 _LONGEST_MESSAGE = 2000  # characters
@@ -127,7 +130,11 @@ class Robot:
     def _serve(self, claimed: Json, asked: float) -> bool:
         """Run one task; True if the service accepted its episode."""
         task, lease = claimed["task"], claimed["lease"]
-        self._refuse_what_has_changed(task, lease)
+        try:
+            self._check_facts()
+        except BaseException:  # also its owner, who stops it
+            _release(self._client, task, lease)
+            raise
         self._refuse_longer_than_allowed(task, lease)
         hangs = partial(self._give_up, task, lease)
         beats = self._connect(min(claimed["lease_s"] / 3, MOST_BEAT_S))
@@ -145,7 +152,7 @@ class Robot:
                 return False
             return self._upload(task, lease, episode, heart.watch)
 
-    def _refuse_what_has_changed(self, task: Json, lease: str) -> None:
+    def _check_facts(self) -> None:
         """Raise InvalidInput if the service has other facts of the task now, as after an upgrade.
 
         The environment was compared with those of this client's start, and may not fit the others.
@@ -153,7 +160,6 @@ class Robot:
         tasks = {known["name"]: known for known in self._patiently(self._client.tasks)}
         before, here = self._about, tasks.get(self._about["name"], {})
         if changed := [name for name in _FACTS if here.get(name) != before[name]]:
-            _release(self._client, task, lease)
             raise InvalidInput(
                 f"the task {before['name']} has changed since this client started, in "
                 f"{', '.join(changed)}: start the client again"

@@ -6,8 +6,10 @@ import json
 import pytest
 from rich.console import Console
 
+from adr_service.plugins import METHODS
 from api.cli import doctor
 from api.cli.doctor import Check, report
+from tests.packages import add_entry_point, python
 
 
 @pytest.fixture
@@ -39,6 +41,17 @@ def test_this_machine_is_fit_though_no_service_answers(adr_here, tmp_path):
     assert "MuJoCo simulates the tasks: arm, hopper" in text
     assert "connections at once, the rest for Ray and the database" in text
     assert "note no service answers at http://127.0.0.1:9" in text
+
+
+def test_a_wrong_entry_point_of_a_method_is_named(tmp_path):
+    """It was found by `adr serve`, which then did not start."""
+    add_entry_point(tmp_path, METHODS, "nowhere:Settings", "missing")
+    done = python(
+        "from api.cli.doctor import _methods; check = _methods(); print(check.is_good, check.text)",
+        tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("False entry point 'missing' = 'nowhere:Settings' of the package")
 
 
 @pytest.mark.usefixtures("without_simulator")

@@ -158,7 +158,7 @@ def test_a_policy_whose_action_is_not_finite_is_not_obeyed():
 
 
 @pytest.mark.parametrize(("action", "steps"), [(1.001, 0), (1.0000001, TASK["transitions"])])
-def test_nor_is_one_whose_action_lies_beyond_the_tasks_bounds(action, steps):
+def test_an_action_beyond_the_tasks_bounds_is_not_sent(action, steps):
     """As that of a policy of before the owner narrowed them."""
     env = fast_arm()
     episode = run(env, act=lambda observations: np.full((1, 2), [0.0, -action]))

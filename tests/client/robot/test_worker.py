@@ -104,6 +104,23 @@ def test_a_task_that_has_changed_meanwhile_moves_nothing():
     assert not worker._env.actions
 
 
+def test_a_task_goes_back_where_its_owner_stops_the_client_before_it_is_looked_at():
+    service = Service()
+    worker = robot(service)
+
+    def claim(worker_name, tasks, wait_s):
+        worker.stop()
+        service.tasks = unreachable
+        return {"task": service.task, "lease": "lease_a", "lease_s": 60.0}
+
+    def unreachable():
+        raise Unreachable("as the test has it")
+
+    service.claim_task = claim
+    worker.work(1)
+    assert service.released == ["task_a"]
+
+
 def test_an_episode_longer_than_the_robot_may_move_goes_back():
     service = Service(kind="return")
     with pytest.raises(InvalidInput, match=r"asks for 0\.4 s, and this robot may move for 0\.1"):

@@ -59,7 +59,7 @@ class Ledger(Results, Protocol):
 
     def resubmit(self, run_id: str) -> None: ...
 
-    def drop_all(self) -> None:
+    def forget_unclaimed(self) -> None:
         """Forget what no robot has claimed, as a service does that starts."""
         ...
 
@@ -166,7 +166,7 @@ class MemoryLedger:
     def resubmit(self, run_id: str) -> None:
         self._live.add(run_id)
 
-    def drop_all(self) -> None:
+    def forget_unclaimed(self) -> None:
         for digest in self.claimed():
             del self._visits[digest]
         for visit in self._visits.values():
@@ -250,7 +250,7 @@ class DatabaseLedger(DatabaseResults):
     def resubmit(self, run_id: str) -> None:
         run_store.resubmit(self._database, run_id)
 
-    def drop_all(self) -> None:
+    def forget_unclaimed(self) -> None:
         visit_store.forget_unclaimed(self._database)
 
     def claim(self, robot: str, now: float, lease_s: float) -> Claim | None:

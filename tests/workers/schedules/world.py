@@ -145,7 +145,7 @@ class World:
         self.dispatcher._stop = _Impatient()
         self.dispatcher._start_ray()
         self._unwanted.clear()
-        self.ledger.drop_all()
+        self.ledger.forget_unclaimed()
         for run in self.runs:
             if run.state in _LIVE:
                 run.at, run.waits, run.has_news = 0, [], True
