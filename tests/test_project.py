@@ -63,6 +63,11 @@ class TestCompose:
             assert service["shm_size"] == "1gb"
             assert service["healthcheck"]["test"][0] == "CMD"
 
+    def test_no_service_logs_without_end(self, compose):
+        for service in compose["services"].values():
+            assert service["logging"]["driver"] == "json-file"
+            assert {"max-size", "max-file"} <= set(service["logging"]["options"])
+
     def test_workers_can_be_scaled(self, compose):
         worker = compose["services"]["worker"]
         assert "container_name" not in worker
