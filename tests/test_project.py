@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from api.settings import Settings
 from tests.packages import build_wheel, committed
 
 ROOT = Path(__file__).parent.parent
@@ -84,6 +85,16 @@ class TestCompose:
     def test_workers_on_one_machine_can_share_its_cores(self, nodes):
         asked = "${ADR_WORKER_CPUS:+--num-cpus=$ADR_WORKER_CPUS}"  # else all, as Ray counts them
         assert asked in nodes["worker"]["command"]
+
+    def test_the_api_takes_every_setting_that_is_for_such_a_cluster(self, compose):
+        """A name alone takes the shell's value, and sets nothing where there is none."""
+        given = compose["services"]["api"]["environment"]
+        # of the place where it listens, of a Ray of its own, and of clusters of other nodes
+        others = {"host", "port", "cpus", "dashboard", "max_cores", "resource"}
+        names = {name.removeprefix("ADR_").lower() for name in given if name.startswith("ADR_")}
+        assert names == set(Settings.model_fields) - others
+        fixed = {"token", "ray_address", "ray_dashboard_url", "data_dir", "log_format"}
+        assert {n for n in names if given[f"ADR_{n.upper()}"] is None} == names - fixed
 
     def test_results_live_in_a_volume_of_the_api_alone(self, compose):
         volumes = {name: s.get("volumes", []) for name, s in compose["services"].items()}
