@@ -9,7 +9,7 @@ from functools import partial
 from typing import Annotated
 
 import anyio
-from fastapi import APIRouter, Body, Header, Query, Request, Response, status
+from fastapi import APIRouter, Body, Depends, Header, Query, Request, Response, status
 from pydantic import BaseModel, Field
 
 from adr_service.errors import UnknownName
@@ -21,7 +21,7 @@ from api.routes.downloads import bytes_response
 from api.routes.paging import Page, PageSize, PageToken, page_of
 from api.routes.polling import looks
 from api.service import ServiceDependency
-from api.uploads import LARGEST, Content, content_described
+from api.uploads import LARGEST, content_described, octets
 from db import visits as visit_store
 from db.models import VisitState
 from db.visits import Visit
@@ -29,6 +29,7 @@ from db.visits import Visit
 router = APIRouter(prefix="/v1/target_tasks", tags=["target tasks"])
 _Name = Annotated[Line, Field(min_length=1, max_length=80)]
 _Lease = Annotated[str, Field(min_length=1, max_length=64)]
+_LeaseHeader = Annotated[_Lease, Header(description="that the claim gave")]
 
 
 class TaskView(BaseModel):
@@ -205,11 +206,25 @@ def heartbeat(
     return HeartbeatView(lease_expires_at=lease.expires_at, cancel_requested=not lease.is_wanted)
 
 
+async def _claimed(task_id: TargetTaskId, lease: _LeaseHeader, service: ServiceDependency) -> None:
+    """Raise LeaseLost or NotFound unless the lease is that of the task."""
+    await anyio.to_thread.run_sync(visit_store.claimed_by, service.database, task_id, lease)
+
+
+async def _trajectory(
+    request: Request,
+    _octets: Annotated[None, Depends(octets)],
+    _is_claimed: Annotated[None, Depends(_claimed)],
+) -> bytes:
+    """The body, which is received only where the lease is good."""
+    return await request.body()
+
+
 @router.put("/{task_id}/trajectory", max_body_size=LARGEST, openapi_extra=content_described())
 def upload(
     task_id: TargetTaskId,
-    content: Content,
-    lease: Annotated[_Lease, Header(description="that the claim gave")],
+    content: Annotated[bytes, Depends(_trajectory)],
+    lease: _LeaseHeader,
     service: ServiceDependency,
 ) -> TaskView:
     """Upload the trajectory, an `.npz` like a recording, with `rewards`; accepted once."""

@@ -7,9 +7,11 @@ from types import SimpleNamespace
 import pytest
 from pydantic import ValidationError
 
+from api.routes import target_tasks
 from api.routes.target_tasks import Claim, task_view
 from api.routes.target_tasks import claim as claim_route
 from db import runs, visits
+from tests.api.standins import Service
 from tests.db.leases import SPEC, claim, publish
 
 
@@ -38,6 +40,38 @@ def test_a_visit_of_a_task_that_is_not_installed_any_more_is_shown(database):
 def test_a_claim_of_an_unknown_task_is_refused_with_the_nearest_name():
     with pytest.raises(ValidationError, match=r"tasks\.1\n.*'hoper'; did you mean 'hopper'"):
         Claim(worker="mine", tasks=["arm", "hoper"])
+
+
+@pytest.mark.parametrize(
+    ("lease", "status"), [("another", 409), (None, 422), ("the robot's", 200)], ids=str
+)
+def test_the_body_of_a_trajectory_is_received_only_by_a_good_lease(file_database, lease, status):
+    """Each one of 64 MB, whoever sent it, had been read into memory first."""
+    publish(file_database, runs.create_run(file_database, SPEC).id)
+    task, service, received, sent = claim(file_database, "a"), Service(file_database), [], []
+    service.orchestrator.complete_task = lambda id, lease, content: visits.get_visit(
+        file_database, id
+    )
+
+    async def receive():
+        received.append(1)
+        return {"type": "http.request", "body": b"an npz"}
+
+    async def send(message):
+        sent.append(message)
+
+    headers = {"content-type": "application/octet-stream"}
+    if lease is not None:
+        headers["lease"] = task.lease if lease == "the robot's" else lease
+    scope = {
+        "type": "http",
+        "method": "PUT",
+        "path": f"/v1/target_tasks/{task.id}/trajectory",
+        "query_string": b"",
+        "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
+    }
+    asyncio.run(service.client(target_tasks.router).app(scope, receive, send))
+    assert (sent[0]["status"], bool(received)) == (status, status == 200)
 
 
 def coroutine(*answers):
