@@ -44,8 +44,10 @@ class Service:
     database: Database
     orchestrator: Orchestrator
     films: Films = field(default_factory=Films)
-    # held while the results of a run or a benchmark are compared, by its id
+    # held while the results of a run or a benchmark are compared, by its id; "claims": those of all
     comparing: defaultdict[str, Lock] = field(default_factory=lambda: defaultdict(Lock))
+    # reports on the paper's claims, by what they are of; the latest alone
+    claims: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     # the best methods on the first page with the moment of a benchmark's last change, by benchmark
     leaders: dict[str, tuple[datetime, dict[str, Any] | None]] = field(default_factory=dict)
 

@@ -104,6 +104,21 @@ def list_runs(
         return [record_of(row) for row in session.scalars(query)]
 
 
+def finished_iterations(
+    database: Database, tasks: Sequence[str], methods: Sequence[str]
+) -> dict[str, int]:
+    """Numbers of finished iterations by run, of those runs of these tasks and methods with any."""
+    query = (
+        select(RunRow.id, func.count())
+        .join(EventRow, EventRow.run_id == RunRow.id)
+        .where(RunRow.task.in_(tasks), RunRow.method.in_(methods))
+        .where(EventRow.type == "iteration_finished")
+        .group_by(RunRow.id)
+    )
+    with database.read() as session:
+        return dict(session.execute(query).all())
+
+
 def unfinished_runs(database: Database) -> list[RunRecord]:
     """Runs that are queued or running, in order of submission."""
     query = select(RunRow).where(RunRow.state.not_in(FINISHED)).order_by(RunRow.number)

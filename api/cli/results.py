@@ -167,6 +167,6 @@ def claims(
         console.print_json(data=reports)
         return
     if not reports:
-        console.print("nothing has been measured yet (the preset smoke does not count)")
+        console.print("nothing has been measured yet that claims speak of (smoke does not count)")
     for report in reports:
         console.print(claims_table(report))

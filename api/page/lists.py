@@ -1,20 +1,18 @@
 """The pages of robots, datasets, criticisms, claims, and the API's reference."""
 
-from dataclasses import asdict
 from typing import Annotated
 
 from fastapi import APIRouter, File, Form, Request, Response, UploadFile
 from fastapi.responses import RedirectResponse
 from pydantic import TypeAdapter, ValidationError
 
-from adr_service.benchmark.claims import reports
 from adr_service.errors import InvalidInput
 from adr_service.json_values import explain
 from adr_service.specs import CriticismSpec
 from adr_service.tasks.catalogue import catalogue
 from adr_service.transitions import dataset_id
+from api.claims import claim_reports
 from api.page.rendering import SEE_OTHER, UNPROCESSABLE, show
-from api.results import outcomes_of
 from api.routes import criticisms as routes
 from api.routes.datasets import dataset_view
 from api.routes.submissions import start_run
@@ -134,9 +132,7 @@ def _criticisms(
 
 @router.get("/claims")
 def claims(request: Request, service: ServiceDependency) -> Response:
-    outcomes = outcomes_of(service, run_store.list_runs(service.database, limit=None))
-    found = [asdict(report) for report in reports(outcomes)]
-    return show(request, "claims.html", claims=found)
+    return show(request, "claims.html", claims=claim_reports(service))
 
 
 @router.get("/docs")

@@ -5,6 +5,7 @@ import pytest
 from adr_service.events import RunFailed, RunStopped, RunSucceeded
 from db import events, runs
 from db.errors import NotFound, NotPossible
+from tests.db.finished import proceed
 from tests.db.rows import SPEC
 
 
@@ -63,3 +64,13 @@ def test_only_live_runs_are_cancelled_and_only_ended_ones_resumed_or_deleted(dat
     events.append_event(database, run.id, RunSucceeded())
     with pytest.raises(NotPossible, match="only a live run"):
         runs.request_cancel(database, run.id)
+
+
+def test_finished_iterations_are_counted_by_run(database):
+    one, other = (runs.create_run(database, SPEC) for _ in range(2))
+    proceed(database, one)
+    assert runs.finished_iterations(database, ["arm", "hopper"], ["prior"]) == {one.id: 1}
+    assert runs.finished_iterations(database, ["hopper"], ["prior"]) == {}
+    assert runs.finished_iterations(database, ["arm"], ["udr"]) == {}
+    proceed(database, other)
+    assert runs.finished_iterations(database, ["arm"], ["prior"]) == {one.id: 1, other.id: 1}

@@ -1,0 +1,42 @@
+"""The paper's claims, compared with everything in the database."""
+
+from dataclasses import asdict
+from typing import Any
+
+from adr_service.benchmark.claims import reports
+from adr_service.json_values import canonical_json, sha256
+from api.results import outcomes_of
+from api.service import Service
+from db import runs as run_store
+from db.runs import RunRecord
+
+# that `adr_service.benchmark.claims` speaks of, and the oracle, by which it judges
+_TASKS = ("hopper", "half_cheetah", "walker2d", "humanoid")
+_METHODS = ("oracle", "udr", "bayrn", "simopt", "simopt_1", "droid", "dropo")
+
+
+def claim_reports(service: Service) -> list[dict[str, Any]]:
+    """One report per budget: each claim, its verdict and the numbers behind it.
+
+    They take long where there are many runs, so they are kept until a run that the claims speak
+    of finishes another iteration or is deleted. Whoever asks for what is computed just now waits.
+    """
+    with service.comparing["claims"]:
+        counts = run_store.finished_iterations(service.database, _TASKS, _METHODS)
+        version = sha256(canonical_json(counts).encode())
+        if version not in service.claims:
+            outcomes = outcomes_of(service, _papers_runs(service))
+            service.claims.clear()
+            service.claims[version] = [asdict(report) for report in reports(outcomes)]
+        return service.claims[version]
+
+
+def _papers_runs(service: Service) -> list[RunRecord]:
+    """The runs that claims speak of, in order of submission."""
+    runs = [
+        run
+        for task in _TASKS
+        for method in _METHODS
+        for run in run_store.list_runs(service.database, task=task, method=method, limit=None)
+    ]
+    return sorted(runs, key=lambda run: run.number)
