@@ -36,6 +36,7 @@ class JobTable:
         self._results = results
         self.retries = Retries()
         self._jobs: dict[str, Job] = {}
+        self._wanted: dict[str, dict[str, Job]] = {}  # by run that waits, then by digest
         self._numbers = itertools.count(1)
 
     def __len__(self) -> int:
@@ -57,9 +58,9 @@ class JobTable:
     def activities(self, run_id: str | None = None) -> list[Activity]:
         """Jobs of a run, or all, for people; running ones first. Any thread may ask."""
         now = time.monotonic()
-        jobs = list(self._jobs.values())
-        mine = [job for job in jobs if run_id is None or run_id in job.run_ids]
-        shown = [activity_of(job, now) for job in sorted(mine, key=lambda job: job.number)]
+        mine = self._jobs if run_id is None else self._wanted.get(run_id, {})
+        jobs = list(mine.values())
+        shown = [activity_of(job, now) for job in sorted(jobs, key=lambda job: job.number)]
         return sorted(shown, key=lambda activity: activity.state)  # "running" before "waiting"
 
     def accept(self, stage: AnyStage, run_id: str, future: Future[StageResult]) -> None:
@@ -67,7 +68,7 @@ class JobTable:
         waiter, job = Waiter(run_id, future), self._jobs.get(stage.digest)
         # a robot's is looked up again, because its visit was withdrawn if the run had failed
         if job is not None and stage.role != "robot":
-            job.add(waiter)
+            self._add(job, waiter)
             return
         ids = ids_of(stage, run_id)
         match attempted(_NOT_LOOKED_UP, ids, self._results.find, stage, run_id):
@@ -79,14 +80,14 @@ class JobTable:
                 if job is None:
                     job = Job(stage, next(self._numbers), run_id, asked=time.time())
                     self._jobs[stage.digest] = job
-                job.add(waiter)
+                self._add(job, waiter)
             case result:
                 future.set_result(result)
 
     def withdraw(self, run_id: str) -> None:
         """Forget a run's requests; a stage that no other run wants stops."""
         self.retries.withdraw(run_id)
-        for job in [job for job in self._jobs.values() if run_id in job.run_ids]:
+        for job in self._wanted.pop(run_id, {}).values():
             job.withdraw(run_id)
             if not job.waiters and job.ref is None and job.finished is None:
                 self._give_up(job)
@@ -197,14 +198,27 @@ class JobTable:
                     log.info("stage finished", extra=job.ids)
                     self._hand_over(job, result)
 
-    def _hand_over(self, job: Job, result: StageResult) -> None:
+    def _add(self, job: Job, waiter: Waiter) -> None:
+        job.add(waiter)
+        self._wanted.setdefault(waiter.run_id, {})[job.stage.digest] = job
+
+    def _remove(self, job: Job) -> None:
+        """Forget a job that ends."""
         del self._jobs[job.stage.digest]
+        for run_id in job.run_ids:
+            wanted = self._wanted[run_id]
+            del wanted[job.stage.digest]
+            if not wanted:
+                del self._wanted[run_id]
+
+    def _hand_over(self, job: Job, result: StageResult) -> None:
+        self._remove(job)
         for waiter in job.waiters:
             waiter.future.set_result(result)
 
     def _give_up(self, job: Job, error: AdrError | None = None) -> None:
         """End a job without a result."""
-        del self._jobs[job.stage.digest]
+        self._remove(job)
         if error is not None:
             log.warning("stage failed: %s", error, extra=job.ids)
             job.fail(error)

@@ -1,6 +1,7 @@
 """The table of jobs on one thread, without Ray: sharing, attempts, and a database in trouble."""
 
 import logging
+import time
 from concurrent.futures import Future
 from dataclasses import replace
 
@@ -259,6 +260,27 @@ def test_activities_show_running_stages_first_with_their_last_sign(table):
     assert first.facts == {"steps": 7}
     assert (second.state, second.attempt, second.actor_id) == ("waiting", 0, None)
     assert len(table.jobs.activities()) == 3
+
+
+def test_asking_what_a_run_waits_for_looks_at_no_job_of_others(table):
+    """A list of 100 running runs looked 100 times at all jobs, and so did a cancelled benchmark."""
+    for seed in range(2000):
+        table.ask(criticism(seed), "run_b")
+    table.ask(TRAINING, "run_a")
+    began = time.process_time()
+    for _ in range(500):
+        assert [seen.kind for seen in table.jobs.activities("run_a")] == [TRAINING.kind]
+        table.jobs.withdraw("run_c")
+    assert time.process_time() - began < 0.1
+
+
+def test_a_run_waits_for_nothing_once_its_stage_has_ended_or_it_has_withdrawn(table):
+    for run_id in ("run_a", "run_a", "run_b"):
+        table.ask(TRAINING, run_id)
+    table.jobs.withdraw("run_b")
+    assert (len(table.jobs.activities("run_a")), table.jobs.activities("run_b")) == (1, [])
+    table.finish(table.start())
+    assert table.jobs.activities("run_a") == table.jobs.activities() == []
 
 
 def test_a_sign_that_a_lost_process_left_is_not_of_the_next_attempt(table):
