@@ -4,9 +4,11 @@ import json
 import os
 import re
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
-from typing import IO, Any, Self
+from functools import partial
+from typing import IO, Any, Self, TypeVar
+from uuid import uuid4
 
 import httpx2
 
@@ -15,9 +17,13 @@ from adr_service.client.progress import headline, runs_of, succeeded
 from adr_service.client.tables import Json, Results, Rows
 from adr_service.errors import InvalidInput
 
+T = TypeVar("T")
 DEFAULT_URL = "http://127.0.0.1:8000"
+_BUSY = 503  # also during a commit
+_LOST = (httpx2.ReadError, httpx2.ReadTimeout, httpx2.RemoteProtocolError)  # answers
 _POLL_S = 1.0
 _PATIENCE_S = 300.0  # for a service that is busy or restarts, while something is watched
+_SUBMITTING_S = 30.0  # the same, while something is submitted
 _LONG_S = 3600.0  # for an archive to be written or read
 
 
@@ -49,17 +55,24 @@ class AdrClient:
     def __exit__(self, *_: object) -> None:
         self._http.close()
 
-    def submit_run(self, spec: Json, *, dry_run: bool = False) -> Json:
-        """Submit a run; `dry_run` starts nothing, and its answer has the expected cost, `plan`."""
-        return self._json("POST", "/v1/runs", json=_plain(spec), params=_dry(dry_run))
+    def submit_run(self, spec: Json, *, dry_run: bool = False, key: str | None = None) -> Json:
+        """Submit a run; `dry_run` starts nothing, and its answer has the expected cost, `plan`.
 
-    def submit_benchmark(self, spec: Json, *, dry_run: bool = False) -> Json:
-        """Submit a benchmark; `dry_run` as in `submit_run`."""
-        return self._json("POST", "/v1/benchmarks", json=_plain(spec), params=_dry(dry_run))
+        A `key` makes one run for a day, however often it is sent. Each call has one of its own by
+        default, and repeats the request for half a minute while the service is busy, or after an
+        answer was lost.
+        """
+        return self._submit("/v1/runs", spec, key, dry_run)
 
-    def submit_criticism(self, spec: Json) -> Json:
-        """Criticise a task's simulator with an uploaded measurement."""
-        return self._json("POST", "/v1/criticisms", json=_plain(spec))
+    def submit_benchmark(
+        self, spec: Json, *, dry_run: bool = False, key: str | None = None
+    ) -> Json:
+        """Submit a benchmark; `dry_run` and `key` as in `submit_run`."""
+        return self._submit("/v1/benchmarks", spec, key, dry_run)
+
+    def submit_criticism(self, spec: Json, *, key: str | None = None) -> Json:
+        """Criticise a task's simulator with an uploaded measurement; `key` as in `submit_run`."""
+        return self._submit("/v1/criticisms", spec, key)
 
     def criticism(self, run_id: str) -> Json:
         """State of a criticism, and its verdict once there is one."""
@@ -259,19 +272,7 @@ class AdrClient:
             if is_finished(seen):
                 return
             time.sleep(_POLL_S)
-            seen = self._get_later(id)
-
-    def _get_later(self, id: str) -> Json:
-        """A run or a benchmark, asked for until there is an answer."""
-        last = time.monotonic() + _PATIENCE_S
-        while True:
-            try:
-                return self.get(id)
-            except (Refused, Unreachable) as error:
-                wait = error.retry_after_s if isinstance(error, Refused) else _POLL_S
-                if wait is None or time.monotonic() + wait > last:
-                    raise
-                time.sleep(wait)
+            seen = _patiently(partial(self.get, id), _PATIENCE_S)
 
     def wait(self, id: str, *, progress: bool = True) -> Json:
         """Wait until a run or a benchmark has finished, and return its last state.
@@ -294,6 +295,19 @@ class AdrClient:
     def content(self, path: str) -> bytes:
         """The answer to a GET request, as it is."""
         return self._request("GET", path).content
+
+    def _submit(self, path: str, spec: Json, key: str | None, dry_run: bool = False) -> Json:
+        """Send a spec; again under the same key where it may have been stored without an answer."""
+        headers = {"Idempotency-Key": str(uuid4()) if key is None else key}
+        sent = {"json": _plain(spec), "params": _dry(dry_run), "headers": headers}
+        ask = partial(self._json, "POST", path, **sent)
+        try:
+            return ask()
+        except (Refused, Unreachable) as error:
+            if not _may_be_stored(error):
+                raise
+            time.sleep(_wait_after(error) or _POLL_S)
+        return _patiently(ask, _SUBMITTING_S)
 
     def _pages(self, path: str, token_name: str, **params: str) -> Rows:
         items = Rows()
@@ -357,6 +371,31 @@ def _here(port: str | None) -> str:
     if not port.isdecimal():
         raise InvalidInput(f"ADR_PORT must be the number of a port; given {port!r}")
     return f"{DEFAULT_URL.rpartition(':')[0]}:{port}"
+
+
+def _patiently(ask: Callable[[], T], patience_s: float) -> T:
+    """The answer to a request, asked for until the service takes it or refuses it for good."""
+    last = time.monotonic() + patience_s
+    while True:
+        try:
+            return ask()
+        except (Refused, Unreachable) as error:
+            wait = _wait_after(error)
+            if wait is None or time.monotonic() + wait > last:
+                raise
+            time.sleep(wait)
+
+
+def _wait_after(error: Refused | Unreachable) -> float | None:
+    """Seconds until a request may be sent again; None: it is refused for good."""
+    return error.retry_after_s if isinstance(error, Refused) else _POLL_S
+
+
+def _may_be_stored(error: Refused | Unreachable) -> bool:
+    """True if the service may have carried out a request all the same."""
+    if isinstance(error, Refused):
+        return error.status == _BUSY
+    return isinstance(error.__cause__, _LOST)
 
 
 def is_finished(seen: Json) -> bool:

@@ -39,6 +39,10 @@ Fields = Annotated[
     list[str] | None,
     typer.Option("--set", help="A field of the spec, training.max_steps=1000 or iterations=2."),
 ]
+Key = Annotated[
+    str | None,
+    typer.Option(help="A name: nothing is submitted twice under it within a day."),
+]
 DryRun = Annotated[bool, typer.Option(help="Print the expected cost; start nothing.")]
 More = Annotated[list[str] | None, typer.Option(help="Add one; may be repeated.")]
 
@@ -54,6 +58,7 @@ def submit(
     dataset: Dataset = None,
     extension: Extension = None,
     setting: Fields = None,
+    key: Key = None,
     dry_run: DryRun = False,
     watch: Watch = False,
     url: Url = None,
@@ -71,7 +76,7 @@ def submit(
     said = [f"{name}.{field}" for name in given for field in within.get(name, ())]
     assign(spec, setting, fixed=[*given, *said])
     with connect(url) as client:
-        _show(client, _send(client, spec, dry_run), "", dry_run, watch, as_json)
+        _show(client, _send(client, spec, dry_run, key), "", dry_run, watch, as_json)
 
 
 def _recorded(dataset: str | None) -> Json | None:
@@ -89,9 +94,9 @@ def _spec(file: Path | None, by_options: Json) -> Json:
     )
 
 
-def _send(client: AdrClient, spec: Json, dry_run: bool) -> Json:
+def _send(client: AdrClient, spec: Json, dry_run: bool, key: str | None) -> Json:
     send = client.submit_benchmark if "tasks" in spec else client.submit_run
-    return send(spec, dry_run=dry_run)
+    return send(spec, dry_run=dry_run, key=key)
 
 
 def _show(

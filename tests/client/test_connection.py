@@ -93,6 +93,76 @@ def test_who_watches_does_not_wait_for_ever(answers, patience_s, error, monkeypa
         list(client.watch("run_0"))
 
 
+@contextmanager
+def keeping(monkeypatch, *answers):
+    """A client of a server that answers submissions so, and the keys that came."""
+    monkeypatch.setattr(connection, "_POLL_S", 0.0)
+    keys, left = [], iter(answers)
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self):
+            self.rfile.read(int(self.headers["Content-Length"]))
+            keys.append(self.headers["Idempotency-Key"])
+            code, headers, body = next(left)
+            if code is None:
+                return  # the connection ends without an answer
+            self.send_response(code)
+            for name, value in headers.items():
+                self.send_header(name, value)
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_):
+            pass
+
+    with serving(Handler) as url, AdrClient(url) as client:
+        yield client, keys
+
+
+def test_a_submission_whose_answer_was_lost_is_repeated_under_its_key(monkeypatch):
+    answers = [(None, {}, b""), BUSY, (502, {}, b""), (202, {}, RUNNING), (202, {}, RUNNING)]
+    with keeping(monkeypatch, *answers) as (client, keys):
+        assert client.submit_run(SMOKE)["state"] == "running"
+        client.submit_run(SMOKE)
+    *first, second = keys
+    assert len(first) == 4
+    assert len(set(first)) == 1
+    assert second not in {*first, None}
+
+
+def test_a_key_of_the_users_own_is_sent(monkeypatch):
+    with keeping(monkeypatch, *[(202, {}, RUNNING)] * 3) as (client, keys):
+        client.submit_run(SMOKE, key="one")
+        client.submit_benchmark(SMOKE, key="two")
+        client.submit_criticism(SMOKE, key="three")
+    assert keys == ["one", "two", "three"]
+
+
+@pytest.mark.parametrize("patience_s", [30.0, -1.0])
+def test_a_submission_is_not_repeated_for_ever(patience_s, monkeypatch):
+    monkeypatch.setattr(connection, "_SUBMITTING_S", patience_s)
+    full = (429, {"Retry-After": "5"}, b'{"detail": "10001 runs would wait"}')
+    answers = [full] if patience_s > 0 else [BUSY, BUSY]
+    with keeping(monkeypatch, *answers) as (client, keys):
+        with pytest.raises(Refused):
+            client.submit_run(SMOKE)
+        assert len(keys) == len(answers)
+
+
+def test_without_a_service_a_submission_ends_at_once():
+    with serving(BaseHTTPRequestHandler) as url:
+        pass
+    with AdrClient(url) as client, pytest.raises(Unreachable, match="no service answers"):
+        client.submit_run(SMOKE)
+
+
+def test_another_server_gets_a_submission_once(monkeypatch):
+    with keeping(monkeypatch, (200, {}, b"<html>")) as (client, keys):
+        with pytest.raises(Unreachable, match="is not the service"):
+            client.submit_run(SMOKE)
+        assert len(keys) == 1
+
+
 def test_another_server_is_not_taken_for_the_service():
     refused = pytest.raises(Unreachable, match="is not the service: GET /readyz gave no JSON")
     with server(200) as url, AdrClient(url) as client, refused:

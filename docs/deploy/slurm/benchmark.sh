@@ -25,7 +25,8 @@ echo "serving on $(hostname): ssh -L 8000:127.0.0.1:${ADR_PORT:-8000} $(hostname
 if [[ -s $name.id ]]; then
     adr resume "$(<"$name.id")"
 else
-    adr submit "$benchmark" --json >"$name.submitted"
+    # a key of its own: a job that was stopped between these two lines has submitted it already
+    adr submit "$benchmark" --key "${sum%% *}" --json >"$name.submitted"
     python -c 'import json, sys; print(json.load(sys.stdin)["id"])' <"$name.submitted" >"$name.id"
 fi
 id=$(<"$name.id") status=0

@@ -37,6 +37,12 @@ def test_a_run_is_submitted_watched_listed_and_its_files_are_written(adr, tmp_pa
     assert "no such runs" in adr("list", "--task", "humanoid")[1]
 
 
+def test_what_is_submitted_twice_under_one_key_is_there_once(adr):
+    run = ("submit", "--task", "arm", "--method", "prior", "--preset", "smoke", "--seed", "905")
+    once, again, other = (adr(*run, "--key", key)[1] for key in ("one", "one", "other"))
+    assert once == again != other
+
+
 def test_runs_are_listed_under_their_benchmark(adr):
     def submitted(*arguments):
         return adr("submit", *arguments, "--watch")[1].split()[0]
