@@ -4,8 +4,9 @@ import gc
 import logging
 import signal
 import threading
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 
 import anyio
 import anyio.to_thread
@@ -42,7 +43,7 @@ from api.settings import Settings
 from db.errors import DatabaseUnavailable
 
 log = logging.getLogger(__name__)
-_UPKEEP_S = 3600.0  # between two deletions of what has expired
+_UPKEEP_S = 3600.0  # between two looks at what has expired, and at what nobody has started
 _LOOK_S = 1.0  # between two looks at the dispatcher
 _BREAK_S = 1.0  # between two deletions; each holds the database for up to a second
 _RECLAIM_S = 10.0  # between two returns of free space to the disk
@@ -118,16 +119,26 @@ def _take_back_signals() -> None:
 
 
 async def _look_after(service: Service) -> None:
-    """Every hour, delete expired runs and start runs that nobody has started."""
+    """Start runs that nobody has started, and delete expired ones; neither waits for the other."""
+    async with anyio.create_task_group() as tasks:
+        adopt = partial(anyio.to_thread.run_sync, service.orchestrator.adopt)
+        tasks.start_soon(_every_hour, adopt)
+        tasks.start_soon(_every_hour, partial(_delete_expired, service))
+
+
+async def _every_hour(work: Callable[[], Awaitable[None]]) -> None:
     while True:
         try:
-            await anyio.to_thread.run_sync(service.orchestrator.adopt)
-            for delete, id in await anyio.to_thread.run_sync(service.expired):
-                await anyio.to_thread.run_sync(service.forget, delete, id)
-                await anyio.sleep(_BREAK_S)
+            await work()
         except Exception:  # the next hour tries again
             log.exception("not everything was looked after")
         await anyio.sleep(_UPKEEP_S)
+
+
+async def _delete_expired(service: Service) -> None:
+    for delete, id in await anyio.to_thread.run_sync(service.expired):
+        await anyio.to_thread.run_sync(service.forget, delete, id)
+        await anyio.sleep(_BREAK_S)
 
 
 async def _give_back_disk(service: Service) -> None:
