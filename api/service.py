@@ -30,6 +30,7 @@ from workers.cluster import ClusterUnavailable, RayOptions
 from workers.orchestrator import RUNS_AT_ONCE, Orchestrator
 
 log = logging.getLogger(__name__)
+_CLOCK_SET = timedelta(hours=1)  # more than a clock drifts, or is corrected by
 
 
 class QueueFull(AdrError):
@@ -103,13 +104,23 @@ class Service:
         return visit_store.claim(self.database, worker, tasks, now, self.settings.lease_s)
 
     def expired(self) -> list[benchmark_store.Deletion]:
-        """Runs and benchmarks that have been kept for `retention_days`, each with its deletion."""
+        """Runs and benchmarks that have been kept for `retention_days`, each with its deletion.
+
+        Nothing expires while the wall clock and the steady one disagree by more than an hour: what
+        is deleted is lost.
+        """
         days = self.settings.retention_days
         if days is None:
             return []
-        return benchmark_store.finished_before(
-            self.database, datetime.now(UTC) - timedelta(days=days)
-        )
+        wall, steady = datetime.now(UTC), self.orchestrator.clock.now()
+        if abs(wall - steady) > _CLOCK_SET:
+            log.warning(
+                "nothing is deleted: the clock says %s, but since the service started it has "
+                "become %s; correct the clock, or restart the service if it is right",
+                *(f"{time:%Y-%m-%d %H:%M}" for time in (wall, steady)),
+            )
+            return []
+        return benchmark_store.finished_before(self.database, wall - timedelta(days=days))
 
     def forget(self, delete: Callable[[Database, str], None], id: str) -> None:
         """Delete an expired run or benchmark, unless it has changed meanwhile."""

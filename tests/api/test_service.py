@@ -4,15 +4,20 @@ import shutil
 import stat
 import subprocess
 import sys
+from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
 
 import pytest
 
 from adr_service.errors import InvalidInput
+from adr_service.events import RunSucceeded
 from api.service import Service, open_service
 from api.settings import Settings
+from db import events, runs
+from db.clock import SteadyClock
 from db.errors import DatabaseInUse, DiskFull
 from tests.api.standins import Orchestrator
+from tests.db.rows import SPEC
 from workers.cluster import ClusterUnavailable
 
 pytestmark = pytest.mark.ray
@@ -25,6 +30,21 @@ def test_without_a_core_work_is_refused_unless_an_autoscaler_is_asked_for_one():
     with pytest.raises(ClusterUnavailable, match="no node of the cluster has any adr_trainer"):
         Service(Settings(**joined), None, orchestrator).check_cores()
     Service(Settings(**joined, max_cores=8), None, orchestrator).check_cores()
+
+
+@pytest.mark.parametrize("hours", [-2, 2])
+def test_nothing_expires_while_the_clock_has_been_set_by_hours(file_database, hours, caplog):
+    """A clock that jumps by years would delete all results for good."""
+    run = runs.create_run(file_database, SPEC)
+    events.append_event(file_database, run.id, RunSucceeded())
+    service = Service(Settings(retention_days=1e-9), file_database, Orchestrator())
+    assert [id for _, id in service.expired()] == [run.id]
+    assert not caplog.records
+    then = datetime.now(UTC) - timedelta(hours=hours)
+    service.orchestrator.clock = SteadyClock(wall=lambda: then, steady=lambda: 0.0)
+    assert service.expired() == []
+    (warning,) = caplog.messages
+    assert f"since the service started it has become {then:%Y-%m-%d %H:%M}" in warning
 
 
 @pytest.mark.parametrize("full", ["data", "small"])
