@@ -3,16 +3,15 @@
 from dataclasses import asdict
 from typing import Any
 
-from adr_service.benchmark.claims import reports
+from adr_service.benchmark.claims import METHODS, TASKS, reports
 from adr_service.json_values import canonical_json, sha256
 from api.results import outcomes_of
 from api.service import Service
 from db import runs as run_store
 from db.runs import RunRecord
 
-# that `adr_service.benchmark.claims` speaks of, and the oracle, by which it judges
-_TASKS = ("hopper", "half_cheetah", "walker2d", "humanoid")
-_METHODS = ("oracle", "udr", "bayrn", "simopt", "simopt_1", "droid", "dropo")
+# of the paper's claims, and the oracle, by which these are judged
+_SPOKEN_OF = ("oracle", *METHODS)
 
 
 def claim_reports(service: Service) -> list[dict[str, Any]]:
@@ -22,7 +21,7 @@ def claim_reports(service: Service) -> list[dict[str, Any]]:
     of finishes another iteration or is deleted. Whoever asks for what is computed just now waits.
     """
     with service.comparing["claims"]:
-        counts = run_store.finished_iterations(service.database, _TASKS, _METHODS)
+        counts = run_store.finished_iterations(service.database, TASKS, _SPOKEN_OF)
         version = sha256(canonical_json(counts).encode())
         if version not in service.claims:
             outcomes = outcomes_of(service, _papers_runs(service))
@@ -35,8 +34,8 @@ def _papers_runs(service: Service) -> list[RunRecord]:
     """The runs that claims speak of, in order of submission."""
     runs = [
         run
-        for task in _TASKS
-        for method in _METHODS
+        for task in TASKS
+        for method in _SPOKEN_OF
         for run in run_store.list_runs(service.database, task=task, method=method, limit=None)
     ]
     return sorted(runs, key=lambda run: run.number)

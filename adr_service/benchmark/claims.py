@@ -44,9 +44,9 @@ from adr_service.benchmark.checks import (
 from adr_service.benchmark.comparison import Outcome
 from adr_service.specs import SimulatedTarget
 
-_METHODS = ("udr", "bayrn", "simopt", "simopt_1", "droid", "dropo")
+METHODS = ("udr", "bayrn", "simopt", "simopt_1", "droid", "dropo")
 _HARD = ("half_cheetah", "walker2d", "humanoid")
-_TASKS = ("hopper", *_HARD)
+TASKS = ("hopper", *_HARD)
 _VARIANTS = ("vanilla", "noisy", "unmodeled")
 _LEVEL = 0.05  # at which all verdicts hold together
 ClaimVerdict = Literal["supported", "contradicted", "undecided"] | Gap
@@ -130,12 +130,12 @@ class Claim:
 
 def _best_of_all(task: str, variant: str, method: str) -> list[Check]:
     # BayRn was not run on Humanoid
-    others = [n for n in _METHODS if n != method and (n, task) != ("bayrn", "humanoid")]
+    others = [n for n in METHODS if n != method and (n, task) != ("bayrn", "humanoid")]
     return [at_least(Cell(task, variant, method), Cell(task, variant, n)) for n in others]
 
 
 def _cells_of(method: str) -> list[tuple[str, str]]:
-    tasks = _TASKS[:3] if method == "bayrn" else _TASKS  # it was not run on Humanoid
+    tasks = TASKS[:3] if method == "bayrn" else TASKS  # it was not run on Humanoid
     return [(task, variant) for task in tasks for variant in _VARIANTS]
 
 
@@ -148,14 +148,14 @@ CLAIMS: tuple[Claim, ...] = (
     Claim(
         "V1",
         "Vanilla: every method transfers on Hopper.",
-        [solves(Cell("hopper", "vanilla", name)) for name in _METHODS],
+        [solves(Cell("hopper", "vanilla", name)) for name in METHODS],
     ),
     Claim(
         "V2",
         "Vanilla: DROPO solves all four tasks from one trajectory, and equals SimOpt's last.",
         [
             check
-            for task in _TASKS
+            for task in TASKS
             for check in (
                 solves(Cell(task, "vanilla", "dropo", 1)),
                 equal(Cell(task, "vanilla", "dropo", 1), Cell(task, "vanilla", "simopt")),
@@ -167,7 +167,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Vanilla: SimOpt improves over iterations, and solves all four tasks.",
         [
             check
-            for task in _TASKS
+            for task in TASKS
             for check in (
                 solves(Cell(task, "vanilla", "simopt")),
                 higher(Cell(task, "vanilla", "simopt"), Cell(task, "vanilla", "simopt", 0)),
@@ -195,7 +195,7 @@ CLAIMS: tuple[Claim, ...] = (
     Claim(
         "N1",
         "Noisy: all methods still succeed on Hopper.",
-        [solves(Cell("hopper", "noisy", name)) for name in _METHODS],
+        [solves(Cell("hopper", "noisy", name)) for name in METHODS],
     ),
     Claim(
         "N2",
@@ -220,7 +220,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Noisy: DROPO transfers everywhere from one trajectory, no worse with more.",
         [
             check
-            for task in _TASKS
+            for task in TASKS
             for check in (
                 solves(Cell(task, "noisy", "dropo", 1)),
                 at_least(Cell(task, "noisy", "dropo"), Cell(task, "noisy", "dropo", 1)),
@@ -232,7 +232,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Unmodeled: offline methods behave as in vanilla.",
         [
             equal(Cell(task, "unmodeled", name), Cell(task, "vanilla", name))
-            for task in _TASKS
+            for task in TASKS
             for name in ("droid", "dropo")
         ],
     ),
@@ -241,7 +241,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Unmodeled: SimOpt and SimOpt-1 fail on Humanoid; SimOpt solves the other three.",
         [
             *(fails(Cell("humanoid", "unmodeled", name)) for name in ("simopt", "simopt_1")),
-            *(solves(Cell(task, "unmodeled", "simopt")) for task in _TASKS[:3]),
+            *(solves(Cell(task, "unmodeled", "simopt")) for task in TASKS[:3]),
         ],
     ),
     Claim(
@@ -249,19 +249,19 @@ CLAIMS: tuple[Claim, ...] = (
         "Unmodeled: BayRn beats the other methods on Hopper.",
         [
             higher(Cell("hopper", "unmodeled", "bayrn"), Cell("hopper", "unmodeled", name))
-            for name in _METHODS
+            for name in METHODS
             if name != "bayrn"
         ],
     ),
     Claim(
         "U4",
         "Unmodeled: no method beats DROPO by more than 0.1 on any task.",
-        [check for task in _TASKS for check in _best_of_all(task, "unmodeled", "dropo")],
+        [check for task in TASKS for check in _best_of_all(task, "unmodeled", "dropo")],
     ),
     Claim(
         "U5",
         "Unmodeled: DROID ends with almost no variance.",
-        [narrow(Cell(task, "unmodeled", "droid")) for task in _TASKS],
+        [narrow(Cell(task, "unmodeled", "droid")) for task in TASKS],
     ),
     Claim(
         "D1",
@@ -282,14 +282,14 @@ CLAIMS: tuple[Claim, ...] = (
         "first trajectory).",
         [
             costs_more(task, dear, cheap)
-            for task in _TASKS
+            for task in TASKS
             for dear, cheap in (("dropo", "simopt"), ("dropo", "droid"), ("simopt", "droid"))
         ],
     ),
     Claim(
         "C2",
         "Offline methods start better: DROPO beats SimOpt after one trajectory.",
-        [higher(Cell(t, "vanilla", "dropo", 1), Cell(t, "vanilla", "simopt", 1)) for t in _TASKS],
+        [higher(Cell(t, "vanilla", "dropo", 1), Cell(t, "vanilla", "simopt", 1)) for t in TASKS],
     ),
     Claim(
         "C3",
@@ -300,7 +300,7 @@ CLAIMS: tuple[Claim, ...] = (
                 [Cell(task, variant, name) for task, variant in _cells_of(name)],
                 lambda gaps, line: above(gaps, 0.0, line),
             )
-            for name in _METHODS
+            for name in METHODS
             if name != "dropo"
         ],
     ),
