@@ -10,23 +10,25 @@ from api.service import Service
 from db import runs as run_store
 from db.runs import RunRecord
 
-# of the paper's claims, and the oracle, by which these are judged
-_SPOKEN_OF = ("oracle", *METHODS)
+_NEEDED = ("oracle", *METHODS)  # the paper's methods, and the oracle that they are judged by
 
 
 def claim_reports(service: Service) -> list[dict[str, Any]]:
     """One report per budget: each claim, its verdict and the numbers behind it.
 
     They take long where there are many runs, so they are kept until a run that the claims speak
-    of finishes another iteration or is deleted. Whoever asks for what is computed just now waits.
+    of finishes another iteration or is deleted. Requests that come during a computation wait.
     """
-    with service.comparing["claims"]:
-        counts = run_store.finished_iterations(service.database, TASKS, _SPOKEN_OF)
-        version = sha256(canonical_json(counts).encode())
+    counts = run_store.finished_iterations(service.database, TASKS, _NEEDED)
+    version = sha256(canonical_json(counts).encode())
+    if (kept := service.claims.get(version)) is not None:
+        return kept
+    with service.claiming:
         if version not in service.claims:
             outcomes = outcomes_of(service, _papers_runs(service))
+            found = [asdict(report) for report in reports(outcomes)]
             service.claims.clear()
-            service.claims[version] = [asdict(report) for report in reports(outcomes)]
+            service.claims[version] = found
         return service.claims[version]
 
 
@@ -35,7 +37,7 @@ def _papers_runs(service: Service) -> list[RunRecord]:
     runs = [
         run
         for task in TASKS
-        for method in _SPOKEN_OF
+        for method in _NEEDED
         for run in run_store.list_runs(service.database, task=task, method=method, limit=None)
     ]
     return sorted(runs, key=lambda run: run.number)

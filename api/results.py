@@ -38,7 +38,7 @@ from db.errors import DatabaseUnavailable
 from db.runs import RunRecord
 
 log = logging.getLogger(__name__)
-_TABLES = 7  # counts the times that tables of the same outcomes changed
+_TABLES = 8  # counts the times that tables of the same outcomes changed
 _COST_NOTE = (
     "the use of the cores counts all that the service computed while there was work for all of "
     "them, other runs' stages too, and no more; useful = computing / (computing + waiting + "
@@ -84,7 +84,7 @@ class CostView(BaseModel):
 def outcomes_of(service: Service, records: Sequence[RunRecord]) -> list[Outcome]:
     """Return the finished iterations of runs, with the seconds that their inference took."""
     specs = {record.id: record.spec for record in records}
-    failed = {record.id for record in records if record.state == RunState.FAILED}
+    failed = _failed(records)
     iterations = [
         (run_id, spec, event)
         for run_id, event in event_store.all_of(service.database, list(specs), IterationFinished)
@@ -102,6 +102,11 @@ def outcomes_of(service: Service, records: Sequence[RunRecord]) -> list[Outcome]
         )
         for run_id, spec, event in iterations
     ]
+
+
+def _failed(records: Sequence[RunRecord]) -> list[str]:
+    """The ids of the runs that have failed."""
+    return [record.id for record in records if record.state == RunState.FAILED]
 
 
 def _lost(service: Service, specs: Mapping[str, AnyRun | LostRun]) -> dict[str, str]:
@@ -134,8 +139,7 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
     unread = [record.id for record in records if isinstance(record.spec, LostRun)]
     tasks = sorted({record.spec.task for record in records})
     packages = [package_of(TASKS, task) for task in tasks]
-    failed = [record.id for record in records if record.state == RunState.FAILED]
-    known = [adr_service.__version__, _TABLES, columns, count, unread, packages, failed]
+    known = [adr_service.__version__, _TABLES, columns, count, unread, packages, _failed(records)]
     version = sha256(canonical_json(known).encode())
     if (stored := result_store.kept_results(service.database, id, version)) is not None:
         return stored

@@ -45,10 +45,11 @@ class Service:
     database: Database
     orchestrator: Orchestrator
     films: Films = field(default_factory=Films)
-    # held while the results of a run or a benchmark are compared, by its id; "claims": those of all
+    # held while the results of a run or a benchmark are compared, by its id
     comparing: defaultdict[str, Lock] = field(default_factory=lambda: defaultdict(Lock))
-    # reports on the paper's claims, by what they are of; the latest alone
+    # the latest reports on the paper's claims, by digest of the iteration counts
     claims: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    claiming: Lock = field(default_factory=Lock)  # held while they are computed
     # the best methods on the first page with the moment of a benchmark's last change, by benchmark
     leaders: dict[str, tuple[datetime, dict[str, Any] | None]] = field(default_factory=dict)
 
@@ -145,8 +146,8 @@ def open_service(settings: Settings) -> Service:
         runs = _runs_at_once(settings)
         orchestrator = Orchestrator(database, _ray_options(settings), runs_at_once=runs)
         staging.clear(settings.data_dir)
-        orchestrator.start()
         undone.callback(orchestrator.close)
+        orchestrator.start()
         # last: a lease of a few seconds would not outlast the start of Ray
         visit_store.renew_leases(database, orchestrator.clock.now(), settings.lease_s)
         undone.pop_all()

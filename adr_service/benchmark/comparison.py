@@ -217,6 +217,8 @@ def not_compared(outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def _shared(columns: Mapping[str, Sequence[Outcome]]) -> dict[str, int]:
+    """The iteration of `last_shared`, without the runs that have failed, unless all that learn
+    have."""
     specs = {name: found[0].spec for name, found in columns.items()}
     level = {name for name, spec in specs.items() if spec.method.learns_from == "nothing"}
     counted = {
@@ -241,7 +243,7 @@ def last_shared(
     That is the last one planned, once two columns (or the only one) have it for all their seeds, or
     for as many as an interval takes: to those the others come as they finish. Before, it is the
     last that all seeds of all columns have, so that a benchmark which is not finished compares what
-    learned from equal amounts of data. Runs that have failed are not counted, unless all have.
+    learned from equal amounts of data.
 
     `seeds`: by column, the number of seeds that have each iteration; a seed that has none is not
     known. `level`: the columns without iterations, which are compared as they are.

@@ -12,7 +12,13 @@ from uuid import uuid4
 
 import httpx2
 
-from adr_service.client.http import Refused, Unreachable, check_answer, check_token
+from adr_service.client.http import (
+    Refused,
+    Unreachable,
+    check_answer,
+    check_key,
+    check_token,
+)
 from adr_service.client.progress import headline, runs_of, succeeded
 from adr_service.client.tables import Json, Results, Rows
 from adr_service.errors import InvalidInput
@@ -20,7 +26,7 @@ from adr_service.errors import InvalidInput
 T = TypeVar("T")
 DEFAULT_URL = "http://127.0.0.1:8000"
 _BUSY = 503  # also during a commit
-_LOST = (httpx2.ReadError, httpx2.ReadTimeout, httpx2.RemoteProtocolError)  # answers
+_AFTER_SENDING = (httpx2.ReadError, httpx2.RemoteProtocolError)
 _POLL_S = 1.0
 _PATIENCE_S = 300.0  # for a service that is busy or restarts, while something is watched
 _SUBMITTING_S = 30.0  # the same, while something is submitted
@@ -58,7 +64,7 @@ class AdrClient:
     def submit_run(self, spec: Json, *, dry_run: bool = False, key: str | None = None) -> Json:
         """Submit a run; `dry_run` starts nothing, and its answer has the expected cost, `plan`.
 
-        A `key` makes one run for a day, however often it is sent. Each call has one of its own by
+        Requests with the same `key` within a day start one run. Each call has one of its own by
         default, and repeats the request for half a minute while the service is busy, or after an
         answer was lost.
         """
@@ -298,16 +304,13 @@ class AdrClient:
 
     def _submit(self, path: str, spec: Json, key: str | None, dry_run: bool = False) -> Json:
         """Send a spec; again under the same key where it may have been stored without an answer."""
-        headers = {"Idempotency-Key": str(uuid4()) if key is None else key}
-        sent = {"json": _plain(spec), "params": _dry(dry_run), "headers": headers}
-        ask = partial(self._json, "POST", path, **sent)
-        try:
+        ask = partial(self._json, "POST", path, json=_plain(spec), params=_dry(dry_run))
+        if dry_run:
             return ask()
-        except (Refused, Unreachable) as error:
-            if not _may_be_stored(error):
-                raise
-            time.sleep(_wait_after(error) or _POLL_S)
-        return _patiently(ask, _SUBMITTING_S)
+        name = str(uuid4()) if key is None else key
+        check_key(name)
+        ask = partial(ask, headers={"Idempotency-Key": name})
+        return _patiently(ask, _SUBMITTING_S, begins=_may_be_stored)
 
     def _pages(self, path: str, token_name: str, **params: str) -> Rows:
         items = Rows()
@@ -346,12 +349,14 @@ class AdrClient:
         except httpx2.TimeoutException as error:
             raise Unreachable(
                 f"the service at {self.url} did not answer in time ({type(error).__name__}); "
-                "it may still carry out the request"
+                "it may still carry out the request",
+                may_be_done=isinstance(error, httpx2.ReadTimeout),
             ) from error
         except httpx2.RequestError as error:  # also an answer that cannot be unpacked
             raise Unreachable(
                 f"no service answers at {self.url} ({error}); start one with `adr serve`, "
-                "or name another with ADR_URL, or its port here with ADR_PORT"
+                "or name another with ADR_URL, or its port here with ADR_PORT",
+                may_be_done=isinstance(error, _AFTER_SENDING),
             ) from error
 
 
@@ -373,29 +378,30 @@ def _here(port: str | None) -> str:
     return f"{DEFAULT_URL.rpartition(':')[0]}:{port}"
 
 
-def _patiently(ask: Callable[[], T], patience_s: float) -> T:
-    """The answer to a request, asked for until the service takes it or refuses it for good."""
-    last = time.monotonic() + patience_s
+def _patiently(
+    ask: Callable[[], T],
+    patience_s: float,
+    begins: Callable[[Refused | Unreachable], bool] = lambda error: True,
+) -> T:
+    """The answer to a request, asked for until the service takes it or refuses it for good.
+
+    `begins` says whether it is asked for again at all, after the first failure.
+    """
+    last, has_begun = time.monotonic() + patience_s, False
     while True:
         try:
             return ask()
         except (Refused, Unreachable) as error:
-            wait = _wait_after(error)
-            if wait is None or time.monotonic() + wait > last:
+            wait = error.retry_after_s if isinstance(error, Refused) else _POLL_S
+            if wait is None or time.monotonic() + wait > last or not (has_begun or begins(error)):
                 raise
+            has_begun = True
             time.sleep(wait)
-
-
-def _wait_after(error: Refused | Unreachable) -> float | None:
-    """Seconds until a request may be sent again; None: it is refused for good."""
-    return error.retry_after_s if isinstance(error, Refused) else _POLL_S
 
 
 def _may_be_stored(error: Refused | Unreachable) -> bool:
     """True if the service may have carried out a request all the same."""
-    if isinstance(error, Refused):
-        return error.status == _BUSY
-    return isinstance(error.__cause__, _LOST)
+    return error.status == _BUSY if isinstance(error, Refused) else error.may_be_done
 
 
 def is_finished(seen: Json) -> bool:

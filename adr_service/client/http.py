@@ -12,6 +12,9 @@ _LEAST_S = 0.5  # that we wait, whatever a proxy says: it may say 0 for minutes
 _SLOW, _SLOW_S = 408, 2.0  # a request that came too slowly, and seconds until it may be sent again
 
 
+LONGEST_KEY = 200
+
+
 class Refused(AdrError):
     """The service refused a request; the message says why."""
 
@@ -23,9 +26,14 @@ class Refused(AdrError):
 
 
 class Unreachable(AdrError):
-    """No service answers at the address."""
+    """No service answers at the address, or its answer was lost."""
 
     code = "unreachable"
+
+    def __init__(self, message: str, *, may_be_done: bool = False):
+        """`may_be_done`: the service may have got the request, and carry it out."""
+        super().__init__(message)
+        self.may_be_done = may_be_done
 
 
 class _Field(BaseModel):
@@ -50,6 +58,14 @@ def check_token(name: str, token: str) -> None:
         )
 
 
+def check_key(key: str) -> None:
+    """Refuse an `Idempotency-Key` that no header can carry, or that the service refuses."""
+    if not re.fullmatch(f"[!-~]{{1,{LONGEST_KEY}}}", key):
+        raise InvalidInput(
+            f"a key has 1 to {LONGEST_KEY} characters of ASCII, without spaces; given {key!r}"
+        )
+
+
 def check_answer(response: httpx2.Response, url: str) -> None:
     """Raise Refused or Unreachable for an answer that is an error, or sends elsewhere."""
     if response.is_redirect:  # any 3xx, with or without a place
@@ -68,7 +84,8 @@ def check_answer(response: httpx2.Response, url: str) -> None:
     if after is None and status >= _LEAST_OF_A_PROXY:
         raise Unreachable(
             f"the server at {url} is not the service: {status} {response.reason_phrase}; if it is "
-            "a proxy that waited too long, the service may still do what was asked"
+            "a proxy that waited too long, the service may still do what was asked",
+            may_be_done=True,
         )
     raise Refused(status, _explain(response), after)
 

@@ -157,8 +157,9 @@ def _clock(log: Log, names: Sequence[str]) -> list[str]:
     """Fields of the time: whole seconds with their nanoseconds, or else a column by its name."""
     time = next((name for name in names if _kind(name) is _TIMES), UNKNOWN)
     pairs = {name: rest for name in names if (rest := nanoseconds_beside(name, names)) is not None}
-    if pairs and (time == UNKNOWN or time in pairs or time in pairs.values()):
-        name = time if time in pairs else next(iter(pairs))
+    found = [name for name, rest in pairs.items() if time in (name, rest)]
+    if found or (pairs and time == UNKNOWN):
+        name = next(iter(found or pairs))
         return [f"column = {_text(name)}", 'unit = "s"', f"nanoseconds = {_text(pairs[name])}"]
     return [f"column = {_text(time)}", _time_unit(log, time)]
 

@@ -26,10 +26,12 @@ Id = Annotated[str, typer.Argument(help="Id of a run or a benchmark.", callback=
 Watch = Annotated[bool, typer.Option(help="Follow it to its end.")]
 
 
-def check_watch(dry_run: bool, watch: bool) -> None:
-    """Raise InvalidInput where there would be nothing to follow."""
+def check_watch(dry_run: bool, watch: bool, key: str | None = None) -> None:
+    """Raise InvalidInput where there would be nothing to follow, or to start once."""
     if dry_run and watch:
         raise InvalidInput("--dry-run starts nothing that --watch could follow; leave one out")
+    if dry_run and key is not None:
+        raise InvalidInput("--dry-run starts nothing that needs a --key; leave one out")
 
 
 def is_url_given(context: typer.Context) -> bool:

@@ -65,7 +65,7 @@ def submit(
     as_json: AsJson = False,
 ) -> None:
     """Submit a run (by options), or a run or benchmark (by file)."""
-    check_watch(dry_run, watch)
+    check_watch(dry_run, watch, key)
     by_options: dict[str, Any] = {"task": task, "method": method, "variant": variant}
     by_options |= {"seed": seed, "preset": preset, "target": _recorded(dataset)}
     given = {name: value for name, value in by_options.items() if value is not None}

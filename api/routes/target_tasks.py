@@ -29,7 +29,6 @@ from db.visits import Visit
 router = APIRouter(prefix="/v1/target_tasks", tags=["target tasks"])
 _Name = Annotated[Line, Field(min_length=1, max_length=80)]
 _Lease = Annotated[str, Field(min_length=1, max_length=64)]
-_LeaseHeader = Annotated[_Lease, Header(description="that the claim gave")]
 
 
 class TaskView(BaseModel):
@@ -206,28 +205,33 @@ def heartbeat(
     return HeartbeatView(lease_expires_at=lease.expires_at, cancel_requested=not lease.is_wanted)
 
 
-async def _claimed(task_id: TargetTaskId, lease: _LeaseHeader, service: ServiceDependency) -> None:
-    """Raise LeaseLost or NotFound unless the lease is that of the task."""
+async def _good_lease(
+    task_id: TargetTaskId,
+    lease: Annotated[_Lease, Header(description="that the claim gave")],
+    service: ServiceDependency,
+) -> str:
+    """The lease in the header. Raises LeaseLost or NotFound unless it is that of the task."""
     await anyio.to_thread.run_sync(visit_store.claimed_by, service.database, task_id, lease)
+    return lease
 
 
 async def _trajectory(
     request: Request,
     _octets: Annotated[None, Depends(octets)],
-    _is_claimed: Annotated[None, Depends(_claimed)],
-) -> bytes:
-    """The body, which is received only where the lease is good."""
-    return await request.body()
+    lease: Annotated[str, Depends(_good_lease)],
+) -> tuple[str, bytes]:
+    """The lease and the body, which is received only where the lease is good."""
+    return lease, await request.body()
 
 
 @router.put("/{task_id}/trajectory", max_body_size=LARGEST, openapi_extra=content_described())
 def upload(
     task_id: TargetTaskId,
-    content: Annotated[bytes, Depends(_trajectory)],
-    lease: _LeaseHeader,
+    sent: Annotated[tuple[str, bytes], Depends(_trajectory)],
     service: ServiceDependency,
 ) -> TaskView:
     """Upload the trajectory, an `.npz` like a recording, with `rewards`; accepted once."""
+    lease, content = sent
     return task_view(service.orchestrator.complete_task(task_id, lease, content))
 
 

@@ -35,7 +35,7 @@ class Service:
     def __init__(self, database):
         self.database, self.orchestrator = database, Orchestrator()
         self.refusal, self.settings = None, Settings()
-        self.comparing, self.claims = defaultdict(Lock), {}
+        self.comparing, self.claims, self.claiming = defaultdict(Lock), {}, Lock()
 
     def check_queue(self, live):
         if self.refusal is not None:

@@ -1,6 +1,7 @@
 """/v1/target_tasks: what a robot's client asks over HTTP."""
 
 import asyncio
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -72,6 +73,10 @@ def test_the_body_of_a_trajectory_is_received_only_by_a_good_lease(file_database
     }
     asyncio.run(service.client(target_tasks.router).app(scope, receive, send))
     assert (sent[0]["status"], bool(received)) == (status, status == 200)
+    if lease is None:
+        assert [each["pointer"] for each in json.loads(sent[1]["body"])["errors"]] == [
+            "/header/lease"
+        ]
 
 
 def coroutine(*answers):

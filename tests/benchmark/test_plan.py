@@ -96,12 +96,14 @@ def test_a_recording_is_priced_by_its_length():
     assert (planned.trainings, planned.target_transitions) == (1, 0)
 
 
-@pytest.mark.parametrize("broken", [{"start": np.zeros(3)}, ZeroDivisionError("as methods do")])
+@pytest.mark.parametrize(
+    "broken", [{"start": np.zeros(3)}, ZeroDivisionError("as methods do"), SystemExit(1)]
+)
 def test_a_method_that_breaks_is_named_before_its_run_is_submitted(broken, monkeypatch):
     """It was answered as a defect of the service."""
 
     def start(self, problem):
-        if isinstance(broken, Exception):
+        if isinstance(broken, BaseException):
             raise broken
         return broken
 

@@ -130,6 +130,32 @@ def test_a_submission_whose_answer_was_lost_is_repeated_under_its_key(monkeypatc
     assert second not in {*first, None}
 
 
+def test_an_answer_that_a_proxy_lost_is_asked_for_again(monkeypatch):
+    with keeping(monkeypatch, (504, {}, b""), (202, {}, RUNNING)) as (client, keys):
+        client.submit_run(SMOKE)
+    assert len(keys) == 2
+
+
+def test_a_service_that_is_away_for_an_hour_is_not_waited_for(monkeypatch):
+    away = (503, {"Retry-After": "3600"}, b'{"detail": "maintenance"}')
+    with keeping(monkeypatch, away) as (client, keys), pytest.raises(Refused, match="maintenance"):
+        client.submit_run(SMOKE)
+    assert len(keys) == 1
+
+
+def test_a_dry_run_is_sent_once_and_without_a_key(monkeypatch):
+    busy = pytest.raises(Refused, match="the database is busy")
+    with keeping(monkeypatch, BUSY) as (client, keys), busy:
+        client.submit_run(SMOKE, dry_run=True)
+    assert keys == [None]
+
+
+@pytest.mark.parametrize("key", ["", "prüfung", "two words", "line\n", "x" * 201])
+def test_a_key_that_no_header_can_carry_is_refused(key):
+    with AdrClient("http://127.0.0.1:9") as client, pytest.raises(InvalidInput, match="a key has"):
+        client.submit_run(SMOKE, key=key)
+
+
 def test_a_key_of_the_users_own_is_sent(monkeypatch):
     with keeping(monkeypatch, *[(202, {}, RUNNING)] * 3) as (client, keys):
         client.submit_run(SMOKE, key="one")
@@ -142,7 +168,7 @@ def test_a_key_of_the_users_own_is_sent(monkeypatch):
 def test_a_submission_is_not_repeated_for_ever(patience_s, monkeypatch):
     monkeypatch.setattr(connection, "_SUBMITTING_S", patience_s)
     full = (429, {"Retry-After": "5"}, b'{"detail": "10001 runs would wait"}')
-    answers = [full] if patience_s > 0 else [BUSY, BUSY]
+    answers = [full] if patience_s > 0 else [BUSY]
     with keeping(monkeypatch, *answers) as (client, keys):
         with pytest.raises(Refused):
             client.submit_run(SMOKE)

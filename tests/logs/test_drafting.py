@@ -155,6 +155,13 @@ def test_a_column_of_times_is_drafted_before_seconds_and_nanoseconds_of_somethin
     assert (found.column, found.nanoseconds) == ("time", None)
 
 
+def test_seconds_and_nanoseconds_of_the_stamp_are_drafted_before_other_pairs(robot):
+    names = ("battery_age.nanosec", "battery_age.sec", "header.stamp.nanosec", "header.stamp.sec")
+    columns = {name: np.arange(5.0) for name in names}
+    found = LogMap.from_toml(draft([log({**columns, "q": np.zeros(5)})], robot)).time
+    assert (found.column, found.nanoseconds) == ("header.stamp.sec", "header.stamp.nanosec")
+
+
 def test_a_draft_adds_nanoseconds_to_whole_seconds(robot):
     columns = {"header.stamp.sec": np.zeros(5), "header.stamp.nanosec": 2e6 * np.arange(5)}
     found = LogMap.from_toml(draft([log({**columns, "q": np.zeros(5)})], robot)).time

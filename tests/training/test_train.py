@@ -23,8 +23,8 @@ CASES = [
     for algorithm, backends in LIBRARIES.items()
     for backend in backends
 ]
-# compiling CrossQ for all of them takes a third of this file's time
-QUICK = [
+# compiling CrossQ for each test would take a third of this file's time
+MOSTLY_QUICK = [
     pytest.param(*case.values, marks=[*case.marks, pytest.mark.slow])
     if case.values == ("crossq", "sbx")
     else case
@@ -117,7 +117,7 @@ def test_the_policy_acts_as_the_librarys_own(algorithm, backend):
     np.testing.assert_allclose(policy.act(seen), np.clip(expected, -1, 1), atol=1e-5)
 
 
-@pytest.mark.parametrize(("algorithm", "backend"), QUICK)
+@pytest.mark.parametrize(("algorithm", "backend"), MOSTLY_QUICK)
 class TestTrain:
     def test_the_same_seed_gives_the_same_bytes_and_leaves_no_file(
         self, algorithm, backend, tmp_path, monkeypatch

@@ -2,7 +2,8 @@
 # Serve, bring one benchmark to its end, write its archive: benchmark.sh benchmark.json DATA_DIR
 #
 # On a machine of a Ray cluster. Run again, it goes on where it was stopped, and tries again what
-# has failed. DATA_DIR has one archive for each content of such a file.
+# has failed. DATA_DIR has one archive for each content of such a file. To submit one anew, delete its
+# .id and .key there.
 set -euo pipefail
 
 benchmark=$1
@@ -25,8 +26,9 @@ echo "serving on $(hostname): ssh -L 8000:127.0.0.1:${ADR_PORT:-8000} $(hostname
 if [[ -s $name.id ]]; then
     adr resume "$(<"$name.id")"
 else
-    # a key of its own: a job that was stopped between these two lines has submitted it already
-    adr submit "$benchmark" --key "${sum%% *}" --json >"$name.submitted"
+    # under its key nothing is submitted twice within a day, as by a job that is stopped here
+    [[ -s $name.key ]] || python -c 'import uuid; print(uuid.uuid4())' >"$name.key"
+    adr submit "$benchmark" --key "$(<"$name.key")" --json >"$name.submitted"
     python -c 'import json, sys; print(json.load(sys.stdin)["id"])' <"$name.submitted" >"$name.id"
 fi
 id=$(<"$name.id") status=0
