@@ -84,7 +84,7 @@ class CostView(BaseModel):
 def outcomes_of(service: Service, records: Sequence[RunRecord]) -> list[Outcome]:
     """Return the finished iterations of runs, with the seconds that their inference took."""
     specs = {record.id: record.spec for record in records}
-    failed = _failed(records)
+    failed = set(_failed(records))
     iterations = [
         (run_id, spec, event)
         for run_id, event in event_store.all_of(service.database, list(specs), IterationFinished)
@@ -162,7 +162,7 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
 
 
 def _mixed(service: Service, records: Sequence[RunRecord]) -> str:
-    """The kinds of stages and the packages of which the runs have several versions."""
+    """The kinds of stages and the packages that the runs have in several versions, for a note."""
     with service.database.read() as session:
         found = stage_store.versions_of(session, [record.id for record in records])
     named = [

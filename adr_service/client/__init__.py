@@ -13,12 +13,11 @@ have `to_pandas()` besides. Every method raises `Refused` where the service refu
 from adr_service.client.connection import (
     DEFAULT_URL,
     AdrClient,
-    Refused,
-    Unreachable,
     check_benchmark,
     connect,
     is_finished,
 )
+from adr_service.client.http import Refused, Unreachable
 from adr_service.client.tables import Json, Results, Rows
 
 __all__ = [

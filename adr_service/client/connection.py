@@ -4,28 +4,26 @@ import json
 import os
 import re
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import IO, Any, Self, TypeVar
+from typing import IO, Any, Self
 from uuid import uuid4
 
 import httpx2
 
 from adr_service.client.http import (
-    Refused,
     Unreachable,
     check_answer,
     check_key,
     check_token,
 )
+from adr_service.client.patience import may_be_done, patiently
 from adr_service.client.progress import headline, runs_of, succeeded
 from adr_service.client.tables import Json, Results, Rows
 from adr_service.errors import InvalidInput
 
-T = TypeVar("T")
 DEFAULT_URL = "http://127.0.0.1:8000"
-_BUSY = 503  # also during a commit
 _AFTER_SENDING = (httpx2.ReadError, httpx2.RemoteProtocolError)
 _POLL_S = 1.0
 _PATIENCE_S = 300.0  # for a service that is busy or restarts, while something is watched
@@ -278,7 +276,7 @@ class AdrClient:
             if is_finished(seen):
                 return
             time.sleep(_POLL_S)
-            seen = _patiently(partial(self.get, id), _PATIENCE_S)
+            seen = patiently(partial(self.get, id), _PATIENCE_S, _POLL_S)
 
     def wait(self, id: str, *, progress: bool = True) -> Json:
         """Wait until a run or a benchmark has finished, and return its last state.
@@ -310,7 +308,7 @@ class AdrClient:
         name = str(uuid4()) if key is None else key
         check_key(name)
         ask = partial(ask, headers={"Idempotency-Key": name})
-        return _patiently(ask, _SUBMITTING_S, begins=_may_be_stored)
+        return patiently(ask, _SUBMITTING_S, _POLL_S, begins=may_be_done)
 
     def _pages(self, path: str, token_name: str, **params: str) -> Rows:
         items = Rows()
@@ -376,32 +374,6 @@ def _here(port: str | None) -> str:
     if not port.isdecimal():
         raise InvalidInput(f"ADR_PORT must be the number of a port; given {port!r}")
     return f"{DEFAULT_URL.rpartition(':')[0]}:{port}"
-
-
-def _patiently(
-    ask: Callable[[], T],
-    patience_s: float,
-    begins: Callable[[Refused | Unreachable], bool] = lambda error: True,
-) -> T:
-    """The answer to a request, asked for until the service takes it or refuses it for good.
-
-    `begins` says whether it is asked for again at all, after the first failure.
-    """
-    last, has_begun = time.monotonic() + patience_s, False
-    while True:
-        try:
-            return ask()
-        except (Refused, Unreachable) as error:
-            wait = error.retry_after_s if isinstance(error, Refused) else _POLL_S
-            if wait is None or time.monotonic() + wait > last or not (has_begun or begins(error)):
-                raise
-            has_begun = True
-            time.sleep(wait)
-
-
-def _may_be_stored(error: Refused | Unreachable) -> bool:
-    """True if the service may have carried out a request all the same."""
-    return error.status == _BUSY if isinstance(error, Refused) else error.may_be_done
 
 
 def is_finished(seen: Json) -> bool:

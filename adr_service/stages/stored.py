@@ -40,7 +40,7 @@ class StoredStages:
             if stored is not None:
                 try:
                     results.append(stage.read(stored))
-                except Exception as error:
+                except Exception as error:  # a stranger's result may have any form
                     raise ResultBroken(f"that of {stage.kind}: {error}") from error
                 self.asked.append(stage)
                 yield from events_of(stage, results[-1])

@@ -8,6 +8,7 @@ from fastapi import Header
 from pydantic import BaseModel
 
 from adr_service.benchmark.plan import Plan, plan
+from adr_service.client.http import LONGEST_KEY
 from adr_service.json_values import sha256
 from adr_service.methods.catalogue import check_installed
 from adr_service.specs import AnyRun, BenchmarkSpec, RunSpec
@@ -27,7 +28,7 @@ IdempotencyKey = Annotated[
     str | None,
     Header(
         min_length=1,
-        max_length=200,
+        max_length=LONGEST_KEY,
         description="a request with the same key makes nothing new for a day",
     ),
 ]

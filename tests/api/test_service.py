@@ -23,6 +23,34 @@ from workers.cluster import ClusterUnavailable
 pytestmark = pytest.mark.ray
 
 
+@pytest.mark.parametrize("broken", ["start", "renew_leases"])
+def test_a_start_that_fails_ends_what_it_began(tmp_path, monkeypatch, broken):
+    """Ray and the threads of runs went on, without a lock on the database."""
+    did = []
+
+    class Starting(Orchestrator):
+        def __init__(self, *_, **__):
+            super().__init__()
+
+        def start(self):
+            did.append("start")
+            if broken == "start":
+                raise DiskFull("no room")
+
+        def close(self):
+            did.append("close")
+
+    def renew(*_):
+        raise DiskFull("no room")
+
+    monkeypatch.setattr("api.service.Orchestrator", Starting)
+    monkeypatch.setattr("db.visits.renew_leases", renew)
+    for _ in range(2):  # the database is free again
+        with pytest.raises(DiskFull):
+            open_service(Settings(data_dir=tmp_path))
+    assert did == ["start", "close"] * 2
+
+
 def test_without_a_core_work_is_refused_unless_an_autoscaler_is_asked_for_one():
     orchestrator = Orchestrator()
     orchestrator.cores = 0

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from adr_service.client import connection
-from adr_service.client.connection import AdrClient, Refused, Unreachable, check_benchmark
+from adr_service.client.connection import AdrClient, check_benchmark
+from adr_service.client.http import Refused, Unreachable
 from adr_service.errors import InvalidInput
 from adr_service.presets import PRESETS
 from tests.api.smoke import SMOKE
@@ -26,6 +27,20 @@ def serving(handler):
         thread.join(10)
 
 
+class Answering(BaseHTTPRequestHandler):
+    """Writes an answer, and no log."""
+
+    def answer(self, code, headers, body):
+        self.send_response(code)
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_):
+        pass
+
+
 @contextmanager
 def server(status, seconds=0.0, answers=()):
     """A server that answers every request with this status, after so many seconds.
@@ -34,18 +49,11 @@ def server(status, seconds=0.0, answers=()):
     """
     done, first = threading.Event(), iter(answers)
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(Answering):
         def do_GET(self):
             done.wait(seconds)
             code, headers, body = next(first, (status, {}, b""))
-            self.send_response(code)
-            for name, value in headers.items():
-                self.send_header(name, value)
-            self.end_headers()
-            self.wfile.write(body)
-
-        def log_message(self, *_):
-            pass
+            self.answer(code, headers, body)
 
     with serving(Handler) as url:
         yield url
@@ -99,21 +107,14 @@ def keeping(monkeypatch, *answers):
     monkeypatch.setattr(connection, "_POLL_S", 0.0)
     keys, left = [], iter(answers)
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(Answering):
         def do_POST(self):
             self.rfile.read(int(self.headers["Content-Length"]))
             keys.append(self.headers["Idempotency-Key"])
             code, headers, body = next(left)
             if code is None:
                 return  # the connection ends without an answer
-            self.send_response(code)
-            for name, value in headers.items():
-                self.send_header(name, value)
-            self.end_headers()
-            self.wfile.write(body)
-
-        def log_message(self, *_):
-            pass
+            self.answer(code, headers, body)
 
     with serving(Handler) as url, AdrClient(url) as client:
         yield client, keys
@@ -241,7 +242,7 @@ def test_an_address_or_a_token_that_cannot_be_one_is_refused(given, message):
 def test_a_password_in_an_address_is_sent_and_not_shown():
     sent = []
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(Answering):
         def do_GET(self):
             sent.append(self.headers["Authorization"])
             self.send_response(502)
@@ -303,7 +304,7 @@ def test_a_name_in_the_place_of_a_list_of_tasks_is_refused():
 def echo():
     """A client whose service answers every request with its body."""
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(Answering):
         def do_POST(self):
             body = self.rfile.read(int(self.headers["Content-Length"]))
             self.send_response(200)

@@ -344,7 +344,7 @@ def test_runs_that_could_not_go_on_with_a_later_version_come_in_unverified(
 def test_packages_are_named_in_the_manifest_and_where_they_are_missing(
     file_database, other, tmp_path
 ):
-    """A reader was told to install "the package that has it"."""
+    """The refusal did not say which package a reader has to install."""
     id = finished_benchmark(file_database, most=0)
     run, *_ = benchmarks.runs_of(file_database, id)
     commit(file_database, replace(evaluation(7), package="adr-random 0.2.0"), RESULT, run.id)

@@ -11,7 +11,8 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Self
 
-from adr_service.client.connection import AdrClient, Json, Refused, Unreachable
+from adr_service.client.connection import AdrClient, Json
+from adr_service.client.http import Refused, Unreachable
 
 STOP_S = 10.0  # in which a step returns once the episode should stop, else the environment hangs
 MOST_BEAT_S = 5.0  # that a heartbeat waits for its answer

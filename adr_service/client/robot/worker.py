@@ -8,7 +8,8 @@ from functools import partial
 from typing import Any
 
 from adr_service.arrays import Matrix
-from adr_service.client.connection import AdrClient, Json, Refused, Unreachable
+from adr_service.client.connection import AdrClient, Json
+from adr_service.client.http import Refused, Unreachable
 from adr_service.client.robot.environment import (
     RobotFailed,
     as_the_robots,

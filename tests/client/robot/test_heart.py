@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from adr_service.client.connection import Refused, Unreachable
+from adr_service.client.http import Refused, Unreachable
 from adr_service.client.robot import heart
 from adr_service.client.robot.heart import Heart, now
 

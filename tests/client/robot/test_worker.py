@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from adr_service.client.connection import Refused, Unreachable
+from adr_service.client.http import Refused, Unreachable
 from adr_service.client.robot.environment import RobotFailed
 from adr_service.client.robot.limits import Limits
 from adr_service.client.robot.worker import Robot
