@@ -114,10 +114,12 @@ def fitted(_: Path) -> Names:
 
 @cache
 def _fitted() -> Names:
-    from adr_service.criticism import evidence, probable_states
+    from adr_service.criticism import evidence, fits, probable_states
 
-    names = {**vars(evidence), **vars(probable_states), **simulated(Path())}
-    baseline = probable_states.smoothed(evidence.fit(names["simulator"], names["sensor"]))
+    modules = (fits, evidence, probable_states)
+    names = {name: value for module in modules for name, value in vars(module).items()}
+    names |= simulated(Path())
+    baseline = probable_states.smoothed(fits.fit(names["simulator"], names["sensor"]))
     effect = Effect("joint_coulomb_friction", "joint:elbow", (0.15,))
     return {**names, "baseline": baseline, "effect": effect}
 

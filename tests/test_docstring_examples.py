@@ -49,7 +49,6 @@ COMPILED = {
 # each makes a whole criticism or several fits
 SLOW = {
     "adr_service.blind_test",
-    "adr_service.criticism.evidence",
     "adr_service.criticism.flexible_force",
     "adr_service.criticism.pipeline",
 }
@@ -66,7 +65,8 @@ NAMES: dict[str, Callable[..., dict[str, Any]]] = {
     "adr_service.blind_test.planting": names.blind_test,
     "adr_service.blind_test.scoring": names.blind_test,
     "adr_service.blind_test.sizing": names.blind_test,
-    "adr_service.criticism.evidence": names.simulated,
+    "adr_service.criticism.evidence": names.fitted,
+    "adr_service.criticism.fits": names.fitted,
     "adr_service.criticism.flexible_force": names.fitted,
     "adr_service.criticism.identifiability": names.scanned,
     "adr_service.criticism.inverse": names.simulated,

@@ -1,10 +1,11 @@
-"""Criticism: what a simulator gets wrong, given measured data (docs/criticism.md says how).
+"""Criticism: what a simulator gets wrong, given measured data (docs/criticism.md: how to use it).
 
 Read in this order: `measurements` (the data) and `nominal` (the model); `simulator` (predictions
-one control step ahead); `layout` and `linearisation` (residuals by episode, and how they would
-change); `noise` and `linear` (their likelihood); `evidence` (fits); `responses` and `scan` (every
-possible effect, linearised); `identifiability` (what the data cannot tell apart); `inverse` (many
-effects at once, by the forces that the motion needs); `decision`, `weighing`, `revision` and
+one control step ahead) and `readings` (what sensors show of them); `layout` and `linearisation`
+(residuals by episode, and how they would change); `noise`, `variances` and `linear` (their
+likelihood); `fits` and `probable_states`; `evidence` (what fits gain); `responses` and `scan`
+(every possible effect, linearised); `identifiability` (what the data cannot tell apart); `inverse`
+(many effects at once, by the forces that the motion needs); `decision`, `weighing`, `revision` and
 `naming` (which effects are causes, one by one and in the light of each other); `flexible_force` and
 `sensor_spread` (causes that no effect moves on average); `gain` (worth on sealed episodes);
 `summary`, `verdict`, `extension`, `experiments`, `remarks`, `report`, `figures` (the answer);

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.criticism.evidence import Fit, expected_errors
+from adr_service.criticism.evidence import expected_errors
+from adr_service.criticism.fits import Fit
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Simulator
 from adr_service.criticism.verdict import Experiment

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from adr_service.arrays import Matrix, Vector
 from adr_service.criticism.decision import THRESHOLD
-from adr_service.criticism.evidence import Fit
+from adr_service.criticism.fits import Fit
 from adr_service.criticism.page import svg
 from adr_service.criticism.pipeline import Criticism
 from adr_service.effects.models import unit_of

@@ -18,7 +18,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from adr_service.arrays import Array3, Indices, Matrix, Vector
-from adr_service.criticism.evidence import Fit, gained
+from adr_service.criticism.evidence import gained
+from adr_service.criticism.fits import Fit
 from adr_service.criticism.linear import Linear, Normal, estimate
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.periods import PADDED, power_of, pulls

@@ -6,10 +6,12 @@ import numpy as np
 from scipy.stats import t as student
 
 from adr_service.arrays import Array3, Matrix, Vector
-from adr_service.criticism.evidence import Fit, expected_errors, residuals_of
+from adr_service.criticism.evidence import expected_errors, residuals_of
+from adr_service.criticism.fits import Fit
 from adr_service.criticism.measurements import Measurement
-from adr_service.criticism.noise import Ascent, Chain, Noise, Whitener
+from adr_service.criticism.noise import Chain, Noise, Whitener
 from adr_service.criticism.simulator import Simulator
+from adr_service.criticism.variances import Ascent
 from adr_service.criticism.verdict import Gain, Trace
 
 _HORIZONS = (1, 5, 25)  # control steps

@@ -15,12 +15,12 @@ from scipy.spatial.distance import squareform
 
 from adr_service.arrays import Matrix
 from adr_service.criticism.decision import ALIKE
-from adr_service.criticism.evidence import Fit
+from adr_service.criticism.fits import Fit
 from adr_service.criticism.linear import Normal
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.scan import Candidate, Scan
 from adr_service.effects.base import Effect
-from adr_service.effects.catalogue import get_mechanism
+from adr_service.effects.catalogue import get_mechanism, is_part
 
 _ABSORBED = 0.01  # of the information on a strength, which fitted parameters leave at least
 
@@ -69,11 +69,10 @@ def _unlikeness(normal: Normal, own: Sequence[int], asked: Sequence[int]) -> Mat
 
 def _names(strengths: Sequence[tuple[Effect, int]]) -> tuple[str, ...]:
     """Names of a group's strengths, without a mechanism that includes one of the others."""
-    known = {(effect.kind, effect.location) for effect, _ in strengths}
     names: list[str] = []
     for effect, number in strengths:
         mechanism = get_mechanism(effect.kind)
-        if (mechanism.includes, effect.location) in known:
+        if any(is_part(other, effect) for other, _ in strengths):
             continue
         several = len(mechanism.strengths) > 1
         name = f"{effect.kind} {effect.location}"

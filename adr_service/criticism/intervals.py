@@ -7,7 +7,7 @@ may_be_nothing(fit, slice(0, 1))        # True if all of them may be zero at onc
 import numpy as np
 from scipy import stats
 
-from adr_service.criticism.evidence import Fit
+from adr_service.criticism.fits import Fit
 from adr_service.criticism.verdict import StrengthInterval
 from adr_service.criticism.within_bounds import nearly_at_bounds
 from adr_service.effects.catalogue import get_mechanism

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adr_service.arrays import Array3, Mask, Matrix, Vector
-from adr_service.criticism.noise import Ascent, Chain, Noise, Whitener, lifted
+from adr_service.criticism.noise import Chain, Noise, Whitener
+from adr_service.criticism.variances import Ascent, lifted
 
 _SETTLED, _MOST_STEPS = 0.3, 60  # [nats] that a step gains at least
 _RIDGE = 1e-9  # of the information on a column

@@ -5,7 +5,7 @@
 The columns of the result are the parameters, what integration adds, and the effects' strengths.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +28,7 @@ INTEGRATION = len(_INTEGRATION)  # columns
 _DIFFERENCE = 1e-4  # of a parameter's range
 _TINY = 1e-5  # of a state's spread over the recording, where its uncertainty is not known yet
 _SIMULATED = 0.5  # of all transitions, at least
+_Response = Callable[[tuple[Effect, ...]], Matrix]  # change (N, m) with other strengths
 _TOUCHED = 1e-9  # what a contact or a limit changes at least, in units of that spread
 
 
@@ -69,11 +70,11 @@ def linearise(
     transition = slopes @ np.linalg.inv(root[simulator.starts])
     offset = (simulator.measured - states)[simulator.starts]
     after = simulator.measured[simulator.starts + 1]
-    residual = after - mean - (transition @ offset[..., None])[..., 0]
+    residual = after - mean - passed_on(transition, offset)
     columns = [
         *by_parameters(simulator, *known, quickly),
         *_by_integration(point),
-        *by_strengths(simulator, *known, effects, quickly),
+        *by_strengths(simulator, *known, effects, quickly, transition),
     ]
     free = simulator.predict_free(*known)
     stiff = np.any(np.abs(free - quickly) > _TOUCHED * spread(simulator), axis=1)
@@ -97,15 +98,30 @@ def by_strengths(
     states: Matrix,
     by: Sequence[Effect],
     quickly: Matrix,
+    transition: np.ndarray | None = None,
 ) -> list[Matrix]:
     """Derivatives (N, m) of the prediction `quickly` (N, m) by each strength of some effects.
+
+    Without `transition`, readings stay, and behind an effect in a sensor the robot moves. With it
+    (slopes (N, m, m) by the states) the robot stays and its readings move, so that it is not pushed
+    into the ground. One prediction serves all effects in sensors.
 
     The smaller of the slopes to both sides, where a strength has two: a contact that begins or
     ends in between would make the one side infinitely steep. Of several strengths, those that are
     not identifiable are zero and stay so.
     """
+    known = (parameters, effects, states)
+    in_sensors = [effect for effect in by if get_mechanism(effect.kind).sensing is not None]
+    shown: _Response | None = None
+    if transition is not None and in_sensors:
+        shown = _by_readings(simulator, *known, transition)
+
+    def simulated(changed: tuple[Effect, ...]) -> Matrix:
+        return simulator.predict_quickly(parameters, changed, states) - quickly
+
     derivatives: list[Matrix] = []
     for effect in by:
+        response = shown if shown is not None and effect in in_sensors else simulated
         typical = typical_of(simulator.base, effect.kind, effect.location)
         for number, size in enumerate(typical):
             if len(typical) > 1 and effect.values[number] == 0:
@@ -116,10 +132,33 @@ def by_strengths(
             reach = 1 / _largest_angle(simulator, effect, states) if is_shape else size
             for step, moved in _moved_both_ways(effect, number, 0.01 * reach):
                 changed = tuple(moved if each is effect else each for each in effects)
-                response = simulator.predict_quickly(parameters, changed, states) - quickly
-                slopes.append(response / step)
+                slopes.append(response(changed) / step)
             derivatives.append(_flatter(*slopes))
     return derivatives
+
+
+def _by_readings(
+    simulator: Simulator,
+    parameters: Vector,
+    effects: tuple[Effect, ...],
+    states: Matrix,
+    transition: np.ndarray,
+) -> _Response:
+    """The change (N, m) by other strengths in sensors, which show the same motion."""
+    true_states = simulator.true_states(parameters, effects, states)
+    paths = simulator.paths(parameters, effects, true_states)
+    before, after = simulator.sensors.shown(effects, paths)
+
+    def response(changed: tuple[Effect, ...]) -> Matrix:
+        now, then = simulator.sensors.shown(changed, paths)
+        return then - after - passed_on(transition, (now - before)[simulator.starts])
+
+    return response
+
+
+def passed_on(transition: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Change (…, m) of states one control step on, by slopes (…, m, m)."""
+    return (transition @ change[..., None])[..., 0]
 
 
 def _largest_angle(simulator: Simulator, effect: Effect, states: Matrix) -> float:

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from adr_service.arrays import Array3, Matrix, Vector
-from adr_service.criticism.evidence import Fit
+from adr_service.criticism.fits import Fit
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Simulator
 from adr_service.errors import InvalidInput

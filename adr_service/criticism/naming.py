@@ -16,7 +16,8 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import THRESHOLD, decide, is_evidence
-from adr_service.criticism.evidence import Fit, held_out_without, improved, refine, tried
+from adr_service.criticism.evidence import held_out_without
+from adr_service.criticism.fits import Fit, improved, refine, tried
 from adr_service.criticism.inverse import Group
 from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.responses import Responses
@@ -71,7 +72,7 @@ def block_of(start: Fit, groups: Sequence[Group]) -> Block | None:
     refined = improved(start, first)
     found = iter(refined.effects)
     strong = tuple(tuple(next(found) for _ in group) for group in groups)
-    return Block(strong, refined, refined.held_out - start.held_out)
+    return Block(strong, refined, refined.held_out - start.settled.held_out)
 
 
 def name_effects(

@@ -23,8 +23,9 @@ import numpy as np
 from adr_service.arrays import Array3, Matrix, Vector
 from adr_service.criticism.compatibility import commanded_actuators
 from adr_service.criticism.decision import THRESHOLD
-from adr_service.criticism.evidence import Fit, expected_errors
+from adr_service.criticism.evidence import expected_errors
 from adr_service.criticism.excitation import gained_by_effects
+from adr_service.criticism.fits import Fit
 from adr_service.criticism.linearisation import by_parameters, by_strengths
 from adr_service.criticism.motions import (
     drawn,

@@ -8,9 +8,8 @@ with sensor noise e ~ N(0, R) and misfit w ~ Student-t(0, Q). Q has two values: 
 in which a contact or a limit acts, where small errors of the state have large consequences, and
 one for all others. Consecutive residuals share a sensor's noise; whitening an episode as a whole,
 by the Cholesky factor of its block-tridiagonal covariance, is what a Kalman filter does, and gives
-independent numbers of variance one. Variances are maximum-likelihood estimates (the average
-information algorithm; Gilmour, Thompson and Cullis, 1995); the weights of the t distribution as in
-robust Kalman smoothing (Agamennoni, Nieto and Nebot, 2012).
+independent numbers of variance one. `variances` estimates R, Q and the weights of the t
+distribution.
 
 Misfit that is correlated in time, w_k = rho w_{k-1} + u_k, becomes independent in what is new,
 r_k - rho r_{k-1} (`Chain.remembering`), which shares sensors' noise with two transitions before.
@@ -28,11 +27,6 @@ from adr_service.arrays import Array3, Mask, Matrix, Vector
 
 DEGREES = 4.0  # of freedom of the misfit's t distribution
 _ROUNDING = 1e-11  # relative, so that covariances stay positive
-_LEAST = 1e-12  # variance that rounding leaves, relative to the residuals'
-_LIFTED = 1e-3  # least variance at the start, relative to that of typical residuals
-_HIDDEN = 1e-3  # least variance of the misfit, relative to the sensor's
-_ROUGHLY = 1e-6  # floor on the information of a variance, which may not be identifiable
-_FURTHEST = 3.0  # largest step of the logarithm of a variance
 _KEPT, _LARGEST_KEPT = 4, 1_000_000  # factors of a chain; numbers in each of their arrays
 
 
@@ -244,76 +238,10 @@ class Whitener:
     def sensor_errors(self, residual: Array3) -> tuple[Array3, np.ndarray]:
         """Estimates of the sensors' errors in each state (E, T + 1, m), and their covariance."""
         adjoint = self.adjoint(self.whiten(residual[..., None])[..., 0])
-        score = _score(self.chain, adjoint)
-        covariance = _score_covariance(self.chain, *self.inverse_blocks(), _matrices)
+        score = score_of(self.chain, adjoint)
+        covariance = score_covariance(self.chain, *self.inverse_blocks(), _matrices)
         sensor = self.noise.sensor
         return score * sensor, np.diag(sensor) - sensor[:, None] * covariance * sensor
-
-
-@dataclass(frozen=True)
-class Ascent:
-    """Gradient and curvature of the log-likelihood of residuals, about a noise."""
-
-    noise: Noise
-    gradient: Matrix  # (3, m) by the logarithms of the sensor's, the free and the stiff variance
-    information: Matrix  # (3 m, 3 m) "average information" of the same
-    weights: Matrix  # (E, T) the most likely ones
-    regimes: tuple[Mask, Mask]  # (E, T) free, stiff
-    floor: Vector  # (m,) of all variances that are estimated
-    measured: Mask  # (m,)
-
-    @classmethod
-    def of(cls, whitener: Whitener, residual: Array3) -> "Ascent":
-        """About the whitener's noise; `residual` (E, T, m)."""
-        chain, noise = whitener.chain, whitener.noise
-        mask, m = chain.mask, residual.shape[2]
-        adjoint = whitener.adjoint(whitener.whiten(residual[..., None])[..., 0])
-        blocks = whitener.inverse_blocks()
-        expected = np.diagonal(blocks[0], axis1=2, axis2=3)
-        score = _score(chain, adjoint)
-        covariance = _score_covariance(chain, *blocks, _columnwise)
-        spread, own = misfit_variance(chain, noise), np.arange(m)
-        regimes = (mask & ~chain.stiff, mask & chain.stiff)
-        gradient, moved = np.empty((3, m)), np.zeros((*adjoint.shape, 3 * m))
-        gradient[0] = noise.sensor * np.sum(score**2 - covariance, axis=(0, 1)) / 2
-        error = noise.sensor * score
-        moved[..., own, own] = error[:, 1:] * mask[..., None]
-        moved[..., :m] -= chain.transition * error[:, :-1, None, :]
-        if chain.memory is not None:
-            moved[:, 1:, :, :m] += chain.memory.earlier[:, 1:] * error[:, :-2, None, :]
-        for number, where in enumerate(regimes, 1):
-            variance = where[..., None] * spread
-            gradient[number] = np.sum(variance * (adjoint**2 - expected), axis=(0, 1)) / 2
-            moved[..., own, number * m + own] = variance * adjoint
-        rows = whitener.whiten(moved).reshape(-1, 3 * m)
-        moment = spread + spread**2 * (adjoint**2 - expected)  # E[w²] given the residuals
-        energy = np.sum(moment / (spread * noise.weights[..., None]), axis=2)
-        weights = np.where(mask, (DEGREES + m) / (DEGREES + energy), 1.0)
-        floor = np.maximum(_LEAST * np.mean(residual[mask] ** 2, axis=0), chain.exact)
-        bend = rows.T @ rows / 2
-        return cls(noise, gradient, bend, weights, regimes, floor, chain.measured)
-
-    def step(self, known: Mask, damping: float) -> Noise:
-        """Noise after a damped Newton step of the variances and an EM update of the weights.
-
-        `known` (m,): sensors whose variances stay. If all weights of a regime change by a factor,
-        its variances do as well (PX-EM; Liu, Rubin and Wu, 1998).
-        """
-        noise, m = self.noise, len(known)
-        free = np.concatenate([~known, *(np.full(m, where.any()) for where in self.regimes)])
-        bend = self.information[np.ix_(free, free)]
-        bend = bend + np.diag(damping * np.diag(bend) + _ROUGHLY)
-        change = np.zeros(3 * m)
-        change[free] = np.linalg.solve(bend, self.gradient.ravel()[free])
-        factor = np.exp(np.clip(change, -_FURTHEST, _FURTHEST)).reshape(3, m)
-        sensor, misfit = noise.sensor * factor[0], noise.misfit * factor[1:]
-        for number, where in enumerate(self.regimes):
-            if where.any():
-                lighter = np.log(self.weights[where] / noise.weights[where]).mean()
-                misfit[number] *= np.exp(lighter)
-        sensor = np.where(known, noise.sensor, np.maximum(sensor, self.floor))
-        least = _least_misfit(sensor, self.floor, self.measured)
-        return Noise(sensor, np.maximum(misfit, least), self.weights)
 
 
 def _covariances(chain: Chain, noise: Noise) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
@@ -337,38 +265,6 @@ def _covariances(chain: Chain, noise: Noise) -> tuple[np.ndarray, np.ndarray, np
     return diagonal, left, further
 
 
-def lifted(noise: Noise, chain: Chain, residual: Array3, known: Mask) -> Noise:
-    """Noise without variances so close to zero that no step would leave it.
-
-    `known` (m,): sensors whose variances stay.
-    """
-    least = _LIFTED * _typical_variance(chain, residual)
-    sensor = np.where(known, noise.sensor, np.maximum(noise.sensor, least))
-    misfit = np.maximum(noise.misfit, _least_misfit(sensor, least, chain.measured))
-    return replace(noise, sensor=sensor, misfit=misfit)
-
-
-def at_start(chain: Chain, residual: Array3, sensor: Vector) -> Noise:
-    """A first guess: half of the residuals' robust variance for each sensor, a tenth for misfit.
-
-    `sensor` (m,): known variances, NaN for unknown ones.
-    """
-    variance = _typical_variance(chain, residual)
-    given = np.where(np.isnan(sensor), variance / 2, np.maximum(sensor, 1e-24))
-    return Noise(given, np.tile(variance / 10, (2, 1)), np.ones(chain.mask.shape))
-
-
-def _least_misfit(sensor: Vector, floor: Vector, measured: Mask) -> Vector:
-    """Least variances (m,) of misfit: hidden by the sensors, but enough to weigh outliers."""
-    return np.maximum(floor, np.where(measured, _HIDDEN * sensor, 0.0))
-
-
-def _typical_variance(chain: Chain, residual: Array3) -> Vector:
-    """(m,) robust variance of the residuals."""
-    spread = 1.4826 * np.median(np.abs(residual[chain.mask]), axis=0)
-    return np.maximum(spread**2, chain.exact)
-
-
 def misfit_variance(chain: Chain, noise: Noise) -> Array3:
     """(E, T, m) variances of each transition's misfit; with memory, of what is new in it."""
     variance = noise.misfit[chain.stiff.astype(int)] / noise.weights[..., None]
@@ -378,7 +274,7 @@ def misfit_variance(chain: Chain, noise: Noise) -> Array3:
     return variance / np.where(linked, 1.0, 1 - share**2)[..., None]
 
 
-def _score(chain: Chain, adjoint: Array3) -> Array3:
+def score_of(chain: Chain, adjoint: Array3) -> Array3:
     """Score of each state's sensor noise (E, T + 1, m).
 
     A state's noise stands in the residual that ends there and, through F, in the next one.
@@ -396,10 +292,10 @@ def _score(chain: Chain, adjoint: Array3) -> Array3:
 Product = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-def _score_covariance(
+def score_covariance(
     chain: Chain, diagonal: np.ndarray, left: np.ndarray, outer: np.ndarray | None, inner: Product
 ) -> np.ndarray:
-    """Covariances of those scores (E, T + 1, m, m) by `_matrices`, variances by `_columnwise`, from
+    """Covariances of those scores (E, T + 1, m, m) by `_matrices`, variances by `columnwise`, from
     the blocks of the inverse covariance."""
     transition, mask = chain.transition, chain.mask[..., None, None]
     own = inner(np.broadcast_to(np.eye(diagonal.shape[2]), diagonal.shape), diagonal * mask)
@@ -422,6 +318,6 @@ def _matrices(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return one.swapaxes(-1, -2) @ other
 
 
-def _columnwise(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def columnwise(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Diagonal of the same product."""
     return np.einsum("...ij,...ij->...j", one, other)

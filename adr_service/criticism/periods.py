@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from adr_service.arrays import Indices, Matrix
-from adr_service.criticism.evidence import Fit
+from adr_service.criticism.fits import Fit
 from adr_service.criticism.noise import Whitener
 from adr_service.effects.models import element_of
 

@@ -20,9 +20,10 @@ from threadpoolctl import threadpool_limits
 from adr_service.arrays import Vector
 from adr_service.criticism.compatibility import check_measurement
 from adr_service.criticism.decision import THRESHOLD, is_unknown
-from adr_service.criticism.evidence import Fit, fit, gained
+from adr_service.criticism.evidence import gained
 from adr_service.criticism.experiments import separating_experiment
 from adr_service.criticism.extension import Extension, NotWritable, extend
+from adr_service.criticism.fits import Fit, fit
 from adr_service.criticism.flexible_force import Unexplained, unexplained
 from adr_service.criticism.gain import measure_gain
 from adr_service.criticism.identifiability import indistinguishable
@@ -34,6 +35,7 @@ from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.remarks import (
     on_commands,
+    on_diverging,
     on_implausible,
     on_persistence,
     on_refuted,
@@ -46,15 +48,17 @@ from adr_service.criticism.responses import Responses
 from adr_service.criticism.revision import determined
 from adr_service.criticism.scan import Candidate, scan
 from adr_service.criticism.sensor_spread import spread_causes
-from adr_service.criticism.simulator import Simulator, is_first_order
+from adr_service.criticism.simulator import FINER, Simulator, is_first_order
 from adr_service.criticism.steps import in_steps_of
 from adr_service.criticism.summary import alternative, named_cause, residual_of
 from adr_service.criticism.verdict import Conclusion, Gain, NamedCause, Verdict
 from adr_service.criticism.weighing import Alike, slots
 from adr_service.effects.base import Effect
+from adr_service.errors import InvalidInput
 from adr_service.progress import Progress, silent
 
 _SEALED = 4  # every fourth episode
+_Begun = tuple[Fit, Block | None]  # a first fit, and the effects that forces ask for
 _ENOUGH, _FEWEST = 1000, 8  # transitions and episodes to choose the simulator's step by
 
 
@@ -111,7 +115,7 @@ def criticise(
     with ExitStack() as simulators:
         simulators.enter_context(threadpool_limits(1))
         progress(0.02, doing="fitting the simulator as it is")
-        start, block = _best_step(nominal, learned, rng, threads, simulators)
+        (start, block), own_diverges = _best_step(nominal, learned, rng, threads, simulators)
         baseline = smoothed(start)
         progress(0.1, doing="trying every effect at every place")
         responses = Responses(baseline)
@@ -126,6 +130,8 @@ def criticise(
         if unsure and not named:
             chance = min(1 - _confidence_in([alike], []) for alike in found)
         remarks = (*on_commands(base, data), *on_untried(base), *on_undetermined(unsure))
+        if own_diverges:
+            remarks = (on_diverging(base.opt.timestep, FINER), *remarks)
         outcome = _Outcome(named, final, chance, None, remarks)
         outcome = _opened(outcome, baseline, sealed, threads)
         judgement = _judged(outcome, baseline)
@@ -164,9 +170,10 @@ def _best_step(
     rng: np.random.Generator,
     threads: int | None,
     simulators: ExitStack,
-) -> tuple[Fit, Block | None]:
+) -> tuple[_Begun, bool]:
     """A first fit with the model's own step or a smaller one, whichever makes the data likelier
-    (or simulates more of them at all), and the effects that forces ask for, if there are several.
+    (or simulates more of them at all), and the effects that forces ask for, if there are several;
+    and true if the simulation diverges in the model's own step.
 
     The step of an integrator of first order may be the largest error of all, and would look like
     inertia and friction; if the data were simulated with that very step, it is right. Where many
@@ -175,15 +182,16 @@ def _best_step(
     first = simulators.enter_context(Simulator(nominal, data, threads))
     groups = needed_effects(first)
     if not is_first_order(nominal.model(nominal.start)):
-        return _begun(first, groups)
+        return _begun(first, groups), False
     part = _part(data, rng)
     coarse = first if part is data else simulators.enter_context(Simulator(nominal, part, threads))
-    both = (coarse, coarse.in_finer_steps)
-    start, block = max((_begun(each, groups) for each in both), key=_likelihood)
+    begun = _begun_in_either(coarse, groups)
+    own_diverges = begun[0][0].simulator is not coarse
+    start, block = max(begun, key=_likelihood)
     if part is data:
-        return start, block
+        return (start, block), own_diverges
     whole = first if start.simulator is coarse else first.in_finer_steps
-    return _begun(whole, groups if block is None else block.groups)
+    return _begun(whole, groups if block is None else block.groups), own_diverges
 
 
 def _part(data: Measurement, rng: np.random.Generator) -> Measurement:
@@ -196,16 +204,33 @@ def _part(data: Measurement, rng: np.random.Generator) -> Measurement:
     return data.episodes(np.sort(rng.choice(episodes, count, replace=False)).tolist())
 
 
-def _begun(simulator: Simulator, groups: Sequence[Group]) -> tuple[Fit, Block | None]:
+def _begun_in_either(coarse: Simulator, groups: Sequence[Group]) -> list[_Begun]:
+    """First fits in a simulator's own steps and in finer ones, those that can be simulated.
+
+    Raises InvalidInput if neither can.
+    """
+    begun: list[_Begun] = []
+    refused: list[InvalidInput] = []
+    for simulator in (coarse, coarse.in_finer_steps):
+        try:
+            begun.append(_begun(simulator, groups))
+        except InvalidInput as error:
+            refused.append(error)
+    if not begun:
+        raise refused[0]
+    return begun
+
+
+def _begun(simulator: Simulator, groups: Sequence[Group]) -> _Begun:
     start = fit(simulator, simulator.data.sensor_variance())
     return start, block_of(start, groups)
 
 
-def _likelihood(begun: tuple[Fit, Block | None]) -> tuple[int, float]:
+def _likelihood(begun: _Begun) -> tuple[int, float]:
     """Number of transitions that can be simulated, and how likely they are at best."""
     start, block = begun
     more = 0.0 if block is None else max(block.fair_gain, 0.0)
-    return start.simulated, float(start.held_out.sum()) + more
+    return start.simulated, float(start.settled.held_out.sum()) + more
 
 
 def _opened(outcome: _Outcome, baseline: Fit, sealed: Measurement, threads: int | None) -> _Outcome:

@@ -42,8 +42,9 @@ def check_usable(data: Measurement) -> None:
     for (name, values), is_measured in zip(shown, data.is_measured(), strict=True):
         if is_measured and (why := why_stuck(values)) is not None:
             raise InvalidInput(
-                f"{name} {why}; needed are readings that follow the robot, or an infinite "
-                "standard deviation (in an .npz) for what is not read"
+                f"{name} {why}; needed are readings that follow the robot (cut out rows in which "
+                "it rests at the end of its range, and begin a new episode after each cut), or an "
+                "infinite standard deviation (in an .npz) for what is not read"
             )
 
 

@@ -42,6 +42,14 @@ def on_commands(model: mujoco.MjModel, data: Measurement) -> tuple[str, ...]:
     return tuple(remarks)
 
 
+def on_diverging(timestep: float, finer: int) -> str:
+    """A remark on a model that can be simulated in steps alone that are so much finer."""
+    return (
+        f"The simulation diverges in the model's own timestep of {timestep:g} s. It was judged in "
+        f"one of {timestep / finer:.3g} s: give the model that one, extended.xml as well."
+    )
+
+
 def on_untried(model: mujoco.MjModel) -> tuple[str, ...]:
     """A remark on effects that some joints rule out, because they limit their actuators' force."""
     limited = [model.joint(i).name for i in np.flatnonzero(model.jnt_actfrclimited)]

@@ -38,7 +38,8 @@ def report_page(criticism: Criticism, name: str, origin: str) -> str:
     if verdict.causes:
         parts.append(_causes(verdict))
     if criticism.extension is not None:
-        parts.append(_in_mjcf(criticism.extension))
+        names = criticism.final.simulator.nominal.space.names
+        parts.append(_in_mjcf(criticism.extension, names))
     if verdict.gain is not None:
         parts.append(_gain(verdict.gain, verdict.residual))
     parts.append("<h2>Where the error is</h2>" + pictures["where"])
@@ -153,12 +154,17 @@ def _causes(verdict: Verdict) -> str:
     return "<h2>Causes</h2>" + table(heads, rows) + _advice(verdict)
 
 
-def _in_mjcf(extension: Extension) -> str:
-    """Changes of the file, to be written into one's own."""
+def _in_mjcf(extension: Extension, free: tuple[str, ...]) -> str:
+    """Changes of the file, to be written into one's own, and the parameters that are free."""
     lines = [f"<li><code>{escape(change)}</code></li>" for change in extension.changes]
     beside = [f"{effect.kind} {effect.location}" for effect in extension.beside]
     if beside:
         lines.append(f"<li>MJCF cannot express {escape(', '.join(beside))}: see effects.json.</li>")
+    if free:
+        lines.append(
+            f"<li>Free parameters were fitted again beside these ({escape(', '.join(free))}): take "
+            "their values from extended.xml.</li>"
+        )
     return "<h2>In your MJCF</h2><ul>" + "".join(lines) + "</ul>"
 
 

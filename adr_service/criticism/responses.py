@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from adr_service.arrays import Matrix
-from adr_service.criticism.evidence import Fit
+from adr_service.criticism.fits import Fit
 from adr_service.effects.base import ByAngle, Effect
 from adr_service.effects.catalogue import get_mechanism
 from adr_service.effects.joints import COULOMB_FRICTION
@@ -73,8 +73,8 @@ class Responses:
         """The sensor shows something else before the step, and after it."""
         simulator, fit = self._simulator, self._fit
         known = (simulator.base, effect)
-        before = offsets_of(*known, fit.states, self._rates, simulator.past)
-        past = simulator.past_after(fit.states[simulator.starts], self._predicted)
+        before = offsets_of(*known, fit.states, self._rates, simulator.sensors.past)
+        past = simulator.sensors.past_after(fit.states[simulator.starts], self._predicted)
         after = offsets_of(*known, self._predicted, self._rates[simulator.starts + 1], past)
         transition = fit.linear.chain.transition
         response = np.zeros(transition.shape[:3])

@@ -9,12 +9,14 @@ group, though a few of its places suffice. Its strength may also be too unsure t
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import THRESHOLD, TIE, is_evidence
-from adr_service.criticism.evidence import Fit, gained, held_out_where, held_out_without, refine
+from adr_service.criticism.evidence import gained, held_out_where, held_out_without
+from adr_service.criticism.fits import Fit, refine
 from adr_service.criticism.intervals import may_be_nothing
 from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.responses import Responses
@@ -30,6 +32,7 @@ from adr_service.criticism.weighing import (
     weigh,
 )
 from adr_service.effects.base import Effect
+from adr_service.effects.catalogue import is_part
 
 _SIGNIFICANT = 3.0  # standard deviations of a strength
 _PAIR = 2  # places that are two causes rather than a group of three
@@ -55,7 +58,7 @@ def reconsidered(
         slot = slots(kept)[number]
         before, own = kept[number], current.effects[slot]
         is_asked = len(own) == 1 or len(before) > 1
-        rest = _without(slot, current) if is_asked else None
+        rest = _without(range(slot.start, slot.stop), current) if is_asked else None
         asked = [] if rest is None else _rivals(rest, before, own, responses)
         again: Alike = ()
         if rest is not None and max(len(before), len(asked)) > 1:
@@ -94,8 +97,8 @@ def pruned(named: list[Alike], current: Fit) -> tuple[list[Alike], Fit]:
         shorter = {
             number: rest
             for number, slot in enumerate(slots(named))
-            if not _are_clearly_missed(range(slot.start, slot.stop), whole, current)
-            and (rest := _without(slot, current)) is not None
+            if not _are_clearly_missed(own := range(slot.start, slot.stop), whole, current)
+            and (rest := _without(own, current)) is not None
         }
         if not shorter:
             break
@@ -135,20 +138,43 @@ def _least_determined(named: Sequence[Alike], current: Fit) -> tuple[int, Fit] |
     at = slots(named)
     unsure = [number for number, slot in enumerate(at) if may_be_nothing(current, slot)]
     for number in sorted(unsure, key=lambda number: named[number][0].gain):
-        rest = _without(at[number], current)
+        rest = _without(range(at[number].start, at[number].stop), current)
         if rest is not None:
             return number, rest
     return None
 
 
-def _without(slot: slice, current: Fit) -> Fit | None:
-    """The fit without some of its effects."""
-    return refine(current, [*current.effects[: slot.start], *current.effects[slot.stop :]])
+def _without(gone: Sequence[int], current: Fit) -> Fit | None:
+    """The fit without the effects of these numbers.
+
+    An effect that includes one of them may take over its strength: beside it, its own may be zero,
+    because the data do not tell the two apart.
+    """
+    lost = [current.effects[number] for number in gone]
+    rest = [effect for n, effect in enumerate(current.effects) if n not in gone]
+    whole = [_in_place_of(lost, effect) for effect in rest]
+    starts = [rest] if whole == rest else [rest, whole]
+    found = [each for each in (refine(current, start) for start in starts) if each is not None]
+    return max(found, key=lambda each: each.held_out.sum(), default=None)
+
+
+def _in_place_of(lost: Sequence[Effect], effect: Effect) -> Effect:
+    """An effect with the strengths of those that it includes added to its own."""
+    values = np.array(effect.values)
+    for other in lost:
+        if is_part(other, effect):
+            values[: len(other.values)] += other.values
+    return replace(effect, values=tuple(values.tolist()))
 
 
 def _are_clearly_missed(numbers: Sequence[int], whole: Vector, current: Fit) -> bool:
     """True if a fit without some effects is, linearised, so much worse than the `whole` (E,) that
-    refining it, which takes many simulations, would not tell otherwise."""
+    refining it, which takes many simulations, would not tell otherwise.
+
+    A linear fit cannot tell where another effect includes one of them.
+    """
+    if any(is_part(current.effects[n], other) for n in numbers for other in current.effects):
+        return False
     loss = whole - held_out_without(current, numbers)
     return is_evidence(loss) and float(loss.sum()) > _CLEARLY * THRESHOLD
 
@@ -188,7 +214,7 @@ def _few_places(current: Fit, slot: slice, whole: Vector) -> Fit | None:
         is_few = 0 < count < len(order) and count <= max(_PAIR, len(order) // 2)
         if not is_few or _are_clearly_missed(gone, whole, current):
             continue
-        few = refine(current, [e for n, e in enumerate(current.effects) if n not in gone])
+        few = _without(gone, current)
         if few is None:
             continue
         loss = gained(current.settled, few)

@@ -15,7 +15,7 @@ import numpy as np
 
 from adr_service.arrays import Mask, Matrix, Vector
 from adr_service.criticism.decision import THRESHOLD, least_evident
-from adr_service.criticism.evidence import Fit
+from adr_service.criticism.fits import Fit
 from adr_service.criticism.linear import Linear, Normal, inverse
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.periods import waves_in_turn

@@ -12,7 +12,7 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import is_evidence
-from adr_service.criticism.evidence import Fit
+from adr_service.criticism.fits import Fit, settled_there
 from adr_service.criticism.verdict import NamedCause, StrengthInterval
 from adr_service.effects.base import sensors
 from adr_service.effects.catalogue import get_mechanism
@@ -70,7 +70,7 @@ def _noisier(fit: Fit, number: int) -> NamedCause | None:
     if np.isnan(stated):
         return None
     sensor = np.where(np.arange(len(fit.sensor)) == number, np.nan, fit.sensor)
-    free = replace(fit, sensor=sensor).settled
+    free = settled_there(replace(fit, sensor=sensor))
     more = free.noise.sensor[number] - stated
     gains = free.held_out - fit.held_out
     if more < _NOTICED * stated or not is_evidence(gains):

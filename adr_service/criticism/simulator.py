@@ -19,9 +19,10 @@ from adr_service.criticism.compatibility import check_columns, steps_between
 from adr_service.criticism.engine import Engine, quiet
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
-from adr_service.criticism.past import WITHIN, displacements, past_along, within
+from adr_service.criticism.past import past_along
+from adr_service.criticism.readings import Paths, Sensors
 from adr_service.effects.actuators import obeys_limits
-from adr_service.effects.base import Effect, Past, is_added
+from adr_service.effects.base import Effect, is_added
 from adr_service.effects.models import elements_of
 from adr_service.effects.signals import (
     acts_on_commands,
@@ -66,7 +67,6 @@ class Simulator:
         self.measured = np.concatenate([data.qpos, data.qvel], axis=1)  # (rows, 2 nv)
         self._engine = Engine(self.base, threads)
         self.simulated_steps = 0  # control steps, of all predictions
-        self._past: dict[int, Matrix] = {}  # by position
         self._commands = lru_cache(_KEPT_COMMANDS)(self._commands_after)
 
     def __enter__(self) -> "Simulator":
@@ -90,6 +90,14 @@ class Simulator:
         NaN where the simulation diverged.
         """
         return self._predict(effects, states, self.model(values, effects))
+
+    def true_states(self, values: Vector, effects: Sequence[Effect], states: Matrix) -> Matrix:
+        """The robot's states (rows, 2 nv) behind what its sensors show."""
+        return self._true(effects, states, self.model(values, effects))
+
+    def paths(self, values: Vector, effects: Sequence[Effect], true: Matrix) -> Paths:
+        """The motion one control step on from the robot's states (rows, 2 nv)."""
+        return self._paths(effects, true, self.model(values, effects))
 
     def follow(self, values: Vector, effects: Sequence[Effect]) -> Matrix:
         """Measured states (rows, 2 nv), whole episodes simulated from their first rows on.
@@ -162,7 +170,7 @@ class Simulator:
         true = self._true(effects, states, model)
         bits = mujoco.mjtDisableBit
         model.opt.disableflags |= bits.mjDSBL_CONTACT | bits.mjDSBL_LIMIT
-        return self._shown(effects, self._paths(effects, true, model), model)
+        return self.sensors.after(effects, self._paths(effects, true, model))
 
     def predict_pushed(
         self, values: Vector, effects: Sequence[Effect], states: Matrix, dof: int, force: float
@@ -224,55 +232,8 @@ class Simulator:
         reveal to the simulator what it is to predict.
         """
         model = self._quick(values, effects)
-        return self._rates(effects, self._true(effects, states, model), model)
-
-    def past(self, column: int) -> Matrix:
-        """(rows, k) how far a position has come since each of the moments before, the latest first,
-        back to its episode's first.
-
-        By its measured velocities or by the nominal model, whichever is nearer to the readings; by
-        these alone where no velocity was measured.
-        """
-        if column not in self._past:
-            before, after = self.measured[self.starts], self.measured[self.starts + 1]
-            velocity, read = self.base.nq + column, (after - before)[:, column]
-            moved = read
-            if self.data.is_measured()[velocity]:
-                by_velocities = (before[:, velocity] + after[:, velocity]) / 2 * self.period
-                simulated = (self._nominal_ends - before)[:, column]
-                moved = min((by_velocities, simulated), key=lambda each: np.abs(each - read).sum())
-            come = np.zeros((len(self.measured) - 1, WITHIN))
-            come[self.starts] = self._within(column, moved, before, after)
-            first = np.concatenate([np.full(b - a, a) for a, b in self.data.spans()])
-            self._past[column] = displacements(come, first)
-        return self._past[column]
-
-    def past_after(self, before: Matrix, after: Matrix) -> Past:
-        """`past` at the ends of all transitions, from states `before` to `after` (N, 2 nv) them."""
-
-        def past(column: int) -> Matrix:
-            moved = (after - before)[:, column]
-            come = self._within(column, moved, before, after)
-            latest = np.column_stack([np.zeros(len(come)), come[:, :-1]])[:, ::-1]
-            earlier = self.past(column)[self.starts, :-WITHIN]
-            return moved[:, None] - np.column_stack([latest, -earlier])
-
-        return past
-
-    def _within(self, column: int, moved: Vector, before: Matrix, after: Matrix) -> Matrix:
-        """Distances (n, WITHIN) that a position covers within steps that move it by `moved`."""
-        velocity = self.base.nq + column
-        if not self.data.is_measured()[velocity]:
-            return within(moved, None, None)
-        return within(moved, before[:, velocity] * self.period, after[:, velocity] * self.period)
-
-    def _rates(self, effects: Sequence[Effect], states: Matrix, model: mujoco.MjModel) -> Matrix:
-        paths = self._paths(effects, states, model)
-        known, rates = (model.opt.timestep, windows(self.base, effects)), np.zeros_like(states)
-        rates[self.starts + 1] = rates_at_ends(paths, *known)
-        first = np.array([first for first, _ in self.transitions()])
-        rates[self.starts[first]] = -rates_at_ends(paths[first, ::-1], *known)
-        return np.nan_to_num(rates)  # a step that diverges must not end the next one as well
+        true = self._true(effects, states, model)
+        return self.sensors.rates(effects, self._paths(effects, true, model))
 
     def model(self, values: Vector, effects: Sequence[Effect]) -> mujoco.MjModel:
         """A model of the caller's own with these parameters and effects, and with its step."""
@@ -282,6 +243,11 @@ class Simulator:
             model = nominal.completed(bare, values, effects)
         model.opt.timestep /= self.finer
         return model
+
+    @cached_property
+    def sensors(self) -> Sensors:
+        """What the robot's sensors show of its motion."""
+        return Sensors(self.base, self.data, lambda: self._nominal_ends)
 
     @cached_property
     def _nominal_ends(self) -> Matrix:
@@ -336,7 +302,7 @@ class Simulator:
         added: _Added | None = None,
     ) -> Matrix:
         true = self._true(effects, states, model)
-        return self._shown(effects, self._paths(effects, true, model, added), model)
+        return self.sensors.after(effects, self._paths(effects, true, model, added))
 
     def _paths(
         self,
@@ -344,14 +310,15 @@ class Simulator:
         true: Matrix,
         model: mujoco.MjModel,
         added: _Added | None = None,
-    ) -> Array3:
-        """The robot's states (N, steps + 1, 2 nv) from each row to the next, from its states
-        (rows, 2 nv) at the rows on."""
+    ) -> Paths:
+        """The motion from each row to the next, from the robot's states (rows, 2 nv) at the rows
+        on."""
         steps, n = round(self.period / model.opt.timestep), len(self.starts)
         self.simulated_steps += n
         starts = true[self.starts]
         if not self._is_possible(model):
-            return np.full((n, steps + 1, self.measured.shape[1]), np.nan)
+            nowhere = np.full((n, steps + 1, self.measured.shape[1]), np.nan)
+            return Paths(true, nowhere, model.opt.timestep)
         added = added or _Added()
         commands = self.commands(effects, steps)
         control = np.zeros((n, steps, model.nu + model.nv))
@@ -359,7 +326,15 @@ class Simulator:
         control[..., added.actuator] += added.command
         control[..., model.nu + added.dof] = added.force
         after = self._engine.run(model, effects, starts, control)
-        return np.concatenate([starts[:, None], after], axis=1)
+        states = np.concatenate([starts[:, None], after], axis=1)
+        return Paths(true, states, model.opt.timestep)
+
+    def _true(self, effects: Sequence[Effect], states: Matrix, model: mujoco.MjModel) -> Matrix:
+        """The robot's states (rows, 2 nv) behind what its sensors show."""
+        rates = np.zeros_like(states)
+        if windows(self.base, effects):
+            rates = self.sensors.rates(effects, self._paths(effects, states, model))
+        return behind(self.base, effects, states, rates, self.sensors.past)
 
     def _is_possible(self, model: mujoco.MjModel) -> bool:
         """True if every body that has a mass and inertias in the base model still has them."""
@@ -382,18 +357,6 @@ class Simulator:
         lengths = [last - first - 1 for first, last in self.data.spans()]
         ends = np.cumsum(lengths).tolist()
         return [(end - length, end) for end, length in zip(ends, lengths, strict=True)]
-
-    def _true(self, effects: Sequence[Effect], states: Matrix, model: mujoco.MjModel) -> Matrix:
-        """The robot's states (rows, 2 nv) behind what its sensors show."""
-        moving = windows(self.base, effects)
-        rates = self._rates(effects, states, model) if moving else np.zeros_like(states)
-        return behind(self.base, effects, states, rates, self.past)
-
-    def _shown(self, effects: Sequence[Effect], paths: Array3, model: mujoco.MjModel) -> Matrix:
-        """Readings after all transitions, from true states (N, steps + 1, 2 nv) in them."""
-        before, after = paths[:, 0], paths[:, -1]
-        rates = rates_at_ends(paths, model.opt.timestep, windows(self.base, effects))
-        return shown(self.base, effects, after, rates, self.past_after(before, after))
 
 
 def is_first_order(model: mujoco.MjModel) -> bool:

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from adr_service.arrays import Vector, frozen
 from adr_service.criticism.compatibility import check_size, check_state
-from adr_service.criticism.evidence import fit
+from adr_service.criticism.fits import fit, settled_there
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.probable_states import linearised
 from adr_service.criticism.recordings import is_measured, measurement_of, observed
@@ -61,7 +61,7 @@ def smooth(
         everywhere = np.ones(len(current.linear.residual))
         for number in range(1, _ROUNDS + 1):
             progress(number / (_ROUNDS + 1))
-            current = linearised(current, everywhere).settled
+            current = settled_there(linearised(current, everywhere))
         states = current.states[simulator.starts]
     return Smoothing(
         replace(data, observations=observed(task, source, states)),

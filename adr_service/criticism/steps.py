@@ -12,25 +12,28 @@ from functools import partial
 
 import numpy as np
 
-from adr_service.criticism.decision import THRESHOLD, beats
-from adr_service.criticism.evidence import Fit, gained
+from adr_service.criticism.decision import beats
+from adr_service.criticism.evidence import gained
+from adr_service.criticism.fits import Fit
+from adr_service.criticism.linear import Normal
 from adr_service.criticism.noise import Whitener
 from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.simulator import FINER, Simulator, is_first_order
+from adr_service.effects.catalogue import get_mechanism
 
 _FINEST = FINER**2  # steps for one of the model's
+_SURE, _FAR = 2.0, 0.02  # standard deviations, and of a strength: more is pulled
 
 
 def in_finer_steps(current: Fit, newest: int) -> Fit:
     """The fit in finer steps where these make the data likelier, and the fit itself elsewhere.
 
-    It tries them only if its last effects, `newest` in number, do something else in these, and by
-    so much that it would be evidence.
+    It tries them only if they would change a strength of its `newest` last effects.
     """
     while (
         is_first_order(current.simulator.base)
         and current.simulator.finer < _FINEST
-        and _nats_of_finer_steps(current, newest) > THRESHOLD
+        and _are_pulled(current, newest)
     ):
         finer = in_steps_of(current, current.simulator.in_finer_steps)
         more = finer.simulated - current.simulated  # whose likelihoods count beside no others
@@ -45,14 +48,30 @@ def in_steps_of(current: Fit, simulator: Simulator) -> Fit:
     return smoothed(replace(current, simulator=simulator))
 
 
-def _nats_of_finer_steps(current: Fit, newest: int) -> float:
-    """Evidence that would be in what finer steps change of the newest effects' doing."""
-    simulator, chain = current.simulator, current.linear.chain
+def _are_pulled(current: Fit, newest: int) -> bool:
+    """True if finer steps would change a strength of the newest effects, by two standard deviations
+    and more than 2 %, as far as all is linear.
+
+    By what they change of these effects' own share of the predictions, beside parameters and other
+    effects. The columns of what integration adds are left out: they have been fitted to that share.
+    """
+    simulator, linear = current.simulator, current.linear
+    newest_effects = current.effects[len(current.effects) - newest :]
+    if all(get_mechanism(effect.kind).sensing is not None for effect in newest_effects):
+        return False  # which are not integrated
     finely = partial(simulator.predict_finer, finer=FINER, integrator=simulator.base.opt.integrator)
     own = (current.parameters, current.effects, current.states)
-    rest = (current.parameters, current.effects[: len(current.effects) - newest], current.states)
+    rest = (current.parameters, current.effects[:-newest], current.states)
     beside = finely(*rest) - simulator.predict(*rest)
     change = current.layout.fold(np.nan_to_num(finely(*own) - current.predicted - beside))
-    change[~chain.mask] = 0.0
-    white = Whitener.of(chain, current.noise).whiten(change[..., None])
-    return float(0.5 * np.sum(white**2))
+    change[~linear.chain.mask] = 0.0
+    moved = replace(linear, residual=linear.residual - change)
+    finer = Normal.of(Whitener.of(linear.chain, current.noise), moved)
+    kept = np.delete(np.arange(len(linear.mean)), current.integration).tolist()
+    (before, covariance), (after, _) = (
+        each.only(kept).change() for each in (current.normal, finer)
+    )
+    strengths = np.abs(np.concatenate([effect.values for effect in newest_effects]))
+    pull = np.abs(after - before)[-len(strengths) :]
+    deviation = np.sqrt(np.diagonal(covariance))[-len(strengths) :]
+    return bool(np.any((pull > _SURE * deviation) & (pull > _FAR * strengths)))

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from adr_service.criticism.decision import is_evidence
-from adr_service.criticism.evidence import Fit
+from adr_service.criticism.fits import Fit
 from adr_service.criticism.flexible_force import Unexplained
 from adr_service.criticism.intervals import intervals
 from adr_service.criticism.scan import Candidate, location_of

@@ -80,7 +80,7 @@ class NamedCause:
     """An effect that the simulator lacks, at its place."""
 
     kind: str
-    location: str  # of a group `body:*`
+    location: str  # for a group, all places of its kind: `body:*`, `joint:*`
     strengths: tuple[StrengthInterval, ...]  # in the mechanism's order; of a group place by place
     confidence: float  # probability, among everything that was asked
     gain: float  # [nats] log-likelihood of left-out episodes, with the cause minus without

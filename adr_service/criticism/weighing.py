@@ -13,17 +13,11 @@ import numpy as np
 
 from adr_service.arrays import Vector
 from adr_service.criticism.decision import ALIKE, THRESHOLD, TIE, decide
-from adr_service.criticism.evidence import (
-    Fit,
-    held_out_where,
-    held_out_without,
-    improved,
-    refine,
-    tried,
-)
+from adr_service.criticism.evidence import held_out_where, held_out_without
+from adr_service.criticism.fits import Fit, improved, refine, tried
 from adr_service.criticism.scan import Candidate
 from adr_service.effects.base import Effect
-from adr_service.effects.catalogue import get_mechanism
+from adr_service.effects.catalogue import is_part
 from adr_service.effects.models import sensible, shapes_of
 
 _PROMISING = THRESHOLD / 4  # [nats]; refining adds little more
@@ -168,15 +162,15 @@ def _simplest_first(alike: Sequence[Weighed]) -> Alike:
     best = max(each.fair_gain for each in alike)
     near = [each for each in alike if best - each.fair_gain < max(TIE, ALIKE * best)]
     first = min(near, key=lambda each: (each.size, -each.fair_gain))
-    known = parts(first.effects)
-    is_same = [each is first or known <= _included(each.effects) for each in alike]
+    is_same = [each is first or _is_part(first.effects, each.effects) for each in alike]
     both = list(zip(alike, is_same, strict=True))
     confidence = sum(each.confidence for each, same in both if same)
     return (replace(first, confidence=confidence), *(each for each, same in both if not same))
 
 
-def _included(effects: Sequence[Effect]) -> set[tuple[str, str]]:
-    return {(get_mechanism(effect.kind).includes, effect.location) for effect in effects}
+def _is_part(some: Sequence[Effect], whole: Sequence[Effect]) -> bool:
+    """True if each of some effects is part of one of the others."""
+    return all(any(is_part(one, other) for other in whole) for one in some)
 
 
 def from_elsewhere(current: Fit, best: Fit) -> Fit:

@@ -7,7 +7,7 @@ of its own by `add`, for its own process alone: a service's processes do not kno
 """
 
 from adr_service.effects import actuators, bodies, contacts, joints, sensors, world
-from adr_service.effects.base import Mechanism
+from adr_service.effects.base import Effect, Mechanism
 from adr_service.errors import InvalidInput, UnknownName
 
 _FAMILIES = (joints, actuators, bodies, world, contacts, sensors)  # scans keep this order
@@ -26,6 +26,11 @@ def get_mechanism(kind: str) -> Mechanism:
     if kind not in MECHANISMS:
         raise UnknownName("mechanism", kind, MECHANISMS)
     return MECHANISMS[kind]
+
+
+def is_part(one: Effect, whole: Effect) -> bool:
+    """True if one effect is what another is while its last strengths are zero."""
+    return (one.kind, one.location) == (get_mechanism(whole.kind).includes, whole.location)
 
 
 for _family in _FAMILIES:

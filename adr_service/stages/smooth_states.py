@@ -30,7 +30,8 @@ class SmoothStates(Stage[SmoothedStates]):
     kind: ClassVar = "smooth_states"
     # 2: in data without noise, errors of the computation count as none, 3: fits take the steps
     # that they gain by, 4: parameters and strengths of an extension that would leave their bounds
-    # are held there. What changes `criticism.evidence` or `.probable_states` may ask for another
+    # are held there. What changes `criticism.fits`, `.linearisation` or `.probable_states` may ask
+    # for another
     version: ClassVar = 4
     role: ClassVar[Role] = "inference"
     result: ClassVar = SmoothedStates

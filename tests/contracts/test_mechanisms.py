@@ -97,9 +97,11 @@ def test_an_effect_in_a_sensor_is_undone_as_it_was_applied(kind, simulator):
     true, rates = simulator.measured, np.random.default_rng(1).normal(size=simulator.measured.shape)
     for place in get_mechanism(kind).locations(simulator.base):
         effect = typical(simulator.base, kind, place)
-        readings = shown(simulator.base, [effect], true, rates, simulator.past)
+        readings = shown(simulator.base, [effect], true, rates, simulator.sensors.past)
         np.testing.assert_allclose(
-            behind(simulator.base, [effect], readings, rates, simulator.past), true, atol=1e-12
+            behind(simulator.base, [effect], readings, rates, simulator.sensors.past),
+            true,
+            atol=1e-12,
         )
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import draw_case, hide
-from adr_service.criticism.evidence import fit, refine
 from adr_service.criticism.extension import extend
+from adr_service.criticism.fits import fit, refine
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.pipeline import criticise

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from adr_service.blind_test.planting import hide
-from adr_service.criticism.evidence import fit
 from adr_service.criticism.experiments import separating_experiment
+from adr_service.criticism.fits import fit
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect

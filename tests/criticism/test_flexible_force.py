@@ -7,7 +7,7 @@ import pytest
 from adr_service.blind_test.outside import Force
 from adr_service.blind_test.planting import draw_case, hide
 from adr_service.criticism.decision import is_evidence
-from adr_service.criticism.evidence import fit, refine
+from adr_service.criticism.fits import fit, refine
 from adr_service.criticism.flexible_force import _own_forces, unexplained
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import hide
-from adr_service.criticism.evidence import fit
+from adr_service.criticism.fits import fit
 from adr_service.criticism.identifiability import indistinguishable
 from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.responses import Responses

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from adr_service.criticism.evidence import refine
+from adr_service.criticism.fits import refine
 from adr_service.criticism.intervals import intervals, may_be_nothing
 from adr_service.effects.base import Effect
 

@@ -13,7 +13,8 @@ from adr_service.criticism.linear import (
     persistence_of,
     persisting,
 )
-from adr_service.criticism.noise import Chain, Noise, Whitener, at_start
+from adr_service.criticism.noise import Chain, Noise, Whitener
+from adr_service.criticism.variances import at_start
 
 EPISODES, STEPS, WIDTH, COLUMNS = 6, 10, 2, 3
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adr_service.criticism.decision import is_evidence
-from adr_service.criticism.evidence import tried
+from adr_service.criticism.fits import tried
 from adr_service.criticism.naming import block_of, name_effects
 from adr_service.effects.base import Effect
 from adr_service.progress import silent

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from adr_service.criticism.linear import Linear, estimate
-from adr_service.criticism.noise import Ascent, Chain, Factor, Noise, Whitener, at_start, lifted
+from adr_service.criticism.noise import Chain, Factor, Noise, Whitener
+from adr_service.criticism.variances import Ascent, at_start, lifted
 
 EPISODES, STEPS, WIDTH = 20, 30, 2
 EXACT = np.full(WIDTH, 1e-24)

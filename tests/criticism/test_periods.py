@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import hide
-from adr_service.criticism.evidence import fit, gained, held_out_without, refine
+from adr_service.criticism.evidence import gained, held_out_without
+from adr_service.criticism.fits import fit, refine
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.periods import waves_in_turn

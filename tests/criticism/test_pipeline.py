@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adr_service.blind_test.planting import draw_case, hide
-from adr_service.criticism import revision
+from adr_service.criticism import pipeline, revision
 from adr_service.criticism.decision import THRESHOLD
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
@@ -21,6 +21,7 @@ from adr_service.criticism.pipeline import (
     split,
 )
 from adr_service.criticism.report import FILES, files_of
+from adr_service.criticism.simulator import Simulator
 from adr_service.criticism.verdict import NamedCause
 from adr_service.criticism.weighing import Weighed
 from adr_service.effects.base import Effect
@@ -218,6 +219,23 @@ def test_a_simulation_that_diverges_is_refused(good):
     wild = Measurement(**{**good, **{n: 1e12 * good[n] for n in ("qpos", "qvel")}})
     with pytest.raises(InvalidInput, match="the simulation diverges from"):
         criticise(arm()[1], wild, np.random.default_rng(0), threads=1)
+
+
+def test_a_model_that_diverges_in_its_own_step_is_criticised_in_a_finer_one(good, monkeypatch):
+    """And refused if it diverges in that as well."""
+    diverging = {1}
+
+    def begun(simulator, groups):
+        if simulator.finer in diverging:
+            raise InvalidInput(f"the simulation diverges in steps of {simulator.finer}")
+        return simulator.finer, None
+
+    monkeypatch.setattr(pipeline, "_begun", begun)
+    with Simulator(arm()[1], Measurement(**good), threads=1) as simulator:
+        assert pipeline._begun_in_either(simulator, []) == [(3, None)]
+        diverging.add(3)
+        with pytest.raises(InvalidInput, match="diverges in steps of 1"):
+            pipeline._begun_in_either(simulator, [])
 
 
 def test_every_fourth_episode_is_sealed(good):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from adr_service.criticism import probable_states
+from adr_service.criticism.fits import likelier_of, noise_anew
 from adr_service.criticism.probable_states import linearised, smoothed
 
 
@@ -13,7 +14,7 @@ def test_each_episode_has_the_states_that_make_it_likelier(baseline):
     share = np.arange(len(baseline.held_out)) % 2 * 1.0
     spoilt = replace(baseline, states=baseline.states + 0.1)
     other = linearised(spoilt, share)
-    chosen, is_likelier = probable_states._likelier_of(baseline, other)
+    chosen, is_likelier = likelier_of(baseline, other)
     assert is_likelier.tolist() == (other.held_out > baseline.held_out).tolist()
     assert not is_likelier[share == 0].any()
     episodes = baseline.simulator.data.episode
@@ -46,7 +47,7 @@ def test_states_that_make_every_episode_less_likely_are_approached_by_half(basel
     monkeypatch.setattr(probable_states, "linearised", spoiling)
     found = smoothed(baseline)
     assert shares == [1.0, 1.0, 0.5]
-    np.testing.assert_array_equal(found.states, linearised(baseline, np.ones(8)).states)
+    np.testing.assert_array_equal(found.states, linearised(baseline, np.ones(8)).settled.states)
 
 
 def test_a_parameter_at_its_bound_stays_there_as_states_are_chosen(baseline):
@@ -59,5 +60,5 @@ def test_a_parameter_at_its_bound_stays_there_as_states_are_chosen(baseline):
         parameters=space.high,
         linear=replace(linear, residual=linear.residual + misfit),
     )
-    kept = probable_states._within(asked)
+    kept = noise_anew(asked)
     assert np.all(kept.normal.change()[0][: len(beyond)] < 0.01 * beyond)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adr_service.criticism.evidence import fit
+from adr_service.criticism.fits import fit
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.simulator import Simulator

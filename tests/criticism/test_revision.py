@@ -8,7 +8,7 @@ import pytest
 from adr_service.blind_test.planting import hide
 from adr_service.criticism import revision
 from adr_service.criticism.decision import THRESHOLD
-from adr_service.criticism.evidence import fit, refine
+from adr_service.criticism.fits import fit, refine
 from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.responses import Responses
 from adr_service.criticism.revision import determined, narrowed, pruned, reconsidered
@@ -55,6 +55,22 @@ def test_an_effect_whose_interval_holds_zero_goes_and_the_others_stay(baseline, 
     assert [effect.kind for effect in final.effects] == [friction.kind]
 
 
+def test_an_effect_that_another_includes_is_dropped_and_the_other_does_its_work():
+    """Coulomb friction was named first; beside it, nothing can be said of what the other has of
+    it."""
+    whole = Effect("joint_position_dependent_friction", "joint:shoulder", (0.15, -0.06, 0.07, 20.0))
+    data = hide(*arm(), np.random.default_rng(407), [whole]).episodes(range(8))
+    coulomb = Effect("joint_coulomb_friction", whole.location, whole.values[:1])
+    rest = replace(whole, values=(0.0, *whole.values[1:]))
+    with Simulator(arm()[1], data, threads=1, finer=3) as simulator:
+        both = smoothed(refine(smoothed(fit(simulator, data.sensor_variance())), [coulomb, rest]))
+        named = [(weighed(both, effect),) for effect in both.effects]
+        kept, final = pruned(named, both)
+    assert kept == [named[1]]
+    assert final.effects[0].kind == whole.kind
+    np.testing.assert_allclose(final.effects[0].values[:3], whole.values[:3], rtol=0.1)
+
+
 @pytest.mark.slow
 def test_an_effect_without_which_nothing_can_be_simulated_stays_and_others_go(
     baseline, friction, monkeypatch
@@ -64,7 +80,7 @@ def test_an_effect_without_which_nothing_can_be_simulated_stays_and_others_go(
     whole = replace(both, effects=both.effects[::-1])
     monkeypatch.setattr(revision, "may_be_nothing", lambda fit, slot: True)
     without = iter([None, refine(baseline, [friction]), None])
-    monkeypatch.setattr(revision, "_without", lambda slot, fit: next(without))
+    monkeypatch.setattr(revision, "_without", lambda gone, fit: next(without))
     kept, _, gone = determined(named, whole)
     assert len(kept) == len(gone) == 1
 
@@ -100,7 +116,7 @@ def test_a_group_that_needs_two_places_of_four_becomes_two_causes():
     data = hide(*arm(), np.random.default_rng(406), hidden).episodes(range(12))
     sensor = data.sensor_variance()
     with Simulator(arm()[1], data, threads=1, finer=3) as simulator:
-        group = refine(smoothed(fit(simulator, sensor)), BIASES)
+        group = smoothed(refine(smoothed(fit(simulator, sensor)), BIASES))
         named, final = narrowed([(weighed(group, *BIASES),)], group)
     assert [[each.effects[0].location for each in alike] for alike in named] == [
         ["sensor:shoulder.velocity"],

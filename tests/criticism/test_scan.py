@@ -8,7 +8,7 @@ import pytest
 
 from adr_service.blind_test.planting import hide
 from adr_service.criticism.decision import THRESHOLD
-from adr_service.criticism.evidence import fit
+from adr_service.criticism.fits import fit
 from adr_service.criticism.linear import Normal
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.noise import Whitener

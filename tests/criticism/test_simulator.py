@@ -9,7 +9,7 @@ import pytest
 from adr_service.blind_test.planting import hide
 from adr_service.criticism import nominal as nominals
 from adr_service.criticism.decision import THRESHOLD
-from adr_service.criticism.evidence import fit, refine
+from adr_service.criticism.fits import fit, refine
 from adr_service.criticism.measurements import Measurement
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.past import WITHIN, within
@@ -289,7 +289,7 @@ def test_the_past_is_what_velocities_add_up_to_within_an_episode(good):
     moved = (data.qvel[first : last - 1, 1] + data.qvel[first + 1 : last, 1]) / 2 * data.period()
     for measured, expected in ((data, moved), (blind, np.diff(data.qpos[first:last, 1]))):
         with Simulator(arm()[1], measured, threads=1) as simulator:
-            past = simulator.past(1)[first:last, every]
+            past = simulator.sensors.past(1)[first:last, every]
         np.testing.assert_array_equal(past[0], 0.0)
         np.testing.assert_allclose(past[1:, 0], expected, atol=1e-12)
         np.testing.assert_allclose(past[3, :5], np.cumsum(expected[2::-1])[[0, 1, 2, 2, 2]])
@@ -298,9 +298,9 @@ def test_the_past_is_what_velocities_add_up_to_within_an_episode(good):
 def test_the_past_after_a_transition_begins_with_it(good):
     with Simulator(arm()[1], Measurement(**good), threads=1) as simulator:
         start = simulator.measured[simulator.starts]
-        after = simulator.past_after(start, start + 1.0)(1)
+        after = simulator.sensors.past_after(start, start + 1.0)(1)
         np.testing.assert_allclose(after[:, WITHIN - 1], 1.0, atol=1e-12)
-        before = simulator.past(1)[simulator.starts]
+        before = simulator.sensors.past(1)[simulator.starts]
         np.testing.assert_allclose(after[:, WITHIN:], 1.0 + before[:, :-WITHIN], atol=1e-12)
 
 
@@ -320,7 +320,7 @@ def test_the_past_is_simulated_where_velocities_change_much_between_rows():
     names = ("time", "qpos", "qvel", "ctrl", "episode")
     data = Measurement(**{name: getattr(every, name)[rows] for name in names})
     with Simulator(arm()[1], data, threads=1) as simulator:
-        moved = simulator.past(1)[simulator.starts + 1, WITHIN - 1]
+        moved = simulator.sensors.past(1)[simulator.starts + 1, WITHIN - 1]
         before, after = simulator.starts, simulator.starts + 1
     read = data.qpos[after, 1] - data.qpos[before, 1]
     by_velocities = (data.qvel[after, 1] + data.qvel[before, 1]) / 2 * data.period()

@@ -8,7 +8,7 @@ import pytest
 
 from adr_service.blind_test.planting import hide
 from adr_service.criticism import steps
-from adr_service.criticism.evidence import fit, refine
+from adr_service.criticism.fits import fit, refine
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.simulator import Simulator
@@ -77,7 +77,7 @@ def test_finer_steps_are_taken_for_more_transitions_and_refused_for_fewer(
         return without(replace(in_thirds, simulator=simulator), after)
 
     monkeypatch.setattr(steps, "in_steps_of", finer_steps)
-    monkeypatch.setattr(steps, "_nats_of_finer_steps", lambda current, newest: np.inf)
+    monkeypatch.setattr(steps, "_are_pulled", lambda current, newest: True)
     monkeypatch.setattr(steps, "gained", None)  # would be called for equal numbers alone
     begun = without(in_thirds, before)
     found = in_finer_steps(begun, 1)

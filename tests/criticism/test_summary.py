@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adr_service.criticism.evidence import refine
+from adr_service.criticism.fits import refine
 from adr_service.criticism.flexible_force import Unexplained
 from adr_service.criticism.naming import Weighed
 from adr_service.criticism.scan import Candidate

@@ -8,7 +8,8 @@ import pytest
 
 from adr_service.criticism import weighing
 from adr_service.criticism.decision import THRESHOLD
-from adr_service.criticism.evidence import gained, held_out_without, refine
+from adr_service.criticism.evidence import gained, held_out_without
+from adr_service.criticism.fits import refine
 from adr_service.criticism.probable_states import smoothed
 from adr_service.criticism.weighing import (
     Weighed,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adr_service.criticism.evidence import fit
+from adr_service.criticism.fits import fit
 from adr_service.criticism.pipeline import criticise
 from adr_service.criticism.simulator import Simulator
 from adr_service.effects.base import Effect
