@@ -207,6 +207,31 @@ def test_another_effect_in_a_sensor_moves_what_is_read_of_the_same_states(baseli
     np.testing.assert_allclose(found.states, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("kind", "place", "values"),
+    [
+        ("sensor_bias", "sensor:elbow.position", (0.01,)),
+        ("sensor_bias", "sensor:elbow.velocity", (0.05,)),
+        ("sensor_scale", "sensor:shoulder.velocity", (0.05,)),
+        ("sensor_delay", "sensor:elbow.position", (0.002,)),
+        ("sensor_delay", "sensor:elbow.velocity", (0.002,)),
+        ("joint_encoder_scale", "joint:elbow", (0.05,)),
+        ("joint_backlash", "joint:elbow", (0.02,)),
+    ],
+)
+def test_residuals_follow_the_derivatives_by_strengths_in_sensors(baseline, kind, place, values):
+    """Beside another effect in the same sensor, which acts first."""
+    first = Effect("sensor_scale", "sensor:elbow.position", (0.1,))
+    begun, moved = (
+        tried(baseline, [first, Effect(kind, place, (factor * values[0],))])
+        for factor in (1.0, 1.02)
+    )
+    foretold = 0.02 * values[0] * begun.linear.columns[..., -1]
+    change = begun.linear.residual - moved.linear.residual
+    assert np.linalg.norm(change) > 0
+    assert np.linalg.norm(change - foretold) < 0.15 * np.linalg.norm(change)
+
+
 def test_an_effect_is_judged_about_states_that_are_probable_with_it():
     """An offset of fifty times the noise, about which no model of an arm is linear."""
     data = hide(*arm(), np.random.default_rng(406), [BIAS]).episodes(range(8))

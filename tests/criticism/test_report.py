@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import pytest
 
 import adr_service
-from adr_service.criticism.report import FILES, files_of, report_page
+from adr_service.criticism.report import FILES, _in_mjcf, files_of, report_page
 from adr_service.criticism.verdict import Conclusion, Rest
 
 ORIGIN = "measured <1>.npz, seed 7"
@@ -30,6 +30,14 @@ def test_a_named_cause_has_all_files(criticism):
 
 def test_the_same_criticism_gives_the_same_bytes(criticism):
     assert files_of(criticism, "arm", ORIGIN) == files_of(criticism, "arm", ORIGIN)
+
+
+def test_the_page_says_that_free_parameters_have_other_values_in_the_extended_model(
+    criticism, page
+):
+    names = ", ".join(criticism.final.simulator.nominal.space.names)
+    assert f"Free parameters were fitted again beside these ({names})" in page
+    assert "fitted again" not in _in_mjcf(criticism.extension, ())
 
 
 def test_the_page_says_what_it_was_made_of(criticism, page):

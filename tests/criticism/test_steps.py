@@ -106,6 +106,28 @@ def test_steps_stay_where_finer_ones_change_nothing_of_what_a_cause_does(baselin
     assert vars(baseline.simulator).get("in_finer_steps") is None  # nor were any tried
 
 
+@pytest.mark.parametrize(("size", "is_pulled"), [(0.0, False), (0.05, True)])
+def test_what_changes_no_strength_asks_for_no_finer_steps(in_thirds, monkeypatch, size, is_pulled):
+    """However much it changes of the predictions: here by a fifth of the noise, and by what so much
+    more friction would do."""
+    simulator, columns = in_thirds.simulator, in_thirds.linear.columns[in_thirds.linear.chain.mask]
+    more = size * STRONG.values[0] * columns[..., in_thirds.columns_of(slice(0, 1)).start]
+    noise = np.sqrt(in_thirds.noise.sensor) * np.random.default_rng(0).normal(size=more.shape)
+    changed = {1: noise / 5 + more, 0: 0.0}
+
+    def finely(values, effects, states, **_):
+        return simulator.predict(values, effects, states) + changed[len(effects)]
+
+    monkeypatch.setattr(simulator, "predict_finer", finely)
+    assert steps._are_pulled(in_thirds, 1) is is_pulled
+
+
+def test_effects_in_sensors_ask_for_no_finer_steps(baseline):
+    """They are not integrated."""
+    biased = refine(baseline, [Effect("sensor_bias", "sensor:elbow.position", (0.01,))])
+    assert not steps._are_pulled(biased, 1)
+
+
 def test_a_simulator_in_finer_steps_predicts_quickly_in_the_larger_ones(in_thirds):
     simulator = in_thirds.simulator
     known = (in_thirds.parameters, in_thirds.effects, in_thirds.states)
