@@ -1,5 +1,6 @@
 """Cases of a long benchmark, kept as they end: it goes on where it was interrupted."""
 
+import ast
 import json
 import os
 from collections.abc import Callable, Hashable, Sequence
@@ -62,8 +63,19 @@ def _resumed(path: Path, origin: dict[str, Any]) -> list[Case]:
 
 
 def digest_of(*places: str) -> str:
-    """Digest of sources of this project: files, and all in folders."""
+    """Digest of what sources of this project do, whatever their comments and docstrings say: of
+    files, and of all in folders."""
     root = Path(adr_service.__file__).parent.parent
     files = [file for place in places for file in (root / place).rglob("*.py")]
     files += [root / place for place in places if place.endswith(".py")]
-    return sha256(b"".join(file.read_bytes() for file in sorted(files)))[:12]
+    return sha256("".join(without_words(file.read_text()) for file in sorted(files)).encode())[:12]
+
+
+def without_words(source: str) -> str:
+    """The syntax tree of a module, as text, without its docstrings."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            is_said = ast.get_docstring(node, clean=False) is not None
+            node.body = node.body[is_said:]
+    return ast.dump(tree)

@@ -211,8 +211,7 @@ def _stepped(fit: Fit, first: Fit) -> Fit:
     """A fit that was `tried`, after steps to better strengths, about the states that it has.
 
     Steps end at bounds, and one that makes the data less probable is shortened. The derivatives by
-    parameters, and by effects that the fit has already, stay as well, those by new strengths while
-    these stay near.
+    parameters stay as well, and those by strengths while these stay near.
     """
     best, about, step = first, first.effects, first.normal.change()[0]
     refused, columns = 0, fit.integration

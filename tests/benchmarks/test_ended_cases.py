@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from benchmarks.ended_cases import all_cases
+from benchmarks.ended_cases import all_cases, without_words
 
 
 def squared(job):
@@ -53,3 +53,11 @@ def test_a_case_that_fails_is_raised_when_the_others_have_ended(tmp_path):
     with pytest.raises(ValueError, match="this one fails"):
         run(path, [3, *others], broken, seed=1)
     assert run(path, others, never, seed=1) == [squared(job) for job in others]
+
+
+def test_words_do_not_make_a_method_another_one():
+    said = '"""A module."""\ndef f(x):\n    """Twice x."""\n    return 2 * x  # exact\n'
+    unsaid = "def f(x):\n    return 2 * x\n"
+    assert without_words(said) == without_words(unsaid)
+    assert without_words(said) != without_words(said.replace("2 * x ", "3 * x "))
+    assert without_words("def f(x):\n    '''Only said.'''\n") != without_words("def g(x): pass\n")
