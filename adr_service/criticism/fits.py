@@ -43,7 +43,7 @@ from adr_service.criticism.within_bounds import (
 from adr_service.effects.base import Effect
 from adr_service.effects.models import plausible_of, typical_of
 
-_RESTATED, _LITTLE = 3, 10.0  # new states at most, the last of which gain fewer nats than this
+_RESTATED, _LITTLE = 3, 10.0  # changes of states at most; one that gains fewer nats is the last
 _STEPS, _REFUSED = 15, 3  # at most; and so many that were refused, one after the other
 _CONVERGED = 0.3  # [nats] that a step gains at least
 NEAR = 0.25  # of a value, or of a typical strength: so far, derivatives by it hardly change

@@ -1,4 +1,4 @@
-"""What a measured robot's sensors show of its motion, and the motion behind that.
+"""Readings of a measured robot's sensors, by its motion.
 
 States are positions, then velocities. Some effects in sensors depend on rates of change, which are
 simulated, and some on the way that a position has come before.

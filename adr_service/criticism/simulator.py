@@ -246,7 +246,7 @@ class Simulator:
 
     @cached_property
     def sensors(self) -> Sensors:
-        """What the robot's sensors show of its motion."""
+        """The robot's sensors, with the past of each position."""
         return Sensors(self.base, self.data, lambda: self._nominal_ends)
 
     @cached_property

@@ -246,7 +246,7 @@ def test_an_effect_is_judged_about_states_that_are_probable_with_it():
 
 
 def test_a_strength_that_was_nothing_has_derivatives_once_it_is_something(baseline):
-    """Of several strengths, those of which nothing can be said are zero, and have none."""
+    """A strength that the data do not identify beside others is zero, and has no derivatives."""
     kind, place = "joint_stribeck_friction", "joint:elbow"
     begun = tried(baseline, [Effect(kind, place, (0.1, 0.0))])
     assert begun.columns_at(Effect(kind, place, (0.11, 0.0))) is not None

@@ -123,9 +123,11 @@ def test_what_changes_no_strength_asks_for_no_finer_steps(in_thirds, monkeypatch
 
 
 def test_effects_in_sensors_ask_for_no_finer_steps(baseline):
-    """They are not integrated."""
+    """They are not integrated, so nothing is simulated to find that out."""
     biased = refine(baseline, [Effect("sensor_bias", "sensor:elbow.position", (0.01,))])
+    spent = biased.simulator.simulated_steps
     assert not steps._are_pulled(biased, 1)
+    assert biased.simulator.simulated_steps == spent
 
 
 def test_a_simulator_in_finer_steps_predicts_quickly_in_the_larger_ones(in_thirds):
