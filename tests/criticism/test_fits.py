@@ -245,6 +245,32 @@ def test_an_effect_is_judged_about_states_that_are_probable_with_it():
     assert gains[0] == pytest.approx(gains[1], rel=0.03)
 
 
+def test_an_episode_that_diverges_from_its_probable_states_keeps_those_that_it_has(
+    baseline, friction, monkeypatch
+):
+    """And others take theirs."""
+    simulator, predict = baseline.simulator, baseline.simulator.predict
+
+    def moved():
+        refined = refine(baseline, [replace(friction, values=(0.05,))])
+        spans = simulator.data.spans()
+        both = (refined.states, baseline.states)
+        return [n for n, (a, b) in enumerate(spans) if not np.array_equal(*(s[a:b] for s in both))]
+
+    gone, *_ = moved()
+    first, last = simulator.transitions()[gone]
+
+    def diverging(values, effects, states):
+        predicted = predict(values, effects, states)
+        predicted[first:last] = np.nan
+        return predicted
+
+    monkeypatch.setattr(simulator, "predict", diverging)
+    others = moved()
+    assert others
+    assert gone not in others
+
+
 def test_a_strength_that_was_nothing_has_derivatives_once_it_is_something(baseline):
     """A strength that the data do not identify beside others is zero, and has no derivatives."""
     kind, place = "joint_stribeck_friction", "joint:elbow"

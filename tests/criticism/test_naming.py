@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from adr_service.criticism.decision import is_evidence
-from adr_service.criticism.fits import tried
+from adr_service.criticism.evidence import gained
+from adr_service.criticism.fits import refine, tried
 from adr_service.criticism.naming import block_of, name_effects
+from adr_service.criticism.probable_states import linearised
 from adr_service.effects.base import Effect
 from adr_service.progress import silent
 
@@ -84,6 +86,15 @@ def test_a_group_that_the_others_make_superfluous_does_not_stand_and_takes_no_ev
     assert is_evidence(first.gains)
     assert first.confidence > 0.99
     assert SPRING.kind not in [effect.kind for effect in current.effects]
+
+
+def test_a_block_gains_nothing_by_better_states(baseline, friction):
+    """Better states gain without any effect: here the first ones are half a radian off."""
+    nowhere = np.zeros(len(baseline.held_out))
+    start = linearised(replace(baseline, states=baseline.states + 0.5), nowhere)
+    assert (start.settled.held_out - start.held_out).sum() > 1000
+    alone = gained(refine(baseline, [friction]), baseline.settled).sum()
+    assert 0 < block_of(start, ((friction,),)).gains.sum() < 1.1 * alone
 
 
 def test_nothing_is_no_block(baseline):

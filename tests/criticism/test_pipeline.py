@@ -238,6 +238,21 @@ def test_a_model_that_diverges_in_its_own_step_is_criticised_in_a_finer_one(good
             pipeline._begun_in_either(simulator, [])
 
 
+def test_a_remark_says_that_the_model_needs_a_smaller_step(good, monkeypatch):
+    begun = pipeline._begun
+
+    def diverging(simulator, groups):
+        if simulator.finer == 1:
+            raise InvalidInput("the simulation diverges")
+        return begun(simulator, groups)
+
+    monkeypatch.setattr(pipeline, "_begun", diverging)
+    data = Measurement(**good).episodes(range(8))
+    found = criticise(arm()[1], data, np.random.default_rng(0), threads=1)
+    assert "diverges in the model's own timestep of 0.01 s" in found.verdict.remarks[0]
+    assert "one of 0.00333 s" in found.verdict.remarks[0]
+
+
 def test_every_fourth_episode_is_sealed(good):
     learned, sealed = split(Measurement(**good))
     assert (len(learned.spans()), len(sealed.spans())) == (23, 7)
