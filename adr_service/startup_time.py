@@ -1,10 +1,11 @@
-"""Seconds that this process has spent on imports and compilations before it could compute.
+"""CPU seconds that this process has spent on imports and compilations before it could compute.
 
     with preparing():
         import torch
 
 Imports happen once per process and compilations once per training, so cost reports list them
-apart from computing. JAX's tracing, which is nested, is not counted.
+apart from computing. JAX's tracing, which is nested, is not counted; its compilations are, by the
+time that JAX tells, which includes waiting for a core.
 """
 
 import time
@@ -17,11 +18,11 @@ _seconds = 0.0
 @contextmanager
 def preparing() -> Generator[None]:
     """Count the time of the block as preparation."""
-    started = time.perf_counter()
+    started = time.process_time()
     try:
         yield
     finally:
-        add_preparation(time.perf_counter() - started)
+        add_preparation(time.process_time() - started)
 
 
 def add_preparation(seconds: float) -> None:

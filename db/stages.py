@@ -53,7 +53,6 @@ _PACKAGE = re.compile(r'package":"([\w.-]{1,100}) ([\w.+!-]{1,50})"')
 _VERSION = re.compile(r'"version":(\d+)}$')  # at the end of a document, which is sorted
 _LONGEST_VERSION = 20
 _LATEST = 4e9  # seconds since 1970: the year 2096
-_STORED_LATE_S = 3600.0  # a result is stored at most so long after it was computed
 
 _ExecutionRow = Row[str, str, int, str, str | None, str]
 
@@ -108,10 +107,8 @@ def note_checkpoint(session: Session, digest: str, steps: int, policy: bytes) ->
 
 def executions_between(database: Database, first: float, last: float) -> list[Execution]:
     """Executions measured here, for any run, that overlap the time from `first` to `last`."""
-    early, late = (datetime.fromtimestamp(at, UTC) for at in (first, last + _STORED_LATE_S))
-    query = _executions().where(
-        StageRow.created_at >= early, StageRow.created_at <= late, ~_IMPORTED
-    )
+    early = datetime.fromtimestamp(first, UTC)  # a result is stored after it was computed
+    query = _executions().where(StageRow.created_at >= early, ~_IMPORTED)
     with database.read() as session:
         executions = [_execution(row) for row in session.execute(query)]
     return [e for e in executions if e.placed < last and e.ended > first]
@@ -145,8 +142,8 @@ def cpu_seconds_of(database: Database, digests: Sequence[str]) -> dict[str, floa
         for some in parts(digests, CHUNK):
             for row in session.execute(_executions().where(StageRow.digest.in_(some))):
                 execution = _execution(row)
-                if execution.cpu is not None:
-                    seconds[row.digest] = execution.cpu - (execution.preparing or 0.0)
+                if execution.is_measured:
+                    seconds[row.digest] = execution.computing
     return seconds
 
 

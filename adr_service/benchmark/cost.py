@@ -50,6 +50,12 @@ class Execution:
         return self.ended - self.began
 
     @property
+    def computing(self) -> float:
+        """CPU seconds without imports and compilations; none where JAX tells more for these, whose
+        clock is another."""
+        return max(0.0, (self.cpu or 0.0) - (self.preparing or 0.0))
+
+    @property
     def is_measured(self) -> bool:
         """True if a process of the cluster measured itself."""
         return self.cpu is not None
@@ -117,7 +123,7 @@ def _uses(execution: Execution, window: Sequence[_Span]) -> dict[str, float]:
         inside = _overlap(window, execution.began, execution.ended)
         share = inside / execution.seconds
         uses["preparing"] = share * preparing
-        uses["computing"] = share * max(0.0, cpu - preparing)
+        uses["computing"] = share * execution.computing
         uses["waiting"] = inside - share * max(cpu, preparing)
     return uses
 

@@ -90,6 +90,20 @@ def test_executions_between_two_moments_are_those_that_overlap_them(database):
     assert stages.executions_between(database, now - 9, now - 3) == []
 
 
+def test_an_execution_overlaps_what_ended_hours_before_it(database):
+    """Its core was busy then, with a long training."""
+    now = datetime.now(UTC).timestamp()
+    long = replace(EXECUTION, placed=now - 9 * 3600, began=now - 9 * 3600, ended=now)
+    commit(database, STAGE, RESULT, execution=long)
+    assert stages.executions_between(database, now - 9 * 3600, now - 5 * 3600) == [long]
+
+
+def test_a_stage_whose_compilations_took_longer_than_its_cpu_has_computed_nothing(database):
+    """JAX tells the time of compilations by another clock."""
+    commit(database, STAGE, RESULT, execution=replace(EXECUTION, cpu=3.3, preparing=3.6))
+    assert stages.cpu_seconds_of(database, [STAGE.digest]) == {STAGE.digest: 0.0}
+
+
 def test_an_episode_that_took_no_core_is_not_measured(database):
     run = runs.create_run(database, SPEC)
     commit(database, STAGE, RESULT, run.id, execution=UNMEASURED)
