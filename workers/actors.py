@@ -65,7 +65,8 @@ class StageActor:
             return Stopped()
         except AdrError as error:
             return Failed(error.code, str(error))
-        except Exception as error:  # noqa: BLE001 - a defect must reach the run as its failure
+        # a defect must reach the run as its failure; a method may even exit
+        except (Exception, SystemExit) as error:  # noqa: BLE001
             trace = "".join(traceback.format_exception(error)[-4:])
             return Failed(FailureCode.INTERNAL, f"{type(error).__name__}: {error}\n{trace}")
         return Finished(result, replace(clock.measured(placed), provenance=provenance()))

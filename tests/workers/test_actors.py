@@ -1,6 +1,7 @@
 """A process that computes stages: each ending is a value, and signs of life go to the board."""
 
 import json
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -30,7 +31,7 @@ class Nothing(Result):
 
 @dataclass(frozen=True, kw_only=True)
 class Wait(Stage[Nothing]):
-    """Report progress until it is stopped, or divide by zero."""
+    """Report progress until it is stopped, divide by zero, or end the process."""
 
     kind: ClassVar = "wait"
     version: ClassVar = 1
@@ -38,9 +39,12 @@ class Wait(Stage[Nothing]):
     result: ClassVar = Nothing
 
     divides: bool
+    exits: bool = False
 
     def compute(self, rng, progress):
         progress(0.5, checkpoint=Checkpoint(10, b"weights", ()), steps=10)
+        if self.exits:
+            sys.exit(2)
         while not self.divides:
             time.sleep(0.01)
             progress(0.75)
@@ -128,6 +132,13 @@ def test_a_defect_ends_as_a_failure_with_the_place(actor, board):
     assert ending.code == "internal"
     assert ending.message.startswith("ZeroDivisionError: division by zero\n")
     assert "return 1 / 0" in ending.message
+
+
+def test_a_stage_that_would_end_its_process_ends_as_a_failure(actor, board):
+    """It was taken for a lost process, three times, and the run was told to look for memory."""
+    ending = actor.compute(Wait(task="arm", divides=False, exits=True), PLACED, board)
+    assert isinstance(ending, Failed)
+    assert (ending.code, ending.message.split("\n")[0]) == ("internal", "SystemExit: 2")
 
 
 def test_a_stage_that_no_run_wants_is_stopped(actor, board):
