@@ -1,6 +1,6 @@
 """Parameters of requests, as the API's page describes them, and which are refused."""
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias, get_origin
 
 from fastapi import Depends, Path, Query, Request, params
 from fastapi.dependencies.utils import get_flat_params
@@ -30,20 +30,21 @@ RENEWED = Depends(_renewed)
 
 async def check_parameters(request: Request) -> None:
     """Refuse a parameter that the route does not have (a mistyped `validate_only` would start a
-    run), and a second value of one that it has, which would count alone."""
+    run), and a second value of one that is no list, which would count alone."""
     route = request.scope["route"]
     assert isinstance(route, APIRoute)
     fields = get_flat_params(route.dependant)
     # a model's fields are pydantic's, and no `Query`
     elsewhere = (params.Path, params.Header, params.Cookie)
     known = {field.alias for field in fields if not isinstance(field.field_info, elsewhere)}
+    lists = {field.alias for field in fields if get_origin(field.field_info.annotation) is list}
     accepted = f"accepted: {', '.join(sorted(known))}" if known else "there are none here"
     wrong: list[dict[str, object]] = []
     for name in request.query_params:
         values = request.query_params.getlist(name)
         if name not in known:
             message = f"there is no parameter {name!r}; {accepted}"
-        elif len(values) > 1:
+        elif len(values) > 1 and name not in lists:
             message = f"{name} has one value; given {len(values)}"
         else:
             continue

@@ -1,9 +1,12 @@
 """Parameters in the query of a request: those that a route does not have are refused."""
 
+from typing import Annotated
+
 import pytest
-from fastapi import Depends, FastAPI
+from fastapi import Depends, FastAPI, Query
 from fastapi.testclient import TestClient
 
+from adr_service.specs import BenchmarkPart
 from api import errors
 from api.parameters import check_parameters
 from api.routes.paging import PageSize
@@ -22,6 +25,10 @@ def counting():
     def start(validate_only: bool = False, limit: int = Depends(by_default)) -> int:
         started.append(validate_only)
         return len(started)
+
+    @app.get("/archive", dependencies=[Depends(check_parameters)])
+    def archive(part: Annotated[BenchmarkPart, Query()]) -> list[str]:
+        return part.seeds
 
     @app.get("/health", dependencies=[Depends(check_parameters)])
     def health() -> None: ...
@@ -48,6 +55,12 @@ def test_parameters_of_a_route_and_of_its_dependencies_are_accepted(counting):
     client, started = counting
     assert client.post("/runs?validate_only=true&limit=5").status_code == 200
     assert started == [True]
+
+
+def test_a_list_takes_each_of_its_values(counting):
+    """A part of a benchmark with two seeds was refused, and with it the report of every study."""
+    client, _ = counting
+    assert client.get("/archive?seeds=0&seeds=1").json() == ["0", "1"]
 
 
 def test_a_second_value_is_refused(counting):
