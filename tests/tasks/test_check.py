@@ -1,5 +1,6 @@
 """The check of tasks names the rule that a broken task breaks."""
 
+import re
 from copy import copy
 from dataclasses import replace
 
@@ -220,6 +221,13 @@ def test_a_variant_whose_name_a_domain_would_cut_is_refused():
     arm = BUILT_IN["arm"]
     with pytest.raises(InvalidInput, match="the variant 'noisy@home' has an @ in its name"):
         check_task(Entry(arm.task, {**arm.variants, "noisy@home": arm.variants["noisy"]}))
+
+
+@pytest.mark.parametrize("letter", list("/\\?#%"))
+def test_a_variant_that_no_figure_can_be_named_after_is_refused(letter):
+    arm, name = BUILT_IN["arm"], f"low{letter}high"
+    with pytest.raises(InvalidInput, match=re.escape(f"{name!r} has a {letter} in its name")):
+        check_task(Entry(arm.task, {**arm.variants, name: arm.variants["noisy"]}))
 
 
 def test_a_variant_in_which_nothing_is_unknown_is_refused():
