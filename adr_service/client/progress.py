@@ -16,9 +16,12 @@ def headline(seen: Json) -> str:
 
 
 def label(spec: Json) -> str:
-    """One word for a run: its method, or its kind."""
+    """A run in a few words: its method, and who collects for it where that is not as in the
+    protocol; or its kind."""
     method = spec["method"] if "method" in spec else spec["kind"]
-    return method if isinstance(method, str) else method["name"]
+    name = method if isinstance(method, str) else method["name"]
+    collector = spec.get("collector", "simopt")
+    return name if collector == "simopt" else f"{name} on {collector}"
 
 
 def runs_of(seen: Json) -> list[Json]:

@@ -40,5 +40,10 @@ def test_a_criticism_has_no_method_and_is_labelled_by_its_kind():
     assert label({"kind": "criticism"}) == "criticism"
 
 
+def test_a_run_on_the_data_of_another_collector_says_so():
+    assert label({**SPEC, "collector": "simopt"}) == "simopt"
+    assert label({**SPEC, "method": "dropo", "collector": "random"}) == "dropo on random"
+
+
 def test_a_run_that_cannot_be_read_is_labelled_by_its_methods_name():
     assert label({"kind": "lost", "method": "median_best"}) == "median_best"
