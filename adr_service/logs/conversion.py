@@ -58,7 +58,7 @@ from adr_service.logs.turns import (
 )
 
 _BEYOND = 0.1  # of a joint's range
-_SHORT_S = 2.0  # of all recordings, below which the time's unit looks wrong
+_SHORT_S = 2.0  # of all episodes; below it of all recordings, the time's unit looks wrong
 _OFTEN = 0.2  # share of rows at a limit
 _ROUNDED = 0.05  # of the readings' spacing
 _MUCH = 0.2  # share of the logs' seconds
@@ -147,7 +147,7 @@ def convert(logs: Sequence[Log], given: LogMap, model: mujoco.MjModel) -> Conver
         raise InvalidInput(
             f"no stretch without a gap is {LEAST_ROWS} rows of {period:g} s long; {why}"
         )
-    joined = _joined(episodes, given, model)
+    joined = _joined(episodes, sum(each.seconds for each in records), given, model)
     compared = tuple(agreements(joined, model))
     limits = _at_limit(model, np.concatenate([each.ctrl for each in episodes]))
     warnings = (
@@ -366,7 +366,10 @@ def _noise(recording: Recording, period: float) -> Vector:
     return np.array([*positions, *velocities])
 
 
-def _joined(episodes: Sequence[_Episode], given: LogMap, model: mujoco.MjModel) -> Measurement:
+def _joined(
+    episodes: Sequence[_Episode], recorded: float, given: LogMap, model: mujoco.MjModel
+) -> Measurement:
+    """All episodes of so many recorded seconds."""
     lengths = [len(each.time) for each in episodes]
     joints = [given.joints[name] for name in joints_of(model)]
     measured = [joint.has_velocity for joint in joints]
@@ -382,9 +385,13 @@ def _joined(episodes: Sequence[_Episode], given: LogMap, model: mujoco.MjModel) 
     )
     seconds = sum(float(each.time[-1] - each.time[0]) for each in episodes)
     if seconds < _SHORT_S:
+        why = (
+            "is time.unit right?"
+            if recorded < _SHORT_S
+            else f"of {recorded:.3g} s on record the rest is gaps, or too short for an episode"
+        )
         raise InvalidInput(
-            f"the recordings have {seconds:.3g} s in all, and ten or more are needed; is time.unit "
-            "right?"
+            f"the episodes have {seconds:.3g} s in all, and ten or more are needed; {why}"
         )
     check_usable(measurement)
     try:

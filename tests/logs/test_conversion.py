@@ -562,6 +562,15 @@ def test_a_wrong_unit_of_time_is_suspected(robot, even, unit, message):
         convert([log({**even, "time": size * even["time"]})], given, robot)
 
 
+def test_where_gaps_leave_too_little_the_unit_of_time_is_not_suspected(robot, even, given):
+    kept = even["time"] % 1.0 < 0.1
+    gaps = {name: values[kept] for name, values in even.items()}
+    with pytest.raises(
+        InvalidInput, match=r"have 1.96 s in all.*; of 19.1 s on record the rest is gaps"
+    ):
+        convert([log(gaps)], given, robot)
+
+
 def test_a_missing_column_is_named_with_its_place_in_the_map(robot, even, given):
     del even["q2"]
     with pytest.raises(InvalidInput, match=r"^slider.position: there is no column in log.csv 'q2'"):
