@@ -11,7 +11,7 @@ from adr_service.errors import InvalidInput
 def read_spec(file: Path) -> dict[str, Any]:
     """Return the JSON object in a file."""
     try:
-        spec = json.loads(file.read_text())
+        spec = json.loads(file.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError) as error:
         raise InvalidInput(f"{file} is not a readable JSON file: {error}") from error
     if not isinstance(spec, dict):
@@ -46,14 +46,31 @@ def assign(
     """
     assigned: set[str] = set()
     for assignment in assignments or ():
-        path, equals, text = assignment.partition("=")
-        if not equals:
-            raise InvalidInput(f"a setting is name=value, as iterations=2; given {assignment!r}")
+        path, text = _split(assignment)
         holds = any(f"{known}.".startswith(f"{path}.") for known in (*fixed, *assigned))
         if holds or any(f"{path}.".startswith(f"{known}.") for known in assigned):
             raise InvalidInput(f"{path} is given already, and {assignment!r} beside it; give one")
         assigned.add(path)
         _set(spec, path.split("."), read_value(text))
+
+
+def named_values(assignments: Iterable[str] | None) -> dict[str, Any]:
+    """Values by name from texts `name=value`, where a name may have dots; a value is JSON, or else
+    text. Raises InvalidInput for a name that is given twice."""
+    values: dict[str, Any] = {}
+    for assignment in assignments or ():
+        name, text = _split(assignment)
+        if name in values:
+            raise InvalidInput(f"{name} is given already, and {assignment!r} beside it; give one")
+        values[name] = read_value(text)
+    return values
+
+
+def _split(assignment: str) -> tuple[str, str]:
+    name, equals, text = assignment.partition("=")
+    if not equals:
+        raise InvalidInput(f"a setting is name=value, as iterations=2; given {assignment!r}")
+    return name, text
 
 
 def read_value(text: str) -> Any:
@@ -67,9 +84,16 @@ def read_value(text: str) -> Any:
 def _set(spec: dict[str, Any], path: list[str], value: Any) -> None:
     *parents, last = path
     inner = spec
-    for name in parents:
+    for number, name in enumerate(parents, 1):
+        if inner.get(name) is None:
+            inner[name] = {}
         # a method given by name becomes an object when one of its settings is set
-        if not isinstance(inner.get(name), dict):
-            inner[name] = {"name": inner[name]} if name == "method" and name in inner else {}
+        elif name == "method" and isinstance(inner[name], str):
+            inner[name] = {"name": inner[name]}
+        elif not isinstance(inner[name], dict):
+            place, given = ".".join(parents[:number]), json.dumps(inner[name])
+            raise InvalidInput(
+                f"{'.'.join(path)} cannot be set: {place} is {given}; set it whole, in JSON"
+            )
         inner = inner[name]
     inner[last] = value

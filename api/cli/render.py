@@ -1,7 +1,7 @@
 """`adr render`: films of policies and of recordings."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -9,7 +9,7 @@ from adr_service.errors import InvalidInput
 from api.cli.files import check_absent
 from api.cli.single_options import SingleOptionApp
 from api.cli.terminal import console
-from api.specs import assign
+from api.specs import named_values
 
 app = SingleOptionApp()
 
@@ -56,8 +56,7 @@ def render(
     from api.cli import films  # imports the simulator
 
     check_absent(out)
-    dynamics: dict[str, Any] = {}
-    assign(dynamics, setting)
+    dynamics = named_values(setting)
     if (policy and episode is not None) or (data and seed is not None):
         raise InvalidInput("--episode goes with --data, and --seed with --policy")
     scene = films.Scene(task, variant, dynamics, steps, seed or 0, fps)

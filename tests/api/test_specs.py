@@ -5,7 +5,7 @@ import json
 import pytest
 
 from adr_service.errors import InvalidInput
-from api.specs import assign, read_effects, read_spec
+from api.specs import assign, named_values, read_effects, read_spec
 
 
 @pytest.mark.parametrize(
@@ -24,6 +24,29 @@ def test_an_assignment_sets_one_field(assignment, spec):
     given = {"method": "dropo"}
     assign(given, [assignment])
     assert given == spec
+
+
+def test_a_setting_of_a_members_setting_does_not_replace_the_list():
+    """It was refused by the service for an object that nobody had given."""
+    given = {"methods": [{"name": "simopt"}, "dropo"]}
+    refusal = r'methods.0.samples cannot be set: methods is \[{"name": "simopt"}, "dropo"\]; set it'
+    with pytest.raises(InvalidInput, match=refusal):
+        assign(given, ["methods.0.samples=3"])
+    with pytest.raises(
+        InvalidInput, match=r"training.gamma.x cannot be set: training.gamma is 0.9"
+    ):
+        assign({"training": {"gamma": 0.9}}, ["training.gamma.x=1"])
+    assign(spec := {"target": None}, ["target.kind=external"])
+    assert spec == {"target": {"kind": "external"}}
+
+
+def test_a_named_value_may_have_dots_in_its_name():
+    values = named_values(["thigh.mass=3.9", "damping=[1]"])
+    assert values == {"thigh.mass": 3.9, "damping": [1]}
+    with pytest.raises(InvalidInput, match=r"thigh.mass is given already, and 'thigh.mass=4'"):
+        named_values(["thigh.mass=3.9", "thigh.mass=4"])
+    with pytest.raises(InvalidInput, match="a setting is name=value"):
+        named_values(["thigh.mass"])
 
 
 def test_a_value_nested_without_end_is_a_text():
@@ -64,6 +87,8 @@ def test_a_spec_file_holds_one_object(tmp_path):
     file = tmp_path / "spec.json"
     file.write_text('{"task": "arm"}')
     assert read_spec(file) == {"task": "arm"}
+    file.write_bytes(b"\xef\xbb\xbf" + '{"note": "Ä"}'.encode())  # as Windows saves it
+    assert read_spec(file) == {"note": "Ä"}
     file.write_text("[]")
     with pytest.raises(InvalidInput, match="must hold one JSON object; given list"):
         read_spec(file)
