@@ -60,9 +60,9 @@ def _write_files(
     for name in figures:
         for file in (f"{name}.{kind}" for kind in ("svg", "png", "csv")):
             (folder / "figures" / file).write_bytes(client.figure(benchmark_id, file))
-    (folder / "results.csv").write_text(client.results_csv(benchmark_id))
+    (folder / "results.csv").write_text(client.results_csv(benchmark_id), encoding="utf-8")
     for name, content in (("results", found), ("claims", claims), ("spec", benchmark["spec"])):
-        (folder / f"{name}.json").write_text(json.dumps(content, indent=1))
+        (folder / f"{name}.json").write_text(json.dumps(content, indent=1), encoding="utf-8")
     manifests = [
         _archive(client, benchmark_id, folder / name, part) for name, part in archives.items()
     ]
@@ -81,7 +81,7 @@ def _write_files(
         computed_with=[one for i, one in enumerate(versions) if one not in versions[:i]],
         spec=json.dumps(benchmark["spec"], indent=1),
     )
-    (folder / "index.html").write_text(text)
+    (folder / "index.html").write_text(text, encoding="utf-8")
     shutil.copyfile(_PAGE / "static" / "style.css", folder / "style.css")
 
 

@@ -68,7 +68,7 @@ def _stream(source: str, content: bytes) -> tuple[Stream, dict[str, str]]:
 def _names_of_places(file: Path) -> dict[str, str]:
     """Names of the places of lists, by the names that `columns_of` gives them."""
     try:
-        about = json.loads(file.read_text())
+        about = json.loads(file.read_text(encoding="utf-8"))
         features: Mapping[str, Any] = about["features"]
         listed = {name: _flat(feature.get("names")) for name, feature in features.items()}
     except (OSError, ValueError, LookupError, AttributeError, TypeError) as error:

@@ -30,6 +30,7 @@ from adr_service.criticism.plans import Plan, Separation
 from adr_service.criticism.recordings import read_measurement
 from adr_service.criticism.report import EXTENDED, FILES, files_of
 from adr_service.errors import InvalidInput, UnknownName
+from adr_service.json_values import encodable
 from adr_service.logs.catalogue import ROWS_IN_FOLDERS
 from adr_service.parameters import Parameter, ParameterSpace
 from adr_service.progress import Progress
@@ -76,7 +77,7 @@ def _nominal_of_model(model: Path, free: Sequence[str]) -> tuple[Nominal, str]:
     with naming(model):
         bare = Nominal.of_model(xml, ParameterSpace(()), folder=folder)
     space = ParameterSpace(tuple(_parameter(text, bare) for text in free))
-    return Nominal.of_model(xml, space, folder=folder), model.name
+    return Nominal.of_model(xml, space, folder=folder), encodable(model.name)
 
 
 def _parameter(text: str, nominal: Nominal) -> Parameter:
@@ -104,11 +105,11 @@ def criticise_files(
     check_differ(data)
     parts = [_measurement(path, nominal.task) for path in data]
     whole = Measurement.joined(parts)
-    check_apart([path.name for path in data], parts)
+    names = [encodable(path.name) for path in data]
+    check_apart(names, parts)
     criticism = criticise(nominal, whole, np.random.default_rng(seed), progress)
     made = f"{datetime.now().astimezone():%Y-%m-%d}"
-    names = ", ".join(path.name for path in data)
-    files = files_of(criticism, name, f"{names}, seed {seed}, {made}")
+    files = files_of(criticism, name, f"{', '.join(names)}, seed {seed}, {made}")
     if EXTENDED in files:
         files[EXTENDED] = portable(files[EXTENDED].decode(), out).encode()
     write(out, files)

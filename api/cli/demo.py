@@ -82,5 +82,5 @@ def _write_files(output: Console, client: AdrClient, id: str, folder: Path) -> N
         figure = folder / name
         figure.write_bytes(client.figure(id, name))
         output.print(f"figure: {figure}")
-    (folder / "results.csv").write_text(client.results_csv(id))
+    (folder / "results.csv").write_text(client.results_csv(id), encoding="utf-8")
     output.print(f"table:  {folder / 'results.csv'}")

@@ -17,9 +17,10 @@ def read(file: Path) -> bytes:
 
 
 def read_text(file: Path) -> str:
-    """The text of a file; raises InvalidInput if it cannot be read, or is no UTF-8."""
+    """The text of a file, without the mark with which Windows begins UTF-8; raises InvalidInput if
+    it cannot be read, or is no UTF-8."""
     try:
-        return read(file).decode()
+        return read(file).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InvalidInput(f"{file}: it is no text in UTF-8: {error}") from error
 

@@ -8,6 +8,7 @@ from adr_service.criticism.excitation import excitation
 from adr_service.criticism.nominal import Nominal
 from adr_service.criticism.simulator import Simulator
 from adr_service.errors import InvalidInput
+from adr_service.json_values import encodable
 from adr_service.logs.base import Log
 from adr_service.logs.catalogue import read_logs
 from adr_service.logs.conversion import Converted, convert
@@ -39,11 +40,11 @@ def measure_files(
         columns = LogMap.from_toml(text)
     converted = convert(_read(logs), columns, robot)
     _check_rows(nominal, converted)
+    page = _page(converted, nominal, ", ".join(log.name for log in logs), name)
     with written_whole(out) as part:
         part.write_bytes(converted.measurement.to_npz())
-    page = _page(converted, nominal, ", ".join(log.name for log in logs), name)
     with written_whole(out.with_suffix(".html")) as part:
-        part.write_text(page)
+        part.write_bytes(encodable(page).encode())  # names of files may be no UTF-8
     return converted
 
 

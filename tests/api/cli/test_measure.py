@@ -1,5 +1,8 @@
 """Options and files of `adr measure`."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -35,6 +38,16 @@ def test_with_a_map_a_measurement_and_a_page_are_written(adr_here, files):
     measurement.unlink()
     status, _, errors = adr_here("measure", "log.npz", "--model", "robot.xml", *out)
     assert (status, "measured.html is there already" in errors) == (2, True)
+
+
+def test_a_log_whose_name_is_no_utf_8_is_measured(adr_here, files):
+    """Its page could not be written, after all the work."""
+    name = os.fsdecode(b"mess\xe4ung.npz")
+    Path("log.npz").rename(name)
+    (files / "map.toml").write_bytes(b"\xef\xbb\xbf" + MAP.encode())  # as Windows saves it
+    out = ["--map", "map.toml", "--out", "measured.npz"]
+    assert adr_here("measure", name, "--model", "robot.xml", *out)[0] == 0
+    assert "mess\\udce4ung.npz" in (files / "measured.html").read_text()
 
 
 def test_what_looks_wrong_is_in_the_terminal_and_on_the_page(adr_here, files):

@@ -1,5 +1,6 @@
 """From a first recording to a second that a plan asks for, by the command line alone."""
 
+import os
 import subprocess
 import sys
 
@@ -27,8 +28,9 @@ def first(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "an_arm_of_a_test.py").write_text(ROBOT)
     rng = np.random.default_rng(5)
-    (tmp_path / "first.npz").write_bytes(hide(*arm(), rng, [], commands=held(rng)).to_npz())
-    return "first.npz"
+    name = os.fsdecode(b"f\xe4st.npz")  # no UTF-8, as on an old disk
+    (tmp_path / name).write_bytes(hide(*arm(), rng, [], commands=held(rng)).to_npz())
+    return name
 
 
 @pytest.mark.slow
