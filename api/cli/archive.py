@@ -3,7 +3,7 @@
 import os
 import secrets
 import tempfile
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
@@ -100,9 +100,9 @@ def verify(
         _environment(worker_environment(Path(folder) / "jax")),
     ):
         drawn = secrets.randbelow(2**31) if seed is None else seed
-        different, computed = list[str](), 0
+        different, unchecked, computed = list[str](), list[str](), 0
         console.print(f"sample {drawn} (--seed {drawn} repeats it)")
-        for verified in _verified(archived, sample, drawn):
+        for verified in _verified(archived, sample, drawn, unchecked):
             share = "" if verified.agreement == "identical" else f", by {verified.deviation:.2g}"
             console.print(
                 f"{verified.kind} {verified.digest[:_SHORT]}: {verified.agreement}{share} "
@@ -110,13 +110,30 @@ def verify(
             )
             computed += 1
             different += [verified.digest] if verified.agreement == "different" else []
-    if different:
-        raise NotVerified(f"{len(different)} stages have other results here: {different}")
+    if wrong := "; ".join([*_on_different(different), *_on_unchecked(unchecked)]):
+        raise NotVerified(wrong)
     console.print(f"the archive is sound; {computed} of its stages were computed again")
 
 
-def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]":
-    """Stages of the archive, drawn at random and computed again."""
+def _on_different(digests: Sequence[str]) -> Iterator[str]:
+    if digests:
+        yield f"{len(digests)} stages have other results here: {', '.join(digests)}"
+
+
+def _on_unchecked(runs: Sequence[str]) -> Iterator[str]:
+    if runs:
+        yield (
+            f"{len(runs)} runs cannot be checked, because results are missing from the archive or "
+            "are of another version of this program, or their method failed "
+            f"({', '.join(runs[:5])})"
+        )
+
+
+def _verified(
+    archived: "Staged", sample: int, seed: int, unchecked: list[str]
+) -> "Iterator[Verified]":
+    """Stages of the archive, drawn at random and computed again; runs of which none can be are
+    added to `unchecked`."""
     from adr_service.benchmark.verification import sampled, verify
     from adr_service.provenance import has_same_provenance, provenance
     from adr_service.randomness import stream
@@ -130,11 +147,9 @@ def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]
         def is_same(digest: str) -> bool:
             return has_same_provenance(provenance_of(session, digest), here)
 
-        unverified: list[str] = []
-
         def replayed() -> "Iterator[Replay]":
             for checked in replays(archived):
-                unverified.extend([] if checked.is_verified else [checked.id])
+                unchecked.extend([] if checked.is_verified else [checked.id])
                 yield checked.replay
 
         drawn = sampled(
@@ -143,13 +158,8 @@ def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]
             stream("verify", str(seed)),
             lambda stage: stage.role != "trainer" or is_same(stage.digest),
         )
-        unchecked = (
-            f"{len(unverified)} runs cannot be checked, because results are missing from the "
-            "archive or are of another version of this program, or their method failed "
-            f"({', '.join(unverified[:5])})"
-        )
-        if not drawn:
-            raise NotVerified(unchecked if unverified else "no stage can be computed again here")
+        if not drawn and not unchecked:
+            raise NotVerified("no stage can be computed again here")
         for stage in drawn:
             stored = find_result(session, stage.digest)
             assert stored is not None, "it was drawn from the stored ones"
@@ -158,8 +168,6 @@ def _verified(archived: "Staged", sample: int, seed: int) -> "Iterator[Verified]
                 f"{session.get_one(StageRow, stage.digest).seconds:.0f} s when it was stored"
             )
             yield verify(stage, stored, is_same(stage.digest))
-        if unverified:
-            raise NotVerified(unchecked)
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """`adr archive`: benchmarks to files and back."""
 
 import json
+import re
 
 import pytest
 
@@ -80,6 +81,24 @@ def test_every_stage_of_an_archive_is_verified(adr, file):
     assert all(": it took " in line for line in announced)
     assert {line.split()[0] for line in lines} >= {"train_policy", "target_rollout", "evaluate"}
     assert all("identical" in line for line in lines)
+
+
+def test_another_result_is_named_beside_runs_that_cannot_be_checked(adr_here, file):
+    """These alone were named at the end, and the other result scrolled by."""
+
+    def with_other_trainings_without_an_evaluation(rows):
+        for row in rows:
+            if row["kind"] == "train_policy":
+                row["result"] = row["result"].replace('"adjusted_draws":', '"adjusted_draws":1')
+        lost = next(row for row in rows if row["kind"] == "evaluate")
+        return [row for row in rows if row is not lost]
+
+    rewritten(file, with_rows("stages", with_other_trainings_without_an_evaluation))
+    code, out, errors = adr_here("archive", "verify", str(file), "--sample", "100")
+    told = " ".join(errors.split())
+    assert code == 1
+    assert re.search(r"stages have other results here: [0-9a-f]{64}.*; \d runs cannot be", told)
+    assert f"error: {out.count('different')} stages" in told
 
 
 def test_another_result_is_named_and_fails(adr, file):
