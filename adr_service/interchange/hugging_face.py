@@ -16,6 +16,7 @@ from adr_service.errors import InvalidInput
 from adr_service.interchange.libraries import library
 from adr_service.interchange.onnx_policies import to_onnx
 from adr_service.methods.catalogue import methods
+from adr_service.specs import RunSpec
 from adr_service.tasks.base import Task
 from adr_service.training.policy import Policy
 
@@ -50,16 +51,17 @@ def write_model_folder(
     `spec` is the run's, `rows` its results: a row for each iteration, none for a run on a
     recording. Raises InvalidInput if something is in the folder.
     """
+    run = RunSpec.model_validate_json(json.dumps(spec))
     cards = library("huggingface_hub")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InvalidInput(f"{folder} is there already, and not empty; name a new folder")
     spec_text = json.dumps(spec, indent=1) + "\n"
     text = _TEXT.format(
-        metadata=_metadata(cards, task, spec, rows).to_yaml(),
-        title=_title(task, spec),
+        metadata=_metadata(cards, task, run, rows).to_yaml(),
+        title=_title(run),
         task=task.name,
-        dynamics=_dynamics(spec["method"]["name"]),
-        circumstances=_circumstances(spec),
+        dynamics=_dynamics(run.method.name),
+        circumstances=_circumstances(run),
         scores=_scores(task, rows),
         observations=policy.layers[0][0].shape[1],
         actions=len(policy.action_low),
@@ -75,8 +77,8 @@ def write_model_folder(
         (folder / name).write_bytes(content)
 
 
-def _title(task: Task, spec: Mapping[str, Any]) -> str:
-    return f"{task.name}, {spec['method']['name']}"
+def _title(run: RunSpec) -> str:
+    return f"{run.task}, {run.column}{run.apart}"
 
 
 def _dynamics(method: str) -> str:
@@ -91,29 +93,27 @@ def _dynamics(method: str) -> str:
     return f"dynamics that `{method}` inferred from data of the target"
 
 
-def _circumstances(spec: Mapping[str, Any]) -> str:
+def _circumstances(run: RunSpec) -> str:
     """Words for a run's seed and data; only methods that see transitions have a budget."""
-    known = f"variant `{spec['variant']}`, seed {spec['seed']}"
-    learns_from = methods()[spec["method"]["name"]].learns_from
-    if spec["target"]["kind"] == "recorded" or learns_from == "nothing":
+    known = f"variant `{run.variant}`, seed {run.seed}{run.apart}"
+    learns_from = methods()[run.method.name].learns_from
+    if run.target.kind == "recorded" or learns_from == "nothing":
         return known
     if learns_from == "returns":
-        return f"{known}, {spec['iterations']} iterations with full episodes on the target"
+        return f"{known}, {run.iterations} iterations with full episodes on the target"
     return (
-        f"{known}, {spec['iterations']} iterations of {spec['transitions']} transitions of the "
-        "target at most"
+        f"{known}, {run.iterations} iterations of {run.transitions} transitions of the target at "
+        "most"
     )
 
 
-def _metadata(
-    cards: Any, task: Task, spec: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]
-) -> Any:
+def _metadata(cards: Any, task: Task, run: RunSpec, rows: Sequence[Mapping[str, Any]]) -> Any:
     """The Hub's metadata; the return stands there if it is of this policy alone."""
     results = [
         cards.EvalResult(
             task_type="reinforcement-learning",
             dataset_type=task.name,
-            dataset_name=f"{task.name}, {spec['variant']}",
+            dataset_name=f"{run.task}, {run.variant}{run.apart}",
             metric_type="mean_reward",
             metric_value=row["normalised_return"] * task.reward_threshold,
         )
@@ -124,7 +124,7 @@ def _metadata(
         library_name="adr-benchmark-service",
         pipeline_tag="reinforcement-learning",
         tags=["reinforcement-learning", "domain-randomization", "sim-to-real", "mujoco", "onnx"],
-        model_name=_title(task, spec),
+        model_name=_title(run),
         eval_results=results or None,
     )
 

@@ -204,6 +204,20 @@ class RunSpec(Wire):
         """The method, and who collects for it where that is not as in the protocol."""
         return self.method.name + ("" if self.collector == "simopt" else f" on {self.collector}")
 
+    @property
+    def apart(self) -> str:
+        """The words of a title for an extended simulator or an unusual target; else none."""
+        told = ""
+        if self.extension:
+            told += ", extended by " + ", ".join(
+                f"{e.kind} at {e.location}" for e in self.extension
+            )
+        if self.target.kind != "simulated":
+            told += f", {self.target.kind} target"
+        elif self.target.effects:
+            told += ", on a target with effects of its own"
+        return told
+
 
 class CriticismSpec(Wire):
     """Criticism of a task's simulator by what its robot did."""

@@ -21,16 +21,7 @@ def title_of(spec: AnyRun | LostRun) -> str:
 
 def apart_of(spec: AnyRun | LostRun) -> str:
     """The words of a title for an extended simulator or an unusual target; else none."""
-    if not isinstance(spec, RunSpec):
-        return ""
-    told = ""
-    if spec.extension:
-        told += ", extended by " + ", ".join(f"{e.kind} at {e.location}" for e in spec.extension)
-    if spec.target.kind != "simulated":
-        told += f", {spec.target.kind} target"
-    elif spec.target.effects:
-        told += ", on a target with effects of its own"
-    return told
+    return spec.apart if isinstance(spec, RunSpec) else ""
 
 
 def titles(service: Service, ids: Iterable[str]) -> dict[str, str]:
