@@ -21,7 +21,7 @@ from contextlib import suppress
 from typing import cast
 
 import ray
-from ray.exceptions import RayError, RayTaskError
+from ray.exceptions import ObjectStoreFullError, OutOfDiskError, RayError, RayTaskError
 
 from adr_service.benchmark.cost import Execution
 from adr_service.errors import AdrError, FailureCode, InvalidInput, RunCancelled
@@ -34,7 +34,7 @@ from workers.heartbeats import UNWANTED_S, Heartbeats, patience_s
 from workers.job_table import AT_ONCE, JobTable
 from workers.jobs import Activity, Job
 from workers.pool import Actor, Pool
-from workers.results import Results
+from workers.results import Results, outages
 
 log = logging.getLogger(__name__)
 _TICK_S = 0.05
@@ -208,7 +208,8 @@ class Dispatcher:
         """Jobs that wait for a core, each with an actor on a free one."""
         taken = list[tuple[Job, Actor]]()
         for job in self._jobs.ready():
-            actor = self._pool.take(job.role, job.started_by, avoid=job.avoid)
+            is_new = job.losses > 0
+            actor = self._pool.take(job.role, job.started_by, avoid=job.avoid, is_new=is_new)
             if actor is not None:
                 taken.append((job, actor))
             elif job.avoid is None:
@@ -228,7 +229,11 @@ class Dispatcher:
         )
         try:
             ref = actor.handle.compute.remote(job.stage, placed, self._heartbeats.board)
-        except RayError as error:  # as of a store that is full
+        except (ObjectStoreFullError, OutOfDiskError) as error:  # which passes
+            outages.warning("the stage could not be sent just now: %s", error, extra=job.ids)
+            self._pool.give_back(actor)
+            job.not_before = time.monotonic() + RETRY_S
+        except RayError as error:
             log.warning("the stage could not be sent: %s", error, extra=job.ids)
             self._pool.give_back(actor)
             job.not_before = time.monotonic() + RETRY_S
@@ -288,7 +293,7 @@ class Dispatcher:
             silent = self._heartbeats.silence(max(job.heard, job.since))
             if silent > patience_s(job.sign, len(job.waiters)):
                 why = f"no sign of life for {silent:.0f} s"
-            elif job.unwanted is not None and self._heartbeats.silence(job.unwanted) > UNWANTED_S:
+            elif job.unwanted is not None and time.monotonic() - job.unwanted > UNWANTED_S:
                 why = f"no run has wanted its stage for {UNWANTED_S:.0f} s, and it computes on"
             else:
                 continue

@@ -79,14 +79,16 @@ class Pool:
         for core in self._cores:
             idle = [a for a in core.actors.values() if a is not core.busy and a.used < too_long]
             for actor in idle:
-                del core.actors[actor.role]
-                ray.kill(actor.handle)
+                self._end(actor)
 
-    def take(self, role: Role, run_id: str, avoid: str | None) -> Actor | None:
+    def take(
+        self, role: Role, run_id: str, avoid: str | None, *, is_new: bool = False
+    ) -> Actor | None:
         """An actor for a stage, warm if possible; None if all cores are busy, or `max_cores`.
 
         Not on the node `avoid` if there are others; rather on a node that is at work, so that
         others become idle and can be released. A new actor is named after its first run.
+        `is_new`: no warm one, which may have died while it was idle.
         """
         others = {core.node for core in self._cores} - {avoid}
         busy = Counter(core.node for core in self._cores if core.busy is not None)
@@ -95,7 +97,11 @@ class Pool:
         if not free or busy.total() >= (self._options.max_cores or len(self._cores)):
             return None
         core = min(free, key=lambda core: (core.warm(role) is None, -busy[core.node]))
-        core.busy = core.warm(role) or self._start(core, _ABLE[role][0], run_id)
+        warm = core.warm(role)
+        if is_new and warm is not None:
+            self._end(warm)
+            warm = None
+        core.busy = warm or self._start(core, _ABLE[role][0], run_id)
         return core.busy
 
     def give_back(self, actor: Actor) -> None:
@@ -106,6 +112,11 @@ class Pool:
         """Forget an actor whose process has died."""
         del actor.core.actors[actor.role]
         actor.core.busy = None
+
+    def _end(self, actor: Actor) -> None:
+        """End an idle actor, if its process has not died."""
+        del actor.core.actors[actor.role]
+        ray.kill(actor.handle)
 
     def _follow(self, cores: dict[str, int]) -> None:
         """Have as many cores of each node as it has; busy ones of dead nodes stay until the end."""

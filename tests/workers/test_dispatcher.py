@@ -10,7 +10,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from ray.exceptions import OutOfDiskError
+from ray.exceptions import OutOfDiskError, RayError
 
 from adr_service.errors import InvalidInput, RunCancelled, StageFailed
 from adr_service.programs import run
@@ -74,32 +74,42 @@ def test_inputs_that_are_no_json_end_the_run_that_has_them_alone(started):
 
 
 class Unsendable(int):
-    """An input that is JSON, and that Ray cannot take."""
+    """An input that is JSON, and that Ray cannot take so many times."""
 
-    def __new__(cls, error):
+    def __new__(cls, error, times):
         number = super().__new__(cls, 98)
-        number.error = error
+        number.error, number.times = error, times
         return number
 
     def __reduce__(self):
-        raise self.error
+        self.times -= 1
+        if self.times >= 0:
+            raise self.error
+        return int, (98,)
 
 
 @pytest.mark.parametrize(
     ("error", "message", "cause"),
     [
         (TypeError("a lock"), r"cannot be pickled for another process: .*a lock", "internal"),
-        (OutOfDiskError("the disk is full"), "3 times; last: the disk is full", "worker_lost"),
+        (RayError("no such actor"), "3 times; last: no such actor", "worker_lost"),
     ],
 )
 def test_a_stage_that_ray_cannot_take_fails_alone(started, error, message, cause):
     """It stopped the dispatcher as well."""
     dispatcher, _ = started
-    stage = replace(training(98), seed=Unsendable(error))
+    stage = replace(training(98), seed=Unsendable(error, 3))
     with pytest.raises(StageFailed, match=message) as failed:
         dispatcher.submit(stage, "run_a").result(60)
     assert failed.value.cause == cause
     assert dispatcher.submit(training(97), "run_b").result(60) == compute(training(97))
+
+
+def test_a_stage_waits_while_the_disk_is_full(started):
+    """After three seconds its process was said to be lost, three times."""
+    dispatcher, _ = started
+    stage = replace(training(98), seed=Unsendable(OutOfDiskError("the disk is full"), 4))
+    assert dispatcher.submit(stage, "run_a").result(60) == compute(training(98))
 
 
 def test_a_training_reports_its_checkpoint_while_it_goes_on(started):

@@ -80,6 +80,18 @@ def test_after_a_loss_another_actor_of_another_name_is_started(pool, run_id):
     assert following.name != lost.name
 
 
+def test_a_new_actor_is_started_in_the_place_of_a_warm_one_that_may_have_died(pool, run_id):
+    """Three dead ones in a row failed the stage, though no process had begun it."""
+    warm = pool.take("trainer", run_id, None)
+    pool.give_back(warm)
+    new = pool.take("trainer", run_id, None, is_new=True)
+    assert new is not warm
+    assert new.core.actors == {"trainer": new}
+    if new.core is warm.core:
+        with pytest.raises(ray.exceptions.RayActorError):
+            ray.get(warm.handle.__ray_ready__.remote())
+
+
 def test_the_only_node_is_taken_though_it_should_be_avoided(pool, run_id):
     """The stage would wait for ever."""
     node = pool.take("trainer", run_id, None).core.node
