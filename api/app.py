@@ -43,7 +43,8 @@ from api.settings import Settings
 from db.errors import DatabaseUnavailable
 
 log = logging.getLogger(__name__)
-_UPKEEP_S = 3600.0  # between two looks at what has expired, and at what nobody has started
+_ADOPT_S = 60.0  # between two looks at what nobody has started, because an answer was lost
+_UPKEEP_S = 3600.0  # between two looks at what has expired
 _LOOK_S = 1.0  # between two looks at the dispatcher
 _BREAK_S = 1.0  # between two deletions; each holds the database for up to a second
 _RECLAIM_S = 10.0  # between two returns of free space to the disk
@@ -122,17 +123,19 @@ async def _look_after(service: Service) -> None:
     """Start runs that nobody has started, and delete expired ones; neither waits for the other."""
     async with anyio.create_task_group() as tasks:
         adopt = partial(anyio.to_thread.run_sync, service.orchestrator.adopt)
-        tasks.start_soon(_every_hour, adopt)
-        tasks.start_soon(_every_hour, partial(_delete_expired, service))
+        tasks.start_soon(_again_and_again, adopt, _ADOPT_S)
+        tasks.start_soon(_again_and_again, partial(_delete_expired, service), _UPKEEP_S)
 
 
-async def _every_hour(work: Callable[[], Awaitable[None]]) -> None:
+async def _again_and_again(work: Callable[[], Awaitable[None]], pause_s: float) -> None:
     while True:
         try:
             await work()
-        except Exception:  # the next hour tries again
+        except DatabaseUnavailable as error:
+            log.info("not everything was looked after: %s", error)
+        except Exception:  # the next time tries again
             log.exception("not everything was looked after")
-        await anyio.sleep(_UPKEEP_S)
+        await anyio.sleep(pause_s)
 
 
 async def _delete_expired(service: Service) -> None:

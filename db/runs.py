@@ -7,7 +7,7 @@ resubmit(database, run.id)                # its finished stages answer at once
 
 import json
 import secrets
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -26,7 +26,7 @@ from db.models import DatasetRow, EventRow, RunRow, find_row, get_row
 from db.references import delete_unreferenced
 from db.requests import RequestKey, once
 from db.results import delete_results
-from db.session import Database, parts
+from db.session import CHUNK, Database, parts
 from db.stages import check_versions
 
 T = TypeVar("T")
@@ -119,11 +119,17 @@ def finished_iterations(
         return dict(session.execute(query).all())
 
 
-def unfinished_runs(database: Database) -> list[RunRecord]:
-    """Runs that are queued or running, in order of submission."""
-    query = select(RunRow).where(RunRow.state.not_in(FINISHED)).order_by(RunRow.number)
+def unfinished_runs(database: Database, known: Collection[tuple[str, int]] = ()) -> list[RunRecord]:
+    """Runs that are queued or running, in order of submission, without `known` (id, submission)."""
+    query = select(RunRow.id, RunRow.submission).where(RunRow.state.not_in(FINISHED))
     with database.read() as session:
-        return [record_of(row) for row in session.scalars(query)]
+        keys = session.execute(query.order_by(RunRow.number))
+        ids = [id for id, submission in keys if (id, submission) not in known]
+        found: dict[str, RunRow] = {}
+        for some in parts(ids, CHUNK):
+            rows = session.scalars(select(RunRow).where(RunRow.id.in_(some)))
+            found |= {row.id: row for row in rows}
+        return [record_of(found[id]) for id in ids]
 
 
 def has_ended(session: Session, run_id: str) -> bool:

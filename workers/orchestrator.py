@@ -106,7 +106,9 @@ class Orchestrator:
 
     def adopt(self) -> None:
         """Submit stored runs without a thread: those of an earlier service, or of a lost answer."""
-        for record in run_store.unfinished_runs(self._database):
+        with self._changing:
+            live = set(self._live)
+        for record in run_store.unfinished_runs(self._database, live):
             self.submit(record)
 
     def submit(self, record: RunRecord) -> None:
@@ -188,15 +190,22 @@ class Orchestrator:
         The run's failure is stored together with the visit's: a service that ended in between would
         offer the visit again.
         """
-        failed = visit_store.fail(
-            self._database,
-            id,
-            lease,
-            message,
-            lambda session, run_id, error: event_store.end(
-                session, run_id, lambda submission: _failure(submission, error.cause, str(error))
-            ),
-        )
+        visit = visit_store.get_visit(self._database, id)
+        try:
+            failed = visit_store.fail(
+                self._database,
+                id,
+                lease,
+                message,
+                lambda session, run_id, error: event_store.end(
+                    session,
+                    run_id,
+                    lambda submission: _failure(submission, error.cause, str(error)),
+                ),
+            )
+        except DatabaseUnavailable:  # it may have stored the failure
+            self._dispatcher.arrived(visit.digest)
+            raise
         self._dispatcher.refused(failed.digest, message)
         return failed
 

@@ -52,9 +52,9 @@ def test_a_refused_start_is_answered_with_the_reason(tmp_path):
     assert "Traceback" not in sent[0]["message"]
 
 
-def test_runs_are_taken_up_every_hour_however_many_have_expired(monkeypatch):
+def test_runs_are_taken_up_again_and_again_however_many_have_expired(monkeypatch):
     """A second for each deletion: a backlog of a week's runs had delayed them for hours."""
-    monkeypatch.setattr(app_module, "_UPKEEP_S", 0.001)
+    monkeypatch.setattr(app_module, "_ADOPT_S", 0.001)
     monkeypatch.setattr(app_module, "_BREAK_S", 3600.0)
     adopted = []
 

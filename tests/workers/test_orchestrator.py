@@ -190,6 +190,26 @@ def test_an_episode_that_was_stored_without_an_answer_reaches_its_run(database, 
     assert visits.get_visit(database, task.id).state == "done"
 
 
+def test_a_failure_that_was_stored_without_an_answer_reaches_its_run(database, monkeypatch):
+    """Its thread waited for ever, though the run had failed."""
+    leases.publish(database, runs.create_run(database, leases.SPEC).id)
+    task, arrived, fail = leases.claim(database, "a", datetime.now(UTC)), [], visits.fail
+    orchestrator = Orchestrator(database, RayOptions())
+    monkeypatch.setattr(orchestrator._dispatcher, "arrived", arrived.append)
+
+    def failing(*given):
+        fail(*given)
+        raise DatabaseUnavailable("it failed")
+
+    monkeypatch.setattr(visits, "fail", failing)
+    with pytest.raises(DatabaseUnavailable):
+        orchestrator.fail_task(task.id, task.lease, "the gripper is broken")
+    assert arrived == [task.digest]
+    assert visits.get_visit(database, task.id).state == "failed"
+    monkeypatch.setattr(visits, "fail", fail)
+    assert orchestrator.fail_task(task.id, task.lease, "the gripper is broken").state == "failed"
+
+
 class LongWinded(AdrError):
     code = "an_error" * 11
 
