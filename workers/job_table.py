@@ -121,7 +121,7 @@ class JobTable:
         ]
         for job in jobs:
             job.may_be_claimed = True
-        trouble, ids = "stages could not be begun", jobs[0].ids
+        trouble, ids = "stages could not be begun", _ids_of(jobs)
         match attempted(trouble, ids, self._results.begin, beginnings):
             case Unavailable():
                 for job in jobs:
@@ -184,7 +184,7 @@ class JobTable:
     def _deliver(self, jobs: Sequence[Job]) -> None:
         """Store results, then hand them to the runs that wait; later, while that cannot be."""
         outcomes = [_outcome(job) for job in jobs]
-        trouble, ids = "results of stages could not be stored", jobs[0].ids
+        trouble, ids = "results of stages could not be stored", _ids_of(jobs)
         match attempted(trouble, ids, self._results.commit, outcomes):
             case Unavailable():
                 self.retries.add(lambda: self._deliver(jobs))
@@ -231,6 +231,11 @@ class JobTable:
         trouble = "the claim of a stage without a result could not be dropped"
         if attempted(trouble, ids, self._results.drop, stage) == Unavailable():
             self.retries.add(lambda: self._drop(stage, ids))
+
+
+def _ids_of(jobs: Sequence[Job]) -> dict[str, str | int]:
+    """Names for the log; none of several jobs, of which any may be the one in trouble."""
+    return jobs[0].ids if len(jobs) == 1 else {}
 
 
 def _outcome(job: Job) -> Outcome:

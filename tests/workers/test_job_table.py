@@ -201,7 +201,7 @@ def test_a_result_that_cannot_be_stored_fails_its_stage_alone(table):
     assert lucky.result(0) == RESULT
 
 
-def test_a_result_that_cannot_be_stored_fails_alone_also_among_several(table):
+def test_a_result_that_cannot_be_stored_fails_alone_also_among_several(table, caplog):
     futures = [table.ask(training(seed), "run_b") for seed in range(2)]
     unlucky = table.ask(criticism(), "run_unlucky")
     jobs = [table.start() for _ in range(3)]
@@ -212,6 +212,8 @@ def test_a_result_that_cannot_be_stored_fails_alone_also_among_several(table):
     assert [future.result(0) for future in futures] == [RESULT] * 2
     with pytest.raises(StageFailed, match="no space left"):
         unlucky.result(0)
+    blamed = {getattr(record, "run", None) for record in caplog.records if record.exc_info}
+    assert blamed == {None, "run_unlucky"}
 
 
 def test_a_request_waits_for_a_database_that_cannot_be_used_just_now(table, at_once):
