@@ -97,6 +97,7 @@ class Job:
     def leave(self) -> None:
         """Note that nobody computes it any more."""
         self.actor, self.ref, self.sign = None, None, None
+        self.since = time.monotonic()
 
     def fail(self, error: AdrError) -> None:
         """Raise an error in all runs that wait."""

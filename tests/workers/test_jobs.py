@@ -77,8 +77,10 @@ def test_an_attempt_begins_alive_and_leaves_no_sign_behind(job):
     job.place(ACTOR, ref := object())
     assert (job.actor, job.ref, job.is_killed) == (ACTOR, ref, False)
     job.sign = SIGN
+    job.since = -LATER
     job.leave()
     assert (job.actor, job.ref, job.sign) == (None, None, None)
+    assert job.since > 0  # it waits anew
 
 
 def test_a_failure_reaches_every_run_that_still_waits(job):
