@@ -97,7 +97,7 @@ def publish(session: Session, stage: AnyStage, run_id: str, now: datetime) -> Ta
         session.add(row)
         session.flush()
     elif VisitState(row.state).is_finished:
-        row.state, row.lease, row.error = VisitState.PENDING, None, None
+        row.state, row.lease, row.error, row.steps = VisitState.PENDING, None, None, 0
     return row
 
 
@@ -215,7 +215,7 @@ def release(database: Database, id: str, lease: str) -> Visit:
     """Give a visit back, for others to claim. Raises NotFound and LeaseLost."""
     with database.write("release_task") as session:
         row = _held(session, id, lease)
-        row.state, row.expires_at, row.lease = VisitState.PENDING, None, None
+        row.state, row.expires_at, row.lease, row.steps = VisitState.PENDING, None, None, 0
         return _visit(row)
 
 

@@ -91,6 +91,8 @@ class TestLeases:
         beaten = visits.heartbeat(database, task.id, task.lease, 7, later, LEASE_S)
         assert beaten == visits.RenewedLease(later + timedelta(seconds=LEASE_S), is_wanted=True)
         assert visits.get_visit(database, task.id).steps == 7
+        assert visits.release(database, task.id, task.lease).steps == 0  # nobody has begun it
+        task = claim(database, now=later)
         assert claim(database, "b", START + timedelta(seconds=100)) is None
 
     def test_a_heartbeat_that_is_late_does_not_shorten_the_lease(self, database, run_id):
