@@ -147,6 +147,14 @@ def test_a_backup_of_a_later_version_is_refused_before_anything_is_replaced(data
         assert runs.get_run(old, run.id) == run
 
 
+def test_a_file_in_which_no_service_has_made_tables_is_not_damaged(database, tmp_path):
+    """As where the first start was killed; nobody wants it as a backup."""
+    (empty := tmp_path / "empty.sqlite").touch()
+    assert maintenance.check(empty) == []
+    with pytest.raises(InvalidInput, match=r"empty\.sqlite has no tables, and was not restored"):
+        maintenance.restore(tmp_path / "adr.sqlite", empty)
+
+
 def test_a_file_that_is_no_database_is_refused(tmp_path):
     with pytest.raises(InvalidInput, match="there is no database"):
         maintenance.check(tmp_path / "adr.sqlite")
