@@ -145,9 +145,9 @@ def open_service(settings: Settings) -> Service:
         undone.callback(database.close)
         runs = _runs_at_once(settings)
         orchestrator = Orchestrator(database, _ray_options(settings), runs_at_once=runs)
-        staging.clear(settings.data_dir)
         undone.callback(orchestrator.close)
         orchestrator.start()
+        staging.clear(settings.data_dir)  # which another service's Ray would have had
         # last: a lease of a few seconds would not outlast the start of Ray
         visit_store.renew_leases(database, orchestrator.clock.now(), settings.lease_s)
         undone.pop_all()
