@@ -49,7 +49,7 @@ class StageFinished(Wire):
 
     @property
     def key(self) -> str:
-        return f"stage_finished:{self.digest}"
+        return f"{self.type}:{self.digest}"
 
 
 class TrainingEvaluated(Wire):
@@ -63,7 +63,7 @@ class TrainingEvaluated(Wire):
 
     @property
     def key(self) -> str:
-        return f"training_evaluated:{self.digest}:{self.steps}"
+        return f"{self.type}:{self.digest}:{self.steps}"
 
 
 # Undiscounted; the bound keeps means and spreads of what strangers send finite.
@@ -95,7 +95,7 @@ class IterationFinished(Wire):
 
     @property
     def key(self) -> str:
-        return f"iteration_finished:{self.iteration}"
+        return f"{self.type}:{self.iteration}"
 
 
 class CriticismFinished(Wire):
@@ -107,7 +107,7 @@ class CriticismFinished(Wire):
 
     @property
     def key(self) -> str:
-        return "criticism_finished"
+        return self.type
 
 
 class RunQueued(Wire):
@@ -118,7 +118,7 @@ class RunQueued(Wire):
 
     @property
     def key(self) -> str:
-        return f"run_queued:{self.submission}"
+        return f"{self.type}:{self.submission}"
 
 
 class RunStarted(Wire):
@@ -129,7 +129,7 @@ class RunStarted(Wire):
 
     @property
     def key(self) -> str:
-        return f"run_started:{self.submission}"
+        return f"{self.type}:{self.submission}"
 
 
 class RunSucceeded(Wire):
@@ -139,7 +139,7 @@ class RunSucceeded(Wire):
 
     @property
     def key(self) -> str:
-        return "run_succeeded"
+        return self.type
 
 
 class RunFailed(Wire):
@@ -152,7 +152,7 @@ class RunFailed(Wire):
 
     @property
     def key(self) -> str:
-        return f"run_failed:{self.submission}"
+        return f"{self.type}:{self.submission}"
 
 
 class RunStopped(Wire):
@@ -163,7 +163,7 @@ class RunStopped(Wire):
 
     @property
     def key(self) -> str:
-        return f"run_stopped:{self.submission}"
+        return f"{self.type}:{self.submission}"
 
 
 RunEvent = Annotated[
@@ -179,6 +179,11 @@ RunEvent = Annotated[
     Field(discriminator="type"),
 ]
 _ADAPTER: TypeAdapter[RunEvent] = TypeAdapter(RunEvent)
+
+
+def type_of(kind: type[Wire]) -> str:
+    """The type of a kind of event, with which its keys begin."""
+    return str(kind.model_fields["type"].default)
 
 
 def event_from_json(text: str) -> RunEvent:

@@ -22,6 +22,7 @@ from adr_service.events import (
     RunStopped,
     event_from_json,
     next_state,
+    type_of,
 )
 from adr_service.json_values import Wire
 from db import visits
@@ -29,7 +30,7 @@ from db.models import EventRow, RunRow, find_row, get_row
 from db.session import CHUNK, Database, parts
 
 E = TypeVar("E", IterationFinished, CriticismFinished)
-_ITERATION = EventRow.type == "iteration_finished"
+_ITERATION = EventRow.type == type_of(IterationFinished)
 
 
 class EventRecord(Wire):
@@ -55,8 +56,7 @@ def append_events(database: Database, events: Sequence[tuple[str, RunEvent]]) ->
     if events:
         with database.write("append_events") as session:
             for run_id, event in events:
-                if _exists(session, run_id):
-                    append(session, run_id, event)
+                append_to_all(session, [run_id], [event])
 
 
 def append(session: Session, run_id: str, event: RunEvent) -> bool:
@@ -110,7 +110,7 @@ def count_iterations(database: Database, run_ids: Sequence[str]) -> list[tuple[s
 def all_of(database: Database, run_ids: Sequence[str], kind: type[E]) -> list[tuple[str, E]]:
     """Pairs (run id, event) of all events of a kind, in the order of `run_ids`."""
     events: dict[str, list[E]] = {id: [] for id in run_ids}
-    mine = EventRow.type == kind.model_fields["type"].default
+    mine = EventRow.type == type_of(kind)
     query = select(EventRow.run_id, EventRow.body).where(mine).order_by(EventRow.seq)
     with database.read() as session:
         for chunk in parts(run_ids, CHUNK):
@@ -167,10 +167,6 @@ def _advance(session: Session, row: RunRow, event: RunEvent) -> None:
         row.error_code, row.error_message = None, None
     if state.is_finished:
         visits.withdraw(session, row.id)
-
-
-def _exists(session: Session, run_id: str) -> bool:
-    return session.scalar(select(RunRow.id).where(RunRow.id == run_id)) is not None
 
 
 def _known_keys(session: Session, run_id: str, keys: Sequence[str]) -> set[str]:

@@ -17,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 from sqlalchemy import delete, func, insert, select
 from sqlalchemy.orm import Session
 
-from adr_service.events import FINISHED, RunQueued, RunStarted, RunState
+from adr_service.events import FINISHED, IterationFinished, RunQueued, RunStarted, RunState, type_of
 from adr_service.specs import MAX_RUNS, AnyRun, LostRun
 from adr_service.specs.lost import reason_of
 from db.errors import DatabaseDamaged, NotPossible
@@ -112,7 +112,7 @@ def finished_iterations(
         select(RunRow.id, func.count())
         .join(EventRow, EventRow.run_id == RunRow.id)
         .where(RunRow.task.in_(tasks), RunRow.method.in_(methods))
-        .where(EventRow.type == "iteration_finished")
+        .where(EventRow.type == type_of(IterationFinished))
         .group_by(RunRow.id)
     )
     with database.read() as session:

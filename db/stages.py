@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 
 from adr_service.benchmark.cost import Execution
 from adr_service.errors import InvalidInput
+from adr_service.events import StageFinished, TrainingEvaluated, type_of
 from adr_service.json_values import Line, canonical_json, sha256
 from adr_service.plugins import other_versions
 from adr_service.stages.base import StageResult
@@ -37,7 +38,7 @@ _OWNERS = (
 _UNUSED = [~exists().where(owner == ArtifactRow.sha256) for owner in _OWNERS]
 # the first four are always known
 _TIMING = ("asked", "placed", "began", "ended", "cpu", "preparing", "is_first", "cores")
-_FINISHED = "stage_finished"
+_FINISHED = type_of(StageFinished)
 _MENTIONED = EventRow.key == f"{_FINISHED}:" + StageRow.digest  # looks events up, for a stage
 # looks stages up, for events
 _OF_EVENT = (EventRow.type == _FINISHED) & (
@@ -325,7 +326,7 @@ def delete_unmentioned(session: Session) -> None:
     session.execute(delete(StageRow).where(_UNMENTIONED))
     # `note_checkpoint` comes with that point of the learning curve, which an index finds
     steps = cast(CheckpointRow.steps, String)
-    point = "training_evaluated:" + CheckpointRow.digest + ":" + steps
+    point = f"{type_of(TrainingEvaluated)}:" + CheckpointRow.digest + ":" + steps
     session.execute(delete(CheckpointRow).where(~exists().where(EventRow.key == point)))
 
 
