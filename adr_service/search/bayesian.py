@@ -22,7 +22,7 @@ from gpytorch.mlls import ExactMarginalLogLikelihood
 from gpytorch.priors import GammaPrior
 
 from adr_service.arrays import Matrix, Vector
-from adr_service.search.seeding import seeded
+from adr_service.search.seeding import on_one_thread, seeded
 
 _RESTARTS, _RAW = 20, 512  # of the search for the largest expected improvement
 
@@ -50,7 +50,7 @@ class Surrogate:
 
     def mean(self, points: Matrix) -> Vector:
         """The posterior mean at `points` (n, d), (n,); Rasmussen and Williams, eq. 2.25."""
-        with torch.no_grad():
+        with on_one_thread(), torch.no_grad():
             posterior = self._model.posterior(torch.tensor(points, dtype=torch.float64))
             return np.asarray(posterior.mean[:, 0], dtype=np.float64)
 

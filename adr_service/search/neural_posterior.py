@@ -30,7 +30,7 @@ from torch.distributions import (
 )
 
 from adr_service.arrays import Array3, Matrix, Vector
-from adr_service.search.seeding import seeded
+from adr_service.search.seeding import on_one_thread, seeded
 
 _HIDDEN = 50  # units of a hidden layer, sbi's
 _ATOMS = 10  # simulations that a loss of later rounds compares, sbi's and NPDR's
@@ -67,7 +67,7 @@ class MixturePosterior:
 
     def mixture(self, seen: Vector) -> tuple[Vector, Matrix, Array3]:
         """Weights (c,), means (c, d) and covariances (c, d, d) of the mixture, given features."""
-        with torch.no_grad():
+        with on_one_thread(), torch.no_grad():
             found = self._estimator.get_uncorrected_mog(_tensor(seen[None]))
             weights = torch.softmax(found.logits.double(), dim=1)[0]
             factors = torch.linalg.inv(found.precision_factors[0].double())  # of P = U^T U
