@@ -11,10 +11,10 @@ from adr_service.transitions import TransitionDataset
 
 
 def gaussian(space: ParameterSpace, digest: str) -> Gaussian:
-    """A narrow belief at a place of its own."""
+    """A belief at a place of its own, too wide for a training to make it a point of a grid."""
     d = len(space)
     location = space.WIDTH * stream("stand-in", digest).random(d)
-    return Gaussian(space, location, 1e-4 * np.eye(d))
+    return Gaussian(space, location, np.eye(d))
 
 
 def trajectory(task_name: str, transitions: int, digest: str) -> bytes:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from adr_service.distributions import at_resolution
 from adr_service.simulation.batch import control_period
 from adr_service.simulation.replay import check_recorded
 from adr_service.stages.stand_ins import gaussian, trajectory
@@ -26,6 +27,12 @@ def test_beliefs_of_two_digests_are_distinct():
     one, other, again = (gaussian(SPACE, digest).to_json() for digest in ("a", "b", "a"))
     assert one == again
     assert one != other
+
+
+def test_no_resolution_makes_two_beliefs_one_point():
+    """A plan told too few trainings where the spec's resolution was coarse."""
+    beliefs = [at_resolution(gaussian(SPACE, str(n)), 1.0).to_json() for n in range(50)]
+    assert all(belief not in beliefs[:n] for n, belief in enumerate(beliefs))
 
 
 @pytest.mark.parametrize("task", ["arm", "hopper", "humanoid"])
