@@ -188,6 +188,7 @@ class Sysid:
         ends = self._search(residuals, len(space), rng, progress)
         best = min(ends, key=lambda end: float(end.cost))
         unconverged = sum(end.status == _OUT_OF_EVALUATIONS for end in ends)
+        left_out = self._settings.starts - len(ends)  # because replays diverged
         values = _values(space, best)
         ranges = (space.high - space.low) / space.WIDTH
         return Estimate(
@@ -201,6 +202,7 @@ class Sysid:
                 # not where there are none, so that results keep their bytes
                 **({"diverged_replays": residuals.diverged} if residuals.diverged else {}),
                 **({"unconverged_searches": unconverged} if unconverged else {}),
+                **({"left_out_searches": left_out} if left_out else {}),
             },
         )
 

@@ -188,7 +188,7 @@ def test_searches_that_the_iterations_ended_are_counted():
     data = recorded(waving_policy(), steps=20)
     cut, whole = fit(data, starts=2, iterations=2), fit(data, starts=2)
     assert cut.diagnostics["unconverged_searches"] == 2
-    assert "unconverged_searches" not in whole.diagnostics
+    assert not {"unconverged_searches", "left_out_searches"} & whole.diagnostics.keys()
 
 
 def test_the_plan_is_at_least_the_cost():
@@ -225,6 +225,7 @@ def test_searches_keep_away_from_points_whose_replay_diverges(monkeypatch):
     monkeypatch.setattr(Replay, "predict", predict)
     estimate = fit(data)
     assert len(estimate.diagnostics["costs"]) == 3
+    assert estimate.diagnostics["left_out_searches"] == 1
     assert estimate.diagnostics["diverged_replays"] > 1, "no search stepped into it"
     assert np.allclose(estimate.distribution.mean, PLANTED)
 
