@@ -19,7 +19,7 @@ Where we differ from that code, and why:
 - Draws below the feasible bound are excluded by inversion, not clamped after 20 redraws.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -39,7 +39,7 @@ from adr_service.search.trust_region import USUAL_EVALUATIONS, Bounds, Evaluatio
 from adr_service.simulation.replay import Replay
 from adr_service.transitions import TransitionDataset
 
-_WORST = 1e12  # in the place of an infinite loss; CMA-ES compares ranks only
+_WORST = 1e12  # at least, in the place of an infinite loss; CMA-ES compares ranks only
 _TOGETHER = 16  # simulations at a time; changes no bit
 
 
@@ -341,9 +341,10 @@ def by_cma_es(
             for candidate in candidates:
                 given = decode(likelihood.space, candidate)
                 tried = likelihood.evaluate(given.mean, given.std)
-                losses.append(min(tried.loss, _WORST))
+                losses.append(tried.loss)
                 if best is None or tried.loss < best.loss:
                     best = tried
+            losses = _finite(losses)
             es.tell(candidates, losses)
             spent = min(likelihood.evaluations / budget, 1.0)
             progress(spent, evaluations=likelihood.evaluations, loss=min(losses))
@@ -353,6 +354,12 @@ def by_cma_es(
             f"wide for an epsilon of {likelihood.epsilon:g}"
         )
     return best, {"searches": searches}
+
+
+def _finite(losses: Sequence[float]) -> list[float]:
+    """Losses for the search, in which infinite ones are worse than all others."""
+    worst = max([_WORST, *(2 * loss for loss in losses if np.isfinite(loss))])
+    return [loss if np.isfinite(loss) else worst for loss in losses]
 
 
 _Search = Callable[

@@ -9,6 +9,7 @@ from scipy import stats
 
 from adr_service.distributions import normalised_std
 from adr_service.errors import InvalidInput
+from adr_service.methods import dropo
 from adr_service.methods.dropo import (
     Dropo,
     DropoSettings,
@@ -208,6 +209,34 @@ def test_windows_longer_than_the_recording_are_refused():
     data = recorded(waving_policy(), steps=20)
     with pytest.raises(InvalidInput, match="21 consecutive transitions"):
         fit(data, "long", steps=21, epsilon=1e-4)
+
+
+def test_cma_es_tells_large_losses_apart_and_infinite_ones_from_them(monkeypatch):
+    """All from 1e12 on were one loss, among which it wandered about."""
+    told, strategy = [], dropo.strategy
+
+    def watched(*given, **options):
+        es = strategy(*given, **options)
+        tell = es.tell
+        monkeypatch.setattr(es, "tell", lambda x, losses: (told.append(losses), tell(x, losses)))
+        return es
+
+    monkeypatch.setattr(dropo, "strategy", watched)
+    wide, evaluate = [], Likelihood.evaluate
+
+    def huge(likelihood, mean, std):
+        found = evaluate(likelihood, mean, std)
+        wide.append(len(wide) % 3 == 0)
+        return replace(found, loss=np.inf if wide[-1] else 1e13 + found.loss)
+
+    monkeypatch.setattr(Likelihood, "evaluate", huge)
+    data = recorded(waving_policy(), steps=10)
+    settings = {"budget": 20, "samples_per_parameter": 2, "epsilon": 1e-4}
+    fit(data, "huge", search="cma_es", **settings)
+    losses = np.concatenate(told)
+    finite, infinite = (losses[np.array(wide) == is_wide] for is_wide in (False, True))
+    assert len(np.unique(finite)) == len(finite)
+    assert infinite.min() > finite.max()
 
 
 @pytest.mark.parametrize(
