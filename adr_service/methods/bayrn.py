@@ -89,7 +89,8 @@ def encode(box: Uniform) -> Vector:
     width = (box.high - box.low) / (high - low)
     room = (high - low) - (box.high - box.low)
     with np.errstate(invalid="ignore", divide="ignore"):
-        position = np.where(room > 0, (box.low - low) / room, 0.5)  # a whole interval has no room
+        # a whole interval has no room, but for rounding
+        position = np.where(room > 1e-9 * (high - low), (box.low - low) / room, 0.5)
     return np.concatenate([position, width])
 
 

@@ -45,6 +45,8 @@ def test_a_point_at_the_upper_end_is_a_box_to_rounding():
 def test_a_whole_interval_is_encoded_in_the_middle_of_its_room():
     whole = Uniform(SPACE, SPACE.low, SPACE.high)
     np.testing.assert_array_equal(encode(whole), [0.5] * 4 + [1.0] * 4)
+    shy = Uniform(SPACE, np.nextafter(SPACE.low, np.inf), np.nextafter(SPACE.high, -np.inf))
+    np.testing.assert_array_equal(encode(shy)[:4], [0.5] * 4)
 
 
 def test_a_known_value_has_no_width():
