@@ -1,7 +1,7 @@
 """The unknown parameters of a simulator: named, addressed, bounded and ordered.
 
     space = ParameterSpace((Parameter("torso_mass", "body:torso.mass", "kg", 0.5, 10.0, 0.1),))
-    x = space.normalise(values)      # the only rescaling in the project: SI <-> [0, 4]
+    x = space.normalise(values)      # SI <-> [0, 4]
 
 Parameters are data: an address names the value's place in the model, so they pickle and are JSON.
 """

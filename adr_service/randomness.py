@@ -1,6 +1,6 @@
 """Named random streams: the same names give the same numbers, in any order and on any machine.
 
-    rng = stream(stage.digest, "exploration")
+    rng = stream("stage", stage.digest)
 
 Nobody seeds a global generator; a stream is an argument.
 """
@@ -18,5 +18,5 @@ def stream(*names: str | int) -> np.random.Generator:
 
 
 def integer_seed(rng: np.random.Generator) -> int:
-    """A seed below 2**31 for libraries that take only an integer (SB3, pycma)."""
+    """A seed below 2**31 for libraries that take only an integer (SB3)."""
     return int(rng.integers(1, 2**31 - 1))

@@ -6,7 +6,7 @@ a bound has enough of them, it moves outwards if their mean return is high, inwa
 
 Where we differ:
 - Bounds stay until the policy has earned the high threshold once on the first box, as in Tiboni et
-  al.'s comparison (arXiv 2311.01885).
+  al.'s comparison (arXiv 2311.01885), where returns of that phase count for bounds already.
 - The policy learns from the episodes at the bounds too.
 - Returns come in phases of episodes (`training.curriculum`), so a bound moves at a phase's end.
 - The high threshold is .75 of the reward threshold, as DORAEMON's success is here: these are
@@ -46,7 +46,7 @@ class AutoDrSettings(CurriculumSettings):
         0.75, gt=0, description="share of the reward threshold from which a bound moves outwards"
     )
     low: float = Field(
-        0.375, gt=0, description="share of the reward threshold below which it moves inwards"
+        0.375, gt=0, description="share of the reward threshold up to which it moves inwards"
     )
 
     label: ClassVar[str] = "AutoDR"

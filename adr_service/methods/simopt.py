@@ -11,6 +11,9 @@ Where we differ, and why:
   tunes the weights W by hand for each task.
 - Errors are averaged over time, not summed, so that long trajectories do not count more (as in
   SimuRLacra).
+- The new Gaussian is that of samples which were clipped to the search box, as if they had not been.
+  So a belief as wide as the box narrows even where no parameter has an influence: by a third in 25
+  updates with equal costs (by hand; a fifth with `covariance_damping` 2).
 - Simulations run for the whole recorded length even if the robot falls, so that an early end
   lowers no cost. A diverged one costs as much as the worst finite one.
 - Costs are divided by the distance of their 90th percentile from the best before each update. So
@@ -73,7 +76,9 @@ class _Settings(OnlineSettings):
     )
     # guided policy search's defaults
     kl_threshold: float = Field(
-        1.0, gt=0, description="trust region of one update [nat], kept to 1e-5 nat"
+        1.0,
+        gt=0,
+        description="trust region of one update [nat]; with the default settings kept to 1e-5 nat",
     )
     covariance_damping: float = Field(
         0.0,
@@ -268,7 +273,9 @@ def reps(
 ) -> tuple[Vector, Matrix, float]:
     """One REPS step (`update_pi2`): the new mean (d,), covariance (d, d), and the temperature.
 
-    It minimises the mean cost subject to KL(new || old) <= `kl_threshold`. Samples (n, d) are from
+    It minimises the mean cost subject to KL(new || old) <= `kl_threshold`, which it does not use up
+    at the lowest temperature. Much lower ones, or thresholds far below one, are missed: by .15 nat
+    at 1e-8, and by .03 at a threshold of .01 (largest of 120 by hand). Samples (n, d) are from
     a Gaussian of `covariance`, clipped to the search box.
     """
     spread = np.percentile(costs, _SPREAD_PERCENTILE) - costs.min()

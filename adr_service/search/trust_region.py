@@ -10,7 +10,8 @@ numbers). Where a feasible bound cuts them, the linear model is less exact, not 
 
 Each step linearises the predictions by regression on the draws (statistical linearisation, Särkkä:
 "Bayesian Filtering and Smoothing", 2013, Sec. 5.4), and minimises the likelihood of that linear
-model within a trust region (Nocedal and Wright: "Numerical Optimization", 2006, Algorithm 4.1).
+model within a trust region (Nocedal and Wright: "Numerical Optimization", 2006, Algorithm 4.1,
+but a poor step halves the radius, and any good one doubles it).
 Draws that are wide smooth the contacts out of the predictions, and they narrow as the fit improves.
 Every accepted Gaussian was simulated, so no loss is a guess.
 """

@@ -6,8 +6,8 @@ call, the values of a whole rollout are another, and all epochs over it are a th
 the networks by SBX's own `_one_update`.
 
 Observations are normalised by their running mean and deviation, rewards by the running deviation
-of the discounted return, as by SB3's `VecNormalize`, but updated once per rollout: the networks
-that act and those that learn see the same numbers.
+of the discounted return, as by SB3's `VecNormalize`. But these change once per rollout (that of
+rewards is applied at its end): the networks that act and those that learn see the same numbers.
 """
 
 from collections.abc import Callable
