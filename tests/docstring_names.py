@@ -328,13 +328,12 @@ def exported_run(folder: Path) -> Names:
     point = {"training": 0, "steps": 100, "mean_return": 1.0, "standard_error": 0.1}
     row = {"iteration": 0, "normalised_return": 0.5, "policies": 1}
     row |= {"target_transitions": 0, "episodes": 50}
-    budget = {"variant": "vanilla", "seed": 0, "iterations": 1, "transitions": 200}
-    budget["target"] = {"kind": "simulated"}
+    spec = RunSpec.model_validate({"task": "hopper", "method": "dropo", "preset": "smoke"})
     return {
         "policy": Policy((layer,), "tanh", task.action_low, task.action_high),
         "get_task": get_task,
         "path": folder / "policy.onnx",
-        "spec": {"method": {"name": "dropo"}, **budget},
+        "spec": spec.model_dump(mode="json"),
         "rows": [row],
         "curve": [point],
         "client": SimpleNamespace(curves=lambda _: [point]),

@@ -40,9 +40,9 @@ def measure_files(
         columns = LogMap.from_toml(text)
     converted = convert(_read(logs), columns, robot)
     _check_rows(nominal, converted)
-    page = _page(converted, nominal, ", ".join(log.name for log in logs), name)
     with written_whole(out) as part:
         part.write_bytes(converted.measurement.to_npz())
+    page = _page(converted, nominal, ", ".join(log.name for log in logs), name)
     with written_whole(out.with_suffix(".html")) as part:
         part.write_bytes(encodable(page).encode())  # names of files may be no UTF-8
     return converted
