@@ -51,8 +51,8 @@ class Execution:
 
     @property
     def computing(self) -> float:
-        """CPU seconds without imports and compilations; none where JAX tells more for these, whose
-        clock is another."""
+        """CPU seconds without imports and compilations; zero where these took longer by JAX's own
+        clock, which also counts waiting for a core."""
         return max(0.0, (self.cpu or 0.0) - (self.preparing or 0.0))
 
     @property

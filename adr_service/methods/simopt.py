@@ -12,8 +12,9 @@ Where we differ, and why:
 - Errors are averaged over time, not summed, so that long trajectories do not count more (as in
   SimuRLacra).
 - The new Gaussian is that of samples which were clipped to the search box, as if they had not been.
-  So a belief as wide as the box narrows even where no parameter has an influence: by a third in 25
-  updates with equal costs (by hand; a fifth with `covariance_damping` 2).
+  So a wide belief narrows even where no parameter has an influence: in 25 updates with equal costs
+  deviations fell to .69 of the prior's, and to .77 with `covariance_damping` 2 (by hand, 1000
+  samples of four parameters).
 - Simulations run for the whole recorded length even if the robot falls, so that an early end
   lowers no cost. A diverged one costs as much as the worst finite one.
 - Costs are divided by the distance of their 90th percentile from the best before each update. So
@@ -78,7 +79,7 @@ class _Settings(OnlineSettings):
     kl_threshold: float = Field(
         1.0,
         gt=0,
-        description="trust region of one update [nat]; with the default settings kept to 1e-5 nat",
+        description="trust region of one update [nat], by default kept to 2e-4 nat",
     )
     covariance_damping: float = Field(
         0.0,
@@ -274,9 +275,12 @@ def reps(
     """One REPS step (`update_pi2`): the new mean (d,), covariance (d, d), and the temperature.
 
     It minimises the mean cost subject to KL(new || old) <= `kl_threshold`, which it does not use up
-    at the lowest temperature. Much lower ones, or thresholds far below one, are missed: by .15 nat
-    at 1e-8, and by .03 at a threshold of .01 (largest of 120 by hand). Samples (n, d) are from
-    a Gaussian of `covariance`, clipped to the search box.
+    at the lowest temperature. Samples (n, d) are from a Gaussian of `covariance`, clipped to the
+    search box.
+
+    With the default settings 360 vectors of costs kept the threshold within 2e-4 nat (by hand).
+    Where costs are in two heaps, it is missed by .003 at .01, and by some tenths where the lowest
+    temperature is 1e-6 or less.
     """
     spread = np.percentile(costs, _SPREAD_PERCENTILE) - costs.min()
     scaled = (costs - costs.min()) / (spread if spread > 0 else 1.0)
