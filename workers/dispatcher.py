@@ -30,7 +30,7 @@ from db.session import RETRY_S
 from workers.actors import Ending, Failed
 from workers.cluster import Cluster, ClusterUnavailable, RayOptions
 from workers.demand import Demand
-from workers.heartbeats import UNWANTED_S, Heartbeats, patience_s
+from workers.heartbeats import UNWANTED_S, UNWANTED_SILENT_S, Heartbeats, patience_s
 from workers.job_table import AT_ONCE, JobTable
 from workers.jobs import Activity, Job
 from workers.pool import Actor, Pool
@@ -208,8 +208,7 @@ class Dispatcher:
         """Jobs that wait for a core, each with an actor on a free one."""
         taken = list[tuple[Job, Actor]]()
         for job in self._jobs.ready():
-            is_new = job.losses > 0
-            actor = self._pool.take(job.role, job.started_by, avoid=job.avoid, is_new=is_new)
+            actor = self._pool.take(job.role, job.started_by, job.avoid, newer_than=job.lost_at)
             if actor is not None:
                 taken.append((job, actor))
             elif job.avoid is None:
@@ -236,7 +235,8 @@ class Dispatcher:
         except RayError as error:
             log.warning("the stage could not be sent: %s", error, extra=job.ids)
             self._pool.give_back(actor)
-            job.not_before = time.monotonic() + RETRY_S
+            job.lost_at = time.monotonic()
+            job.not_before = job.lost_at + RETRY_S
             self._jobs.lose(job, str(error))
         except Exception as error:  # noqa: BLE001 - a method may hold what cannot be packed
             self._pool.give_back(actor)
@@ -293,13 +293,21 @@ class Dispatcher:
             silent = self._heartbeats.silence(max(job.heard, job.since))
             if silent > patience_s(job.sign, len(job.waiters)):
                 why = f"no sign of life for {silent:.0f} s"
-            elif job.unwanted is not None and time.monotonic() - job.unwanted > UNWANTED_S:
+            elif job.unwanted is not None and self._goes_on_unwanted(job.unwanted):
                 why = f"no run has wanted its stage for {UNWANTED_S:.0f} s, and it computes on"
             else:
                 continue
             log.warning("%s: %s", job.actor.name, why, extra=job.ids)
             job.is_killed = True
             ray.kill(job.actor.handle)
+
+    def _goes_on_unwanted(self, since: float) -> bool:
+        """True if a stage that no run has wanted since a moment has had the time to stop.
+
+        From the moment on that its process could know it, but no longer than a board may be silent.
+        """
+        knows = self._heartbeats.silence(since) > UNWANTED_S
+        return knows or time.monotonic() - since > UNWANTED_S + UNWANTED_SILENT_S
 
     def _look_at_nodes(self) -> None:
         """Follow nodes that come and go; our own node stays, and looking at it takes a while."""

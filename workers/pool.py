@@ -39,6 +39,7 @@ class Actor:
     handle: Any  # of a StageActor
     core: "Core"
     used: float = field(default_factory=time.monotonic)  # when it last began or ended a stage
+    started: float = field(default_factory=time.monotonic)
 
 
 @dataclass
@@ -49,9 +50,10 @@ class Core:
     actors: dict[Role, Actor] = field(default_factory=dict[Role, Actor])
     busy: Actor | None = None
 
-    def warm(self, role: Role) -> Actor | None:
-        """An actor that can compute stages of a role."""
-        return next((self.actors[r] for r in _ABLE[role] if r in self.actors), None)
+    def warm(self, role: Role, newer_than: float = 0.0) -> Actor | None:
+        """An actor that can compute stages of a role, and was started after a moment."""
+        able = (self.actors[r] for r in _ABLE[role] if r in self.actors)
+        return next((actor for actor in able if actor.started > newer_than), None)
 
 
 class Pool:
@@ -82,13 +84,14 @@ class Pool:
                 self._end(actor)
 
     def take(
-        self, role: Role, run_id: str, avoid: str | None, *, is_new: bool = False
+        self, role: Role, run_id: str, avoid: str | None, newer_than: float = 0.0
     ) -> Actor | None:
         """An actor for a stage, warm if possible; None if all cores are busy, or `max_cores`.
 
         Not on the node `avoid` if there are others; rather on a node that is at work, so that
         others become idle and can be released. A new actor is named after its first run.
-        `is_new`: no warm one, which may have died while it was idle.
+        Others than those that were started after `newer_than` (monotonic) count as dead: where a
+        stage has lost its process, they may have died while they were idle.
         """
         others = {core.node for core in self._cores} - {avoid}
         busy = Counter(core.node for core in self._cores if core.busy is not None)
@@ -96,12 +99,13 @@ class Pool:
         free = [core for core in free if core.node != avoid or not others]
         if not free or busy.total() >= (self._options.max_cores or len(self._cores)):
             return None
-        core = min(free, key=lambda core: (core.warm(role) is None, -busy[core.node]))
-        warm = core.warm(role)
-        if is_new and warm is not None:
-            self._end(warm)
-            warm = None
-        core.busy = warm or self._start(core, _ABLE[role][0], run_id)
+
+        def rank(core: Core) -> tuple[bool, bool, int]:
+            warm, old = core.warm(role, newer_than), core.warm(role)
+            return warm is None, old is not warm, -busy[core.node]
+
+        core = min(free, key=rank)
+        core.busy = core.warm(role, newer_than) or self._start(core, _ABLE[role][0], run_id)
         return core.busy
 
     def give_back(self, actor: Actor) -> None:
@@ -127,6 +131,8 @@ class Pool:
             self._cores += [Core(node) for _ in range(count - known.count(node))]
 
     def _start(self, core: Core, role: Role, run_id: str) -> Actor:
+        if role in core.actors:
+            self._end(core.actors[role])
         name = f"adr:{run_id}:{role}:{self._mark}-{next(self._numbers)}"
         here = NodeAffinitySchedulingStrategy(core.node, soft=False)
         others = {self._options.resource: _SHARE} if self._options.resource != "CPU" else None

@@ -1,5 +1,7 @@
 """Cores and the actors on them: one busy actor per core, and warm ones first."""
 
+import time
+
 import pytest
 import ray
 
@@ -82,14 +84,24 @@ def test_after_a_loss_another_actor_of_another_name_is_started(pool, run_id):
 
 def test_a_new_actor_is_started_in_the_place_of_a_warm_one_that_may_have_died(pool, run_id):
     """Three dead ones in a row failed the stage, though no process had begun it."""
-    warm = pool.take("trainer", run_id, None)
-    pool.give_back(warm)
-    new = pool.take("trainer", run_id, None, is_new=True)
-    assert new is not warm
-    assert new.core.actors == {"trainer": new}
-    if new.core is warm.core:
-        with pytest.raises(ray.exceptions.RayActorError):
-            ray.get(warm.handle.__ray_ready__.remote())
+    old, kept = (pool.take("trainer", run_id, None) for _ in range(2))
+    pool.give_back(old)
+    lost_at = time.monotonic()
+    new = pool.take("trainer", run_id, None, newer_than=lost_at)
+    assert (new.core, new.core.actors) == (old.core, {"trainer": new})
+    with pytest.raises(ray.exceptions.RayActorError):
+        ray.get(old.handle.__ray_ready__.remote())
+    pool.give_back(kept)
+    pool.give_back(new)
+    assert pool.take("trainer", run_id, None, newer_than=lost_at) is new
+
+
+def test_after_a_loss_an_empty_core_is_taken_before_one_with_an_old_actor(pool, run_id):
+    old = pool.take("inference", run_id, None)
+    pool.give_back(old)
+    new = pool.take("inference", run_id, None, newer_than=time.monotonic())
+    assert new.core is not old.core
+    assert old.core.actors == {"inference": old}
 
 
 def test_the_only_node_is_taken_though_it_should_be_avoided(pool, run_id):
