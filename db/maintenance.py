@@ -40,15 +40,16 @@ def revision_of(path: Path) -> str | None:
 
 
 def check(path: Path) -> list[str]:
-    """List the damage to the file, its references, artifacts, texts and tables, a line each."""
+    """List the damage to the file, its references, artifacts, texts and tables, a line each; a file
+    without tables is damaged too."""
     damage: list[str] = []
     with _reader(path) as connection:
         connection.text_factory = lambda text: text.decode(errors="replace")
         try:
             lines = [str(line) for (line,) in connection.execute("pragma integrity_check")]
             damage += [] if lines == ["ok"] else lines
-            if _is_empty(connection):  # the service has not come to making tables
-                return damage
+            if not connection.execute("select 1 from sqlite_master").fetchone():
+                return [*damage, "it has no tables: none were made yet, or it was emptied"]
             for table, row, parent, _ in connection.execute("pragma foreign_key_check"):
                 damage.append(f"row {row} of {table} refers to a row of {parent} that is not there")
             for key, content in connection.execute("select sha256, content from artifacts"):
@@ -59,10 +60,6 @@ def check(path: Path) -> list[str]:
             damage.append(f"it cannot be read to its end: {error}")
             return damage
     return damage or (unfinished(path) if revision_of(path) == head() else [])
-
-
-def _is_empty(connection: sqlite3.Connection) -> bool:
-    return connection.execute("select 1 from sqlite_master").fetchone() is None
 
 
 def _unreadable(connection: sqlite3.Connection) -> Iterator[str]:
@@ -138,9 +135,6 @@ def restore(path: Path, copy: Path) -> Path | None:
     """
     if wrong := check(copy):
         raise InvalidInput("\n".join([f"{copy} is damaged itself, and was not restored", *wrong]))
-    with _reader(copy) as connection:
-        if _is_empty(connection):
-            raise InvalidInput(f"{copy} has no tables, and was not restored; it is no backup")
     if (revision := revision_of(copy)) not in {None, *revisions()}:
         raise DatabaseNewer(
             f"{copy} has tables of revision {revision}, which this version does not know (its own "

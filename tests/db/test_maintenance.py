@@ -147,11 +147,12 @@ def test_a_backup_of_a_later_version_is_refused_before_anything_is_replaced(data
         assert runs.get_run(old, run.id) == run
 
 
-def test_a_file_in_which_no_service_has_made_tables_is_not_damaged(database, tmp_path):
-    """As where the first start was killed; nobody wants it as a backup."""
+def test_a_file_without_tables_is_said_to_have_none_and_restores_nothing(database, tmp_path):
+    """As where the first start was killed. A table was missed in it by name."""
     (empty := tmp_path / "empty.sqlite").touch()
-    assert maintenance.check(empty) == []
-    with pytest.raises(InvalidInput, match=r"empty\.sqlite has no tables, and was not restored"):
+    reason = "it has no tables: none were made yet, or it was emptied"
+    assert maintenance.check(empty) == [reason]
+    with pytest.raises(InvalidInput, match=f"was not restored\n{reason}"):
         maintenance.restore(tmp_path / "adr.sqlite", empty)
 
 
