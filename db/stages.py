@@ -54,6 +54,7 @@ _PACKAGE = re.compile(r'package":"([\w.-]{1,100}) ([\w.+!-]{1,50})"')
 _VERSION = re.compile(r'"version":(\d+)}$')  # at the end of a document, which is sorted
 _LONGEST_VERSION = 20
 _LATEST = 4e9  # seconds since 1970: the year 2096
+_STORED_LATE_S = 3600.0  # a result is stored at most so long after it was computed
 
 _ExecutionRow = Row[str, str, int, str, str | None, str]
 
@@ -108,9 +109,11 @@ def note_checkpoint(session: Session, digest: str, steps: int, policy: bytes) ->
 
 def executions_between(database: Database, first: float, last: float) -> list[Execution]:
     """Executions measured here, for any run, that overlap the time from `first` to `last`."""
-    early = datetime.fromtimestamp(first, UTC)  # a result is stored after it was computed
-    query = _executions().where(StageRow.created_at >= early, ~_IMPORTED)
     with database.read() as session:
+        longest = session.scalar(select(func.max(StageRow.seconds))) or 0.0
+        late = min(last + longest + _STORED_LATE_S, _LATEST)
+        early, late = (datetime.fromtimestamp(at, UTC) for at in (first, late))
+        query = _executions().where(StageRow.created_at.between(early, late), ~_IMPORTED)
         executions = [_execution(row) for row in session.execute(query)]
     return [e for e in executions if e.placed < last and e.ended > first]
 
