@@ -12,9 +12,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from adr_service.errors import InvalidInput
 from adr_service.interchange.libraries import library
 from adr_service.interchange.onnx_policies import to_onnx
+from adr_service.json_values import explain
 from adr_service.methods.catalogue import methods
 from adr_service.specs import RunSpec
 from adr_service.tasks.base import Task
@@ -49,9 +52,13 @@ def write_model_folder(
     """Write the folder of a run's latest policy, new or empty.
 
     `spec` is the run's, `rows` its results: a row for each iteration, none for a run on a
-    recording. Raises InvalidInput if something is in the folder.
+    recording. Raises InvalidInput if something is in the folder, or if the spec names what this
+    installation does not know, as a method of another package.
     """
-    run = RunSpec.model_validate_json(json.dumps(spec))
+    try:
+        run = RunSpec.model_validate_json(json.dumps(spec))
+    except ValidationError as error:
+        raise InvalidInput(f"the run's spec cannot be read here: {explain(error, 'it')}") from error
     cards = library("huggingface_hub")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InvalidInput(f"{folder} is there already, and not empty; name a new folder")
@@ -78,7 +85,7 @@ def write_model_folder(
 
 
 def _title(run: RunSpec) -> str:
-    return f"{run.task}, {run.column}{run.apart}"
+    return f"{run.task}, {run.column}{run.suffix}"
 
 
 def _dynamics(method: str) -> str:
@@ -95,7 +102,7 @@ def _dynamics(method: str) -> str:
 
 def _circumstances(run: RunSpec) -> str:
     """Words for a run's seed and data; only methods that see transitions have a budget."""
-    known = f"variant `{run.variant}`, seed {run.seed}{run.apart}"
+    known = f"variant `{run.variant}`, seed {run.seed}{run.suffix}"
     learns_from = methods()[run.method.name].learns_from
     if run.target.kind == "recorded" or learns_from == "nothing":
         return known
@@ -113,7 +120,7 @@ def _metadata(cards: Any, task: Task, run: RunSpec, rows: Sequence[Mapping[str, 
         cards.EvalResult(
             task_type="reinforcement-learning",
             dataset_type=task.name,
-            dataset_name=f"{run.task}, {run.variant}{run.apart}",
+            dataset_name=f"{run.task}, {run.variant}{run.suffix}",
             metric_type="mean_reward",
             metric_value=row["normalised_return"] * task.reward_threshold,
         )

@@ -205,8 +205,8 @@ class RunSpec(Wire):
         return self.method.name + ("" if self.collector == "simopt" else f" on {self.collector}")
 
     @property
-    def apart(self) -> str:
-        """The words of a title for an extended simulator or an unusual target; else none."""
+    def suffix(self) -> str:
+        """The end of a title: an extended simulator or an unusual target, or nothing."""
         told = ""
         if self.extension:
             told += ", extended by " + ", ".join(

@@ -4,6 +4,8 @@ Each file has one family of commands. A command imports what takes seconds (Ray,
 when it runs, so that `adr --help` answers at once.
 """
 
+import io
+import sys
 from importlib.metadata import version
 from typing import Annotated
 
@@ -82,6 +84,8 @@ def common(
 
 def main() -> None:
     """Run the console script; expected errors become messages instead of tracebacks."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # names of files may be no UTF-8
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         app()
     except (AdrError, OSError) as error:

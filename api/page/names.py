@@ -21,7 +21,7 @@ def title_of(spec: AnyRun | LostRun) -> str:
 
 def apart_of(spec: AnyRun | LostRun) -> str:
     """The words of a title for an extended simulator or an unusual target; else none."""
-    return spec.apart if isinstance(spec, RunSpec) else ""
+    return spec.suffix if isinstance(spec, RunSpec) else ""
 
 
 def titles(service: Service, ids: Iterable[str]) -> dict[str, str]:

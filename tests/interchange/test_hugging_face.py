@@ -96,6 +96,13 @@ def test_the_card_says_that_a_robot_was_the_target_and_what_its_simulator_was_ex
     assert told in card.text.split("(variant")[1]
 
 
+def test_a_spec_that_cannot_be_read_here_is_refused_in_words(policy, task, tmp_path):
+    """As of a service that has a method of a package that is missing here."""
+    spec = spec_of(task) | {"method": {"name": "bristles"}}
+    with pytest.raises(InvalidInput, match=r"spec cannot be read here: .*bristles"):
+        write_model_folder(tmp_path / "card", policy, task, spec, ROWS)
+
+
 def test_a_folder_with_something_in_it_is_refused(folder, policy, task):
     with pytest.raises(InvalidInput, match="not empty; name a new folder"):
         write_model_folder(folder, policy, task, spec_of(task), ROWS)

@@ -1,6 +1,8 @@
 """Options and files of `adr measure`."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -40,14 +42,21 @@ def test_with_a_map_a_measurement_and_a_page_are_written(adr_here, files):
     assert (status, "measured.html is there already" in errors) == (2, True)
 
 
-def test_a_log_whose_name_is_no_utf_8_is_measured(adr_here, files):
-    """Its page could not be written, after all the work."""
-    name = os.fsdecode(b"mess\xe4ung.npz")
+def test_a_log_whose_name_is_no_utf_8_is_measured(files):
+    """Its page could not be written, nor the name be printed, after all the work."""
+    name, out = os.fsdecode(b"mess\xe4ung.npz"), os.fsdecode(b"\xe4.npz")
     Path("log.npz").rename(name)
     (files / "map.toml").write_bytes(b"\xef\xbb\xbf" + MAP.encode())  # as Windows saves it
-    out = ["--map", "map.toml", "--out", "measured.npz"]
-    assert adr_here("measure", name, "--model", "robot.xml", *out)[0] == 0
-    assert "mess\\udce4ung.npz" in (files / "measured.html").read_text()
+    given = [name, "--model", "robot.xml", "--map", "map.toml", "--out", out]
+    done = subprocess.run(
+        [sys.executable, "-m", "api", "measure", *given],
+        env={**os.environ, "PYTHONIOENCODING": "utf-8:strict"},
+        capture_output=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert done.stdout.startswith(b"\\udce4.npz: 10 episodes")
+    assert "mess\\udce4ung.npz" in Path(out).with_suffix(".html").read_text()
 
 
 def test_what_looks_wrong_is_in_the_terminal_and_on_the_page(adr_here, files):
