@@ -147,7 +147,7 @@ def open_service(settings: Settings) -> Service:
         orchestrator = Orchestrator(database, _ray_options(settings), runs_at_once=runs)
         undone.callback(orchestrator.close)
         orchestrator.start()
-        staging.clear(settings.data_dir)  # which another service's Ray would have had
+        staging.clear(settings.data_dir)  # only now: the start refuses a folder in use
         # last: a lease of a few seconds would not outlast the start of Ray
         visit_store.renew_leases(database, orchestrator.clock.now(), settings.lease_s)
         undone.pop_all()

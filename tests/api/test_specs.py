@@ -26,7 +26,7 @@ def test_an_assignment_sets_one_field(assignment, spec):
     assert given == spec
 
 
-def test_a_setting_of_a_members_setting_does_not_replace_the_list():
+def test_a_path_into_a_list_is_refused():
     """It was refused by the service for an object that nobody had given."""
     given = {"methods": [{"name": "simopt"}, "dropo"]}
     refusal = r'methods.0.samples cannot be set: methods is \[{"name": "simopt"}, "dropo"\]; set it'

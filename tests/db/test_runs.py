@@ -25,6 +25,15 @@ def test_a_failure_has_its_error_until_the_run_goes_on(database):
     assert (again.state, again.submission, again.error_code) == ("queued", 2, None)
 
 
+def test_unfinished_runs_come_in_order_without_those_that_are_known(database):
+    first, known, done, last = (runs.create_run(database, SPEC) for _ in range(4))
+    events.append_event(database, done.id, RunFailed(submission=1, code="x", message="why"))
+    events.append_event(database, known.id, RunFailed(submission=1, code="x", message="why"))
+    runs.resubmit(database, known.id)
+    keys = [(known.id, 2), (last.id, 7)]  # of another submission
+    assert [run.id for run in runs.unfinished_runs(database, keys)] == [first.id, last.id]
+
+
 def test_pages_follow_the_order_of_submission(database):
     ids = [runs.create_run(database, SPEC).id for _ in range(5)]
     first = runs.list_runs(database, limit=2)

@@ -170,6 +170,17 @@ class TestLeases:
         assert not beaten.is_wanted
         assert claim(database, "b") is None
 
+    def test_a_visit_that_is_offered_again_after_its_run_failed_has_no_steps(
+        self, database, run_id
+    ):
+        publish(database, run_id)
+        task = claim(database)
+        visits.heartbeat(database, task.id, task.lease, 7, START, LEASE_S)
+        visits.fail(database, task.id, task.lease, "gripper broken")
+        publish(database, run_id)
+        again = visits.get_visit(database, task.id)
+        assert (again.state, again.steps) == ("pending", 0)
+
     def test_the_end_of_a_run_withdraws_its_tasks(self, database, run_id):
         publish(database, run_id)
         task = claim(database)

@@ -120,6 +120,21 @@ def test_a_robots_stage_of_a_run_that_has_ended_fails_at_once(database, is_delet
     assert visits.list_visits(database) == []
 
 
+def test_a_failure_that_was_stored_without_an_answer_ends_the_wait(database):
+    """`Orchestrator.fail_task` says `arrived`, because it does not know whether it was stored."""
+    store, run_id = DatabaseResults(database), runs.create_run(database, SPEC).id
+    table, future, asked = JobTable(store), Future(), episode(run_id)
+    table.accept(asked, run_id, future)
+    table.arrived(asked.digest)
+    assert not future.done()  # it was not stored
+    failed = RunFailed(submission=1, code="target_failed", message="the gripper is broken")
+    events.append_event(database, run_id, failed)
+    table.arrived(asked.digest)
+    with pytest.raises(StageFailed, match=f"{run_id} has ended"):
+        future.result(timeout=0)
+    assert len(table) == 0
+
+
 def test_a_checkpoint_has_its_learning_curve_on_the_runs_record(database):
     store, run_id = DatabaseResults(database), runs.create_run(database, SPEC).id
     stage = training()
