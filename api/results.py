@@ -67,7 +67,7 @@ class KindCost(BaseModel):
     stages: int
     seconds: float  # on a core
     cpu_seconds: float
-    preparing_seconds: float  # imports and compilations, by the clock
+    preparing_seconds: float  # imports by the CPU's clock, compilations by JAX's
 
 
 class CostView(BaseModel):

@@ -20,7 +20,7 @@ from sqlalchemy.orm import Session
 import adr_service
 from adr_service.benchmark.archive import ArchiveWriter, Manifest
 from adr_service.errors import InvalidInput
-from adr_service.events import RunState, RunStopped
+from adr_service.events import RunState, RunStopped, type_of
 from adr_service.json_values import Wire
 from adr_service.specs import BenchmarkPart, BenchmarkSpec, CriticismSpec
 from db.archive_checks import replays
@@ -64,7 +64,7 @@ _IN_BATCHES = {"yield_per": 100}
 _WHOLE = BenchmarkPart()
 _CHANGED = "updated_at"
 _IN_ORDER = (RunRow.created_at, RunRow.number)  # numbers are of the order of imports
-_STOPPED = "run_stopped"  # the type of these events
+_STOPPED = type_of(RunStopped)
 _ONE_BY_ONE = {"yield_per": 1}  # artifacts may be large
 Change = Literal["added", "continued", "unchanged", "left"]
 

@@ -58,7 +58,7 @@ from adr_service.logs.turns import (
 )
 
 _BEYOND = 0.1  # of a joint's range
-_SHORT_S = 2.0  # of all episodes; below it of all recordings, the time's unit looks wrong
+_SHORT_S = 2.0  # fewer seconds of episodes are too few; of recordings, the unit looks wrong
 _OFTEN = 0.2  # share of rows at a limit
 _ROUNDED = 0.05  # of the readings' spacing
 _MUCH = 0.2  # share of the logs' seconds

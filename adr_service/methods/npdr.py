@@ -12,9 +12,9 @@ Choices, and where we differ:
   SimuRLacra's. It is Zuko's and not nflows': each transform has five hidden layers of 50 units and
   not two, and the order of parameters is reversed in place of permuted.
 - It learns logits of the parameters in the search box, so that no sample leaves it: multi-round
-  estimates leak otherwise (sbi, issue 287). Logits beyond 16 are samples 1e-7 of the box from a
-  bound, and no diagnostic counts them. Where fewer than 10 simulations are held out to end a
-  training, the loss on these has as many atoms as there are (`validation_atoms`).
+  estimates leak otherwise (sbi, issue 287). Samples closer to a bound than 1e-7 of the box
+  are moved to that distance, and are not counted. Where fewer than 10 simulations are held out to
+  end a training, the loss on these has as many atoms as there are (`validation_atoms`).
 - It is trained as sbi does by default (batches of 200, learning rate 5e-4, a tenth held out);
   SimuRLacra's experiments set 50, 3e-4 and a fifth.
 - With one unknown parameter the flow's transforms are affine: the posterior of its logit is normal.

@@ -199,8 +199,8 @@ class Stages(Protocol):
     def all(self, stages: Sequence[Stage[R]]) -> Generator[RunEvent, None, list[R]]:
         """The results of `stages`, in their order; they may run at the same time.
 
-        Raises StageFailed where one has no result on Ray (elsewhere what its stage raised, or that
-        it is not stored), RunCancelled where the run shall stop.
+        Raises RunCancelled where the run shall stop, and StageFailed where a stage fails on Ray.
+        Without Ray, what the stage itself raised comes through.
         """
         ...
 

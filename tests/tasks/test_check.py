@@ -226,7 +226,7 @@ def test_a_variant_whose_name_a_domain_would_cut_is_refused():
 @pytest.mark.parametrize("letter", list("/\\?#%"))
 def test_a_variant_that_no_figure_can_be_named_after_is_refused(letter):
     arm, name = BUILT_IN["arm"], f"low{letter}high"
-    with pytest.raises(InvalidInput, match=re.escape(f"{name!r} has a {letter} in its name")):
+    with pytest.raises(InvalidInput, match=re.escape(f"{name!r} has {letter} in its name")):
         check_task(Entry(arm.task, {**arm.variants, name: arm.variants["noisy"]}))
 
 
