@@ -234,7 +234,7 @@ class JobTable:
 
 
 def _ids_of(jobs: Sequence[Job]) -> dict[str, str | int]:
-    """Names for the log; none of several jobs, of which any may be the one in trouble."""
+    """The names of a job in the log; several jobs have none, because any may be in trouble."""
     return jobs[0].ids if len(jobs) == 1 else {}
 
 

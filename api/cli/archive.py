@@ -132,8 +132,10 @@ def _on_unchecked(runs: Sequence[str]) -> Iterator[str]:
 def _verified(
     archived: "Staged", sample: int, seed: int, unchecked: list[str]
 ) -> "Iterator[Verified]":
-    """Stages of the archive, drawn at random and computed again; runs of which none can be are
-    added to `unchecked`."""
+    """Stages of the archive, drawn at random and computed again.
+
+    Runs that cannot be checked are added to `unchecked`.
+    """
     from adr_service.benchmark.verification import sampled, verify
     from adr_service.provenance import has_same_provenance, provenance
     from adr_service.randomness import stream

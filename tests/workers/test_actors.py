@@ -135,7 +135,7 @@ def test_a_defect_ends_as_a_failure_with_the_place(actor, board):
 
 
 def test_a_stage_that_would_end_its_process_ends_as_a_failure(actor, board):
-    """It was taken for a lost process, three times, and the run was told to look for memory."""
+    """Its process counted as lost three times, and the run failed for lack of memory."""
     ending = actor.compute(Wait(task="arm", divides=False, exits=True), PLACED, board)
     assert isinstance(ending, Failed)
     assert (ending.code, ending.message.split("\n")[0]) == ("internal", "SystemExit: 2")
