@@ -26,7 +26,7 @@ from db.models import DatasetRow, EventRow, RunRow, find_row, get_row
 from db.references import delete_unreferenced
 from db.requests import RequestKey, once
 from db.results import delete_results
-from db.session import CHUNK, Database, parts
+from db.session import Database, parts
 from db.stages import check_versions
 
 T = TypeVar("T")
@@ -121,15 +121,10 @@ def finished_iterations(
 
 def unfinished_runs(database: Database, known: Collection[tuple[str, int]] = ()) -> list[RunRecord]:
     """Runs that are queued or running, in order of submission, without `known` (id, submission)."""
-    query = select(RunRow.id, RunRow.submission).where(RunRow.state.not_in(FINISHED))
+    query = select(RunRow).where(RunRow.state.not_in(FINISHED)).order_by(RunRow.number)
     with database.read() as session:
-        keys = session.execute(query.order_by(RunRow.number))
-        ids = [id for id, submission in keys if (id, submission) not in known]
-        found: dict[str, RunRow] = {}
-        for some in parts(ids, CHUNK):
-            rows = session.scalars(select(RunRow).where(RunRow.id.in_(some)))
-            found |= {row.id: row for row in rows}
-        return [record_of(found[id]) for id in ids]
+        rows = session.scalars(query)
+        return [record_of(row) for row in rows if (row.id, row.submission) not in known]
 
 
 def has_ended(session: Session, run_id: str) -> bool:

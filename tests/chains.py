@@ -25,7 +25,7 @@ def drawn(sensor, misfit, rng):
 
 
 def interrupted(chain, residual):
-    """Without a transition in the middle of an episode, as where a simulation diverged."""
+    """The same, but a transition is missing in the middle of an episode: its simulation diverged."""
     mask = chain.mask.copy()
     mask[2, 7] = False
     return chain.where(mask), np.where(mask[..., None], residual, 0.0)

@@ -169,19 +169,26 @@ def test_one_of_several_random_episodes_may_be_shorter_than_its_method_needs(dat
     assert orchestrator.complete_task(task.id, task.lease, content).state == "done"
 
 
+def without_answer(monkeypatch, name):
+    """Let a function of `visits` fail after its commit; returns it as it was."""
+    stores = getattr(visits, name)
+
+    def failing(*given):
+        stores(*given)
+        raise DatabaseUnavailable("it failed")
+
+    monkeypatch.setattr(visits, name, failing)
+    return stores
+
+
 def test_an_episode_that_was_stored_without_an_answer_reaches_its_run(database, monkeypatch):
     """The server failed between its commit and its answer."""
     leases.publish(database, runs.create_run(database, leases.SPEC).id)
     now = datetime.now(UTC)
-    task, arrived, complete = leases.claim(database, "a", now), [], visits.complete
+    task, arrived = leases.claim(database, "a", now), []
     orchestrator = Orchestrator(database, RayOptions())
     monkeypatch.setattr(orchestrator._dispatcher, "arrived", arrived.append)
-
-    def failing(*given):
-        complete(*given)
-        raise DatabaseUnavailable("it failed")
-
-    monkeypatch.setattr(visits, "complete", failing)
+    without_answer(monkeypatch, "complete")
     data = recorded(waving_policy(), episodes=1, steps=task.inputs["transitions"])
     content = write_arrays({**data.to_arrays(), "rewards": np.zeros(len(data))})
     with pytest.raises(DatabaseUnavailable):
@@ -193,15 +200,10 @@ def test_an_episode_that_was_stored_without_an_answer_reaches_its_run(database, 
 def test_a_failure_that_was_stored_without_an_answer_reaches_its_run(database, monkeypatch):
     """Its thread waited for ever, though the run had failed."""
     leases.publish(database, runs.create_run(database, leases.SPEC).id)
-    task, arrived, fail = leases.claim(database, "a", datetime.now(UTC)), [], visits.fail
+    task, arrived = leases.claim(database, "a", datetime.now(UTC)), []
     orchestrator = Orchestrator(database, RayOptions())
     monkeypatch.setattr(orchestrator._dispatcher, "arrived", arrived.append)
-
-    def failing(*given):
-        fail(*given)
-        raise DatabaseUnavailable("it failed")
-
-    monkeypatch.setattr(visits, "fail", failing)
+    fail = without_answer(monkeypatch, "fail")
     with pytest.raises(DatabaseUnavailable):
         orchestrator.fail_task(task.id, task.lease, "the gripper is broken")
     assert arrived == [task.digest]
