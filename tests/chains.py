@@ -25,7 +25,7 @@ def drawn(sensor, misfit, rng):
 
 
 def interrupted(chain, residual):
-    """The same, but a transition is missing in the middle of an episode: its simulation diverged."""
+    """The same, but one transition is missing in the middle of an episode."""
     mask = chain.mask.copy()
     mask[2, 7] = False
     return chain.where(mask), np.where(mask[..., None], residual, 0.0)
