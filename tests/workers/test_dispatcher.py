@@ -10,7 +10,6 @@ from pathlib import Path
 
 import psutil
 import pytest
-import ray
 from ray.exceptions import OutOfDiskError, RayError
 
 from adr_service.errors import InvalidInput, RunCancelled, StageFailed
@@ -111,18 +110,6 @@ def test_a_stage_waits_while_the_disk_is_full(started):
     dispatcher, _ = started
     stage = replace(training(98), seed=Unsendable(OutOfDiskError("the disk is full"), 4))
     assert dispatcher.submit(stage, "run_a").result(60) == compute(training(98))
-
-
-def test_processes_that_died_while_they_were_idle_cost_one_attempt(started):
-    """One after the other was tried, and the third failed the stage."""
-    dispatcher, store = started
-    for future in [dispatcher.submit(training(seed), "run_a") for seed in (94, 95)]:
-        future.result(60)
-    for core in dispatcher._pool._cores:
-        ray.kill(core.actors["trainer"].handle)
-    stage = training(96)
-    dispatcher.submit(stage, "run_a").result(60)
-    assert store.executions[stage.digest].attempt == 2
 
 
 def test_a_training_reports_its_checkpoint_while_it_goes_on(started):
