@@ -38,7 +38,7 @@ from db.errors import DatabaseUnavailable
 from db.runs import RunRecord
 
 log = logging.getLogger(__name__)
-_TABLES = 8  # counts the times that tables of the same outcomes changed
+_TABLES = 9  # counts the times that tables of the same outcomes changed
 _COST_NOTE = (
     "the use of the cores counts all that the service computed while there was work for all of "
     "them, other runs' stages too, and no more; useful = computing / (computing + waiting + "
@@ -51,6 +51,8 @@ class ResultsView(BaseModel):
     """The result table; `note` says what a reader must know of it."""
 
     note: str
+    # the end of the note: what cannot be read here, and versions that rows may mix
+    cautions: list[str]
     rows: list[dict[str, Any]]
     aggregates: list[dict[str, Any]]  # methods over all tasks and variants that all of them have
     comparisons: list[dict[str, Any]]  # differences and probabilities of improvement, by pair
@@ -146,19 +148,26 @@ def results_json(service: Service, id: str, records: Sequence[RunRecord]) -> str
     with service.comparing[id]:
         if (stored := result_store.kept_results(service.database, id, version)) is not None:
             return stored
-        view = results_view(outcomes_of(service, records))
-        notes = [view.note]
-        if unread:
-            notes.append(f"{len(unread)} runs cannot be read here, and are left out")
-        if mixed := _mixed(service, records):
-            notes.append(f"rows may mix versions: {mixed}")
-        view = view.model_copy(update={"note": "; ".join(notes)})
+        outcomes = outcomes_of(service, records)
+        view = _results_view(outcomes, cautions_of(service, records, outcomes))
         results = view.model_dump_json()
         try:
             result_store.keep_results(service.database, id, version, results)
         except DatabaseUnavailable as error:
             log.warning("the results of %s are not kept: %s", id, error)
     return results
+
+
+def cautions_of(
+    service: Service, records: Sequence[RunRecord], outcomes: Sequence[Outcome]
+) -> list[str]:
+    """What of these runs cannot be read here, and which versions their rows may mix."""
+    cautions = lost(outcomes)
+    if unread := sum(isinstance(record.spec, LostRun) for record in records):
+        cautions.append(f"{unread} runs cannot be read here, and are left out")
+    if mixed := _mixed(service, records):
+        cautions.append(f"rows may mix versions: {mixed}")
+    return cautions
 
 
 def _mixed(service: Service, records: Sequence[RunRecord]) -> str:
@@ -174,10 +183,11 @@ def _mixed(service: Service, records: Sequence[RunRecord]) -> str:
     return ", ".join(several)
 
 
-def results_view(outcomes: Sequence[Outcome]) -> ResultsView:
+def _results_view(outcomes: Sequence[Outcome], cautions: Sequence[str]) -> ResultsView:
     """Return tables of finished iterations, and a note on how to read them."""
     return ResultsView(
-        note="; ".join([_note(outcomes), *lost(outcomes)]),
+        note="; ".join([_note(outcomes), *cautions]),
+        cautions=list(cautions),
         rows=[asdict(row) for row in table(outcomes)],
         aggregates=[asdict(each) for each in aggregates(outcomes)],
         comparisons=[asdict(pair) for pair in comparisons(outcomes)],

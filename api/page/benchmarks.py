@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from adr_service.benchmark.budgets import changes
 from adr_service.benchmark.claims import reports
-from adr_service.benchmark.comparison import Outcome, final_outcomes, lost, not_compared, table
+from adr_service.benchmark.comparison import Outcome, final_outcomes, not_compared, table
 from adr_service.benchmark.figures import FIGURES, drawable
 from adr_service.benchmark.improvements import improvement_matrices
 from adr_service.errors import InvalidInput
@@ -21,7 +21,7 @@ from adr_service.specs import BenchmarkExtension, RunSpec
 from api.durations import in_words
 from api.page.names import apart_of, numbers_in, titles
 from api.page.rendering import SEE_OTHER, show
-from api.results import outcomes_of, results_json
+from api.results import cautions_of, outcomes_of, results_json
 from api.routes import benchmarks as routes
 from api.routes.submissions import price
 from api.service import Service, ServiceDependency
@@ -53,7 +53,7 @@ def benchmark(benchmark_id: str, request: Request, service: ServiceDependency) -
         offline=names_of("recordings"),
         figures=drawable(outcomes),
         captions={name: kind.caption for name, kind in FIGURES.items()},
-        lost=lost(outcomes),
+        cautions=cautions_of(service, records, outcomes),
         iterations=len(outcomes),
         is_guarded=bool(service.settings.token.get_secret_value()),
         spec=json.dumps(shown.spec.model_dump(mode="json", exclude_unset=True), indent=1),
@@ -164,14 +164,14 @@ def compare(
     rows: list[tuple[str, str, Json]] = []
     without: list[str] = []
     left: list[str] = []
-    unreadable: list[str] = []
+    cautions: list[str] = []
     for each in ids:
         records = _runs_of(service, each)
         outcomes = outcomes_of(service, records)
         final = final_rows(_rows(outcomes), outcomes)
         without += [] if final else [each]
         left += [f"{column} of {each}" for column in not_compared(outcomes)]
-        unreadable += [f"{each}: {reason}" for reason in lost(outcomes)]
+        cautions += [f"{each}: {told}" for told in cautions_of(service, records, outcomes)]
         rows += [(each, experiment_of(row, outcomes), row) for row in final]
     rows.sort(key=lambda row: (row[2]["task"], row[2]["variant"], row[2]["method"]))
     return show(
@@ -181,7 +181,7 @@ def compare(
         rows=rows,
         without=without,
         not_compared=left,
-        lost=unreadable,
+        cautions=cautions,
     )
 
 

@@ -124,6 +124,14 @@ def test_the_report_names_a_run_that_failed(service, benchmark, tmp_path):
     assert f"{place}, failed:</strong> the node is gone" in text
 
 
+@pytest.mark.usefixtures("one_figure")
+def test_the_report_says_what_its_results_lack(service, benchmark, tmp_path, monkeypatch):
+    found = {**service.client.results(benchmark), "cautions": ["rows may mix versions: a 1 and 2"]}
+    monkeypatch.setattr(AdrClient, "results", lambda client, id: found)
+    text = write_report(service.client, benchmark, tmp_path / "report").read_text()
+    assert "rows may mix versions: a 1 and 2.</strong>" in text
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium in the path")
 @pytest.mark.parametrize("width", [1440, 390])
 def test_a_browser_shows_the_page_from_disk_without_errors(page, width, tmp_path):

@@ -38,8 +38,10 @@ def test_the_note_says_which_versions_a_benchmark_mixes(file_database, monkeypat
     monkeypatch.setattr(TrainPolicy, "version", now + 1)
     *_, last = benchmarks.runs_of(file_database, id)
     proceed(file_database, last)
-    note = json.loads(results_json(service, id, benchmarks.runs_of(file_database, id)))["note"]
-    assert note.endswith(f"; rows may mix versions: train_policy {now} and {now + 1}")
+    found = json.loads(results_json(service, id, benchmarks.runs_of(file_database, id)))
+    mixed = f"rows may mix versions: train_policy {now} and {now + 1}"
+    assert found["cautions"] == [mixed]
+    assert found["note"].endswith(f"; {mixed}")
 
 
 def test_outcomes_of_another_version_of_their_tasks_package_have_lost_their_distributions(

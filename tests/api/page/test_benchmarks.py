@@ -7,6 +7,7 @@ import pytest
 from adr_service.benchmark.comparison import table
 from adr_service.events import RunFailed
 from adr_service.specs import BenchmarkSpec
+from adr_service.stages.train_policy import TrainPolicy
 from api.page import benchmarks as page
 from api.page.benchmarks import experiment_of
 from api.routes.submissions import start_benchmark
@@ -14,6 +15,7 @@ from db.benchmarks import runs_of
 from db.events import append_event
 from tests.api.standins import Service
 from tests.benchmark.test_claims import outcome
+from tests.db.finished import finished_benchmark, proceed
 
 VISCOUS = {"kind": "joint_viscous_friction", "location": "joint:foot_joint", "values": [0.5]}
 NEEDS_SBI = {"tasks": ["arm"], "methods": ["npdr"], "seeds": [0], "preset": "smoke"}
@@ -44,6 +46,21 @@ def test_ten_failures_are_shown_and_the_others_counted(service):
     shown = service.client(page.router).get(f"/benchmarks/{id}").text
     assert shown.count("</strong> a defect</p>") == 10
     assert '2 more failed: the page of <a href="#runs">each run</a> says why.' in shown
+
+
+def test_a_benchmark_that_mixes_versions_says_so_on_its_page_and_where_it_is_compared(
+    service, monkeypatch
+):
+    """Its last run was under way when the service was upgraded."""
+    id = finished_benchmark(service.database, most=1)
+    now = TrainPolicy.version
+    monkeypatch.setattr(TrainPolicy, "version", now + 1)
+    *_, last = runs_of(service.database, id)
+    proceed(service.database, last)
+    told = f"ows may mix versions: train_policy {now} and {now + 1}.</p>"
+    client = service.client(page.router)
+    assert f'<p class="warning">R{told}' in client.get(f"/benchmarks/{id}").text
+    assert f'<p class="warning">{id}: r{told}' in client.get(f"/compare?id={id}").text
 
 
 @pytest.mark.parametrize("separator", ["&id=", "%20"])
