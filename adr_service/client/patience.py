@@ -18,18 +18,22 @@ def patiently(
 ) -> T:
     """The answer to a request, asked for until the service takes it or refuses it for good.
 
-    `poll_s` is the pause where the service does not say when to come back, and `begins` whether
-    the request is sent again at all, after the first failure.
+    It gives up `patience_s` after the first failure, which may itself have come late. `poll_s` is
+    the pause where the service does not say when to come back, and `begins` whether the request is
+    sent again at all, after the first failure.
     """
-    last, has_begun = time.monotonic() + patience_s, False
+    last: float | None = None
     while True:
         try:
             return ask()
         except (Refused, Unreachable) as error:
+            if last is None:
+                if not begins(error):
+                    raise
+                last = time.monotonic() + patience_s
             wait = error.retry_after_s if isinstance(error, Refused) else poll_s
-            if wait is None or time.monotonic() + wait > last or not (has_begun or begins(error)):
+            if wait is None or time.monotonic() + wait > last:
                 raise
-            has_begun = True
             time.sleep(wait)
 
 
