@@ -34,8 +34,8 @@ _LONG_S = 3600.0  # for an archive to be written or read
 class AdrClient:
     """A connection to the service at `url`; a context manager, which closes it.
 
-    `token` is the service's ADR_TOKEN, if it has one. Requests end after `timeout_s` seconds, those
-    that write or read an archive after an hour.
+    `token` is the service's ADR_TOKEN, if it has one. A request ends where nothing of it can be
+    sent or comes back for `timeout_s` seconds, one that writes or reads an archive for an hour.
     """
 
     def __init__(self, url: str = DEFAULT_URL, token: str = "", timeout_s: float = 60.0):
@@ -43,6 +43,11 @@ class AdrClient:
         self.url = url.rstrip("/")
         shown = re.sub(r"^(\w+://)?[^/]*@", r"\1", url)  # without a proxy's name and password
         check_token("ADR_TOKEN", token)
+        if token and shown != url:
+            raise InvalidInput(
+                "a request has one password: give the service's token (ADR_TOKEN), or a name and "
+                f"password in the address, as for a proxy, and not both; given both for {shown!r}"
+            )
         if not self.url.lower().startswith(("http://", "https://")):
             raise InvalidInput(
                 f"an address begins with http:// or https://, as {DEFAULT_URL}; given {shown!r}"

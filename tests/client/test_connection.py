@@ -230,6 +230,7 @@ def test_an_error_of_another_server_is_shown_as_it_is(body):
         ({"url": "http://me:secret@here:abc/a@b"}, "^'http://here:abc/a@b' is no address"),
         ({"url": "me:secret@here:8761"}, "begins with http:// or https://, .*given 'here:8761'"),
         ({"url": "ftp://here"}, "begins with http:// or https://, .*given 'ftp://here'"),
+        ({"url": "http://me:secret@here", "token": "x"}, "one password: .* for 'http://here'$"),
         ({"token": "geheim-ü"}, "ADR_TOKEN has characters that no token has"),
         ({"token": "from-a-file\n"}, "ADR_TOKEN has characters that no token has"),
     ],
