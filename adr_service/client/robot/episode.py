@@ -99,7 +99,8 @@ class Rollout:
     def step(self, act: Callable[[Matrix], Matrix]) -> None:
         passed = now() - self._began
         limits, seen = self._machine.limits, self._observations[-1]
-        moved = (len(self._actions) + 1) * self._machine.about["control_period_s"]
+        period = self._machine.about["control_period_s"]
+        moved = (len(self._actions) + 1) * period
         if not limits.allows(max(moved, passed)):
             self._is_cut = True
             self._wrong = (
@@ -120,7 +121,7 @@ class Rollout:
         action = limits.apply(bounded)
         self._limited += not np.array_equal(action, bounded)
         self._sent.append(now())
-        with self._watch.watching("step", limits.left(passed)), as_the_robots("step"):
+        with self._watch.watching("step", limits.left(passed, period)), as_the_robots("step"):
             answer = self._machine.env.step(action.copy())
         observation, reward, terminated, truncated, _ = _parts(answer, _OF_STEP)
         self._record(_row(observation), action, _number(reward) if self._has_rewards else 0.0)

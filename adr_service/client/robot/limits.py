@@ -8,7 +8,7 @@ from adr_service.arrays import Vector
 from adr_service.errors import InvalidInput
 
 _STEP_S = 60.0  # after which a step, of milliseconds usually, means that the environment hangs
-_SLACK_S = 1.0  # beyond the owner's limit: the last step began within it
+_SLACK_S = 1.0  # beyond the owner's limit and one control step: the last one began within it
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Limits:
         """True if an episode may take so long."""
         return self.seconds is None or seconds <= self.seconds
 
-    def left(self, seconds: float) -> float:
-        """Longest time of a step that begins `seconds` after the episode."""
-        whole = _STEP_S if self.seconds is None else self.seconds - seconds + _SLACK_S
+    def left(self, seconds: float, period_s: float) -> float:
+        """Longest time of a step of `period_s` that begins `seconds` after the episode."""
+        whole = _STEP_S if self.seconds is None else self.seconds - seconds + period_s + _SLACK_S
         return min(_STEP_S, whole)
 
     def apply(self, action: Vector) -> Vector:

@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from adr_service.errors import InvalidInput
 from adr_service.whole_files import written_whole
 
 _SHOWN = 8  # letters of a lease
@@ -43,16 +44,25 @@ class UnsentEpisode:
 
     @classmethod
     def all_here(cls) -> Iterator["UnsentEpisode"]:
-        """Episodes that an earlier client left, in order of their names."""
+        """Episodes that an earlier client left, in order of their names.
+
+        Raises InvalidInput for one that cannot be read.
+        """
         for lease in sorted(Path.cwd().glob("task_*.lease")):
             file = lease.with_suffix(".npz")
             try:
                 yield cls(lease.stem, lease.read_text(), file.read_bytes(), file)
             except FileNotFoundError:
                 continue  # another client has sent it, or the last one ended before it was written
+            except OSError as error:  # as after `sudo`
+                raise InvalidInput(
+                    f"{file} and {lease.name}, which an earlier client left, cannot be read: "
+                    f"{error.strerror}. Start the client as that one's user, or move both to "
+                    "another folder"
+                ) from error
 
     def discard(self) -> None:
-        """Delete what the service has."""
+        """Delete what the service has; raises OSError."""
         if self.file is not None:
             _lease_file(self.file).unlink(missing_ok=True)
             self.file.unlink(missing_ok=True)

@@ -39,6 +39,7 @@ _REQUEST_S = 60.0  # longest request, but for heartbeats
 # statuses of an episode that is not ours any more, that is no good, and of an unknown task: its run
 # was deleted, or another service gave it
 _LOST, _UNUSABLE, _UNKNOWN = 409, 422, 404
+_DEFECT = 500  # and above: statuses that no request is to blame for
 _FINAL = (_LOST, _UNUSABLE, _UNKNOWN)
 _FACTS = (  # of a task, by which an environment is checked and an episode recorded
     *("observation_columns", "measured_columns", "actions"),
@@ -56,8 +57,9 @@ def _end_process() -> None:
 class Robot:
     """Claims tasks and runs them, one after the other.
 
-    `connect` makes a client whose requests end after so many seconds. If the environment hangs,
-    nothing can stop it in this process, so another thread calls `abandon`, which ends the process.
+    `connect` makes a client whose requests end after so many seconds without an answer. If the
+    environment hangs, nothing can stop it in this process, so another thread calls `abandon`, which
+    ends the process.
     """
 
     def __init__(
@@ -101,7 +103,9 @@ class Robot:
                 self._send_again(left)
             while (episodes is None or done < episodes) and not self._stopped.is_set():
                 claim = partial(self._client.claim_task, self._name, [name], _WAIT_S)
-                asked, claimed = self._patiently(lambda claim=claim: (now(), claim()))
+                asked, claimed = self._patiently(
+                    lambda claim=claim: (now(), claim()), through_defects=True
+                )
                 if claimed is not None:
                     done += self._serve(claimed, asked)
 
@@ -256,7 +260,12 @@ class Robot:
             where = unsent.file or "no file, because none could be written"
             self._report(f"{task_id}: the service does not have the episode; it is in {where}")
             raise
-        unsent.discard()
+        try:
+            unsent.discard()
+        except OSError as error:
+            self._report(
+                f"{task_id}: the service has the episode, but its file cannot be deleted: {error}"
+            )
 
     def _send_again(self, unsent: UnsentEpisode) -> None:
         """Upload an episode that an earlier client left; raises Refused if it is still refused.
@@ -294,8 +303,11 @@ class Robot:
             if error.status != _LOST:
                 raise
 
-    def _patiently(self, ask: Callable[[], Any]) -> Any:
-        """Return the answer to a request, once the service is there and ready."""
+    def _patiently(self, ask: Callable[[], Any], *, through_defects: bool = False) -> Any:
+        """Return the answer to a request, once the service is there and ready.
+
+        `through_defects`: also where the service has a defect, which may be gone the next time.
+        """
         has_reported = False
         while not self._stopped.is_set():
             try:
@@ -303,7 +315,9 @@ class Robot:
             except (Refused, Unreachable) as error:
                 wait_s = error.retry_after_s if isinstance(error, Refused) else _RETRY_S
                 if wait_s is None:
-                    raise
+                    if not through_defects or error.status < _DEFECT:
+                        raise
+                    wait_s = _RETRY_S
                 if not has_reported:
                     self._report(f"{error}; trying again until the service takes it")
                 has_reported = True

@@ -33,15 +33,19 @@ def test_without_limits_everything_is_allowed():
 
 
 def test_a_step_has_the_time_that_is_left_of_the_episode():
-    assert Limits().left(1e6) == Limits().left(0.0)
+    assert Limits().left(1e6, 0.02) == Limits().left(0.0, 0.02)
     limits = Limits(seconds=5.0)
     assert limits.allows(5.0)
     assert not limits.allows(5.1)
-    assert limits.left(4.0) - limits.left(4.5) == pytest.approx(0.5)
+    assert limits.left(4.0, 0.02) - limits.left(4.5, 0.02) == pytest.approx(0.5)
+
+
+def test_the_last_step_of_a_slow_robot_has_time_to_end():
+    assert Limits(seconds=20.0).left(19.8, 2.0) > 2.2  # it is late by a tenth
 
 
 def test_a_long_episode_leaves_a_step_no_more_time_than_a_step_may_take():
-    assert Limits(seconds=1e4).left(0.0) == Limits().left(0.0)
+    assert Limits(seconds=1e4).left(0.0, 0.02) == Limits().left(0.0, 0.02)
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, np.nan, np.inf])

@@ -8,11 +8,15 @@ from pathlib import Path
 import pytest
 
 from adr_service.client.http import Refused, Unreachable
+from adr_service.client.robot import worker
 from adr_service.client.robot.environment import RobotFailed
 from adr_service.client.robot.limits import Limits
+from adr_service.client.robot.playback import about
+from adr_service.client.robot.unsent_episodes import UnsentEpisode
 from adr_service.client.robot.worker import Robot
 from adr_service.errors import InvalidInput, UnknownName
 from adr_service.stages.target_episode import read_episode
+from adr_service.tasks.catalogue import get_task
 from tests.client.robot.test_episode import ABOUT
 from tests.robots import BreakingArm
 
@@ -434,3 +438,49 @@ def test_a_service_that_asks_to_wait_is_reported_once():
     robot(service, reports=reports).work(1)
     assert len([each for each in reports if each.startswith("the disk is full")]) == 1
     assert len(service.uploads) == 1
+
+
+def test_an_idle_robot_waits_while_the_service_has_a_defect(monkeypatch):
+    monkeypatch.setattr(worker, "_RETRY_S", 0.01)
+    service, reports = Service(), []
+    answers = iter([Refused(500, "a defect"), Refused(500, "a defect")])
+    claim = service.claim_task
+
+    def claimed(*asked):
+        if (error := next(answers, None)) is not None:
+            raise error
+        return claim(*asked)
+
+    service.claim_task = claimed
+    robot(service, reports=reports).work(1)
+    assert len([each for each in reports if each.startswith("a defect; trying again")]) == 1
+    assert len(service.uploads) == 1
+    service.claim_task = raising(Refused(403, "another token"))
+    with pytest.raises(Refused, match="another token"):
+        robot(service).work(1)
+
+
+def test_an_episode_whose_file_cannot_be_deleted_is_reported_and_sent_again(folder, monkeypatch):
+    """As on a card that can only be read after an error."""
+    service, reports = Service(), []
+    with monkeypatch.context() as only_read:
+        only_read.setattr(UnsentEpisode, "discard", raising(OSError("Read-only file system")))
+        robot(service, reports=reports).work(1)
+    left = "task_a: the service has the episode, but its file cannot be deleted: Read-only"
+    assert any(each.startswith(left) for each in reports)
+    assert len(service.uploads) == 1
+    stopping(robot(service), service).work()
+    assert len(service.uploads) == 2
+    assert not list(folder.iterdir())
+
+
+def test_an_episode_of_another_user_is_named(folder):
+    (folder / "task_a.lease").mkdir()  # which cannot be read as a file
+    with pytest.raises(
+        InvalidInput, match=r"task_a\.npz and task_a\.lease, .* cannot be read: Is a"
+    ):
+        robot(Service()).work(1)
+
+
+def test_a_client_compares_all_facts_of_its_task():
+    assert {"name", *worker._FACTS} == about(get_task("arm")).keys()
