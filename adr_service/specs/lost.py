@@ -30,7 +30,7 @@ class LostRun(Wire):
 
     @property
     def label(self) -> str:
-        """The kind of run, for lists of runs."""
+        """The method, for lists of runs."""
         return self.method
 
     @property
