@@ -314,10 +314,10 @@ class Robot:
                 return ask()
             except (Refused, Unreachable) as error:
                 wait_s = error.retry_after_s if isinstance(error, Refused) else _RETRY_S
+                if through_defects and isinstance(error, Refused) and error.status >= _DEFECT:
+                    wait_s = wait_s or _RETRY_S
                 if wait_s is None:
-                    if not through_defects or error.status < _DEFECT:
-                        raise
-                    wait_s = _RETRY_S
+                    raise
                 if not has_reported:
                     self._report(f"{error}; trying again until the service takes it")
                 has_reported = True
