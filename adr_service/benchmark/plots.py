@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from adr_service.benchmark.aggregate import ProfilePoint
 from adr_service.benchmark.comparison import InferenceCost, ParameterEstimate, Row
@@ -168,17 +169,18 @@ def _returns_panel(axis: Axes, rows: Sequence[Row], *, with_intervals: bool) -> 
         if with_intervals:
             _bars(axis, x, chosen, _colour(method))
     axis.axhline(1.0, color="black", linewidth=0.5)
-    _iteration_axis(axis, last)
+    _iteration_axis(axis)
 
 
 def _last_panel(axis: Axes, rows: Sequence[Row]) -> None:
-    """Each method's mean and interval after its last iteration, with its number where others have
-    more."""
+    """Each method's mean and interval after the last iteration that no seed lacks, with its number
+    where others have more."""
     names = _names(rows)
     most = max((row.iteration for row in rows), default=0)
     labels: list[str] = []
     for x, method in enumerate(names):
-        last = max((row for row in rows if row.method == method), key=lambda row: row.iteration)
+        own = [row for row in rows if row.method == method]
+        last = max(own, key=lambda row: (row.seeds, row.iteration))
         axis.plot([x], [last.normalised_return], "o", color=_colour(method), markersize=4)
         _bars(axis, [x], [last], _colour(method))
         is_level = methods()[method].learns_from == "nothing"
@@ -196,7 +198,7 @@ def _collection_panel(axis: Axes, rows: Sequence[Row]) -> None:
         _line(axis, x, chosen, colour, _COLLECTOR_LABELS[collector])
         _bars(axis, x, chosen, colour)
     axis.axhline(1.0, color="black", linewidth=0.5)
-    _iteration_axis(axis, max((row.iteration for row in rows), default=0))
+    _iteration_axis(axis)
 
 
 def _parameter_panel(axis: Axes, estimates: Sequence[ParameterEstimate]) -> None:
@@ -219,7 +221,7 @@ def _parameter_panel(axis: Axes, estimates: Sequence[ParameterEstimate]) -> None
             linewidth=0.8,
         )
     axis.set_xlabel("iteration")
-    axis.set_xticks(sorted({e.iteration for e in estimates}))
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
 def _spread_panel(axis: Axes, estimates: Sequence[ParameterEstimate]) -> int:
@@ -235,7 +237,7 @@ def _spread_panel(axis: Axes, estimates: Sequence[ParameterEstimate]) -> int:
         axis.plot(list(by_iteration), means, "o-", markersize=3, linewidth=1, label=name)
     axis.axhline(1.0, color="black", linewidth=0.5)
     axis.set_yscale("log")
-    _iteration_axis(axis, max((e.iteration for e in estimates), default=0))
+    _iteration_axis(axis)
     return len(names)
 
 
@@ -252,7 +254,7 @@ def _cost_panel(axis: Axes, rows: Sequence[InferenceCost], measure: str) -> None
             axis.plot(x, y, style, color=_colour(method), label=label, markersize=4)
             axis.set_yscale("log")
     axis.set_ylabel(_AXIS_LABELS[measure])
-    _iteration_axis(axis, max(row.iteration for row in rows))
+    _iteration_axis(axis)
 
 
 def _names(rows: Sequence[Row]) -> list[str]:
@@ -286,14 +288,19 @@ def _label_returns(figure: Figure, axes: np.ndarray, rows: Sequence[Row]) -> Non
     has_intervals = any(row.low is not None for row in rows)
     what = "bars" if len(_names(rows)) > _MOST_WITH_INTERVALS else "bars, bands"
     drawn = f"{what}: 95 % intervals over seeds" if has_intervals else "no intervals: too few seeds"
-    begun: dict[str, float] = {}  # transitions seen before the first iteration
+    begun: dict[str, list[float]] = {}  # transitions seen before the first iteration, by panel
     for row in rows:
         if row.iteration == 0 and row.target_transitions > 0:
-            begun[row.method] = max(begun.get(row.method, 0.0), row.target_transitions)
+            begun.setdefault(row.method, []).append(row.target_transitions)
     before = "".join(
-        f"; {_label(name)} begins at {n:,.0f} transitions" for name, n in begun.items()
+        f"; {_label(name)} begins at {_range(counts)} transitions" for name, counts in begun.items()
     )
     figure.supxlabel(f"{drawn} (here {seeds}){before}", fontsize=7)
+
+
+def _range(counts: Sequence[float]) -> str:
+    """The least and the largest of these counts, once if they are equal."""
+    return " to ".join(dict.fromkeys(f"{count:,.0f}" for count in (min(counts), max(counts))))
 
 
 def _grid(
@@ -333,9 +340,9 @@ def _colour(method: str) -> str:
     return methods()[method].colour
 
 
-def _iteration_axis(axis: Axes, last: int) -> None:
+def _iteration_axis(axis: Axes) -> None:
     axis.set_xlabel("iteration (target trajectories seen)")
-    axis.set_xticks(range(last + 1))
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
 def _pairs(one: Sequence[Any], other: Sequence[Any]) -> list[tuple[tuple[int, Any], ...]]:

@@ -97,9 +97,17 @@ def test_the_note_says_where_too_few_seeds_have_no_intervals():
 
 
 def test_the_note_says_what_a_method_has_seen_before_its_first_iteration():
-    seen = [row(method="bayrn", iteration=0, target_transitions=n) for n in (3400.0, 3800.0)]
-    figure = plot_returns([row(target_transitions=200.0), *seen])
-    assert figure.get_supxlabel().endswith("; BayRn begins at 3,800 transitions")
+    seen = [row(method="bayrn", iteration=0, target_transitions=n) for n in (3800.0, 3400.0)]
+    for shown, told in ((seen[:1], "3,800"), (seen, "3,400 to 3,800")):
+        figure = plot_returns([row(target_transitions=200.0), *shown])
+        assert figure.get_supxlabel().endswith(f"; BayRn begins at {told} transitions")
+
+
+def test_the_axis_of_a_hundred_iterations_has_few_whole_numbers():
+    (axis,) = plot_returns([row(iteration=i) for i in range(101)]).axes
+    ticks = axis.get_xticks()
+    assert len(ticks) < 15
+    assert all(tick == int(tick) for tick in ticks)
 
 
 def test_of_many_methods_the_intervals_stand_beside_the_lines_and_at_the_end_alone():
@@ -121,6 +129,17 @@ def test_a_method_that_has_fewer_iterations_says_after_which_it_is_shown():
     shown = dict(zip(methods(), (t.get_text() for t in last.get_xticklabels()), strict=True))
     assert (shown["dropo"], shown["udr"]) == ("DROPO (after 2)", "UDR")
     assert shown["simopt"] == "SimOpt"
+
+
+def test_a_method_is_shown_after_the_last_iteration_that_no_seed_lacks():
+    """One seed that is ahead is no mean of several, as the leaderboard has."""
+    rows = [row(method=name, iteration=5) for name in methods() if name != "dropo"]
+    rows += [row(method="dropo", iteration=i, normalised_return=0.1 * i) for i in range(5)]
+    rows.append(row(method="dropo", iteration=5, seeds=1, low=None, high=None))
+    _, last = plot_returns(rows).axes
+    place = [t.get_text() for t in last.get_xticklabels()].index("DROPO (after 4)")
+    (shown,) = [line for line in last.lines if list(line.get_xdata()) == [place]]
+    assert shown.get_ydata() == pytest.approx([0.4])
 
 
 @pytest.mark.parametrize(("count", "bands"), [(6, 6), (7, 0)])
