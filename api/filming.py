@@ -1,11 +1,12 @@
 """Films of runs' policies, made one at a time in a process of its own.
 
-    content = Films().of(spec, policy, distribution_view(outcome).model_dump())     # an .mp4
+    path = Films().of(spec, policy, distribution_view(outcome).model_dump())     # an .mp4
 
 Drawing takes seconds, and a graphics driver that crashes takes its process along.
 """
 
 import json
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -30,32 +31,46 @@ class NoFilm(AdrError):
 
 
 class Films:
-    """Makes films, and keeps the latest."""
+    """Makes films, and keeps the latest as files until it is closed."""
 
     def __init__(self) -> None:
-        self._kept: dict[str, bytes] = {}
+        self._folder: Path | None = None  # made with the first film
+        self._kept: dict[str, Path] = {}
         self._free = threading.Lock()
+        self._making = ""  # the key of the film that is being made
 
-    def of(self, spec: RunSpec, policy: bytes, distribution: dict[str, Any]) -> bytes:
+    def of(self, spec: RunSpec, policy: bytes, distribution: dict[str, Any]) -> Path:
         """The film of a policy's episode in the mean of its training distribution.
 
-        Beside it is an episode on the target, where that is simulated. Raises NoFilm while another
-        film is made, and if it takes too long, InvalidInput for what cannot be drawn.
+        Beside it is an episode on the target, where that is simulated. Whoever asks for the film
+        that is being made waits for it. Raises NoFilm while another one is made, and if it takes
+        too long, InvalidInput for what cannot be drawn.
         """
         if spec.extension or getattr(spec.target, "effects", ()):
             raise InvalidInput("films show a task's own simulator; this run has effects beyond it")
         key = sha256(policy + canonical_json([spec.target.kind, distribution]).encode())
         if key in self._kept:
             return self._kept[key]
-        if not self._free.acquire(blocking=False):
+        if not self._free.acquire(blocking=key == self._making):
             raise NoFilm("another film is being made; ask again in some seconds")
         try:
-            film = self._kept[key] = _film(spec, policy, distribution)
-            if len(self._kept) > _MOST_KEPT:
-                del self._kept[next(iter(self._kept))]  # the oldest
+            if key not in self._kept:
+                self._making = key
+                self._folder = self._folder or Path(tempfile.mkdtemp(prefix="adr_films_"))
+                film = self._folder / f"{key}.mp4"
+                film.write_bytes(_film(spec, policy, distribution))
+                self._kept[key] = film
+                if len(self._kept) > _MOST_KEPT:
+                    self._kept.pop(next(iter(self._kept))).unlink()  # the oldest
+            return self._kept[key]
         finally:
+            self._making = ""
             self._free.release()
-        return film
+
+    def close(self) -> None:
+        """Delete the films."""
+        if self._folder is not None:
+            shutil.rmtree(self._folder)
 
 
 def _film(spec: RunSpec, policy: bytes, distribution: dict[str, Any]) -> bytes:

@@ -135,6 +135,7 @@ class Service:
     def close(self) -> None:
         self.orchestrator.close()
         self.database.close()
+        self.films.close()
 
 
 def open_service(settings: Settings) -> Service:

@@ -3,6 +3,7 @@
 from typing import Any
 
 from fastapi import APIRouter, Response
+from fastapi.responses import FileResponse
 from pydantic import BaseModel
 
 from adr_service.benchmark.comparison import Outcome, decode
@@ -84,7 +85,7 @@ def results(run_id: RunId, service: ServiceDependency, format: TableFormat = "js
     """Result table after every iteration, comparisons, estimates and costs."""
     record = run_store.get_run(service.database, run_id)
     if format == "csv":
-        return csv_response(outcomes_of(service, [record]))
+        return csv_response(run_id, outcomes_of(service, [record]))
     return Response(results_json(service, run_id, [record]), media_type="application/json")
 
 
@@ -113,7 +114,7 @@ def figure(
     run_id: RunId, name: FigureName, file_format: FileFormat, service: ServiceDependency
 ) -> Response:
     """A figure, or its numbers as CSV."""
-    return figure_response(name, _outcomes(service, run_id), file_format)
+    return figure_response(run_id, name, _outcomes(service, run_id), file_format)
 
 
 @router.get("/{run_id}/distribution")
@@ -141,7 +142,8 @@ def film(run_id: RunId, service: ServiceDependency) -> Response:
     if policy is None:
         raise NotFound("artifact", digest)
     about = distribution_view(latest).model_dump()
-    return Response(service.films.of(latest.spec, policy, about), media_type="video/mp4")
+    # a file, because browsers ask for parts of films
+    return FileResponse(service.films.of(latest.spec, policy, about), media_type="video/mp4")
 
 
 def _latest(service: Service, run_id: str, kind: str) -> Outcome:

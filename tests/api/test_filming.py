@@ -1,6 +1,8 @@
 """Films of runs' policies."""
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 
 import imageio_ffmpeg
 import pytest
@@ -14,16 +16,22 @@ SPEC = {"task": "arm", "method": "simopt", "preset": "smoke"}
 FRICTION = {"kind": "joint_coulomb_friction", "location": "joint:elbow", "values": [0.1]}
 
 
-def test_a_run_with_effects_beyond_the_tasks_simulator_has_no_film():
+@pytest.fixture
+def films():
+    with closing(Films()) as films:
+        yield films
+
+
+def test_a_run_with_effects_beyond_the_tasks_simulator_has_no_film(films):
     for more in (
         {"extension": [FRICTION]},
         {"target": {"kind": "simulated", "effects": [FRICTION]}},
     ):
         with pytest.raises(InvalidInput, match="effects beyond it"):
-            Films().of(RunSpec.model_validate({**SPEC, **more}), b"", {})
+            films.of(RunSpec.model_validate({**SPEC, **more}), b"", {})
 
 
-def test_one_film_is_made_at_a_time(monkeypatch):
+def test_one_film_is_made_at_a_time(films, monkeypatch):
     begun, may_end = threading.Event(), threading.Event()
 
     def slowly(*_):
@@ -32,7 +40,7 @@ def test_one_film_is_made_at_a_time(monkeypatch):
         return b"a film"
 
     monkeypatch.setattr("api.filming._film", slowly)
-    films, spec = Films(), RunSpec.model_validate(SPEC)
+    spec = RunSpec.model_validate(SPEC)
     first = threading.Thread(target=films.of, args=(spec, b"one", {}))
     first.start()
     assert begun.wait(30)
@@ -40,21 +48,53 @@ def test_one_film_is_made_at_a_time(monkeypatch):
         films.of(spec, b"another", {})
     may_end.set()
     first.join(30)
-    assert films.of(spec, b"one", {}) == b"a film"  # it was kept
+    assert films.of(spec, b"one", {}).read_bytes() == b"a film"  # it was kept
 
 
-def test_the_same_policy_on_another_kind_of_target_is_another_film(monkeypatch):
+def test_whoever_asks_for_the_film_that_is_being_made_waits_for_it(films, monkeypatch):
+    """A browser whose page is loaded again, for one."""
+    begun, may_end, made = threading.Event(), threading.Event(), []
+
+    def slowly(*_):
+        made.append("a film")
+        begun.set()
+        assert may_end.wait(30)
+        return b"a film"
+
+    monkeypatch.setattr("api.filming._film", slowly)
+    spec = RunSpec.model_validate(SPEC)
+    with ThreadPoolExecutor(2) as threads:
+        first = threads.submit(films.of, spec, b"one", {})
+        assert begun.wait(30)
+        second = threads.submit(films.of, spec, b"one", {})
+        with pytest.raises(TimeoutError):
+            second.result(0.1)
+        may_end.set()
+        assert second.result(30) == first.result(30)
+    assert made == ["a film"]
+
+
+def test_only_the_latest_films_stay_on_disk(films, monkeypatch):
+    monkeypatch.setattr("api.filming._film", lambda spec, policy, _: policy)
+    monkeypatch.setattr("api.filming._MOST_KEPT", 2)
+    spec = RunSpec.model_validate(SPEC)
+    paths = [films.of(spec, policy, {}) for policy in (b"one", b"two", b"three")]
+    assert [path.exists() for path in paths] == [False, True, True]
+    assert paths[2].read_bytes() == b"three"
+
+
+def test_the_same_policy_on_another_kind_of_target_is_another_film(films, monkeypatch):
     monkeypatch.setattr("api.filming._film", lambda spec, *_: spec.target.kind.encode())
-    films, simulated = Films(), RunSpec.model_validate(SPEC)
+    simulated = RunSpec.model_validate(SPEC)
     external = RunSpec.model_validate({**SPEC, "target": {"kind": "external"}})
-    assert films.of(simulated, b"one", {}) == b"simulated"
-    assert films.of(external, b"one", {}) == b"external"
+    assert films.of(simulated, b"one", {}).read_bytes() == b"simulated"
+    assert films.of(external, b"one", {}).read_bytes() == b"external"
 
 
-def test_what_cannot_be_drawn_is_refused_with_the_reason():
+def test_what_cannot_be_drawn_is_refused_with_the_reason(films):
     mean = {"task": "arm", "variant": "vanilla", "parameters": []}
     with pytest.raises(InvalidInput, match="not the bytes of a policy"):
-        Films().of(RunSpec.model_validate(SPEC), b"nonsense", mean)
+        films.of(RunSpec.model_validate(SPEC), b"nonsense", mean)
 
 
 @pytest.mark.slow
