@@ -107,7 +107,8 @@ def _field_error(each: Any, error: RequestValidationError, request: Request) -> 
 
 async def _http_error(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)
-    response = problem(error.status_code, "http_error", str(error.detail))
+    title = HTTPStatus(error.status_code).phrase.lower()
+    response = problem(error.status_code, "http_error", str(error.detail), title=title)
     response.headers.update(error.headers or {})
     if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED and (allowed := _methods_of(request)):
         response.headers["Allow"] = ", ".join(sorted(allowed))

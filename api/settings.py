@@ -191,7 +191,7 @@ class Settings(BaseSettings):
     def _is_a_web_address(cls, given: str) -> str:
         if given and not re.match(r"(?i:https?)://[^/]", given):
             raise ValueError(f"{given!r} is no web address; as http://127.0.0.1:8265")
-        return given
+        return given.rstrip("/")
 
     @property
     def database(self) -> str:

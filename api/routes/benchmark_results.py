@@ -23,7 +23,7 @@ def results(
 ) -> Response:
     """Result table of all methods after every iteration, comparisons, estimates and costs."""
     if format == "csv":
-        return csv_response(_outcomes(service, benchmark_id))
+        return csv_response(benchmark_id, _outcomes(service, benchmark_id))
     records = benchmark_store.runs_of(service.database, benchmark_id)
     return Response(results_json(service, benchmark_id, records), media_type="application/json")
 
@@ -59,7 +59,7 @@ def figure(
     benchmark_id: BenchmarkId, name: FigureName, file_format: FileFormat, service: ServiceDependency
 ) -> Response:
     """A figure, or its numbers as CSV."""
-    return figure_response(name, _outcomes(service, benchmark_id), file_format)
+    return figure_response(benchmark_id, name, _outcomes(service, benchmark_id), file_format)
 
 
 def _outcomes(service: Service, benchmark_id: str) -> list[Outcome]:

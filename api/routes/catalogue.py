@@ -58,12 +58,14 @@ def artifact(digest: Digest, service: ServiceDependency) -> Response:
     return artifact_response(service, digest, digest)
 
 
+@router.head("/healthz", include_in_schema=False)  # some monitors ask for no more
 @router.get("/healthz")
 async def healthz() -> dict[str, str]:  # it waits for no thread
     """Answers while the process lives."""
     return {"status": "ok"}
 
 
+@router.head("/readyz", include_in_schema=False)
 @router.get("/readyz", response_model=None)
 def readyz(service: ServiceDependency) -> dict[str, Any]:
     """Answers 200 if the database can be written, the disk has room and Ray is reachable."""

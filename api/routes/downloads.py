@@ -42,14 +42,20 @@ def artifact_response(service: Service, digest: str, filename: str) -> Response:
     return bytes_response(content, filename)
 
 
-def figure_response(name: str, outcomes: Sequence[Outcome], file_format: Format) -> Response:
-    """A figure, or its numbers as CSV."""
-    return Response(draw(name, outcomes, file_format), media_type=_FIGURE_TYPES[file_format])
+def figure_response(
+    id: str, name: str, outcomes: Sequence[Outcome], file_format: Format
+) -> Response:
+    """A figure of a run or a benchmark, or its numbers as CSV."""
+    content, type = draw(name, outcomes, file_format), _FIGURE_TYPES[file_format]
+    # browsers show pictures, and save tables
+    headers = attachment(f"{id}-{name}.csv") if file_format == "csv" else None
+    return Response(content, media_type=type, headers=headers)
 
 
-def csv_response(outcomes: Sequence[Outcome]) -> Response:
-    """The result table as CSV."""
-    return Response(to_csv(table(outcomes)), media_type="text/csv")
+def csv_response(id: str, outcomes: Sequence[Outcome]) -> Response:
+    """The result table of a run or a benchmark as CSV."""
+    headers = attachment(f"{id}-results.csv")
+    return Response(to_csv(table(outcomes)), media_type="text/csv", headers=headers)
 
 
 def bibtex_response(records: Sequence[RunRecord]) -> Response:

@@ -72,6 +72,12 @@ def test_an_invalid_setting_is_named_with_the_accepted_values(given, message):
         read_settings(**given)
 
 
+def test_links_to_rays_dashboard_have_one_slash():
+    assert (
+        read_settings(ray_dashboard_url="https://ray.org/").ray_dashboard_url == "https://ray.org"
+    )
+
+
 def test_an_address_of_ipv6_is_a_name_of_the_service():
     names = "2001:db8::8a2e:370:7334, adr.example"
     assert read_settings(allowed_hosts=names).allowed_hosts == names

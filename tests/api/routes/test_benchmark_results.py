@@ -24,6 +24,13 @@ def test_results_come_as_json_csv_and_figures(service, http, benchmark):
     assert all(float(row["inference_seconds"]) > 0 for row in drawn)
 
 
+@pytest.mark.parametrize("name", ["results?format=csv", "figures/cost.csv"])
+def test_a_table_that_is_saved_has_the_name_of_its_benchmark(http, benchmark, name):
+    headers = http.get(f"/v1/benchmarks/{benchmark}/{name}").headers
+    table = "cost" if "cost" in name else "results"
+    assert headers["Content-Disposition"] == f'attachment; filename="{benchmark}-{table}.csv"'
+
+
 def test_smoke_runs_bear_on_no_claim(service, benchmark):
     assert service.client.claims(benchmark) == []  # smoke runs mean nothing
     assert service.client.claims() == []

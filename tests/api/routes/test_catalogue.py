@@ -18,6 +18,9 @@ def test_a_healthy_service_is_ready(http):
     ready = http.get("/readyz").json()
     assert ready["status"] == "ready"
     assert ready["cores"] == 2
+    for address in ("/healthz", "/readyz"):  # some monitors ask for no more than the head
+        head = http.head(address)
+        assert (head.status_code, head.content) == (200, b"")
 
 
 def test_while_another_process_holds_the_database_nothing_is_lost(http, service):
